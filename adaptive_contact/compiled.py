@@ -40,7 +40,7 @@ _UNUSED_S: Final = 90 * 86400.0  # what earlier versions compiled is removed aft
 
 
 def compiles() -> bool:
-    """Tell whether anything is compiled: not without numba, and not with ``NUMBA_DISABLE_JIT``."""
+    """Return whether anything is compiled: it needs numba, and ``NUMBA_DISABLE_JIT`` unset."""
     return numba is not None and not _config.DISABLE_JIT
 
 
@@ -72,7 +72,7 @@ def cache_folder() -> Path | None:
 
 
 def is_cached() -> bool:
-    """Tell whether all of a tick has been compiled before, by this installation on this processor.
+    """Return whether a whole tick has been compiled before, by this installation and processor.
 
     Files of machine code alone do not show it: who stops early leaves some of them.
     """
@@ -176,7 +176,7 @@ def _owned(folder: Path) -> Path | None:
 def _digest() -> str:
     """Of what the machine code is made from and for: sources, numba, Python, processor.
 
-    And of where the sources lie and when they were written, by which numba tells them apart: of
+    And of where the sources lie and when they were written, by which numba distinguishes them: of
     the same sources in another place nothing has been compiled.
     """
     here = Path(__file__).parent

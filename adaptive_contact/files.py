@@ -99,12 +99,12 @@ def whole_file(
 
 
 def holds_content(path: Path) -> bool:
-    """Tell whether writing to ``path`` would lose content; a device or a FIFO holds none."""
+    """Return whether writing to ``path`` would lose content; a device or a FIFO holds none."""
     return path.is_file() or path.is_dir()
 
 
 def why_not_writable(path: Path) -> str | None:
-    """Tell why a file could not be written later, before any work is done for it; None if it could.
+    """Say why a file could not be written later, before any work is done for it; None if it could.
 
     A regular file needs a folder that is writable, for it is written beside its place.
     """

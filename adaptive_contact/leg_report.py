@@ -84,7 +84,7 @@ class LegReport:
         lifecycle: of its model.
         guard: of its stream.
         swing, labels: of its swings.
-        track, ids: watch how its angles are counted, and whose samples they are; None for nobody.
+        track, ids: watch how its angles are counted, and whose samples they are; None for no watch.
         when_ambiguous: whether contacts are reported while the leg is ambiguous.
 
     Attributes:
@@ -187,7 +187,7 @@ class LegReport:
         self._standing = Standing() if adapter is None else adapter.standing
 
     def publish_withholding(self) -> None:
-        """Tell the tick whether contacts are reported, and in a swing that begins with it."""
+        """Set for the tick whether contacts are reported, and in a swing that begins with it."""
         self.read_standing()
         leg = self._place.leg
         leg["withholds"], leg["withholds_begun"] = self.withholds, self._withholds_at(fits=False)

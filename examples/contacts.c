@@ -169,7 +169,7 @@ static bool is_news(const event_t *event) {
     return !known;
 }
 
-static void tell(const z_loaned_sample_t *sample) {
+static void print_contact(const z_loaned_sample_t *sample) {
     uint8_t data[MOST_BYTES];
     z_bytes_reader_t reader = z_bytes_get_reader(z_sample_payload(sample));
     size_t size = z_bytes_reader_read(&reader, data, sizeof data);
@@ -189,12 +189,12 @@ static void tell(const z_loaned_sample_t *sample) {
 
 static void on_sample(z_loaned_sample_t *sample, void *context) {
     (void)context;
-    tell(sample);
+    print_contact(sample);
 }
 
 static void on_reply(z_loaned_reply_t *reply, void *context) {
     (void)context;
-    if (z_reply_is_ok(reply)) tell(z_reply_ok(reply));
+    if (z_reply_is_ok(reply)) print_contact(z_reply_ok(reply));
 }
 
 int main(int argc, char **argv) {
@@ -214,10 +214,10 @@ int main(int argc, char **argv) {
         fprintf(stderr, "contacts: no router at %s; start `adaptive-contact serve`\n", endpoint);
         return 2;
     }
-    z_owned_closure_sample_t heard;
-    z_closure(&heard, on_sample, NULL, NULL);
+    z_owned_closure_sample_t callback;
+    z_closure(&callback, on_sample, NULL, NULL);
     z_owned_subscriber_t subscriber;
-    if (z_declare_subscriber(z_loan(session), &subscriber, z_loan(contacts), z_move(heard), NULL)) {
+    if (z_declare_subscriber(z_loan(session), &subscriber, z_loan(contacts), z_move(callback), NULL)) {
         fprintf(stderr, "contacts: the router refuses a subscriber to %s\n", key);
         return 2;
     }

@@ -10,7 +10,7 @@ bridge's samples, contacts from the service.  Run it against a virtual robot on 
     python examples/gait_controller.py --leg rf --steps 5
 
 What it does when something is missing: without samples it ends and commands nothing more, and the
-bridge holds the leg where it is.  While no service runs, nobody reports contacts: the leg holds
+bridge holds the leg where it is.  While no service runs, no contacts are reported: the leg holds
 still, lifts once the service is back, and steps again.  A contact from before a descent began (the
 last one is kept for late joiners) is not one of this descent.
 
@@ -118,7 +118,7 @@ class Legwork:
             self.tick(self.goal)
 
     def await_service(self) -> None:
-        """Stay where the last goal is until somebody reports contacts."""
+        """Stay where the last goal is until contacts are reported."""
         if not self.ears.service.is_set():
             print("no service reports contacts; holding still until one does", flush=True)
         while not self.ears.service.is_set():
@@ -134,7 +134,7 @@ class Legwork:
 
         Returns:
             ``contact``, ``none``, or ``unwatched`` where the service has gone on the way: the foot
-            may have touched since, and nobody would have said so.
+            may have touched since, without a report.
         """
         began_ns = self.sample.t_ns
         # The foot lags its command: what it runs into after the last goal counts as well.
@@ -178,7 +178,7 @@ def angles(leg: Leg, point_m) -> np.ndarray:
 
 
 def main() -> int:
-    """Make some steps; what is wrong is told in one line."""
+    """Make some steps; what is wrong is reported in one line."""
     try:
         run(arguments())
     except AdaptiveContactError as error:
@@ -210,7 +210,7 @@ def arguments() -> argparse.Namespace:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Step as told."""
+    """Step as the options say."""
     robot = load_robot(options.config) if options.config else shipped_robot()
     leg = robot.leg(options.leg)
     stretched = leg.chain.reach_m if leg.chain is not None else 0.0

@@ -93,7 +93,7 @@ class Pong(NamedTuple):
     """A servo that answered a ping.
 
     Attributes:
-        model_number: None where neither a ping (of protocol 2.0) nor a read tells it.
+        model_number: None where neither a ping (of protocol 2.0) nor a read gives it.
         doubled: several seem to answer.
         reads: it answers reads; at a status return level of 0 it does not.
         brand: what it is in words, where that is no Dynamixel.
@@ -167,7 +167,7 @@ class Bus:
         self._port.close()
 
     def ping(self, servo: int) -> Pong | None:
-        """Ask a servo who it is; None where nobody answers.
+        """Ask a servo who it is; None without an answer.
 
         Raises:
             PortLostError: the port is gone.
@@ -192,7 +192,7 @@ class Bus:
             servos: ids.
             block: the registers.
             until: monotonic seconds after which nothing is tried a second time.
-            end: monotonic seconds at which nobody is waited for any more.
+            end: monotonic seconds at which the wait for answers ends.
 
         Returns:
             A reading for every id that there was time to ask.
@@ -213,7 +213,7 @@ class Bus:
                         if garbled:
                             found[servo] = Reading(None, (), Fault.CORRUPT)
                         continue
-                    # Not heard in the common answer, or protocol 1: ask it alone.
+                    # Missing in the common answer, or protocol 1: ask it alone.
                     first = found[servo] = self._read_one(servo, block)
                     if garbled and first.fault is None:
                         # What came for all held more than was understood: this one's, it seems.
@@ -222,7 +222,7 @@ class Bus:
                 if first.fault is Fault.CORRUPT and time.monotonic() < until:
                     again = self._read_one(servo, block)
                     if again.fault is None:
-                        # The fault is told, the reading is good.
+                        # The fault is reported, the reading is good.
                         found[servo] = again._replace(fault=Fault.CORRUPT)
             return found
 
@@ -293,7 +293,7 @@ class Bus:
         return _ASK_S + (block.size + _STATUS_BYTES) * self._port.byte_s
 
     def get(self, servo: int, register: Register) -> int | None:
-        """One register's value, None if the servo does not tell it within some tries."""
+        """One register's value, None if the servo does not send it within some tries."""
         for _ in range(_TRIES):
             data = self._ask(servo, register.block).data
             if data is not None:
@@ -320,7 +320,7 @@ class Bus:
         return False
 
     def put_all(self, register: Register, values: Mapping[int, int]) -> bool:
-        """Write one register of several servos with one sync write, which nobody answers."""
+        """Write one register of several servos with one sync write, which has no answer."""
         if not values:
             return True
         parameters: list[int] = []
@@ -347,7 +347,7 @@ class Bus:
         try:
             return work()
         except BlockingIOError:
-            # Nobody takes what is written: the other end stands still, as good as gone.
+            # What is written is not taken: the other end stands still, as good as gone.
             raise self._port.lost(OSError("nothing can be written")) from None
         except (OSError, termios.error, ValueError, TypeError) as error:
             # pyserial raises TypeError where a port was closed under it.
@@ -419,8 +419,8 @@ class Bus:
             packet = [0, 0, 0, 0, servo, 3, 0, Instruction.PING, 0, 0]
         answer, result, _ = self._packets.txRxPacket(self._port, packet)
         self._note(servo, result)
-        told = self._data(answer) if result == COMM_SUCCESS and self.protocol == 2 else ()
-        number = told[0] + (told[1] << 8) if len(told) >= MODEL_NUMBER.size else None
+        payload = self._data(answer) if result == COMM_SUCCESS and self.protocol == 2 else ()
+        number = payload[0] + (payload[1] << 8) if len(payload) >= MODEL_NUMBER.size else None
         return int(result), number
 
     def _read_one(self, servo: int, block: Block) -> Reading:

@@ -64,7 +64,7 @@ class Servo(NamedTuple):
         id: on its port.
         where: leg and joint.
         model: what it is.
-        values: registers by name, those that it has and tells.
+        values: registers by name, those that it has and reports.
         port: its name, where the robot has several.
     """
 
@@ -135,14 +135,14 @@ def _differing(model: str, register: str, group: Sequence[Servo]) -> list[str]:
     if len(counts) < 2:
         return []
     [(usual, most), *others] = counts.most_common()
-    told = "; ".join(
+    rest = "; ".join(
         f"{value} in {_who([s for s in group if s.values[register] == value], group)}"
         for value, _ in others
     )
     hint = ""
     if register == "drive_mode" and not any(value & ~DriveMode.REVERSE for value in counts):
         hint = " (1 is reverse mode; directions in robot.toml are on top of it)"
-    return [f"{_title(register)} differs among {model}: {usual} in {most} servos, {told}{hint}"]
+    return [f"{_title(register)} differs among {model}: {usual} in {most} servos, {rest}{hint}"]
 
 
 def _title(register: str) -> str:
@@ -152,8 +152,8 @@ def _title(register: str) -> str:
 def _who(some: Sequence[Servo], of: Sequence[Servo]) -> str:
     if len(some) == len(of):
         return f"all {len(of)} servos" if len(of) > 1 else f"servo {of[0].id} ({of[0].where})"
-    told = ", ".join(f"{s.port}{':' if s.port else ''}{s.id} ({s.where})" for s in some)
-    return f"servo {told}"
+    names = ", ".join(f"{s.port}{':' if s.port else ''}{s.id} ({s.where})" for s in some)
+    return f"servo {names}"
 
 
 def _speed(servo: Servo, register: str) -> str | None:

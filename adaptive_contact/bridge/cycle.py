@@ -123,8 +123,8 @@ class Cycle:
 
     @property
     def lacking(self) -> dict[str, str]:
-        """What is to be told of legs that have commands but not all their servos, by leg."""
-        told = {}
+        """Notes on legs that have commands but not all their servos, by leg."""
+        notes = {}
         for leg, servos in self._lacking.items():
             if servos:
                 reasons: dict[str, list[str]] = {}
@@ -133,8 +133,8 @@ class Cycle:
                 names = "; ".join(f"{', '.join(ids)} ({why})" for why, ids in reasons.items())
                 begun = self._drivers[leg].goal is not None
                 does = "goes on without" if begun else "commands wait for"
-                told[leg] = f"leg {leg}: {does} servo {names}"
-        return told
+                notes[leg] = f"leg {leg}: {does} servo {names}"
+        return notes
 
     @property
     def limited(self) -> int:
@@ -143,9 +143,9 @@ class Cycle:
 
     @property
     def counts(self) -> dict[str, ServoCounts]:
-        """What there is to tell of the servos, by id."""
-        told = {str(servo): record.counts for servo, record in self.health.items()}
-        return {servo: counts for servo, counts in told.items() if counts is not None}
+        """Counts of servos with faults, by id."""
+        by_id = {str(servo): record.counts for servo, record in self.health.items()}
+        return {servo: counts for servo, counts in by_id.items() if counts is not None}
 
     def restart(self) -> None:
         """Rely on nothing after an outage: servos may have been moved, or have lost their goals.
@@ -159,7 +159,7 @@ class Cycle:
             servo.valid = servo.fresh = False
             servo.waker.forget()
         for record in self.health.values():
-            # Who was silent is asked, and told of, as one who is until it answers.
+            # A servo that was silent is asked, and reported, as silent until it answers.
             record.misses = SILENT_AFTER - 1 if record.silent else 0
         for driver in self._drivers.values():
             driver.forget()
@@ -175,7 +175,7 @@ class Cycle:
             due_ns: monotonic time at which the tick should have begun.
 
         Returns:
-            A sample of every leg whose servos have all been heard at least once.
+            A sample of every leg whose servos have all answered at least once.
 
         Raises:
             PortLostError: the port is gone.
@@ -251,7 +251,7 @@ class Cycle:
                 # Power has come back, it seems: ask the others at once.
                 self._hurry_until = self._count + len(self._servos) + 1
             if self.health[number].silent:
-                servo.waker.forget()  # nobody knows where it is, nor which servo it will be
+                servo.waker.forget()  # unknown where it is, and which servo it will be
             servo.fresh = reading.data is not None
             servo.valid = servo.fresh and self._take(servo, reading, block, due_ns)
 
@@ -368,7 +368,7 @@ class Cycle:
         return servo.waker.place(servo.stands, servo.steps, servo.goal)
 
     def _start(self, driver: Driver, j: int, servo: _Servo, place: Place | None) -> float | None:
-        """The angle from which a joint is moved; tells the driver where it is not as expected."""
+        """The angle from which a joint is moved; corrects the driver where it is another."""
         if place is None:
             return None
         at = servo.joint.angle(place.steps)
@@ -459,7 +459,7 @@ class Cycle:
         if wrong is not None:
             self._mailbox.refuse(f"leg '{leg.id}': {wrong}")
             return
-        driver.hear(command, arrival_ns)
+        driver.receive(command, arrival_ns)
 
     def _sample(self, leg: LegPlan, t_ns: int, seq: int) -> ServoSample | None:
         servos = [self._servos[joint.servo] for joint in leg.joints]

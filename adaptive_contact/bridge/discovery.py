@@ -27,7 +27,7 @@ from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
 
 _PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
-# Servos are numbered one after the other: so far beyond the last heard, all are asked again.
+# Servos are numbered one after the other: so far beyond the last found, all are asked again.
 _BEYOND: Final = 8
 
 
@@ -40,7 +40,7 @@ class Found:
         port: device, baud rate and protocol at which they answer.
         servos: model by id; None for one without a control table here.
         names: what each is, in words, by id.
-        slopes_rad: how steep each servo's controller is, by id, where it tells.
+        slopes_rad: how steep each servo's controller is, by id, where it reports that.
         mute: ids of those that answer pings and no reads.
         elsewhere: ids that answer at another baud rate and protocol, by these.
         done: what was written.
@@ -115,7 +115,7 @@ def find_servos(
         configure: let servos answer reads.
 
     Raises:
-        BusError: the port cannot be opened, or nobody answers.
+        BusError: the port cannot be opened, or no servo answers.
     """
     places = [(baud, protocol) for baud in bauds for protocol in _PROTOCOLS]
     found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
@@ -133,7 +133,7 @@ def find_servos(
 
 
 def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | None:
-    """Ask a port at one baud rate and protocol who is there; None where nobody is."""
+    """Ask a port at one baud rate and protocol who is there; None where no servo answers."""
     port = Port(device=device, baud=place[0], protocol=place[1])
     bus = Bus(name, port)
     bus.open()
@@ -268,24 +268,24 @@ def _chosen(
     """The legs of ``--ids``, each on the port where its servos are."""
     parts = []
     for port, ids in wanted:
-        told = ",".join(map(str, ids))
+        text = ",".join(map(str, ids))
         here = [one for one in found if port in (one.name, None)]
         if not here:
             raise BusError(
-                f"--ids {port}:{told}: there is no port '{port}'; ports are "
+                f"--ids {port}:{text}: there is no port '{port}'; ports are "
                 f"{', '.join(one.name for one in found)}"
             )
         on = [one for one in here if set(ids) <= set(one.servos)]
         if len(on) > 1:
             raise BusError(
-                f"--ids {told}: ports {', '.join(one.name for one in on)} all have these servos; "
-                f"name the port, such as {on[0].name}:{told}"
+                f"--ids {text}: ports {', '.join(one.name for one in on)} all have these servos; "
+                f"name the port, such as {on[0].name}:{text}"
             )
         if not on:
             near = max(here, key=lambda one: len(set(ids) & set(one.servos)))
             lacking = [str(servo) for servo in ids if servo not in near.servos]
             raise BusError(
-                f"--ids {told}: port {near.name} has no servo {', '.join(lacking)} (ids there are "
+                f"--ids {text}: port {near.name} has no servo {', '.join(lacking)} (ids there are "
                 f"{_ranges(sorted(near.servos))}); check its cable, power, id and baud rate"
             )
         _refuse_unknown(on[0], ids)
@@ -323,9 +323,9 @@ def describe(found: Iterable[Found]) -> list[str]:
         for servo, model in sorted(one.servos.items()):
             name = model.name if model else f"unknown model ({one.names[servo]})"
             models.setdefault(name, []).append(servo)
-        told = "; ".join(f"{len(ids)} x {name}, ids {_ranges(ids)}" for name, ids in models.items())
+        held = "; ".join(f"{len(ids)} x {name}, ids {_ranges(ids)}" for name, ids in models.items())
         lines.append(
-            f"port {one.name} ({one.port.device}): {told}; {one.port.baud} baud, protocol "
+            f"port {one.name} ({one.port.device}): {held}; {one.port.baud} baud, protocol "
             f"{one.port.protocol}"
         )
         lines += [f"port {one.name}: {line}" for line in one.done]

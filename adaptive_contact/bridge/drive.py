@@ -1,4 +1,4 @@
-"""From commands to goals: never a movement that nobody asked for.
+"""From commands to goals: never a movement that no command asked for.
 
 A leg that has had no command yet gets no goal.  Its first command leads it from where it stands
 (the goal in force, or without torque its position), at an easy pace, to where the command wants
@@ -61,8 +61,8 @@ class Driver:
         goal: (J,) rad, in force; None before the first command.
         limited: commands that asked for more than limits or step allow.
         bounds: (J,) lower and upper limit, rad: the plan's, or what the servos take, if less.
-        preview: goals of the ticks to come, as far as this tick's command told of them and they
-            will be followed to the letter but for the limits; None otherwise.
+        preview: goals of the ticks to come, as far as this tick's command gave them and only the
+            limits may change them; None otherwise.
     """
 
     def __init__(self, leg: LegPlan) -> None:
@@ -94,7 +94,7 @@ class Driver:
         if self.mode is Mode.FOLLOWING:
             self.mode = Mode.APPROACHING
 
-    def hear(self, command: Command, arrival_ns: int) -> None:
+    def receive(self, command: Command, arrival_ns: int) -> None:
         """Take in a command that :func:`complaint` has nothing to say of."""
         self._command = list(command.desired)
         self._ahead = command.preview
@@ -215,8 +215,8 @@ def standing(model: ServoModel, block: Block, data: bytes) -> Standing:
         return block.part(data, model.registers[name])
 
     torque = value("torque_enable") != 0
-    told = model.registers.get("hardware_error")
-    errors = 0 if told is None or not block.holds(told) else block.part(data, told)
+    errors_at = model.registers.get("hardware_error")
+    errors = 0 if errors_at is None or not block.holds(errors_at) else block.part(data, errors_at)
     alarms = tuple(name for bit, name in model.error_bits.items() if errors & bit)
     if model.compact:
         limit = value("torque_limit")

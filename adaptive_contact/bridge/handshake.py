@@ -1,10 +1,10 @@
 """Check servos before a bridge starts: are they all there, the right ones, and set rightly?
 
-Everything that is wrong is told in one message, and nothing for one answer alone: settings are read
-in one block and twice alike, a servo that seems to be wrong is asked again when the line is quiet,
-and where many answers come late, that is told, and no servo is blamed for it.  A servo that is
-missing is looked for at other baud rates and in the other protocol, by pings.  Nothing is written
-to a servo's EEPROM unless ``configure`` is asked for, and then only the return delay, and the
+One message reports everything that is wrong, and nothing because of one answer alone.  Settings are
+read in one block, twice and equal.  A servo that seems to be wrong is asked again when the line is
+quiet.  Where many answers come late, that is reported, and no servo is blamed for it.  A missing
+servo is looked for at other baud rates and in the other protocol, by pings.  Nothing is written to
+a servo's EEPROM unless ``configure`` is asked for, and then only the return delay, and the
 status return level of a servo that answers no reads.
 """
 
@@ -136,13 +136,13 @@ def scan(bus: Bus, ids: Iterable[int] | None = None) -> dict[int, Pong]:
 
 
 def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int, Pong]:
-    """Ask those again, patiently, who were not heard or not heard well.
+    """Ask those servos again, patiently, whose answer did not arrive or was damaged.
 
     One lost or late packet is neither a missing servo nor a second one of the same id.
 
     Args:
         bus: the port; its time for answers is longer afterwards.
-        found: what a scan has heard.
+        found: what a scan has received.
         ids: who else may be there.
 
     Returns:
@@ -152,9 +152,9 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
         PortLostError: the port is gone.
     """
     bus.timeout_ms = max(bus.timeout_ms, _PATIENT_MS)
-    heard = dict(found)
+    pongs = dict(found)
     for servo in sorted({*ids, *found}):
-        pong = heard.get(servo)
+        pong = pongs.get(servo)
         if pong is None or not pong.reads or pong.doubled:
             pong = _again(bus, servo, pong)
         if pong is None:
@@ -168,8 +168,8 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
             pong = pong._replace(brand=None if mark is None else feetech_name(mark, servo))
         if model is not None and not pong.doubled and not _is_clear(bus, servo, model):
             pong = pong._replace(doubled=True)
-        heard[servo] = pong
-    return dict(sorted(heard.items()))
+        pongs[servo] = pong
+    return dict(sorted(pongs.items()))
 
 
 def named(pong: Pong) -> str:
@@ -249,7 +249,7 @@ def let_answer(
 
 
 def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
-    """Ask one again that was not heard, or not heard well, each time when the line is quiet.
+    """Ask a servo again whose answer did not arrive or was damaged, when the line is quiet.
 
     What came in between may have been a late answer to another question.
     """
@@ -288,7 +288,7 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
         found = scan(bus, [servo for servo in asked if servo not in ignored])
         if not found:
             bus.settle(MOST_PATIENT_MS)  # were they late?
-        if found or bus.late:  # a bus where nobody answers is asked once
+        if found or bus.late:  # a bus without an answer is asked once
             found = scan_again(bus, found, expected)
         mute = [s for s, pong in found.items() if s in expected and not pong.reads]
         for servo in mute if configure else ():
@@ -389,9 +389,9 @@ def _compare(
     if _many_late(plan, bus, missing):
         findings.errors.append(_too_late(plan, len(missing)))
     elif missing:
-        told = ", ".join(f"{s} ({legs[s]} {expected[s].name})" for s in missing)
+        listed = ", ".join(f"{s} ({legs[s]} {expected[s].name})" for s in missing)
         findings.errors.append(
-            f"{where}: missing servo {told}; check cable, power, id and baud rate"
+            f"{where}: missing servo {listed}; check cable, power, id and baud rate"
         )
     aside = sorted({*plan.port.ignore, *(servo for servo in found if servo not in expected)})
     for servo, pong in found.items():
@@ -431,14 +431,14 @@ def _elsewhere(plan: PortPlan, place: Place, ids: Sequence[int]) -> str:
     """What to say of servos that answer at another rate, or in the other protocol."""
     baud, protocol = place
     own = f"{plan.port.baud} baud, protocol {plan.port.protocol}"
-    told = f"servo {', '.join(map(str, ids))}"
+    listed = f"servo {', '.join(map(str, ids))}"
     does = "answers" if len(ids) == 1 else "answer"
     if set(ids) == {joint.servo for joint in plan.joints}:
         remedy = f"set baud = {baud} and protocol = {protocol} in [port.{plan.name}]"
     else:
         what = "baud rate" if protocol == plan.port.protocol else "baud rate and protocol"
         remedy = f"set its {what} with DYNAMIXEL Wizard, as all servos of a port have one"
-    return f"{told} {does} at {baud} baud, protocol {protocol}, not at {own}; {remedy}"
+    return f"{listed} {does} at {baud} baud, protocol {protocol}, not at {own}; {remedy}"
 
 
 def _settings(plan: PortPlan, bus: Bus, joint: JointPlan, drive: bool, findings: Findings) -> bool:

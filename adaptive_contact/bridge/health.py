@@ -1,4 +1,4 @@
-"""How each servo does: faults counted, silent ones asked less often, stale readings told.
+"""Health of each servo: counts faults, asks silent servos less often, reports stale readings.
 
 A servo that does not answer costs its timeout.  After a few such cycles it is asked once in a
 while only, so that the others keep their rate; with its first answer it is back.
@@ -29,7 +29,7 @@ STALE_STEPS: Final = 3.0
 # A reading whose moment is not known to this much of a position step, as the joint moves, cannot
 # stand for its tick: half of it is the noise of a reading anyway.
 UNPUNCTUAL_STEPS: Final = 1.0
-# One read this far off its moment is not carried back: at 100 rad/s² a joint's own speed tells
+# One read this far off its moment is not carried back: at 100 rad/s² a joint's own speed gives
 # where it was 5 ms ago to a quarter of an AX-12A's step, and 10 ms ago to one.
 MOST_OFF_S: Final = 0.005
 # What is less than this much of a step off is left as it was read.
@@ -94,7 +94,7 @@ class ServoHealth:
 
     @property
     def counts(self) -> ServoCounts | None:
-        """What there is to tell, or None."""
+        """What there is to report, or None."""
         if not self.faults and not self.shut:
             return None
         alarms = sorted(self._alarms) + ["shutdown"] * self.shut
@@ -144,7 +144,7 @@ class Punctuality:
     A model predicts from tick to tick: a joint at 4 rad/s read 5 ms late is 20 mrad, four steps of
     an AX-12A, beside where it belongs.  On a computer with other work that happens.  A servo looks
     at some moment between question and answer: where both came late alike, its own speed carries
-    the reading back; where only one did, nobody knows when it looked.
+    the reading back; where only one did, the moment is unknown.
     """
 
     _recent_s: deque[tuple[float, float]] = dataclasses.field(
@@ -206,7 +206,7 @@ _FOREIGN: Final = 3
 
 
 class News:
-    """Remembers what was told of a port's servos.
+    """Remembers what was reported of a port's servos.
 
     Args:
         plan: what is on the port.
@@ -329,5 +329,5 @@ class News:
 
     def _say(self, said: list[str], servos: Sequence[int], words: str) -> None:
         if servos:
-            told = ", ".join(f"{servo} ({self._names[servo]})" for servo in servos)
-            said.append(f"port {self._plan.name}: servo {told}: {words}")
+            names = ", ".join(f"{servo} ({self._names[servo]})" for servo in servos)
+            said.append(f"port {self._plan.name}: servo {names}: {words}")

@@ -2,7 +2,7 @@ r"""A port's process: ticks on an even grid, outages survived, status once a sec
 
 Reading right after another controller's writes.
 
-In observe mode somebody else writes goals at the control rate, at times of its own.  A sample
+In observe mode another controller writes goals at the control rate, at times of its own.  A sample
 pairs positions with the goals in force until the next reading, so the reading has to come right
 *after* the writes: before them, the goals it sees would be those of the tick that just ended.
 
@@ -14,7 +14,7 @@ readings was written in between.  The writes are wanted between far and near lea
   (at the latest after one turn), by a sixth once it has;
 - near, change: they come so close that the next may be too late; the schedule moves later.
 
-Goals that stand still tell nothing, and the schedule stays.
+Goals that stand still show nothing, and the schedule stays.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ class PortLoop:
         try:
             data = self.bus.read([joint.servo], register.block)[joint.servo].data
         except PortLostError:
-            return None  # the main reading will tell
+            return None  # the main reading will show it
         return None if data is None else register.value(data)
 
     def _shift(self, before: int | None) -> int:

@@ -223,7 +223,7 @@ LAW_REGISTERS: Final = (
 
 
 def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:
-    """Slope of a servo on a bus, rad; None where it does not tell.
+    """Slope of a servo on a bus, rad; None where it does not report it.
 
     Raises:
         PortLostError: the port is gone.

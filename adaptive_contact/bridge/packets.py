@@ -270,7 +270,7 @@ class Protocol2:
             packet = bytes(buffer[:end])
             if crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little"):
                 payload = packet[_OVERHEAD_2:-2]
-                # A joint answer to a fast sync read comes from nobody, and is not stuffed.
+                # A joint answer to a fast sync read comes from no single servo, and is not stuffed.
                 fast = packet[4] == BROADCAST_ID and payload[0] == Instruction.STATUS
                 payload = payload if fast else unstuff(payload)
                 frames.append(Frame(packet[4], payload[0], payload[1:]))

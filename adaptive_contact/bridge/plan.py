@@ -180,7 +180,7 @@ def _models(where: str, wanted: str, name: str, port: Port) -> tuple[ServoModel,
         other = next((m for m in MODELS if m.name == f"{model.name}(2.0)"), None)
         also = f', or model = "{other.name}" if it has that firmware' if other else ""
         raise ConfigurationError(
-            f"{where}: {wanted} speaks protocol {model.protocol}, [port.{name}] is set to "
+            f"{where}: {wanted} uses protocol {model.protocol}, [port.{name}] is set to "
             f"{port.protocol}; set protocol = {model.protocol} there{also}"
         )
     if port.fast and model.compact:

@@ -5,7 +5,7 @@ What its packet handlers get wrong is worked around in :mod:`adaptive_contact.br
 Measured on DynamixelSDK 4.1.0; the tests pass with 3.8.4 and 3.7.31 as well:
 
 - It busy-waits for every byte (77-94 % of a core): here a read sleeps in ``select``.
-- Its timeouts hold 34 ms at the least, taken from the wall clock: here they are as told, monotonic.
+- Its timeouts hold 34 ms at the least, taken from the wall clock: here they are as set, monotonic.
 - It throws old input away with ``tcflush``, which may wait long: :meth:`SdkPort.clearPort`.
 - It opens a port that another program uses, and does not lock it: here the port is locked, closed
   to others (``TIOCEXCL``), and refused where another process has it open.
@@ -118,7 +118,7 @@ class SdkPort(PortHandler):
             raise BusError(_in_use(self.name, self.port_name))
 
     def close(self) -> None:
-        """Close the port; errors of a port that is gone anyway are not told."""
+        """Close the port; errors of a port that is gone anyway are not reported."""
         if self.ser is not None:
             with contextlib.suppress(OSError, termios.error):  # unplugged: nothing left to close
                 if self._closed_to_others:
@@ -181,7 +181,7 @@ class SdkPort(PortHandler):
         return data
 
     def writePort(self, packet: list[int]) -> int:
-        """Write a packet; a full buffer means that nobody takes it."""
+        """Write a packet; a full buffer means that the other end does not take it."""
         return os.write(self._fd, bytes(packet))
 
     def setPacketTimeout(self, packet_length: int) -> None:
@@ -317,7 +317,7 @@ def _files(process: Path) -> Iterator[Path]:
 def _has_other_end(process: Path, device: str, within: int) -> bool:
     """Whether a process has the other end of a pseudo-terminal open.
 
-    Linux tells the number of the pair, and the path by which the other end was opened: ``ptmx`` of
+    Linux gives the number of the pair, and the path by which the other end was opened: ``ptmx`` of
     the ``devpts`` itself, or one beside which that is mounted as ``pts``.
     """
     index = f"tty-index:\t{PurePosixPath(device).name}"

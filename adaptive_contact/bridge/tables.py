@@ -242,8 +242,8 @@ def number_name(number: int) -> str:
     model = model_of_number(number)
     if model is not None:
         return model.name
-    told = f"model number {number}"
-    return f"{_OTHERS[number]}, {told}" if number in _OTHERS else told
+    by_number = f"model number {number}"
+    return f"{_OTHERS[number]}, {by_number}" if number in _OTHERS else by_number
 
 
 def feetech_name(data: bytes, servo: int) -> str | None:

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 REST_TICKS: Final = 4
 # Now and then a leg is held until its servos rest, so that gravity shows which way is down.
 HELD_TICKS, HELD_SWINGS = 25, 8
-# A swing rises at least so much, or it is not told from standing, m.
+# A swing rises at least so much, or it cannot be distinguished from standing, m.
 _RISE_M: Final = 0.025
 # Ticks of an ascent and of a descent.
 _TICKS: Final = (9, 18)
@@ -144,7 +144,7 @@ class _Basket:
                 self._answer(leg, sample)
 
     def status(self, status: BridgeStatus) -> None:
-        """Nobody waits for it: what happens is said."""
+        """Ignore the status: what happens is said."""
 
     def say(self, line: str) -> None:
         self._say(line)
@@ -179,7 +179,7 @@ def collect(
         scripts: goals by leg; with them the servos are driven, without them nothing is written.
         realtime: let the ports' threads run before all ordinary ones.
         stop: ends it early when set.
-        say: told of what happens.
+        say: called with what happens.
         look: shown what there is so far, ten times a second; not to be changed.
 
     Returns:

@@ -47,7 +47,7 @@ class ZenohOutlet:
         self._status.put(status)
 
     def say(self, line: str) -> None:
-        """Tell the person at the terminal."""
+        """Print a line for the person at the terminal."""
         _say(line)
 
 

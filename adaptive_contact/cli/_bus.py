@@ -1,4 +1,4 @@
-"""What commands need that speak to servos on a bus: which robot, which ports, a handshake."""
+"""What commands need that use servos on a bus: which robot, which ports, a handshake."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DeviceOption = Annotated[
 
 @contextlib.contextmanager
 def needs_sdk() -> Iterator[None]:
-    """Around imports of the bridge: a missing DynamixelSDK is told in one line."""
+    """Around imports of the bridge: a missing DynamixelSDK is reported in one line."""
     try:
         yield
     except ModuleNotFoundError as error:

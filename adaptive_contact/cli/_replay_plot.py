@@ -68,10 +68,10 @@ def write_plot(path: Path, traces: Sequence[LegTrace], title: str) -> None:
     counts = {
         kind: sum(t.kind == kind for trace in traces for t in trace.touches) for kind in _ORDER
     }
-    told = "no truth in the recording: contacts are drawn, not judged"
+    summary = "no truth in the recording: contacts are drawn, not judged"
     if any(trace.truth is not None for trace in traces):
-        told = ", ".join(f"{counts[kind]} {_STYLE[kind][0]}" for kind in _ORDER)
-    say(f"{path}: {told}; {len(data) / 1000:.0f} kB", err=True)
+        summary = ", ".join(f"{counts[kind]} {_STYLE[kind][0]}" for kind in _ORDER)
+    say(f"{path}: {summary}; {len(data) / 1000:.0f} kB", err=True)
 
 
 # -- HTML ------------------------------------------------------------------------------------------

@@ -169,14 +169,14 @@ def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
 
     if report.legs:
         console.print(_table(report.legs, report.moves if moves else []))
-    for line in _told(report):
+    for line in _report_lines(report):
         console.print(Text(line))
     print_findings(report.findings, console)
     if report.exit_code == 0:
         console.print(Text("nothing looks wrong", style="green"))
 
 
-def _told(report: LiveReport) -> list[str]:
+def _report_lines(report: LiveReport) -> list[str]:
     """What the motion has shown, and what it cannot."""
     lines = []
     sure = [leg for leg in report.confirmed if leg not in report.by_hand]
@@ -358,7 +358,7 @@ def check(
 
 
 def _draw_described(robot: Robot, picture: Path) -> None:
-    """Draw a robot on no bus, of whose joints nobody tells where they are."""
+    """Draw a robot on no bus, whose joint angles are unknown."""
     from adaptive_contact.cli._robot_picture import write_picture
 
     write_picture(robot, {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}, picture)

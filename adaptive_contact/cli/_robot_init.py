@@ -143,8 +143,8 @@ def _joint_names(text: str | None) -> int | tuple[str, ...]:
     if text.strip().isdigit() and 1 <= int(text) <= _MOST_JOINTS:
         return int(text)
     names = tuple(part.strip() for part in text.split(","))
-    told = all(name and name.isprintable() for name in names) and len(set(names)) == len(names)
-    if text.strip().lstrip("+-").isdigit() or not told or len(names) > _MOST_JOINTS:
+    named = all(name and name.isprintable() for name in names) and len(set(names)) == len(names)
+    if text.strip().lstrip("+-").isdigit() or not named or len(names) > _MOST_JOINTS:
         raise ConfigurationError(
             f"--joints {text}: expected 1 to {_MOST_JOINTS}, or as many different names such as "
             "hip,thigh,knee"
@@ -258,8 +258,8 @@ def _of_bus(
         robot = msgspec.structs.replace(robot, legs=alike)
     slopes = steepness(found, robot)
     if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
-        told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
-        say(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
+        listed = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
+        say(f"slopes differ ({listed} rad): slope_rad is between them, which is near enough")
     if read is None:
         return robot
     legs = tuple(
@@ -289,10 +289,10 @@ def _check_wanted(
             )
     if read is None or not wanted:
         return
-    told, counts = [len(leg.ids) for leg in wanted], [len(leg.joints) for leg in read.legs]
-    if told != counts:
+    given, counts = [len(leg.ids) for leg in wanted], [len(leg.joints) for leg in read.legs]
+    if given != counts:
         raise ConfigurationError(
-            f"--ids has legs of {', '.join(map(str, told))} servos, the URDF's legs have "
+            f"--ids has legs of {', '.join(map(str, given))} servos, the URDF's legs have "
             f"{', '.join(map(str, counts))} joints; give the servos of each leg of --legs"
         )
 

@@ -21,7 +21,7 @@ from adaptive_contact.robot import Leg, Mount, Robot
 
 Array = NDArray[np.float64]
 
-# With mounts of so many legs told, the robot is drawn as a whole.
+# With mounts of so many legs given, the robot is drawn as a whole.
 _LEAST_PLACED: Final = 2
 _CELL: Final = 300
 _TOP: Final = 62
@@ -185,7 +185,7 @@ def _around(legs: Sequence[Leg]) -> list[Leg]:
 
 def _views(leg: Leg, *, placed: bool) -> list[_View]:
     if _straight(leg):
-        # Without mounts nobody knows where the legs sit: each is drawn from above by itself.
+        # Without mounts the legs' places are unknown: each is drawn from above by itself.
         return [_SIDE] if placed else [_SIDE, _ABOVE]
     assert leg.chain is not None
     upright = bool(np.abs(leg.chain.vectors[0, 2]) > _FACING)
@@ -266,8 +266,8 @@ def _side(leg: Leg) -> str:
         "left" if y > 0 else "right" if y < 0 else "",
         "front" if x > 0 else "rear" if x < 0 else "",
     ]
-    told = " ".join(word for word in words if word)
-    return f"{told}, " if told else ""
+    place = " ".join(word for word in words if word)
+    return f"{place}, " if place else ""
 
 
 def _turning(
@@ -352,10 +352,10 @@ def _label(leg: Leg, joint: int, angle_rad: float) -> str:
     """A joint's name, angle and link, and the sign and offset that robot.toml gives it."""
     assert leg.chain is not None
     length_m = np.hypot.reduce(leg.chain.origins_m[joint])
-    told = f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, link {1000 * length_m:.0f} mm"
+    text = f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, link {1000 * length_m:.0f} mm"
     turned = leg.angles or leg.servos
     if turned is not None:
         sign = 1 if turned.directions is None else turned.directions[joint]
         offset = 0.0 if turned.offsets_rad is None else turned.offsets_rad[joint]
-        told += f", sign {sign:+d}, offset {offset:+.2f} rad"
-    return told
+        text += f", sign {sign:+d}, offset {offset:+.2f} rad"
+    return text

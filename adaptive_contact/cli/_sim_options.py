@@ -190,7 +190,7 @@ class RunOptions:
 
 @contextlib.contextmanager
 def needs_simulator(what: str = "the simulator", extra: str = "sim") -> Iterator[None]:
-    """Around imports of the simulator: a missing mujoco is told in one line."""
+    """Around imports of the simulator: a missing mujoco is reported in one line."""
     try:
         yield
     except ModuleNotFoundError as error:

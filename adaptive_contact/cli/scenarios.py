@@ -218,12 +218,12 @@ def _work(work: list[Job], folders: Folders, processes: int, console: Console) -
     if not work:
         return []
     simulated_s = 0.0
-    with progress(console, "recording and replaying", sum(job.work for job in work)) as tell:
+    with progress(console, "recording and replaying", sum(job.work for job in work)) as advance:
 
         def step(done: Done) -> None:
             nonlocal simulated_s
             simulated_s += done.job.recording.seconds
-            tell(done.job.work, f"{simulated_s / 60:.0f} min simulated")
+            advance(done.job.work, f"{simulated_s / 60:.0f} min simulated")
 
         return run_jobs(work, folders, processes=processes, progress=step)
 

@@ -179,7 +179,7 @@ def _keeper(
 ) -> StateKeeper:
     """Where the learners' state is kept: restored when they are made, saved as they go.
 
-    Robots of one kind are told apart by their namespaces.
+    Robots of one kind are distinguished by their namespaces.
     """
     from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
     from adaptive_contact.service.server import version
@@ -213,7 +213,7 @@ def _ready_line(link: Link, robot: Robot, origin: str | None) -> str:
     where = [f"listening on {', '.join(map(shown, link.endpoints))}"] if link.endpoints else []
     if link.settings.mode == "client":  # let in by one of them, or there would be no link
         where.append(f"connected to {' or '.join(map(shown, link.joins))}")
-    elif link.joins:  # whether they are there is told as it is found out
+    elif link.joins:  # whether they are there is reported later
         where.append(f"joining {', '.join(map(shown, link.joins))}")
     return (
         f"adaptive-contact: {' and '.join(where)}; robot {robot.name}, "

@@ -68,7 +68,7 @@ def show(
 
 
 def _table(found: Sequence[Stored], rows: Sequence[dict[str, Any]]) -> Table:
-    """The files of one robot; their names tell leg, library of terms and settings."""
+    """The files of one robot; their names hold leg, library of terms and settings."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -140,7 +140,7 @@ def reset(
         say(f"nothing to forget in {shown_path(root)}")
         return
     with contextlib.ExitStack() as held:
-        # Before anybody is asked; and nobody begins to save while he thinks.
+        # Before the question is asked; no service begins to save before it is answered.
         for folder in sorted({path.parent for path in found}):
             store = StateStore(folder)
             held.callback(store.close)

@@ -155,11 +155,11 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     if not legs:
         return Verdict()
     chosen: dict[str, Chosen] = {}
-    if _mounts_told(robot):
+    if _has_mounts(robot):
         straight = [leg for leg in legs if leg.chain.is_straight]
         bent = [leg for leg in legs if not leg.chain.is_straight]
-        told = choose(straight, robot.period_s) if straight else {}
-        chosen = {leg: Chosen(pattern) for leg, pattern in told.items()}
+        by_leg = choose(straight, robot.period_s) if straight else {}
+        chosen = {leg: Chosen(pattern) for leg, pattern in by_leg.items()}
         chosen |= choose_signs(bent, robot.period_s)
     findings, fits = [], []
     for leg in legs:
@@ -209,7 +209,7 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     return Verdict(tuple(findings), tuple(fits))
 
 
-def _mounts_told(robot: Robot) -> bool:
+def _has_mounts(robot: Robot) -> bool:
     return sum(leg.mount != Mount() for leg in robot.legs) >= 2
 
 
@@ -221,8 +221,9 @@ def _finding(leg: LegChoices, choice: Chosen) -> ConventionFinding:
         return _order_finding(leg.leg, reading)
     if any(reading.offsets_rad):
         return _zero_finding(leg, reading)
-    told = _UPSIDE_DOWN if leg.upside_down(0) else _AGAINST
-    return _sign_finding(leg.leg, reading.directions, told, [other.directions for other in others])
+    reason = _UPSIDE_DOWN if leg.upside_down(0) else _AGAINST
+    turned = [other.directions for other in others]
+    return _sign_finding(leg.leg, reading.directions, reason, turned)
 
 
 def _finding_alone(leg: LegChoices, alone: Alone) -> ConventionFinding:
@@ -282,7 +283,7 @@ def _zero_finding(leg: LegChoices, reading: Reading) -> ConventionFinding:
 
 
 def _sign_finding(
-    leg: Leg, signs: Sequence[int], told: str, others: Sequence[Sequence[int]] = ()
+    leg: Leg, signs: Sequence[int], reason: str, others: Sequence[Sequence[int]] = ()
 ) -> ConventionFinding:
     """The finding of wrong signs, with what to write; directions in force are taken along."""
     frame = AngleFrame(leg)
@@ -293,7 +294,7 @@ def _sign_finding(
     for other in others:
         turned = [s * d for s, d in zip(other, frame.directions, strict=True)]
         advice += f"; if that does not help, directions = {turned}"
-    message = f"the angles of {_listed(joints)} {_WRONG_WAY}: {told}"
+    message = f"the angles of {_listed(joints)} {_WRONG_WAY}: {reason}"
     assert leg.chain is not None
     lifting = {name for name, lifts in zip(leg.joints, leg.chain.lifts, strict=True) if lifts}
     return ConventionFinding(
@@ -327,7 +328,7 @@ def choose_signs(legs: Sequence[LegChoices], period_s: float) -> dict[str, Chose
     round, the foot has the same height and goes the other way, and feet that stand are as rigid
     wherever the robot walks straight on.  So of all choices only those are looked at that a hand
     makes: the same joints of all legs, of one side, of one end, or of one leg.  Those that explain
-    the motion as well are told together, and a description among them is not accused.
+    the motion equally well are reported together, and a description among them is not accused.
 
     Args:
         legs: of one kind.

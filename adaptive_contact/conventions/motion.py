@@ -28,9 +28,9 @@ class LegMotion:
         t_ns: (n,) times.
         measured: (n, J) rad.
         desired: (n, J) rad.
-        swing: (n,) the source's word; None where it does not tell.
+        swing: (n,) as the source reports; None where it does not.
         seq: (n,) the source's count of control ticks, from any number on; None where only stamps
-            tell them apart.
+            distinguish them.
     """
 
     t_ns: NDArray[np.int64]
@@ -49,12 +49,12 @@ class LegMotion:
     @staticmethod
     def of_samples(samples: Sequence[ServoSample]) -> LegMotion:
         """The motion of accepted samples, in order and in the frame of the leg's description."""
-        told = all(sample.phase is not None for sample in samples)
+        phase_given = all(sample.phase is not None for sample in samples)
         return LegMotion(
             np.array([sample.t_ns for sample in samples], dtype=np.int64),
             np.array([sample.measured for sample in samples], dtype=np.float64),
             np.array([sample.desired for sample in samples], dtype=np.float64),
-            np.array([sample.phase == "swing" for sample in samples]) if told else None,
+            np.array([sample.phase == "swing" for sample in samples]) if phase_given else None,
             np.array([_counted(sample.seq, samples[0].seq) for sample in samples], dtype=np.int64),
         )
 
@@ -65,8 +65,8 @@ def control_ticks(
     """Number the control tick of every sample, alike for all legs.
 
     Within a run of the source a leg's ticks are counted by ``seq``, so that stamps that jitter
-    shift none.  How the counts of two legs lie against each other is told by the median of their
-    stamps over the time that both have.
+    shift none.  The offset between the counts of two legs follows from the median of their stamps
+    over the time that both have.
 
     Args:
         motions: by leg.

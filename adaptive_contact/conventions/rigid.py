@@ -28,23 +28,23 @@ Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 # After a touch a controller may press the foot down for this long, s, and before the lift a
-# phase may be told late.
+# phase may be reported late.
 SETTLE_S: Final = 0.12
 BEFORE_LIFT_S: Final = 0.06
 # Of the ticks of a pair, the worst share is left out: feet that slip, and touches.
 TRIMMED: Final = 0.3
-# A pair of legs with fewer ticks in common tells nothing.
+# A pair of legs with fewer ticks in common shows nothing.
 LEAST_ROWS: Final = 40
 # Rows of a pair that are looked at; more add nothing, as they come from the same swings.
 MOST_ROWS: Final = 120
-# Standing feet must move by so much per displacement, m, for their distance to tell anything.
+# Standing feet must move by so much per displacement, m, for their distance to show anything.
 LEAST_WAY_M: Final = 0.002
 # rho² beyond which a pair is as bad as can be.
 MOST: Final = 4.0
 # Starts of a search: steps of an offset, rad, by the number of pitch joints; more are not searched.
 START_STEPS_RAD: Final = {1: math.pi / 8, 2: math.pi / 4, 3: math.pi / 2}
 REFINED: Final = 6
-# Rows of a leg that tell whether a start is worth looking at, and the share that must be below the
+# Rows of a leg that show whether a start is worth a search, and the share that must be below the
 # axis there; a start is not yet the answer.
 GLANCED: Final = 60
 BELOW_SHARE: Final = 0.8
@@ -56,7 +56,7 @@ BETTER: Final = 4.0
 FLOOR: Final = 0.03
 # Errors of rows are not independent: their mean square is as sure as that of so many.
 SWINGS: Final = 30
-# Zeros are told where their standard deviation is within this, rad.
+# Zeros are reported where their standard deviation is within this, rad.
 SURE_RAD: Final = 0.05
 # Two fits whose zeros are closer are the same, rad.
 ALIKE_RAD: Final = 0.15
@@ -103,7 +103,7 @@ class Stream:
         leg: its description, with geometry and mount.
         desired: (n, J) rad.
         grid: (n,) control ticks.
-        swing: (n,) the source's word; None where it does not tell.
+        swing: (n,) as the source reports; None where it does not.
     """
 
     leg: Leg
@@ -132,7 +132,7 @@ def standing(stream: Stream, height: Array, lag: int, period_s: float) -> Mask:
 
     Args:
         stream: of the leg.
-        height: (n,) m of its foot; asked where the source does not tell the phase.
+        height: (n,) m of its foot; used where the source does not report the phase.
         lag: ticks of a displacement.
         period_s: the control tick.
     """
@@ -195,7 +195,7 @@ class Feet:
         streams: of three legs or more.
         lag: ticks of a displacement.
         period_s: the control tick.
-        readings: by which the height tells who stands, where the source does not.
+        readings: by which the height shows which legs stand, where the source does not.
     """
 
     def __init__(
@@ -354,9 +354,9 @@ def fit_readings(
         return None
     legs = len(streams)
     glanced = [np.arange(0, len(s.grid), max(len(s.grid) // GLANCED, 1)) for s in streams]
-    told = all(stream.swing is not None for stream in streams)
+    phase_given = all(stream.swing is not None for stream in streams)
     plain = Reading.plain(len(axes))
-    shared = Feet(streams, lag, period_s, [plain] * legs) if told else None
+    shared = Feet(streams, lag, period_s, [plain] * legs) if phase_given else None
     angles = np.arange(-math.pi, math.pi - _NUDGE_RAD, step)
     starts = []
     for directions in itertools.product((1, -1), repeat=len(axes)):
@@ -380,7 +380,7 @@ def fit_readings(
         best = _near_zero(reading.shifted(refined.moved_rad[0]))
         if not all(sane(k, best) for k in range(legs)):
             continue
-        if not told:
+        if not phase_given:
             feet = Feet(streams, lag, period_s, [best] * legs)
         cost = float(np.minimum(feet.costs([best] * legs), MOST).max())
         found.append((max(cost, FLOOR**2), refined.spread_rad, best))

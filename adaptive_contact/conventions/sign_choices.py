@@ -76,10 +76,10 @@ class LegChoices:
         assert leg.chain is not None
         self.chain = leg.chain
         self.lifts = leg.chain.lifts
-        told = self.lifts.copy()
-        if len(told) <= MOST_FLIPS:
-            told |= ~self.lifts
-        free = np.flatnonzero(told)[:MOST_FLIPS]
+        flippable = self.lifts.copy()
+        if len(flippable) <= MOST_FLIPS:
+            flippable |= ~self.lifts
+        free = np.flatnonzero(flippable)[:MOST_FLIPS]
         self.flips = np.ones((2 ** len(free), len(leg.joints)))
         for row, signs in zip(
             self.flips, itertools.product((1.0, -1.0), repeat=len(free)), strict=True
@@ -125,10 +125,10 @@ class LegChoices:
         pairs = [
             levels[i] - levels[i - 1] for i in range(1, len(levels)) if (i % 2 == 0) == first_swings
         ]
-        told = [rise for rise in pairs if abs(rise) > LEAST_RISE_M]
-        if len(told) < LEAST_SWINGS:
+        clear = [rise for rise in pairs if abs(rise) > LEAST_RISE_M]
+        if len(clear) < LEAST_SWINGS:
             return None
-        return sum(rise > 0 for rise in told) / len(told)
+        return sum(rise > 0 for rise in clear) / len(clear)
 
     def below(self, pattern: int) -> float:
         """Share of ticks in which the commanded foot is below its first joint."""

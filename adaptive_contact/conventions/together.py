@@ -41,8 +41,8 @@ LAG_S: Final = 0.08
 SLOW_LAGS: Final = 3
 # rho of a description that is wrong.
 LOOSE: Final = 0.12
-# A zero is told from so much on, rad (8.6 degrees): right ones are found within 0.06.  Zeros are
-# few rad: rho² of the description must be so many times that of the right ones, and that of
+# A zero is reported from so much on, rad (8.6 degrees): right ones are found within 0.06.  Zeros
+# are few rad: rho² of the description must be so many times that of the right ones, and that of
 # another joint's zero so many times.
 LEAST_ZERO_RAD: Final = 0.15
 ZERO_BETTER: Final = 2.0
@@ -79,10 +79,10 @@ class Pairs:
         Infinite where it stands with too few.
         """
         found = [self._pair(i, j, chosen[i], k) for j, k in enumerate(chosen) if j != i]
-        told = [(weight, ratio) for weight, ratio in found if weight > 0]
-        if len(told) < least_partners:
+        known = [(weight, ratio) for weight, ratio in found if weight > 0]
+        if len(known) < least_partners:
             return np.inf
-        return sum(w * r for w, r in told) / sum(w for w, _ in told)
+        return sum(w * r for w, r in known) / sum(w for w, _ in known)
 
     def rigid(self, chosen: Sequence[int]) -> bool:
         """Whether every leg that stands keeps its distances from the others."""
@@ -129,10 +129,10 @@ class Pairs:
         return self._standing[key]
 
     def _compare(self, i: int, j: int, a: int, b: int) -> tuple[float, float]:
-        """(weight, rho²) of legs i and j with patterns a and b; weight 0 where it cannot be told.
+        """(weight, rho²) of legs i and j with patterns a and b; weight 0 where rho² is unknown.
 
-        Legs that stand by turns meet in few ticks, those of a touch and a lift, which tell little:
-        the weight is the square of the number of ticks.
+        Legs that stand by turns meet in few ticks, those of a touch and a lift, which show little.
+        The weight is the square of the number of ticks.
         """
         (p, mine), (q, theirs) = self._stands(i, a), self._stands(j, b)
         _, rows, columns = np.intersect1d(mine, theirs, return_indices=True)
@@ -352,11 +352,11 @@ class _Others:
         return len({leg.leg.joint_axes for leg in self._legs}) == 1
 
     def _feet(self, readings: Sequence[Reading] | None = None) -> Feet:
-        told = all(stream.swing is not None for stream in self._streams)
-        if told and self._shared is not None:
+        phase_given = all(stream.swing is not None for stream in self._streams)
+        if phase_given and self._shared is not None:
             return self._shared
         feet = Feet(self._streams, self._lag, self._period_s, readings or self._plain)
-        if told:
+        if phase_given:
             self._shared = feet
         return feet
 
@@ -365,7 +365,7 @@ class _Others:
 
     def _patterns(self, readings: Sequence[Reading]) -> dict[str, int]:
         return {
-            leg.leg.id: leg.look_at(_told(reading))
+            leg.leg.id: leg.look_at(_settled_offsets(reading))
             for leg, reading in zip(self._legs, readings, strict=True)
         }
 
@@ -381,7 +381,7 @@ def _only(tried: Sequence[tuple[float, Reading]]) -> Reading | None:
     return best
 
 
-def _told(reading: Reading) -> Reading:
+def _settled_offsets(reading: Reading) -> Reading:
     """A reading without what a fit leaves open, in hundredths of a radian."""
     return reading._replace(
         offsets_rad=tuple(

@@ -61,7 +61,7 @@ def context_of(leg, command, before):
 
 
 @compiled
-def model_doubt(theta, index, per_scale, root, size, joint):
+def model_uncertainty(theta, index, per_scale, root, size, joint):
     """Compute a prediction's variance that comes from its coefficients, over the noise's."""
     total = 0.0
     for c in range(size):

@@ -19,7 +19,7 @@ from adaptive_contact.detect.contact import (
     enter_row,
     let_go,
     leverage,
-    model_doubt,
+    model_uncertainty,
     note_contact,
     note_fit,
     note_hole,
@@ -29,8 +29,8 @@ from adaptive_contact.detect.contact import (
 )
 from adaptive_contact.detect.history import (
     UNSURE_TICKS,
-    foresee,
     judged,
+    predict_next,
     push_command,
     repair,
     restart_history,
@@ -106,7 +106,7 @@ def near(angles, origin):
 
 
 @compiled
-def restart_leg(leg, command, before, desired, doubts):
+def restart_leg(leg, command, before, desired, suspects):
     """Forget the past of a leg whose source has started again."""
     leg.found |= RESTARTED
     let_go(leg)
@@ -121,7 +121,7 @@ def restart_leg(leg, command, before, desired, doubts):
     break_off(leg)
     for j in range(len(desired)):
         command[j] = before[j] = desired[j]
-    restart_history(leg, doubts)
+    restart_history(leg, suspects)
 
 
 @compiled
@@ -189,7 +189,7 @@ def judge_tick(
         increment = vector(floats, places, i, SLOT.increment)
         theta = vector(floats, places, i, SLOT.theta)
         reach = vector(floats, places, i, SLOT.reach)
-        believed = vector(floats, places, i, SLOT.believed)
+        last_good = vector(floats, places, i, SLOT.last_good)
         last = vector(floats, places, i, SLOT.last)
         values = vector(floats, places, i, SLOT.values)
         sigma = vector(floats, places, i, SLOT.sigma)
@@ -204,7 +204,7 @@ def judge_tick(
         turns = vector(ints, places, i, SLOT.turns)
         valid = vector(bools, places, i, SLOT.valid)
         echoing = vector(bools, places, i, SLOT.echoing)
-        doubts = vector(bools, places, i, SLOT.doubts)
+        suspects = vector(bools, places, i, SLOT.suspects)
         refused = vector(bools, places, i, SLOT.refused)
         # The sample, as it connects to the stream.
         unwrap(leg, measured, desired, preview_in[i], seam, leg.restart)
@@ -217,19 +217,19 @@ def judge_tick(
         if leg.late != 1:
             leg.lateness = 0.0
         if leg.restart:
-            restart_leg(leg, command, before, desired, doubts)
+            restart_leg(leg, command, before, desired, suspects)
             leg.began_ns, leg.began_n, leg.began_count = leg.at_ns, leg.total_n, 1
         elif missed and leg.known:
             if missed != PAUSE and missed < leg.length:
                 note_hole(leg, rows[i])
                 bridge(
                     leg, desired if leg.lost else command, missed, window, lags, preview,
-                    history[i], increment, theta, thetas[i], reach, believed,
-                    last, doubts, stale, refused, values, counts,
+                    history[i], increment, theta, thetas[i], reach, last_good,
+                    last, suspects, stale, refused, values, counts,
                     table, xi0[i], coefficients[i], predicting, some, room,
                 )  # fmt: skip
             else:
-                restart_history(leg, doubts)
+                restart_history(leg, suspects)
                 break_off(leg)
                 leg.loaded, leg.calm = True, 0
         if leg.restart or missed:
@@ -278,7 +278,7 @@ def judge_tick(
                 began_window[:] = window
         follow_source(
             leg, measured, valid, leg.has_valid, echo_commands[i], echo_runs[i], echo_off,
-            echoing, doubts,
+            echoing, suspects,
         )  # fmt: skip
         void = leg.misread or leg.cause != NONE
         leg.release_pending |= leg.reported and (void or leg.withholds)
@@ -289,7 +289,7 @@ def judge_tick(
         # The reading.
         repair(
             leg, measured, valid, leg.has_valid, now_reading(room), window, lags, preview,
-            history[i], increment, reach, believed, last, doubts, stale,
+            history[i], increment, reach, last_good, last, suspects, stale,
             refused, values, counts, table, xi0[i], coefficients[i], theta, predicting,
             some, room,
         )  # fmt: skip
@@ -300,7 +300,7 @@ def judge_tick(
             asked, commanded, foot, start, now,
         )  # fmt: skip
         if leg.rate_off:
-            restart_history(leg, doubts)
+            restart_history(leg, suspects)
             break_off(leg)
             leg.found |= RATE_OFF
             continue
@@ -317,8 +317,8 @@ def judge_tick(
         for j in range(joints):
             unit[j] = leg.variance_scale
             if leg.inflated:
-                doubt = model_doubt(theta, index[i], per_scale[i], root[i], leg.root_n, j)
-                unit[j] *= 1.0 + doubt
+                ratio = model_uncertainty(theta, index[i], per_scale[i], root[i], leg.root_n, j)
+                unit[j] *= 1.0 + ratio
             unit[j] *= leg.inflation
         if leg.clock_left or leg.stretch:
             if leg.stretch:
@@ -403,8 +403,9 @@ def now_reading(floats):
 
 @compiled
 def bridge(
-    leg, desired, missed, window, lags, preview, history, increment, theta, thetas, reach, believed,
-    last, doubts, stale, refused, values, counts, table, xi0, coefficients, room, bools, floats,
+    leg, desired, missed, window, lags, preview, history, increment, theta, thetas, reach,
+    last_good, last, suspects, stale, refused, values, counts, table, xi0, coefficients, room,
+    bools, floats,
 ):  # fmt: skip
     """Fill a short gap by the model's own predictions, with commands interpolated.
 
@@ -415,15 +416,15 @@ def bridge(
     for j in range(joints):
         origin[j] = window[lags * joints + j]
     for k in range(1, missed + 1):
-        if not foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room):
-            restart_history(leg, doubts)
+        if not predict_next(leg, window, preview, table, xi0, coefficients, theta, increment, room):
+            restart_history(leg, suspects)
             return
         for j in range(joints):
             floats[8, j] = window[j] + increment[j]
         repair(
             leg, floats[8], bools[0], False, floats[6], window, lags, preview, history, increment,
-            reach, believed, last, doubts, stale, refused, values, counts, table, xi0, coefficients,
-            theta, room, bools, floats,
+            reach, last_good, last, suspects, stale, refused, values, counts, table, xi0,
+            coefficients, theta, room, bools, floats,
         )  # fmt: skip
         take(leg, floats[6], window, lags, history, increment)
         judged(leg, theta, thetas)
@@ -433,7 +434,7 @@ def bridge(
             floats[8, j] = origin[j] + share * (desired[j] - origin[j])
         push_command(leg, floats[8], window, lags, preview)
         leg.predicted = False
-        foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room)
+        predict_next(leg, window, preview, table, xi0, coefficients, theta, increment, room)
     leg.unsure = UNSURE_TICKS
 
 

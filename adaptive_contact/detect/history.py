@@ -29,7 +29,7 @@ REACH_QUANTA: Final = 4.0
 # Ticks predicted until the largest is known; about ten swings.
 REACH_TICKS: Final = 200
 # A value that was refused twice to the last bit is what a failed read leaves behind: where it is
-# off the prediction by this many steps, it is doubted for one tick.
+# off the prediction by this many steps, it is suspect for one tick.
 KNOWN_QUANTA: Final = 3.0
 # So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
@@ -43,18 +43,18 @@ UNSURE_VARIANCE: Final = 2.5
 
 
 @compiled
-def restart_history(leg, doubts):
+def restart_history(leg, suspects):
     """Drop the past: what comes does not connect to it."""
     leg.filled = 0
     leg.predicted = False
     leg.usable = 0
     leg.impossible = 0
     leg.unsure = 0
-    doubts[:] = False
+    suspects[:] = False
 
 
 @compiled
-def foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room):
+def predict_next(leg, window, preview, table, xi0, coefficients, theta, increment, room):
     """Predict the next movement if that is not done and can be without a preview; True if it is."""
     if not leg.predicted and leg.filled >= leg.length and preview == 0:
         kind, first, entry, weight, knee, law = table
@@ -103,20 +103,20 @@ def remember_refused(leg, measured, refused, values, counts):
 @compiled
 def beyond_reach(
     leg, measured, last, valid, has_valid, impossible, has_impossible,
-    window, lags, preview, history, increment, reach, believed, doubts, values, counts,
+    window, lags, preview, history, increment, reach, last_good, suspects, values, counts,
     table, xi0, coefficients, theta, room, known, jumps, limits, recent, offs, found,
 ):  # fmt: skip
     """Find joints that read what they cannot have reached in a tick.
 
     Returns:
-        0 where there are none, 1 where ``found`` holds them, 2 where a joint has said so twice.
+        0 where there are none, 1 where ``found`` holds them, 2 where a joint reads so twice.
     """
     joints = len(measured)
     some_known = some_refused = suspect = False
     learned = leg.reach_ticks >= REACH_TICKS
     for j in range(joints):
-        found[j] = doubts[j]  # of the reading before
-        doubts[j] = False
+        found[j] = suspects[j]  # of the reading before
+        suspects[j] = False
     if leg.predicted:
         leg.reach_ticks += 1
         learned = leg.reach_ticks >= REACH_TICKS
@@ -137,14 +137,14 @@ def beyond_reach(
             if values[k] == measured[j]:
                 known[j] = counts[k] > 1
         some_known |= known[j]
-        jumps[j] = abs(measured[j] - believed[j])
+        jumps[j] = abs(measured[j] - last_good[j])
     if not leg.predicted:
         for j in range(joints):
             if learned and jumps[j] > limits[j]:
                 suspect = True
         if not suspect and not some_known:
             return 0
-        if not foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room):
+        if not predict_next(leg, window, preview, table, xi0, coefficients, theta, increment, room):
             return 2 if suspect else 0
         for j in range(joints):
             recent[j] = limits[j]
@@ -160,13 +160,13 @@ def beyond_reach(
         beyond = learned and offs[j] > limits[j]
         once = offs[j] > recent[j] or (known[j] and offs[j] > known_step)
         before = found[j]
-        doubt = beyond or (once and not before)
+        suspected = beyond or (once and not before)
         if has_valid and not valid[j]:
-            doubt = beyond = False
+            suspected = beyond = False
         if beyond and before and not known[j] and abs(measured[j] - last[j]) <= limits[j]:
             agreed = True
-        found[j] = doubt
-        some_refused |= doubt or (has_impossible and impossible[j])
+        found[j] = suspected
+        some_refused |= suspected or (has_impossible and impossible[j])
     if not some_refused:
         return 0
     if agreed:
@@ -183,14 +183,14 @@ def beyond_reach(
             found[j] = True
     remember_refused(leg, measured, found, values, counts)
     for j in range(joints):
-        doubts[j] = found[j]
+        suspects[j] = found[j]
     return 1
 
 
 @compiled
 def repair(
     leg, measured, valid, has_valid, reading,
-    window, lags, preview, history, increment, reach, believed, last, doubts, stale, refused,
+    window, lags, preview, history, increment, reach, last_good, last, suspects, stale, refused,
     values, counts, table, xi0, coefficients, theta, room, bools, floats,
 ):  # fmt: skip
     """Fill the (J,) reading that enters the window, with substitutes for what is bad."""
@@ -207,7 +207,7 @@ def repair(
         last[j] = measured[j]
     if leg.filled == 0 or not seen:
         for j in range(joints):
-            believed[j] = reading[j] = measured[j]
+            last_good[j] = reading[j] = measured[j]
         return
     some_missing = some_bad = has_impossible = False
     largest = 0.0
@@ -227,9 +227,9 @@ def repair(
     if largest > leg.max_step:
         leg.impossible += 1
         if leg.impossible > MAX_IMPOSSIBLE:
-            restart_history(leg, doubts)
+            restart_history(leg, suspects)
             for j in range(joints):
-                believed[j] = reading[j] = measured[j]
+                last_good[j] = reading[j] = measured[j]
             return
         has_impossible = some_bad = True
         for j in range(joints):
@@ -242,26 +242,26 @@ def repair(
             leg.impossible = 0
     said = beyond_reach(
         leg, measured, before, valid, some_missing, impossible, has_impossible,
-        window, lags, preview, history, increment, reach, believed, doubts, values, counts,
+        window, lags, preview, history, increment, reach, last_good, suspects, values, counts,
         table, xi0, coefficients, theta, room, known, jumps, limits, recent, offs, found,
     )  # fmt: skip
     if said == 0 and has_impossible:
         remember_refused(leg, measured, impossible, values, counts)
     elif said == 2:  # two in a row that agree
-        restart_history(leg, doubts)
+        restart_history(leg, suspects)
         for j in range(joints):
-            believed[j] = reading[j] = measured[j]
+            last_good[j] = reading[j] = measured[j]
         return
     elif said == 1:
         some_bad = True
         for j in range(joints):
             bad[j] |= found[j]
-    doubtful = False
+    maybe_stale = False
     if leg.predicted and still:
         for j in range(joints):
             if steps[j] == 0.0 and abs(increment[j]) > STALE_QUANTA * leg.quantum:
-                doubtful = True
-    if not doubtful:
+                maybe_stale = True
+    if not maybe_stale:
         stale[:] = 0
     else:
         some_still, all_still, all_known = False, True, True
@@ -295,12 +295,12 @@ def repair(
         for j in range(joints):
             if not bad[j]:
                 leg.sound = True
-        foreseen = foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room)
+        ahead = predict_next(leg, window, preview, table, xi0, coefficients, theta, increment, room)
     for j in range(joints):
         if some_bad and bad[j]:
-            reading[j] = window[j] + increment[j] if foreseen else window[j]
+            reading[j] = window[j] + increment[j] if ahead else window[j]
             continue
-        believed[j] = measured[j]
+        last_good[j] = measured[j]
         reading[j] = window[j] + (measured[j] - window[j]) * scale if late else measured[j]
 
 
@@ -323,7 +323,7 @@ def take(leg, reading, window, lags, history, increment):
 
 @compiled
 def judged(leg, theta, thetas):
-    """Tell whether the residual of the reading just taken can be judged; once per reading."""
+    """Return whether the residual of the reading just taken can be judged; once per reading."""
     if leg.predicted:
         for lag in range(DEPTH - 1, 0, -1):
             thetas[lag] = thetas[lag - 1]

@@ -63,7 +63,7 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "increment": "J",  # predicted, rad
         "theta": "p",  # regressors of the next tick
         "reach": "J",  # rad, largest movement in a tick
-        "believed": "J",  # the last reading that was not replaced
+        "last_good": "J",  # the last reading that was not replaced
         "last": "J",  # and as it was read
         "values": VALUES + 1,  # refused, rad
         "sigma": "J",  # rad, deviation of residuals at the start
@@ -82,7 +82,7 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
     b1: {
         "valid": "J",  # readings of the sample
         "echoing": "J",
-        "doubts": "J",  # readings doubted in the tick before
+        "suspects": "J",  # suspect readings of the tick before
         "refused": "J",  # readings refused
     },
 }  # fmt: skip
@@ -121,9 +121,9 @@ LEG: Final = np.dtype(
         ("preview_n", i4),  # commands to come that it has
         ("due_ns", i8),  # scheduled time of the next tick
         ("found_ns", f8),  # mean distance of ticks; NaN while unknown
-        ("told_by", i4),  # ticks by which the rate is judged
+        ("rate_ticks", i4),  # ticks by which the rate is judged
         ("ring_n", i8),  # stamps taken into the ring
-        ("lacking", i4),  # samples for which the lack of a preview is still told
+        ("lacking", i4),  # samples for which the lack of a preview is still reported
         ("missed", i8),  # ticks without a sample before this one; -1 after a pause
         ("accepted_n", i8),  # samples not yet counted by the learner
         ("total_n", i8),  # samples, never reset
@@ -138,8 +138,8 @@ LEG: Final = np.dtype(
         ("after", i4),  # of these after the turn to stance, while a touch is awaited
         ("same", i4),  # samples in a row that repeat the one before
         ("swing_phase", b1),  # the command shows a swing
-        ("told", b1),  # the samples carry a phase
-        ("untold", i4),  # ticks for which the lack of a phase is remembered
+        ("has_phase", b1),  # the samples carry a phase
+        ("phase_lacking", i4),  # ticks for which the lack of a phase is remembered
         ("whole", b1),  # the swing began after a stance that was seen
         ("stood", b1),  # a stance was seen
         ("heights_n", i4),  # heights taken into the ring
@@ -303,7 +303,7 @@ def new_legs(count: int) -> NDArray[np.void]:
 
 
 _BEGINNING: Final = {
-    "late": -1, "told_by": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
+    "late": -1, "rate_ticks": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
     "sound": True, "size": 1.0, "pace": 1.0, "variance_scale": 1.0, "loaded": True,
     "hole_ns": -1,
     "surface": -np.inf,

@@ -189,7 +189,7 @@ class LegBatch:
         return batch
 
     def alike(self, other: LegBatch) -> bool:
-        """Tell whether rows of another batch fit into this one, and mean the same."""
+        """Return whether rows of another batch fit into this one, and mean the same."""
         ours, theirs = self.library, other.library
         return ours is theirs or ours == theirs
 
@@ -236,8 +236,8 @@ _OF_SAMPLES: Final = (
 _SCRATCH: Final = ("some", "room", "now", "sums", "places", "angles", *_OF_SAMPLES)
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
-    "window", "history", "increment", "theta", "thetas", "began_window", "reach", "believed",
-    "last", "doubts", "stale", "refused", "values", "counts", "xi0", "coefficients", "index",
+    "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",
+    "last", "suspects", "stale", "refused", "values", "counts", "xi0", "coefficients", "index",
     "per_scale", "root", "domain",
 )  # fmt: skip
 

@@ -176,7 +176,7 @@ def judge_rate(leg, ring):
         wanted = RATE_ERRORS * math.sqrt(leg.spread) / MOST_OFF
         most = leg.late == 1 or wanted > MOST_RATE_STEPS
         steps = MOST_RATE_STEPS if most else max(RATE_STEPS, math.ceil(wanted))
-    leg.told_by = steps + 1
+    leg.rate_ticks = steps + 1
     if min(leg.ring_n, RING) <= steps:
         return
     first, last = (leg.ring_n - 1 - steps) % RING, (leg.ring_n - 1) % RING
@@ -400,7 +400,7 @@ def take_phase(leg, phase, desired, height, before, parts):
 
 @compiled
 def follow_source(
-    leg, measured, valid, has_valid, commands, runs, off, echoing, doubts
+    leg, measured, valid, has_valid, commands, runs, off, echoing, suspects
 ):  # fmt: skip
     """Stop judging a leg whose source copies its commands or swaps its phases, or go on."""
     if leg.ticks == 1:
@@ -419,5 +419,5 @@ def follow_source(
         let_go(leg)
         return
     if leg.known:
-        restart_history(leg, doubts)
+        restart_history(leg, suspects)
     leg.loaded, leg.calm = True, 0

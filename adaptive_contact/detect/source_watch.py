@@ -177,9 +177,9 @@ class RateWatch:
         return bool(self._leg["rate_off"])
 
     @property
-    def told_by(self) -> int:
+    def rate_ticks(self) -> int:
         """Ticks by which the rate is judged."""
-        return int(self._leg["told_by"])
+        return int(self._leg["rate_ticks"])
 
     @property
     def found_ns(self) -> float | None:
@@ -203,7 +203,7 @@ class RateWatch:
         count = int(self._leg["ring_n"])
         if not count:
             return 0
-        return int(self._ring[(count - min(self.told_by, count, RING)) % RING, 2])
+        return int(self._ring[(count - min(self.rate_ticks, count, RING)) % RING, 2])
 
     @property
     def jitter(self) -> float:

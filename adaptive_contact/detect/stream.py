@@ -27,7 +27,7 @@ CONFIRM_SAMPLES: Final = 3
 # A new `run` is accepted at once, until one has taken over that did not last.  Then the next one
 # needs three samples of its own that follow each other, and twice as many after each further one,
 # up to 48.  So many samples of one source make up for one that did not last: a minute at 50 Hz.
-MOST_DOUBTS: Final = 5
+MOST_SHORT_LIVED: Final = 5
 SETTLED_SAMPLES: Final = 3000
 # Such a run sends at least once in so many samples of the one in force.
 PACE: Final = 5
@@ -125,8 +125,8 @@ class StreamGuard:
         self._since_jump = 0  # samples accepted
         self._newcomers: dict[int | None, _Newcomer] = {}
         self._accepted = 0
-        self._doubts = 0  # runs that took over and did not last
-        self._strays = 0  # new runs of late that are not believed
+        self._short_lived = 0  # runs that took over and did not last
+        self._strays = 0  # recent new runs that are not accepted
         self._stray_at = 0  # samples accepted when the newest came
         # Publishers in the order in which they were first received, the one in force among them.
         self._runs: list[int | None] = []
@@ -189,7 +189,7 @@ class StreamGuard:
             # The run that was seen first is the older publisher; the newer start wins, also when
             # it comes back after a pause.
             older = sample.run in self.older_runs
-            if not (self._speaks_alone(sample) if older else self._confirmed(sample.run, now)):
+            if not (self._is_alone(sample) if older else self._confirmed(sample.run, now)):
                 return Reject.OTHER_PUBLISHER
             return self._restart(sample, now)
         if self._last is None:
@@ -217,7 +217,7 @@ class StreamGuard:
         if self._since_start == SHORT_RUN_SAMPLES:
             self._short_runs = 0
         if self._since_start % SETTLED_SAMPLES == 0:
-            self._doubts = max(0, self._doubts - 1)
+            self._short_lived = max(0, self._short_lived - 1)
         return _NEXT if missed == 0 else Accepted(missed=missed, restart=False)
 
     def _confirmed(self, run: int | None, now: _Place) -> bool:
@@ -231,7 +231,7 @@ class StreamGuard:
             self._stray_at = self._accepted
         elif known.place.is_followed_by(now) and self._accepted - known.accepted <= PACE:
             in_a_row = known.in_a_row + 1
-        if self._doubts == 0 or in_a_row >= CONFIRM_SAMPLES << (self._doubts - 1):
+        if self._short_lived == 0 or in_a_row >= CONFIRM_SAMPLES << (self._short_lived - 1):
             self._strays = max(0, self._strays - 1)
             return True
         self._newcomers[run] = _Newcomer(now, in_a_row, self._accepted)
@@ -239,7 +239,7 @@ class StreamGuard:
             del self._newcomers[next(iter(self._newcomers))]
         return False
 
-    def _speaks_alone(self, sample: ServoSample) -> bool:
+    def _is_alone(self, sample: ServoSample) -> bool:
         """Whether a superseded publisher has been the only one for long enough."""
         if self._other_count == 0 or self._other is None or self._other[0] != sample.run:
             self._other, self._other_count = (sample.run, sample.t_ns), 0
@@ -262,7 +262,7 @@ class StreamGuard:
             self._runs = [*self._runs, self.run][-MAX_OLD_RUNS - 1 :]
         short = self._since_start < SHORT_RUN_SAMPLES
         self._short_runs = self._short_runs + 1 if short else 0
-        self._doubts = min(self._doubts + short, MOST_DOUBTS)
+        self._short_lived = min(self._short_lived + short, MOST_SHORT_LIVED)
         self._since_start = 1
         self._accepted += 1
         return Accepted(missed=0, restart=True)

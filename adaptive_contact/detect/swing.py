@@ -232,15 +232,15 @@ def follow_command(
     if phase == UNKNOWN and leg.has_lengths:
         place_foot(desired, links, turns, now)
         placed = True
-        if leg.told:
+        if leg.has_phase:
             forget_phase(leg)
-        leg.told = False
+        leg.has_phase = False
         swinging = infer_phase(leg, now[2], low)
-        leg.untold = max(leg.untold - 1, 0)
+        leg.phase_lacking = max(leg.phase_lacking - 1, 0)
     else:
-        leg.told = phase != UNKNOWN
+        leg.has_phase = phase != UNKNOWN
         swinging = phase == SWING
-        leg.untold = RECENT_TICKS if phase == UNKNOWN else max(leg.untold - 1, 0)
+        leg.phase_lacking = RECENT_TICKS if phase == UNKNOWN else max(leg.phase_lacking - 1, 0)
     ends = False
     if swinging:
         if leg.after:
@@ -321,7 +321,7 @@ def follow_foot(
 
 @compiled
 def descending(leg, lengths_ticks):
-    """Tell whether the command in force is past the lift; without geometry, the time decides."""
+    """Return whether the command in force is past the lift; without geometry, the time decides."""
     if not leg.has_lengths:
         return leg.ticks > max(2 * LIFT_OFF_TICKS, half_swing(leg, lengths_ticks))
     return leg.descent and leg.ticks > LIFT_OFF_TICKS

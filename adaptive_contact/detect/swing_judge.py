@@ -81,7 +81,7 @@ class SwingJudge:
         self.travel_ratio = 1.0
         self._leg = leg
         self._place = place
-        self._unasked = 0  # lifts in a row that told nothing of a hold
+        self._unasked = 0  # lifts in a row that could not show an obstructed foot
         size = 1.0 if leg.chain is None else leg.chain.size
         self._lifted_m, self._least_way_m = LIFTED_M * size, LEAST_WAY_M * size
 
@@ -113,7 +113,7 @@ class SwingJudge:
     @property
     def phase_unknown_note(self) -> str | None:
         """One line for a person when swings cannot be found at all."""
-        if not self._place.leg["untold"] or self.measures:
+        if not self._place.leg["phase_lacking"] or self.measures:
             return None
         return (
             "samples carry no phase and robot.toml no lengths_m: swings cannot be found, contacts "
@@ -173,7 +173,7 @@ class SwingJudge:
         return bool(leg["obstructed"])
 
     def _turned_around(self) -> bool:
-        """Tell whether readings went down by most of what the command rose, and away from it.
+        """Return whether readings went down by most of what the command rose, and away from it.
 
         A foot that an obstacle held above its command goes down to it as the obstacle goes.
         """
@@ -204,7 +204,7 @@ class SwingJudge:
             leg["fallen"] = leg["top"] - at
 
     def touched_early(self) -> bool | None:
-        """Tell whether the last swing reported an early contact.
+        """Return whether the last swing reported an early contact.
 
         Returns:
             None where that is not known; False also where no contact was reported.

@@ -103,8 +103,8 @@ class ChangeClassifier:
             criterion = n * float(np.log(unexplained)) + shapes * float(np.log(n))
             found.append((criterion, unexplained, kind))
         (least, unexplained, best), (second, *_), *_ = sorted(found)
-        told = unexplained < 1.0 - LEAST_SHARE and second - least > LEAST_LEAD
-        return best if told else None
+        clear = unexplained < 1.0 - LEAST_SHARE and second - least > LEAST_LEAD
+        return best if clear else None
 
     def unexplained(self, kind: str) -> float:
         """Compute the share of the squared residual that a kind leaves; 1 without ticks."""

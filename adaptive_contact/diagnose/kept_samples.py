@@ -1,4 +1,4 @@
-"""Samples of one leg, kept until somebody judges the motion in them."""
+"""Samples of one leg, kept until the motion in them is judged."""
 
 from __future__ import annotations
 

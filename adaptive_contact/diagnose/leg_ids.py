@@ -54,7 +54,7 @@ SWAPPED: Final = "the samples are those of leg"
 TIMES_S: Final = (12.0, 20.0, 28.0, 40.0, 60.0)
 # Samples kept of a leg: a minute at 50 Hz.
 KEPT: Final = 3000
-# Free ticks of a leg from which its residuals tell.
+# Free ticks of a leg from which its residuals are evidence.
 LEAST_TICKS: Final = 150
 # Another leg's model is the right one where it errs by so much less than the leg's own.  Of the
 # shipped hexapod's legs the two most alike err by 1.08 times as much under each other's models.
@@ -82,8 +82,8 @@ def judge_fit(robot: Robot, baseline: Baseline, rows: Mapping[str, LegRows]) -> 
         rows: by leg.
 
     Returns:
-        By the name that samples come under the leg that they are of, where models tell; a leg's own
-        name where they say that all is right.
+        By the name of the samples, the leg that they are of, where the models distinguish legs;
+        the same name where the models show that it is right.
     """
     errors: dict[str, dict[str, float]] = {}
     for leg, of_leg in rows.items():

@@ -40,7 +40,7 @@ class LegRows:
     Attributes:
         seq: (n,) numbers of the control ticks, counted alike in all legs.
         measured, desired: (n, J) rad.
-        swing: (n,) the source's word; None where it does not tell.
+        swing: (n,) as the source reports; None where it does not.
     """
 
     seq: NDArray[np.int64]
@@ -95,8 +95,8 @@ class StandingFeet:
             Empty where nothing is known.
         """
         own = tuple(range(len(self._legs)))
-        told = [cost for cost in self.costs(own) if math.isfinite(cost)]
-        if not told or (not self.rigid(own) and max(told) < LOOSE**2):
+        known = [cost for cost in self.costs(own) if math.isfinite(cost)]
+        if not known or (not self.rigid(own) and max(known) < LOOSE**2):
             return []
         orders = [order for order in itertools.permutations(own) if self.rigid(order)]
         return sorted(orders, key=lambda order: sum(i != k for i, k in enumerate(order)))
@@ -114,11 +114,11 @@ class StandingFeet:
         found = []
         for i in range(n):
             pairs = [self._pair(seats[i], seats[j]) for j in range(n) if j != i]
-            told = [(weight, ratio) for weight, ratio in pairs if weight > 0]
-            if len(told) < 2:
+            known = [(weight, ratio) for weight, ratio in pairs if weight > 0]
+            if len(known) < 2:
                 found.append(math.inf)
             else:
-                found.append(sum(w * r for w, r in told) / sum(w for w, _ in told))
+                found.append(sum(w * r for w, r in known) / sum(w for w, _ in known))
         return found
 
     def rigid(self, order: Sequence[int], turned: Sequence[bool] | None = None) -> bool:

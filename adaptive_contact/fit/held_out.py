@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.fit.shrinkage import STRENGTHS, doubtful_domain, shrinkage
+from adaptive_contact.fit.shrinkage import STRENGTHS, inflated_domain, shrinkage
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.library import Library
@@ -32,13 +32,13 @@ TOLERANCE: Final = 1.005
 # By what logarithm held-out errors must fall, where the prior is to be held on to: 0.13 to 0.9 on
 # half the motions of an arm, at most 0.055 on 65 swings of a walking hexapod (decision 43).
 LEAST_GAIN: Final = 0.1
-# Mean leverage of held-out rows from which on any gain will do, as what the other folds do not tell
-# is more than the noise: 20 to 800 on most of an arm's motions, 0.05 to 2.7 on those 65 swings,
-# 0.01 to 0.1 on ten minutes of walking.
+# Mean leverage of held-out rows from which on any gain is enough: what the other folds do not
+# determine is then more than the noise.  It is 20 to 800 on most of an arm's motions, 0.05 to 2.7
+# on those 65 swings, 0.01 to 0.1 on ten minutes of walking.
 UNDETERMINED: Final = 10.0
 # Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
 KEPT_GAIN: Final = 0.9
-# Times the noise by which a tick is judged that is told to be like no other.
+# A tick judged by more than so many times the noise is reported as unlike all others.
 LONE_SPREAD: Final = 10.0
 
 
@@ -50,13 +50,13 @@ class Manner:
         library: the terms to choose from.
         unit: (J,) rad, of λ.
         strength: how firmly it holds on to what is known of any leg; None for not at all.
-        doubt: times that the leverage of a motion counts, beyond that of a position.
+        inflation: factor on the leverage of a motion, beyond that of a position.
     """
 
     library: Library
     unit: tuple[float, ...]
     strength: float | None = None
-    doubt: float = 1.0
+    inflation: float = 1.0
 
     def fit(self, factor: Factor, threshold: float) -> Fit:
         """Fit some rows.
@@ -73,7 +73,7 @@ class Manner:
         if self.strength is None:
             return Domain.of(factor, factor.scale())
         prior = shrinkage(factor, self.library, self.strength)
-        return doubtful_domain(factor, self.library, prior, self.doubt)
+        return inflated_domain(factor, self.library, prior, self.inflation)
 
     def holding(self, held: HeldOut, strength: float) -> Manner:
         """Return the manner that holds on to what is known of any leg.
@@ -82,10 +82,10 @@ class Manner:
         beyond the others as a step among slow swings by as much more.
         """
         moving = dataclasses.replace(self, strength=strength).domain(held.whole)
-        moving = dataclasses.replace(moving, doubt=self.library.moves.astype(np.float64))
+        moving = dataclasses.replace(moving, inflation=self.library.moves.astype(np.float64))
         typical = float(np.median(moving.leverage(held.theta)))
-        doubt = max(1.0 / typical, 1.0) if typical > 0.0 else 1.0
-        return dataclasses.replace(self, strength=strength, doubt=doubt)
+        inflation = max(1.0 / typical, 1.0) if typical > 0.0 else 1.0
+        return dataclasses.replace(self, strength=strength, inflation=inflation)
 
 
 class HeldOut:
@@ -199,7 +199,7 @@ def swept(
     Returns:
         What came of it; None where every λ empties a joint that moves.
     """
-    spread = held.spread(dataclasses.replace(manner, doubt=1.0))[:, None]
+    spread = held.spread(dataclasses.replace(manner, inflation=1.0))[:, None]
     errors: dict[float, Array] = {}
     residuals: dict[float, Array] = {}
     for value in lambdas:
@@ -229,7 +229,7 @@ def swept(
 
 
 def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> float | None:
-    """Tell how firmly to hold on to what is known of any leg.
+    """Choose how firmly to hold on to what is known of any leg.
 
     Args:
         held: the rows.
@@ -238,7 +238,7 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
         rounding: rad, deviation of a reading.
 
     Returns:
-        A strength; None where the data tell enough.
+        A strength; None where the data determine the model.
     """
     if not plain.manner.library.groups:
         return None  # of its terms nothing is known

@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 # Rows further out than this many standard deviations, in whitened distance, are no noise: a touch
-# in a recording believed free, or a reading that is none.  Free ticks reach 6 in 10^6.
+# in a recording assumed free, or a bad reading.  Free ticks reach 6 in 10^6.
 OUTLIER_SIGMA: Final = 10.0
 # Share that the first fits are made of: three times the touches that a tenth would be may be among
 # the rest.

@@ -4,9 +4,9 @@ Samples go through the same stream guard as in the learner; a gap, a restart or 
 ends a stretch.  What may be learned as free comes from the truth where a recording has it, and
 from the cautious part of each swing where it has not.
 
-A change of the truth tells its time by its source's clock, not which start of the source it is of;
-the next may count the same times again.  So every run has its own truth, and where a change may
-be of either of two runs, it makes no tick of either free.
+A change of the truth states its time by its source's clock, but not the start of the source that it
+belongs to; the next start may count the same times again.  So every run has its own truth.  A
+change that may be of either of two runs makes no tick of either free.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ AFTER_TICKS: Final = 3
 SLIP_TICKS: Final = 25
 # And on each side of a tick, over which stamps off the grid are averaged.
 GRID_TICKS: Final = 50
-# Truth comes 20 ms after its samples, for it tells a mean force, and on a key of its own, which
+# Truth comes 20 ms after its samples, for it states a mean force, and on a key of its own, which
 # may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
 ASTRAY_NS: Final = 1_000_000_000
 # How much of a recording is judged at a time for signs and zeros, and how often.
@@ -83,7 +83,7 @@ class LegGatherer:
         self._seams = Seams(len(leg.joints))
         self._rate = RateWatch(self._period_ns)
         self._runs: list[_Run] = []
-        self._heard: list[_Heard] = []
+        self._changes: list[_Received] = []
 
     @property
     def missed(self) -> int:
@@ -110,9 +110,9 @@ class LegGatherer:
         run.t_ns.append(sample.t_ns)
         if self._rate.off:
             self.off_rate += 1
-            # Those that told are as far off as those that came after.
+            # The ticks that showed the wrong rate are as far off as those that came after.
             if run.stretches[-1]:
-                del run.stretches[-1][1 - self._rate.told_by :]
+                del run.stretches[-1][1 - self._rate.rate_ticks :]
                 run.stretches.append([])
             return
         if missed != 0:  # None after a pause
@@ -122,7 +122,7 @@ class LegGatherer:
     def take_truth(self, truth: ContactTruth) -> None:
         """Take in a change of the true contact."""
         came = len(self._runs[-1].t_ns) if self._runs else 0
-        self._heard.append(_Heard(truth, len(self._runs) - 1, came))
+        self._changes.append(_Received(truth, len(self._runs) - 1, came))
 
     def stretches(self, *, free: bool = False) -> list[Stretch]:
         """Return the stretches that were collected.
@@ -157,32 +157,32 @@ class LegGatherer:
         truths = [_Truth([], []) for _ in self._runs]
         if not truths:
             return truths
-        for heard in self._heard:
-            owners = self._owners(heard)
+        for received in self._changes:
+            owners = self._owners(received)
             for n in owners:
-                kept = truths[n].sure if len(owners) == 1 else truths[n].doubtful
-                kept.append(heard.change)
+                kept = truths[n].sure if len(owners) == 1 else truths[n].uncertain
+                kept.append(received.change)
         return truths
 
-    def _owners(self, heard: _Heard) -> list[int]:
-        """Numbers of the runs that a change may be of; more than one is doubt."""
-        t_ns = heard.change.t_ns
-        # Where `run` does not tell of a restart, that many samples of the new run are refused.
+    def _owners(self, received: _Received) -> list[int]:
+        """Numbers of the runs that a change may be of; with more than one it is uncertain."""
+        t_ns = received.change.t_ns
+        # Where `run` does not show a restart, that many samples of the new run are refused.
         slack_ns = RESET_SAMPLES * self._period_ns
-        around = self._around(heard)
+        around = self._around(received)
         near = [n for n, came in around.items() if self._runs[n].near(t_ns, came)]
         holding = [n for n in near or range(len(self._runs)) if self._runs[n].holds(t_ns, slack_ns)]
         if near:
             return holding or near
         return list({*around, *holding})
 
-    def _around(self, heard: _Heard) -> dict[int, int]:
+    def _around(self, received: _Received) -> dict[int, int]:
         """Runs that were received around a change; samples of each by then."""
-        if heard.run < 0:
+        if received.run < 0:
             return {0: 0}
-        t_ns, n = self._runs[heard.run].t_ns, heard.run
-        now_ns = t_ns[heard.came - 1]
-        around = {n: heard.came}
+        t_ns, n = self._runs[received.run].t_ns, received.run
+        now_ns = t_ns[received.came - 1]
+        around = {n: received.came}
         if n > 0 and now_ns - t_ns[0] <= ASTRAY_NS:
             around[n - 1] = len(self._runs[n - 1].t_ns)
         if n + 1 < len(self._runs) and t_ns[-1] - now_ns <= ASTRAY_NS:
@@ -212,14 +212,14 @@ class LegGatherer:
 
     def _swing(self, rows: list[ServoSample], desired: NDArray[np.float64]) -> Mask:
         inferred = infer_phase(desired, self.leg)
-        told = np.array([s.phase is not None for s in rows])
-        if inferred is None and not told.all():
+        stated = np.array([s.phase is not None for s in rows])
+        if inferred is None and not stated.all():
             raise IdentificationError(
-                f"leg '{self.leg.id}': {np.count_nonzero(~told)} samples carry no phase and "
+                f"leg '{self.leg.id}': {np.count_nonzero(~stated)} samples carry no phase and "
                 "robot.toml has no lengths_m for it; give one or the other"
             )
         swing = np.array([s.phase == "swing" for s in rows])
-        return swing if inferred is None else np.where(told, swing, inferred)
+        return swing if inferred is None else np.where(stated, swing, inferred)
 
 
 def stray_readings(measured: NDArray[np.float64]) -> Mask:
@@ -333,7 +333,7 @@ def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
     return values[max(k - SLIP_TICKS, 0) : k], values[k : k + SLIP_TICKS]
 
 
-class _Heard(NamedTuple):
+class _Received(NamedTuple):
     """Holds a change of contact, and when it was received.
 
     Attributes:
@@ -351,14 +351,14 @@ class _Truth(NamedTuple):
     """Changes of contact in order of time: one run's own, and those that may be another's."""
 
     sure: list[ContactTruth]
-    doubtful: list[ContactTruth]
+    uncertain: list[ContactTruth]
 
     def readings(self) -> Iterator[list[ContactTruth]]:
         """What may have happened; free is what is free in each."""
-        onsets = [change for change in self.doubtful if change.contact]
+        onsets = [change for change in self.uncertain if change.contact]
         yield sorted(self.sure + onsets, key=_time)
-        if self.doubtful:  # a release that may be another's must not end a contact
-            yield sorted(self.sure + self.doubtful, key=_time)
+        if self.uncertain:  # a release that may be another's must not end a contact
+            yield sorted(self.sure + self.uncertain, key=_time)
 
 
 def _time(change: ContactTruth) -> int:
@@ -375,7 +375,7 @@ def judge_conventions(
     Args:
         robot: its description.
         gathered: by leg.
-        hangs: the legs hung free, so that gravity tells of them, too.
+        hangs: the legs hung free, so that gravity shows their angles, too.
 
     Returns:
         Findings of any minute in legs that no minute confirms; the first of each leg.

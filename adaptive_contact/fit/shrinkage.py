@@ -2,7 +2,7 @@ r"""Makes a prior for a leg whose recording does not determine all terms.
 
 Motions that leave combinations of terms unexcited are fitted as well by coefficients that no servo
 has, and the next motion shows it.  What is known of any leg then takes the place of what the
-motions did not tell:
+motions did not show:
 
 - A command acts through the servo's law, which saturates.  Terms that grow with the command without
   bound are left out: a fit to steps of half a degree predicts ten for a step of seventeen.
@@ -27,7 +27,7 @@ from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import BEYOND_DEVIATIONS, Domain
 
-__all__ = ["STRENGTHS", "doubtful_domain", "shrinkage"]
+__all__ = ["STRENGTHS", "inflated_domain", "shrinkage"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -68,14 +68,14 @@ def shrinkage(factor: Factor, library: Library, strength: float) -> Prior:
     return Prior(mean, rows * max(factor.rows, 1.0))
 
 
-def doubtful_domain(factor: Factor, library: Library, prior: Prior, doubt: float) -> Domain:
+def inflated_domain(factor: Factor, library: Library, prior: Prior, inflation: float) -> Domain:
     """Make the domain of a fit that holds on to a prior.
 
     Args:
         factor: the data.
         library: its terms.
         prior: of the coefficients.
-        doubt: times that the leverage of the motion counts, beyond that of the position.
+        inflation: factor on the leverage of the motion, beyond that of the position.
     """
     scale = factor.scale()
     rows = prior.rows.min(axis=1)  # a domain is of all joints
@@ -84,7 +84,7 @@ def doubtful_domain(factor: Factor, library: Library, prior: Prior, doubt: float
     whole = Factor.merged([factor], factor.terms, factor.outputs)
     whole.add(np.diag(weight * scale), np.zeros((factor.terms, factor.outputs)))
     plain = Domain.of(whole, scale)
-    return dataclasses.replace(plain, doubt=np.where(library.moves, doubt, 1.0))
+    return dataclasses.replace(plain, inflation=np.where(library.moves, inflation, 1.0))
 
 
 def _columns(library: Library, joint: int) -> tuple[Ints, Ints]:

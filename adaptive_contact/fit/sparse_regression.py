@@ -45,7 +45,7 @@ class Prior:
     """Holds what is known of the coefficients before the data.
 
     Attributes:
-        mean: (p, J) what they are believed to be.
+        mean: (p, J) their values before the data.
         rows: (p, J) how firmly: like so many rows of the term's typical size, 0 for not at all,
             inf for a term that is left out.
     """
@@ -95,7 +95,7 @@ class Fit:
     condition: float
 
     def usable(self, still: NDArray[np.bool_]) -> bool:
-        """Tell whether it predicts every joint that moves.
+        """Return whether it predicts every joint that moves.
 
         Args:
             still: (J,) which stand; not all can.

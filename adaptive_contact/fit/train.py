@@ -40,7 +40,7 @@ FOLD_SWINGS: Final = 10
 # Where there are too few swings for that: each is a fold, or part of it.
 MOST_FOLDS: Final = 10
 # λ in units of the residual's own root mean square: a term that moves the prediction by less
-# than a fiftieth of the noise cannot be told from nothing; one that moves it by its whole is law.
+# than a fiftieth of the noise cannot be distinguished from none; one that moves it by all is law.
 SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
 # Sums over several ticks are judged from so many on.
 FEW_TICKS: Final = 200
@@ -58,9 +58,9 @@ class Stretch:
         measured: (n, J) rad.
         desired: (n, J) rad.
         swing: (n,) in swing.
-        free: (n,) known, or believed, to touch nothing.
+        free: (n,) known, or assumed, to touch nothing.
         sound: (n,) all readings of the tick are good.
-        certain: free is known; else it is believed, and some of it may have touched.
+        certain: free is known; else it is assumed, and some of it may have touched.
     """
 
     measured: Array
@@ -126,7 +126,7 @@ class Training:
 
 @dataclasses.dataclass(frozen=True)
 class _Rows:
-    """Everything of one leg, stretches end to end; ``position`` tells where a row sits."""
+    """Everything of one leg, stretches end to end; ``position`` is where a row sits."""
 
     theta: Array  # (n, p)
     target: Array  # (n, J)
@@ -202,10 +202,10 @@ def learn(
 
 def _of_all(skipped: Mapping[str, str]) -> str:
     """Why no leg could be learned, in one line; legs of one reason together."""
-    told: dict[str, list[str]] = {}
+    legs_of: dict[str, list[str]] = {}
     for leg, why in skipped.items():
-        told.setdefault(why.replace(f"leg '{leg}': ", ""), []).append(leg)
-    return "; ".join(f"leg {', '.join(legs)}: {why}" for why, legs in told.items())
+        legs_of.setdefault(why.replace(f"leg '{leg}': ", ""), []).append(leg)
+    return "; ".join(f"leg {', '.join(legs)}: {why}" for why, legs in legs_of.items())
 
 
 def learn_leg(

@@ -96,7 +96,7 @@ class StoredContacts:
         self._kept.clear()
 
     def found(self, coefficients: Array) -> NDArray[np.bool_]:
-        """Tell which of them a model reports, whatever happened before.
+        """Return which of them a model reports, whatever happened before.
 
         In any of their ticks: an alarm that came too early, which a better model would not raise,
         is followed by the touch itself.

@@ -67,9 +67,9 @@ RELEASE_SWINGS: Final = 3
 # longer: nine in ten, for as long as a leg is given to settle.
 UNFIT_LIFTS: Final = 3
 UNFIT_SHARE: Final = 0.9
-# Early contacts: of so many swings, how many set `told`, and with how many it ends.  Legs in pose
-# that meet obstacles up to the top of every second swing come to 16, walking ones to 5 (decision
-# 17).
+# Early contacts: of so many swings, how many are too many, and with how many that ends.  Legs in
+# pose that meet obstacles up to the top of every second swing come to 16, walking ones to 5
+# (decision 17).
 EARLY_SWINGS: Final = 30
 EARLY_BEGIN: Final = 22
 EARLY_END: Final = 15
@@ -118,7 +118,7 @@ class DriftMonitor:
         self._obstructed_swings = self._far_swings = self._free_swings = 0
         self._sign = ""
         self._obstructed_by: Doubt = "held"
-        self._told_free = False  # in this swing
+        self._counted_free = False  # in this swing
         self._trusted = True
         self._lifts = self._lifts_far = 0
 
@@ -176,7 +176,7 @@ class DriftMonitor:
         self._swing_level = None
         self._newest.clear()
         self._trusted = not self.obstructed
-        self._told_free = False
+        self._counted_free = False
 
     @property
     def trusted(self) -> bool:
@@ -236,15 +236,15 @@ class DriftMonitor:
         A suspicion is withdrawn; a leg that has just changed may have been learned since, from that
         very lift, and is judged by how it fits now.
         """
-        doubted = self._swing_level is not None and self._suspicions == 1
+        suspected = self._swing_level is not None and self._suspicions == 1
         moving = self._swings_adapting and self._trusted and self._swings_loose <= SETTLED_SWINGS
-        if not (doubted or (moving and self.variance_in_force > LEVEL_RANGE[0])):
+        if not (suspected or (moving and self.variance_in_force > LEVEL_RANGE[0])):
             return
         self._newest.append(level)
         if len(self._newest) < TAKE_BACK_TICKS:
             return
         now = TAKE_BACK_LEVEL * sum(self._newest) / TAKE_BACK_TICKS
-        if not doubted:
+        if not suspected:
             self._swing_level = min(self.variance_in_force, max(now, LEVEL_RANGE[0]))
         elif now < TAKE_BACK_LEVEL**2 * self.variance_scale:
             self._swing_level = None
@@ -271,7 +271,7 @@ class DriftMonitor:
 
     @property
     def obstructed(self) -> bool:
-        """Whether something holds the foot, as far as can be told: nothing of it is learned."""
+        """Whether the foot seems to be held: then nothing is learned."""
         return self._obstructed_swings >= OBSTRUCTED_SWINGS
 
     def resume(
@@ -312,9 +312,9 @@ class DriftMonitor:
             return LiftAssessment([])
         rows, self._suspected = [*self._suspected, *rows], []
         self.variance_scale = self._swing_level**0.5
-        heard = self._changed(rows, self._suspected_ns)
+        assessed = self._changed(rows, self._suspected_ns)
         self._follow_level(level)
-        return heard
+        return assessed
 
     def _assess_far(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
         """Assess a lift further off than any drift: obstructed, or, if it lasts, another leg."""
@@ -346,9 +346,9 @@ class DriftMonitor:
         if not self.obstructed:
             self._obstructed_swings = 0
             return
-        if self._told_free:
+        if self._counted_free:
             return
-        self._told_free = True
+        self._counted_free = True
         self._free_swings += 1
         if self._free_swings < RELEASE_SWINGS:
             return

@@ -47,8 +47,8 @@ MOST_EXCESS: Final = 5.0
 # Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
 MEMORY_TICKS: Final = 20_000.0
 # A foot that has not touched at its turn to stance is about to: 0.13 of those ticks begin
-# a touch, 0.012 of those in swings (eight planned walks of 90 s).  At so many times the aim, which
-# is 1.3e-4 per tick, one alarm there in a thousand is false.
+# a touch, 0.012 of those in swings (eight planned walks of 90 s).  At so many times the target
+# rate, which is 1.3e-4 per tick, one alarm there in a thousand is false.
 AWAITED: Final = 70.0
 # Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
 SEGMENTS_PER_TICK: Final = 12
@@ -63,7 +63,7 @@ class NoiseTracker:
     Args:
         noise: of the baseline.
         tails: (windows,) of the baseline's statistic.
-        false_alarms_per_hour: aimed at.
+        false_alarms_per_hour: target rate.
         domain: where the baseline's model has been; None if that is not known.
 
     Attributes:
@@ -83,7 +83,7 @@ class NoiseTracker:
         self._noise = noise
         self.domain = domain
         self._tails = tails
-        self._aim = false_alarms_per_hour
+        self._target_rate = false_alarms_per_hour
         self._least = thresholds_of(tails, false_alarms_per_hour)
         self.whiten: Array = noise.whiten
         self.thresholds: Array = self._least
@@ -150,8 +150,8 @@ class NoiseTracker:
             dataclasses.replace(t, rate=min(often * t.rate, 0.5), scale=wide * t.scale)
             for t in self._tails
         )
-        self.thresholds = np.maximum(self._least, thresholds_of(tails, self._aim))
-        awaited = thresholds_of(tails, AWAITED * self._aim)
+        self.thresholds = np.maximum(self._least, thresholds_of(tails, self._target_rate))
+        awaited = thresholds_of(tails, AWAITED * self._target_rate)
         self.awaited = np.maximum(self._least_awaited, awaited)
         return True
 

@@ -303,7 +303,7 @@ def write_raw(xi, to_raw, index, counts, full):
 
 @compiled
 def moves_at_most(coefficients, scale, most):
-    """Tell whether no term of (p, J) coefficients moves a typical tick by more; false for NaN."""
+    """Return whether no term of (p, J) coefficients moves a typical tick by more; false for NaN."""
     for i in range(coefficients.shape[0]):
         for j in range(coefficients.shape[1]):
             if not abs(coefficients[i, j] * scale[i]) <= most:

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 # Standard deviation of a change of a whole family of terms, as a share of itself.  A battery that
 # sags from 12 V to 9.4 V takes a fifth off a drive's; a wider prior leaves the end of a descent,
-# where the law saturates, in doubt for ten swings.
+# where the law saturates, uncertain for ten swings.
 FAMILY_SHARE: Final = 0.1
 # Of the softness that the first model predicts: 1 is a servo half as stiff.
 SOFT_SHARE: Final = 0.5
@@ -95,7 +95,7 @@ def change_directions(model: LegModel, scale: Array, noise: Array) -> Array:
 
 
 def speaks_of(term: str, joint: str) -> bool:
-    """Tell whether a term is of a joint; one whose name begins alike is another."""
+    """Return whether a term is of a joint; one whose name begins alike is another."""
     return re.search(rf"_{re.escape(joint)}(?!\w)", term) is not None
 
 

@@ -105,5 +105,5 @@ def _leading(signs: Sequence[int]) -> int:
 
 
 def _name(joints: Sequence[str], signs: Sequence[int]) -> str:
-    told = "".join(f"{'+' if s > 0 else '-'}{j}" for j, s in zip(joints, signs, strict=True) if s)
-    return f"φ({told.removeprefix('+')})"
+    names = "".join(f"{'+' if s > 0 else '-'}{j}" for j, s in zip(joints, signs, strict=True) if s)
+    return f"φ({names.removeprefix('+')})"

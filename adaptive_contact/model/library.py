@@ -289,7 +289,7 @@ class Library:
 
     @property
     def moves(self) -> NDArray[np.bool_]:
-        """(p,) terms that tell how the leg moves; the others, where it stands."""
+        """(p,) terms of how the leg moves; the others are of where it stands."""
         of_motion = np.zeros(self.size, dtype=bool)
         for group in self.groups:
             of_motion[group.first : group.first + len(self.joints)] = group.alike

@@ -137,7 +137,8 @@ class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     covariance: list[list[list[list[float]]]]
     ticks: list[float]
     domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
-    doubt: float | msgspec.UnsetType = msgspec.UNSET  # of terms that tell how the leg moves
+    # Of terms of how the leg moves.
+    inflation: float | msgspec.UnsetType = msgspec.field(default=msgspec.UNSET, name="doubt")
 
 
 class _LibraryFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -319,7 +320,7 @@ def leg_library_of(
 
 def _leg_file(known: LegBaseline) -> _LegFile:
     library = known.model.library
-    doubt = None if known.domain is None else known.domain.doubt
+    inflation = None if known.domain is None else known.domain.inflation
     return _LegFile(
         joints=library.joints,
         axes=library.axes,
@@ -329,7 +330,7 @@ def _leg_file(known: LegBaseline) -> _LegFile:
         covariance=known.noise.covariance.tolist(),
         ticks=known.noise.ticks.tolist(),
         domain=None if known.domain is None else _rows_of(known.domain.triangle),
-        doubt=msgspec.UNSET if doubt is None else float(doubt.max()),
+        inflation=msgspec.UNSET if inflation is None else float(inflation.max()),
     )
 
 
@@ -350,9 +351,9 @@ def _domain(entry: _LegFile, library: Library, scale: Array) -> Domain | None:
         raise IdentificationError(
             f"its domain is no triangle of {p} rows; fit a new one"
         ) from error
-    if entry.doubt is msgspec.UNSET:
+    if entry.inflation is msgspec.UNSET:
         return Domain(triangle, scale)
-    return Domain(triangle, scale, doubt=np.where(library.moves, entry.doubt, 1.0))
+    return Domain(triangle, scale, inflation=np.where(library.moves, entry.inflation, 1.0))
 
 
 def _baseline(file: _File) -> Baseline:

@@ -58,8 +58,8 @@ class Tail:
     def cautious(self) -> Tail:
         """Return the tail with its shape at the upper end of its one-sided 95 % interval.
 
-        An aim for rare false alarms is one to keep, not to meet on average: a quantile read at 1/60
-        of the lowest rate that was seen leans on the shape, and errs to both sides.  The mean
+        A target rate of rare false alarms is to be kept, not met on average.  A quantile at 1/60 of
+        the lowest rate that was seen depends on the shape, and errs to both sides.  The mean
         excess, which is well known, is kept.
 
         Reference:

@@ -13,7 +13,7 @@ of a term, and keeps h finite for one that was never excited.
 
 That holds where the model is right and its rows are many motions.  Fitted to a few, it errs in the
 next one by more, and by the more, the faster that is: there, the part of h that comes from how the
-leg moves, beyond where it stands, counts for more (:attr:`Domain.doubt`).
+leg moves, beyond where it stands, counts for more (:attr:`Domain.inflation`).
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ class Domain:
         scale: (p,) typical size of each regressor, above 0.
         beyond: further terms of the library, of which it says nothing: they were no part of the
             fit.
-        doubt: (p,) times that each term's part of h counts, beyond that of terms of less doubt; 1
-            for each where absent.
+        inflation: (p,) factor on each term's part of h, beyond the part of terms of less
+            inflation; 1 for each where absent.
     """
 
     triangle: Array
     scale: Array
     beyond: int = 0
-    doubt: Array | None = None
+    inflation: Array | None = None
     _reach: Array = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -67,19 +67,20 @@ class Domain:
                 f"domain: expected a finite triangle of shape {(p, p)}, found "
                 f"{self.triangle.shape}; fit a new one"
             )
-        doubt = np.ones(p) if self.doubt is None else self.doubt
-        if doubt.shape != (p,) or not (np.isfinite(doubt).all() and (doubt >= 0.0).all()):
+        factors = np.ones(p) if self.inflation is None else self.inflation
+        if factors.shape != (p,) or not (np.isfinite(factors).all() and (factors >= 0.0).all()):
             raise IdentificationError(
-                f"domain: expected {p} doubts of 0 and more, found {doubt.shape}; fit a new one"
+                f"domain: expected {p} inflations of 0 and more, found {factors.shape}; "
+                "fit a new one"
             )
-        order = np.argsort(doubt, kind="stable")
+        order = np.argsort(factors, kind="stable")
         stacked = np.concatenate([self.triangle, np.eye(p) / PRIOR_DEVIATIONS])
         whole = scipy.linalg.qr(stacked[:, order], mode="r", check_finite=False)[0][:p]
         # h = |R^-T (θ / scale)|²; the prior makes R well conditioned.  Each of its parts is what a
         # term adds to those before it.
         reach = scipy.linalg.solve_triangular(whole, np.eye(p), trans="T")
-        if self.doubt is not None:
-            reach = reach[:, np.argsort(order, kind="stable")] * np.sqrt(doubt[order])[:, None]
+        if self.inflation is not None:
+            reach = reach[:, np.argsort(order, kind="stable")] * np.sqrt(factors[order])[:, None]
         object.__setattr__(self, "_reach", reach / self.scale)
 
     @classmethod

@@ -221,7 +221,7 @@ class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the owner asks of the detector.
 
     Attributes:
-        false_alarms_per_hour: aim per robot-hour (540,000 swing leg-ticks).
+        false_alarms_per_hour: target per robot-hour (540,000 swing leg-ticks).
     """
 
     false_alarms_per_hour: float = 1.0

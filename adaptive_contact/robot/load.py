@@ -40,7 +40,7 @@ MAX_LEGS: Final = 64
 # A link is no longer, m; a direction is no shorter.
 MOST_M: Final = 5.0
 LEAST_AXIS: Final = 1e-3
-# A Dynamixel bus: 253 is reserved, 254 is everybody.
+# A Dynamixel bus: 253 is reserved, 254 is broadcast.
 MAX_SERVO_ID: Final = 252
 
 # Names of ROS: chunks of letters, digits and '_' that begin with no digit.
@@ -214,7 +214,7 @@ def _check_ros2(robot: Robot, fail: _Fail) -> None:
         for key in _TOPICS:
             _check_topic(getattr(shared, key), f"[ros2] {key}", fail, leg="leg")
         mapped = [leg.id for leg in robot.legs if leg.ros2 is not None]
-        for key in ("phase", "truth"):  # a Bool speaks of one leg
+        for key in ("phase", "truth"):  # a Bool is about one leg
             if len(mapped) > 1 and "{leg}" not in (getattr(shared, key) or "{leg}"):
                 fail(f"[ros2] {key} is one topic for {len(mapped)} legs; write {{leg}} into it")
     owner: dict[tuple[str, str], str] = {}
@@ -321,7 +321,7 @@ def shipped_robot(name: str = "hexapod") -> Robot:
 
 
 def is_shipped(path: str | Path) -> bool:
-    """Tell the name of a robot that ships from the path of a file."""
+    """Return the name of a robot that ships from the path of a file."""
     path = Path(path)
     return str(path) in _shipped_names() and not path.is_file()
 

@@ -334,7 +334,7 @@ class Urdf:
         return above
 
     def _body(self, paths: Mapping[str, Sequence[_Joint]], root: str, base: str | None) -> str:
-        """The link that the legs' mounts are told from."""
+        """The link from which the legs' mounts are measured."""
         links = [[root, *(joint.child for joint in path)] for path in paths.values()]
         if base is not None:
             for leg, own in zip(paths, links, strict=True):

@@ -120,7 +120,7 @@ class Types:
 
         Args:
             type_name: of the message.
-            type_hash: of its definition; an empty text tries each, and lengths tell them apart.
+            type_hash: of its definition; an empty text tries each, and lengths distinguish them.
             payload: CDR.
 
         Raises:

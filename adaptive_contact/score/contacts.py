@@ -33,7 +33,7 @@ class TruthChanges(NamedTuple):
     Attributes:
         t_ns: when the state changed.
         contact: the state from then on.
-        speed_m_s: at touch, NaN where it was not told.
+        speed_m_s: at touch, NaN where it was not given.
         soft: whether the surface is soft; unknown counts as hard.
         grazing: whether the motion was nearly tangent to the surface.
         force_n: mean over 20 ms, N.
@@ -55,7 +55,7 @@ class Contacts(NamedTuple):
         release_ns: when it ended, :data:`FOREVER_NS` where it did not.
         touch: whether the leg was seen in the air for 60 ms before; False only for a contact that
             the stream begins with.
-        speed_m_s, soft, grazing, force_n: as told at the onset.
+        speed_m_s, soft, grazing, force_n: as given at the onset.
     """
 
     onset_ns: Times
@@ -87,9 +87,9 @@ def contacts_of(truth: TruthChanges, start_ns: int) -> Contacts:
 
     Args:
         truth: changes in order of time; repeats of a state are ignored.
-        start_ns: time of the first sample.  A stream of changes whose first says "contact" tells
-            that the leg was in the air from ``start_ns`` on; one whose first says "no contact"
-            tells that it was loaded until then.
+        start_ns: time of the first sample.  A stream of changes whose first says "contact"
+            means that the leg was in the air from ``start_ns`` on; one whose first says "no
+            contact" means that it was loaded until then.
 
     Returns:
         The contacts; those less than 60 ms apart are one.
@@ -120,15 +120,15 @@ def contacts_of(truth: TruthChanges, start_ns: int) -> Contacts:
 
 def _pick(truth: TruthChanges, rows: Times, onset_ns: Times, release_ns: Times) -> Contacts:
     """Contacts with the attributes of the given rows of the truth; row -1 has none."""
-    told = rows >= 0
+    given = rows >= 0
     return Contacts(
         onset_ns=onset_ns,
         release_ns=release_ns,
         touch=np.ones(len(rows), dtype=bool),
-        speed_m_s=np.where(told, truth.speed_m_s[rows], np.nan),
-        soft=told & truth.soft[rows],
-        grazing=told & truth.grazing[rows],
-        force_n=np.where(told, truth.force_n[rows], np.nan),
+        speed_m_s=np.where(given, truth.speed_m_s[rows], np.nan),
+        soft=given & truth.soft[rows],
+        grazing=given & truth.grazing[rows],
+        force_n=np.where(given, truth.force_n[rows], np.nan),
     )
 
 

@@ -35,7 +35,7 @@ class Row(enum.StrEnum):
 
 # Codes in the tables are positions in this tuple.
 ROWS: Final = tuple(Row)
-# Rows whose misses are errors of a swing.  The others are told apart because they may be beyond
+# Rows whose misses are errors of a swing.  The others are separate because they may be beyond
 # any detector: too slow to be felt, along the surface, in the lift.
 COUNTED: Final = frozenset({Row.HEADLINE, Row.MID, Row.SLOW, Row.SOFT, Row.UNKNOWN, Row.LATE})
 _COUNTED_CODES: Final = np.array([row in COUNTED for row in ROWS])
@@ -55,7 +55,7 @@ class Events(NamedTuple):
 
     Attributes:
         t_ns: of the deciding sample.
-        contact: the state told.
+        contact: the reported state.
         onset_ns: the estimated first touch.
     """
 
@@ -104,7 +104,7 @@ class TouchTable(NamedTuple):
         found: whether it was detected.
         latency_ns: deciding sample minus onset, -1 where it was not detected.
         onset_error_ns: estimated minus true onset, 0 where it was not detected.
-        speed_m_s, force_n: as the truth told.
+        speed_m_s, force_n: as the truth gave them.
         after_turn: whether the swing had turned to stance before.
     """
 
@@ -164,8 +164,8 @@ class SwingTable(NamedTuple):
         """(s,) values of :class:`Outcome`."""
         kinds = [self.false_alarms + self.alarms_after > 0, self.misses > 0, self.hits > 0]
         names: NDArray[np.str_] = np.array([outcome.value for outcome in Outcome])
-        told: NDArray[np.str_] = names[np.select(kinds, [0, 1, 2], default=3)]
-        return told
+        chosen: NDArray[np.str_] = names[np.select(kinds, [0, 1, 2], default=3)]
+        return chosen
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -53,7 +53,7 @@ def score_messages(
 
     Args:
         messages: of the recording.
-        robot: whose geometry tells swings and lifts.
+        robot: whose geometry shows swings and lifts.
         events: scored instead of those in the recording.
         from_s: judge the swings that begin this long after the first sample, s, or later.
         to_s: and before this.

@@ -80,8 +80,8 @@ class Gatherer:
     """Takes in the messages of a recording; gives a leg's stream and events.
 
     Args:
-        robot: for the swing phase where the samples do not tell it, and for the lift; a leg it
-            does not describe is taken to have no known geometry.
+        robot: for the swing phase where the samples do not report it, and for the lift; a leg that
+            it does not describe is taken to have no known geometry.
 
     Attributes:
         rejects: messages that could not be used, by reason.
@@ -136,7 +136,7 @@ class Gatherer:
         return {leg: count for leg, count in counts.items() if count}
 
     def replace_events(self, events: Iterable[ContactEvent]) -> None:
-        """Take these events instead of those that were heard."""
+        """Take these events instead of those that were received."""
         self._events = {}
         for event in events:
             self._events.setdefault(event.leg, []).append(event)
@@ -157,14 +157,14 @@ class Gatherer:
         return tuple(leg for leg in self.legs if leg in self._truth)
 
     def events(self, leg: str) -> Events:
-        """The events heard of a leg."""
+        """The events received of a leg."""
         return Events.of(sorted(self._events.get(leg, []), key=lambda event: event.t_ns))
 
     def stream(self, leg: str) -> LegStream:
         """What is known of one of :attr:`legs`.
 
         Raises:
-            ConfigurationError: the samples tell no phase, and the geometry is not known either.
+            ConfigurationError: the samples carry no phase, and the geometry is not known either.
             RecordingError: two runs overlap in time.
         """
         samples = self._samples[leg]

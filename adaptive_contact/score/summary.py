@@ -190,7 +190,7 @@ def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
         sum(len(outcome.after_ns) for outcome in outcomes),
         sum(int(outcome.swings.judged_after.sum()) for outcome in outcomes),
     )
-    told = found + alarms.false_alarms + after.false_alarms
+    reported = found + alarms.false_alarms + after.false_alarms
     return Summary(
         legs=tuple(dict.fromkeys(outcome.leg for outcome in outcomes)),
         rows=rows,
@@ -200,8 +200,8 @@ def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
         late_after=_figures(touches, late & after_turn),
         detections=found,
         false_alarms=alarms.false_alarms,
-        precision=found / told if told else None,
-        precision_interval=clopper_pearson(found, told),
+        precision=found / reported if reported else None,
+        precision_interval=clopper_pearson(found, reported),
         swings=sum(len(outcome.swings.start_ns) for outcome in outcomes),
         lost_swings=sum(int(np.sum(outcome.swings.errors > 0)) for outcome in outcomes),
         judged_ticks=alarms.judged_ticks,
@@ -260,7 +260,7 @@ def swings_to_recovery(
     The first swing n, counted from 0 at the first one that begins at or after the drift, such that
     the swings n to n + 19 hold at most one error (a missed touch of a counted row, or a false
     alarm).  Where fewer than ``least_of_a_kind`` of them hold a touch, or none, as many more
-    swings are looked at as it takes: what cannot be told from twenty is no fault of the leg's.
+    swings are looked at as it takes: what twenty swings cannot show is no fault of the leg's.
 
     Args:
         swings: of one leg.
@@ -296,7 +296,7 @@ def _counted(values: NDArray[np.int64] | NDArray[np.bool_]) -> NDArray[np.int64]
 
 
 def is_harmful(drifted: list[LegOutcome], twin: list[LegOutcome]) -> bool:
-    """Tell whether a drift counts as one to recover from.
+    """Return whether a drift counts as one to recover from.
 
     Args:
         drifted: the frozen detector on the recording with the drift, from the drift on.

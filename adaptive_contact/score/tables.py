@@ -137,11 +137,11 @@ def _totals(summary: Summary) -> Table:
     )
     after = summary.after
     if after.judged_ticks:
-        alarms = _alarms(after.false_alarms, after.per_hour, after.interval)
-        table.add_row("after the turn", f"{alarms}; {after.judged_ticks} ticks")
-    told = summary.detections + summary.false_alarms + after.false_alarms
-    interval = _range(summary.precision_interval, told)
-    share = f"{_percent(summary.precision)} of {told} alarms (95 % {interval})" if told else "-"
+        shown = _alarms(after.false_alarms, after.per_hour, after.interval)
+        table.add_row("after the turn", f"{shown}; {after.judged_ticks} ticks")
+    alarms = summary.detections + summary.false_alarms + after.false_alarms
+    interval = _range(summary.precision_interval, alarms)
+    share = f"{_percent(summary.precision)} of {alarms} alarms (95 % {interval})" if alarms else "-"
     table.add_row("precision", share)
     table.add_row(
         "judged",

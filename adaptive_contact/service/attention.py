@@ -106,7 +106,7 @@ def remedy_of(note: str) -> str | None:
 
 
 class Attention:
-    """Tells what needs a person; what has only been counted long ago does not."""
+    """Lists what needs a person; what has only been counted long ago does not."""
 
     def __init__(self) -> None:
         self._counts: dict[str, int] = {}

@@ -89,7 +89,7 @@ class _Meter:
 
 @dataclass(slots=True)
 class Examination:
-    """Everything heard in the time looked at; of each status the first and the last."""
+    """Everything received in the time looked at; of each status the first and the last."""
 
     meters: dict[str, _Meter] = field(default_factory=dict)
     samples: dict[str, list[ServoSample]] = field(default_factory=dict)
@@ -143,19 +143,19 @@ def examine(link: Link, seconds: float, stop: threading.Event | None = None) -> 
     """
     stop = stop or threading.Event()
     waiting: deque[Received] = deque(maxlen=_BACKLOG)
-    heard = Examination()
+    seen = Examination()
     began = time.monotonic()
     everything = link.subscribe("**", waiting.append)
     while time.monotonic() - began < seconds and not stop.wait(_POLL_S):
         for _ in range(len(waiting)):
-            heard.take(waiting.popleft())
+            seen.take(waiting.popleft())
     elapsed = time.monotonic() - began
     everything.close()
     for _ in range(len(waiting)):
-        heard.take(waiting.popleft())
+        seen.take(waiting.popleft())
     reach = link.diagnose()
     return diagnose(
-        heard,
+        seen,
         elapsed,
         alive=SERVICE_TOKEN in link.alive(SERVICE_TOKEN),
         router=reach.reach,
@@ -164,15 +164,15 @@ def examine(link: Link, seconds: float, stop: threading.Event | None = None) -> 
 
 
 def diagnose(
-    heard: Examination,
+    seen: Examination,
     seconds: float,
     *,
     alive: bool,
     router: str = "connected",
     router_line: str = "connected",
 ) -> Diagnosis:
-    """Judge what was heard within ``seconds``; ``alive`` tells whether a service's token is."""
-    service = heard.service[1] if alive and heard.service is not None else None
+    """Judge what was received within ``seconds``; ``alive``: whether a service's token is."""
+    service = seen.service[1] if alive and seen.service is not None else None
     described: dict[str, LegFacts] = {} if service is None else service.legs
     return Diagnosis(
         router=router,
@@ -180,8 +180,8 @@ def diagnose(
         service=service,
         service_alive=alive,
         seconds=seconds,
-        keys=_traffic(heard, seconds),
-        findings=entries(_faults(heard, seconds, alive, service, described)),
+        keys=_traffic(seen, seconds),
+        findings=entries(_faults(seen, seconds, alive, service, described)),
     )
 
 
@@ -189,18 +189,18 @@ _Faults = Iterator[tuple[str | None, Fault]]
 
 
 def _faults(
-    heard: Examination,
+    seen: Examination,
     seconds: float,
     alive: bool,
     service: ServiceStatus | None,
     described: dict[str, LegFacts],
 ) -> _Faults:
     """All that is wrong, causes and consequences, each with its leg."""
-    for fault in _about_service(heard, alive):
+    for fault in _about_service(seen, alive):
         yield None, fault
-    strays = list(_about_keys(heard, seconds))
+    strays = list(_about_keys(seen, seconds))
     yield from strays
-    published = heard.samples.keys() | heard.refused.keys()
+    published = seen.samples.keys() | seen.refused.keys()
     if not published and not any(fault.cause is Cause.KEY for _, fault in strays):
         nobody = Fault(
             "error",
@@ -214,13 +214,13 @@ def _faults(
     if known:
         for fault in check_ids(sorted(published), known):
             yield None, fault
-    twins = dict(check_twins(heard.samples))
+    twins = dict(check_twins(seen.samples))
     unexplained: list[str] = []
     for leg in [*described, *sorted(published - set(described))]:
         of_leg = check_leg(
             leg,
-            heard.samples.get(leg, []),
-            heard.refused.get(leg, []),
+            seen.samples.get(leg, []),
+            seen.refused.get(leg, []),
             seconds=seconds,
             period_s=None if service is None else service.period_s,
             facts=described.get(leg),
@@ -231,17 +231,17 @@ def _faults(
         causes |= {fault.cause for of, fault in strays if of == leg}
         if not any(Cause.NOT_THIS_ROBOT in EXPLAINS.get(cause, ()) for cause in causes):
             unexplained.append(leg)
-        if leg in heard.learners:
-            of_leg += about_learner(*heard.learners[leg], service, causes)
+        if leg in seen.learners:
+            of_leg += about_learner(*seen.learners[leg], service, causes)
         elif service is not None:
             of_leg.append(_unreported(seconds))
         for fault in of_leg:
             yield leg, fault
-    told = [heard.learners[leg][1] for leg in unexplained if leg in heard.learners]
-    yield from all_lost(told, service)
+    statuses = [seen.learners[leg][1] for leg in unexplained if leg in seen.learners]
+    yield from all_lost(statuses, service)
 
 
-def _traffic(heard: Examination, seconds: float) -> list[KeyTraffic]:
+def _traffic(seen: Examination, seconds: float) -> list[KeyTraffic]:
     return [
         KeyTraffic(
             key=key,
@@ -250,11 +250,11 @@ def _traffic(heard: Examination, seconds: float) -> list[KeyTraffic]:
             mean_bytes=meter.size / meter.count,
             encodings=[encoding for encoding, _ in meter.encodings.most_common(3)],
         )
-        for key, meter in sorted(heard.meters.items())
+        for key, meter in sorted(seen.meters.items())
     ]
 
 
-def _about_service(heard: Examination, alive: bool) -> Iterator[Fault]:
+def _about_service(seen: Examination, alive: bool) -> Iterator[Fault]:
     if not alive:
         yield Fault(
             "error",
@@ -263,7 +263,7 @@ def _about_service(heard: Examination, alive: bool) -> Iterator[Fault]:
             "start `adaptive-contact serve`, or `serve --connect` to join this router",
         )
         return
-    if heard.service is None:
+    if seen.service is None:
         yield Fault(
             "warning",
             Cause.SERVICE_QUIET,
@@ -271,7 +271,7 @@ def _about_service(heard: Examination, alive: bool) -> Iterator[Fault]:
             "listen longer with --seconds; if it stays so, it is stuck: look at its log",
         )
         return
-    before, service = heard.service
+    before, service = seen.service
     for reason, times in service.rejects.items():
         yield Fault(
             _still(times, before.rejects.get(reason, 0)),
@@ -322,15 +322,15 @@ def _about_service(heard: Examination, alive: bool) -> Iterator[Fault]:
             yield Fault(level, Cause.SERVICE, f"{times} {what}", remedy, key=what)
 
 
-def _about_keys(heard: Examination, seconds: float) -> _Faults:
-    for key, meter in sorted(heard.meters.items()):
+def _about_keys(seen: Examination, seconds: float) -> _Faults:
+    for key, meter in sorted(seen.meters.items()):
         leg = leg_of_key(key)
         odd = list(meter.odd)
         if odd and leg is not None:
             yield (
                 leg,
                 Fault(
-                    "warning" if leg in heard.refused else "note",
+                    "warning" if leg in seen.refused else "note",
                     Cause.ENCODING,
                     f"the encoding {odd[0]} is taken for msgpack",
                     "declare application/msgpack or application/json when publishing",
@@ -341,13 +341,13 @@ def _about_keys(heard: Examination, seconds: float) -> _Faults:
         stray = _stray(key, f"{key} ({meter.count / seconds:.1f}/s)")
         if stray is not None:
             yield stray
-    if heard.uncounted_keys:
+    if seen.uncounted_keys:
         yield (
             None,
             Fault(
                 "warning",
                 Cause.TOO_MANY_KEYS,
-                f"more than {_KEYS_KEPT} keys; {heard.uncounted_keys} messages were not looked at",
+                f"more than {_KEYS_KEPT} keys; {seen.uncounted_keys} messages were not looked at",
                 "use --namespace to look at one robot",
             ),
         )

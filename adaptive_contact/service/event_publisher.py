@@ -83,7 +83,7 @@ class EventPublisher:
         """Send what waits, as far as that goes in time, count the rest as lost, and end.
 
         A put that goes on beyond that is not counted: it may yet arrive, and is counted by itself
-        if it fails.  Whoever closes again waits for nothing.
+        if it fails.  Calling close() twice is safe.
         """
         with self._changed:
             if self._ending:
@@ -112,7 +112,7 @@ class EventPublisher:
             self._put(letter)
             return
         with self._changed:
-            if self._ending:  # nobody may be left to send it
+            if self._ending:  # the sender may be gone
                 self.lost += 1
                 return
             if len(self._queue) >= self._size:

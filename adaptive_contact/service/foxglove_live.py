@@ -2,7 +2,7 @@
 
 Topics, schemas and bytes are those of ``export --to protobuf``.  One kind of channel is added: a
 leg's ``trace`` has a message per tick, with the prediction and the test ratio.  The service is
-asked for them only while somebody looks at one.
+asked for them only while a client shows one.
 
 Everything goes out and nothing comes in: clients can neither publish nor set anything.  A client
 that is too slow loses its oldest messages (foxglove-sdk keeps 1024 for each).

@@ -92,7 +92,7 @@ class Question(Protocol):
         """A value behind ``?`` in its selector."""
 
     def covers(self, key: str) -> bool:
-        """Tell whether the query asks for ``key``."""
+        """Return whether the query asks for ``key``."""
 
     def reply(self, message: Message, key: str | None = None) -> None:
         """Answer for one key."""

@@ -16,7 +16,7 @@ from adaptive_contact.wire import LearnerStatus
 # Legs that fail together have one cause; one leg alone has its own.
 _SEVERAL_LEGS: Final = 2
 _FIGURES: Final = re.compile(r"[0-9.]+")
-# Words of notes that speak of what the samples themselves may show.
+# Words of notes on what the samples themselves may show.
 _NOTED: Final = {
     "ms apart, robot.toml says": Cause.PERIOD,
     "t_ns jitters": Cause.JITTER,

@@ -85,7 +85,7 @@ class Admission:
         before = self._resumes
         if before is None:
             return
-        if sample.run != before.run:  # another start of the source: no number tells
+        if sample.run != before.run:  # another start of the source: no number shows losses
             self._resumes = None
             return
         if restart:
@@ -97,7 +97,7 @@ class Admission:
             self._resumes = None
 
 
-_TOLD_AFTER_NS: Final = 500_000_000
+_REPORTED_AFTER_NS: Final = 500_000_000
 
 
 class JointAvailability:
@@ -133,7 +133,7 @@ class JointAvailability:
         mute = {
             joint: (now_ns - since_ns) / 1e9
             for joint, since_ns in enumerate(self._mute_since_ns, start=1)
-            if since_ns is not None and now_ns - since_ns > _TOLD_AFTER_NS
+            if since_ns is not None and now_ns - since_ns > _REPORTED_AFTER_NS
         }
         if not mute:
             return None
@@ -166,7 +166,7 @@ class LegEndpoint:
 
     Attributes:
         model_version: as the last look found it.
-        heard_samples: readable samples so far, used or not.
+        received_samples: readable samples so far, used or not.
         position: of the last one that was used.
     """
 
@@ -181,9 +181,9 @@ class LegEndpoint:
     ) -> None:
         self.leg = leg
         self.learner = learner
-        self._told_of = learner.status  # as of the last look, to tell what is new since
-        self.model_version = self._told_of.model_version
-        self.heard_samples = 0
+        self._reported = learner.status  # as of the last look; changes since are reported
+        self.model_version = self._reported.model_version
+        self.received_samples = 0
         self.position = resumes
         self._admission = Admission(joints, resumes)
         self._answers = JointAvailability(joints)
@@ -192,7 +192,7 @@ class LegEndpoint:
         self._status = link.publisher(learner_key(leg))
         self._token: Declared | None = None
         self._since_ns = now_ns
-        self._seen_ns: int | None = None  # when a sample came that was used and told something
+        self._seen_ns: int | None = None  # when a sample came that was used and had a reading
         self._used_ns = now_ns  # when a sample came that was used
         self._unused: Reject | None = None
         self._unused_ns = 0
@@ -203,13 +203,13 @@ class LegEndpoint:
         self._throttle = LogThrottle()
         self._faults = FaultLog()
 
-    def heard(self, sample: ServoSample, now_ns: int) -> Reject | None:
+    def note_sample(self, sample: ServoSample, now_ns: int) -> Reject | None:
         """Note a readable sample.
 
         Returns:
             Why the learner will refuse it, and count it; None if it will use it.
         """
-        self.heard_samples += 1
+        self.received_samples += 1
         refused = self._admission.judge(sample)
         if refused is not None:
             self._unused, self._unused_ns = refused, now_ns
@@ -230,12 +230,12 @@ class LegEndpoint:
         self._refused_ns = now_ns
 
     @property
-    def ever_heard(self) -> bool:
+    def ever_received(self) -> bool:
         """Whether any readable sample has come."""
-        return self.heard_samples > 0
+        return self.received_samples > 0
 
     def silent(self, now_ns: int) -> bool:
-        """Tell whether nothing that could be used, or no servo's answer, has come for too long."""
+        """Return whether no usable sample, or no servo's answer, has come for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
 
     def publish_event(
@@ -251,8 +251,8 @@ class LegEndpoint:
             The new status where it has changed, otherwise None.
         """
         status = self.status(now_ns)
-        self._tell_news(self._told_of, status, now_ns)
-        self._told_of = status
+        self._report_news(self._reported, status, now_ns)
+        self._reported = status
         self.model_version = status.model_version
         # Until it is known what passed while the service was down, counts would not add up.
         changed = status.status != self._published and not self._admission.resuming
@@ -289,7 +289,7 @@ class LegEndpoint:
             status, status="silent" if quiet else status.status, note="; ".join(notes)
         )
 
-    def _tell_news(self, before: LearnerStatus, now: LearnerStatus, now_ns: int) -> None:
+    def _report_news(self, before: LearnerStatus, now: LearnerStatus, now_ns: int) -> None:
         """Log what became of refits, what the leg changed in, and that the source restarted."""
         for name in ("promoted", "refused", "rolled_back"):
             if getattr(now.refits, name) > getattr(before.refits, name):

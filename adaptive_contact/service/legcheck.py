@@ -70,7 +70,7 @@ def check_leg(
         samples: as they arrived within the time looked at.
         refused: why payloads on its key could not be read.
         seconds: time looked at.
-        period_s: control tick the service expects, None where no service tells.
+        period_s: control tick the service expects, None without a service's word.
         facts: what the service knows of the leg, None where it does not.
 
     Returns:
@@ -269,10 +269,10 @@ def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) 
 
 def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
     """A leg that never ends its swing, or never begins one while it walks."""
-    told = {s.phase for s in samples}
-    if len(samples) < _LONG_SWING or len(told) != 1 or None in told:
+    phases = {s.phase for s in samples}
+    if len(samples) < _LONG_SWING or len(phases) != 1 or None in phases:
         return
-    if told == {"swing"}:
+    if phases == {"swing"}:
         yield Fault(
             "warning",
             Cause.PHASE,

@@ -93,7 +93,7 @@ class Request:
         return self._query.parameters.get(name)
 
     def covers(self, key: str) -> bool:
-        """Tell whether the query asks for ``key`` (it may hold wildcards)."""
+        """Return whether the query asks for ``key`` (it may hold wildcards)."""
         return bool(self._query.key_expr.intersects(zenoh.KeyExpr(key)))
 
     def reply(self, message: Message, key: str | None = None) -> None:
@@ -141,7 +141,7 @@ class Publisher:
 
     @property
     def matched(self) -> bool:
-        """Whether anybody subscribes; always True with history, where Zenoh does not tell."""
+        """Whether there is a subscriber; always True with history, where Zenoh does not say."""
         return self._keep or bool(self._declared.matching_status.matching)
 
     def put(self, message: Message) -> None:
@@ -218,7 +218,7 @@ class Link:
             ConfigurationError: the Zenoh configuration file cannot be used.
         """
         stop, until_s = stop or threading.Event(), time.monotonic() + patience_s
-        told: Finding | None = None
+        reported: Finding | None = None
         while True:
             config, facts = configure(settings)
             finding = probe(facts.connect) if settings.mode == "client" else _NOTHING_ASKED
@@ -230,8 +230,8 @@ class Link:
                     raise LinkError(router_failure(config, facts, error)) from error
             if not settings.wait:
                 raise NoRouterError(finding)
-            if finding != told:
-                told = finding
+            if finding != reported:
+                reported = finding
                 if on_wait is not None:
                     on_wait(finding)
             left_s = until_s - time.monotonic()
@@ -381,7 +381,7 @@ class Link:
         """Ask, and wait for the answers.
 
         Returns:
-            All answers within ``timeout_s``; empty where nobody is there to answer.
+            All answers within ``timeout_s``; empty where there is no process to answer.
 
         Raises:
             LinkError: the link is closed.
@@ -460,7 +460,7 @@ class Link:
         return str(self._session.info.zid())
 
     def is_connected(self) -> bool:
-        """Tell whether a router is joined; always for one that joins nobody."""
+        """Return whether a router is joined; always for one that joins no other."""
         alone = self.settings.mode == "router" and not self.joins
         return alone or bool(self.routers())
 

@@ -34,8 +34,8 @@ _REFUSED_KEPT: Final = 1000
 # A leg rests when no joint has moved by this, rad (two steps of an AX-12A), for this long, s.
 _REST_RAD: Final = 0.011
 _REST_S: Final = 0.3
-# A move by hand is told from this on, rad (7 degrees); a joint that moved by less than this share
-# of the one that moved most has only given way.
+# A move by hand is reported from this on, rad (7 degrees); a joint that moved by less than this
+# share of the one that moved most has only given way.
 _MOVED_RAD: Final = 0.12
 _GAVE_WAY: Final = 0.3
 # Beyond its limits by this, rad, in this share of the samples, is no overshoot.
@@ -102,8 +102,8 @@ class Flatness(msgspec.Struct, frozen=True, kw_only=True):
     """How flat the feet lie, for a robot that stands on a level floor.
 
     Attributes:
-        leg: whose foot is furthest from the plane of the others; None of four legs, where it cannot
-            be told whose.
+        leg: whose foot is furthest from the plane of the others; None with four legs, which do not
+            show whose it is.
         off_m: by how much it is above that plane.
     """
 
@@ -119,7 +119,7 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
         moves: joints that were moved and came to rest, one line each.
         confirmed: legs whose signs, and those not ``by_hand`` whose order and zeros, the motion
             confirms.
-        open: legs of which the motion tells nothing.
+        open: legs of which the motion shows nothing.
         by_hand: legs whose order and zeros no motion confirms, as their chain is not straight.
         flatness: of the feet, where all legs rest.
         findings: what is wrong, the worst first.
@@ -209,13 +209,13 @@ class LiveCheck:
                         ),
                     )
                 )
-        told = {*wrong, *verdict.fits}
+        judged = {*wrong, *verdict.fits}
         return LiveReport(
             seconds=seconds,
             legs=self.legs(),
             moves=self.moves,
             confirmed=[name for name in self._robot.leg_ids if name in verdict.fits],
-            open=[name for name in self._robot.leg_ids if name in motions and name not in told],
+            open=[name for name in self._robot.leg_ids if name in motions and name not in judged],
             by_hand=[name for name in motions if not self._legs[name].confirmable],
             flatness=_flatness({leg.leg: leg.last for leg in self._legs.values() if leg.rests}),
             findings=entries(faults),
@@ -380,12 +380,12 @@ def _way(leg: Leg, by: Array) -> str:
     ahead, left, up = on_body(leg, by) - on_body(leg, np.zeros(3))
     ways = ((up, "up", "down"), (ahead, "forward", "back"), (left, "left", "right"))
     most = max(abs(way) for way, *_ in ways)
-    told = [
+    parts = [
         f"{plus if way > 0 else minus} by {abs(way) * 1e3:.0f} mm"
         for way, plus, minus in ways
         if abs(way) >= _GAVE_WAY * most
     ]
-    return " and ".join(told)
+    return " and ".join(parts)
 
 
 def _flatness(resting: Mapping[Leg, Array]) -> Flatness | None:

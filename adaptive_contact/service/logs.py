@@ -21,7 +21,7 @@ _log = structlog.get_logger()
 
 
 class _Lines:
-    """Writes lines, and never raises: a full disk must not end the service that tells of it.
+    """Writes lines, and never raises: a full disk must not end the service that reports it.
 
     Args:
         stream: where to.

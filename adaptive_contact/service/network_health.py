@@ -1,4 +1,4 @@
-"""What is around the service: its router, other services, and samples on keys that nobody reads.
+"""What is around the service: its router, other services, and samples on keys without a reader.
 
 Two services on one network give every event twice, and are never wanted; nothing on the wire
 stops them, so each listens for the status of others and says that they are there.
@@ -25,7 +25,7 @@ from adaptive_contact.wire import MAX_PAYLOAD_BYTES, decode, meant_key, namespac
 
 _log = structlog.get_logger()
 
-# A service speaks once a second.
+# A service sends its status once a second.
 _GONE_AFTER_NS: Final = 3_000_000_000
 _REMEMBERED: Final = 8
 
@@ -37,28 +37,28 @@ class PeerServices:
         link: open.
 
     Attributes:
-        instance: our own mark, to be told in our own status.
+        instance: our own mark, for our own status.
     """
 
     def __init__(self, link: Link) -> None:
         self.instance = secrets.token_hex(4)
-        self._heard: deque[Received] = deque(maxlen=4 * _REMEMBERED)
+        self._statuses: deque[Received] = deque(maxlen=4 * _REMEMBERED)
         self._seen: dict[str, tuple[int, ServiceStatus]] = {}
-        link.subscribe(SERVICE_STATUS, self._hear)
+        link.subscribe(SERVICE_STATUS, self._receive)
 
-    def _hear(self, received: Received) -> None:
+    def _receive(self, received: Received) -> None:
         if len(received.payload) <= MAX_PAYLOAD_BYTES:  # no service says more, and these are kept
-            self._heard.append(received)
+            self._statuses.append(received)
 
     def note(self, now_ns: int) -> str | None:
         """One line where another service is there, otherwise None; ``now_ns`` is monotonic."""
-        for _ in range(len(self._heard)):
-            received = self._heard.popleft()
+        for _ in range(len(self._statuses)):
+            received = self._statuses.popleft()
             status = decode(received.payload, ServiceStatus, received.encoding)
             if isinstance(status, ServiceStatus) and status.instance != self.instance:
                 self._seen.pop(status.instance, None)
                 self._seen[status.instance] = (received.arrival_ns, status)
-                if len(self._seen) > _REMEMBERED:  # somebody makes them up
+                if len(self._seen) > _REMEMBERED:  # another program makes them up
                     del self._seen[next(iter(self._seen))]
         self._seen = {
             mark: seen for mark, seen in self._seen.items() if now_ns - seen[0] < _GONE_AFTER_NS
@@ -94,14 +94,14 @@ class UnreadKeys:
         self._throttle = LogThrottle()
 
     def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
-        """Give each key that nobody reads, with what was probably meant.
+        """Return each key without a reader, with what was probably meant.
 
         Args:
             lonely: a described leg has had no samples yet.
             now_ns: monotonic.
         """
         if lonely and not self._listening:
-            self._listening = [self._link.subscribe(key, self._hear) for key in _LIKE_SERVO]
+            self._listening = [self._link.subscribe(key, self._receive) for key in _LIKE_SERVO]
         elif not lonely and self._listening:
             for declared in self._listening:
                 declared.close()
@@ -113,7 +113,7 @@ class UnreadKeys:
                 _log.warning("a key is read by nobody", key=key, question=question)
         return found
 
-    def _hear(self, received: Received) -> None:
+    def _receive(self, received: Received) -> None:
         key = received.key
         if key in self._found or len(self._found) >= _MOST_STRAYS:
             return

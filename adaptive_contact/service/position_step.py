@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Steps are told from so many different readings, and lie between these, rad.
+# Steps are found from so many different readings, and lie between these, rad.
 _STEP_READINGS: Final = 24
 _LEAST_STEP_RAD: Final = 4e-4
 _MOST_STEP_RAD: Final = 0.1

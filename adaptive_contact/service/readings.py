@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]  # seq
 
 _FEWEST: Final = 10
-# A joint counts as told to move when its command travels this far, rad (3 degrees, 10 steps of
+# A joint counts as commanded to move when its command travels this far, rad (3 degrees, 10 steps of
 # an AX-12A), and as frozen when its reading then keeps one value.
 _COMMANDED_RAD: Final = 0.05
 # A command that goes this far, rad, and a reading that follows by less than this share of it: the
@@ -75,7 +75,7 @@ def check_readings(
     Args:
         samples: all with as many joints.
         names: of the joints.
-        quantum_rad: position step that they should have, None where nobody says.
+        quantum_rad: position step that they should have, None where it is unknown.
     """
     measured = np.array([s.measured for s in samples], dtype=np.float64)
     desired = np.array([s.desired for s in samples], dtype=np.float64)
@@ -218,11 +218,11 @@ def _held(
     measured: Array, desired: Array, seq: Ticks, names: Sequence[str], step_rad: float
 ) -> Iterator[Fault]:
     shares: dict[str, float] = {}
-    for name, told, read in zip(names, desired.T, measured.T, strict=True):
+    for name, commanded, read in zip(names, desired.T, measured.T, strict=True):
         # With coarser steps than was said, a joint takes some ticks to go one.
         gaps = np.diff(np.unique(read))
         coarser = float(gaps.min(initial=np.inf, where=gaps > _SAME_RAD))
-        share = _held_share(read, told, seq, max(step_rad, coarser))
+        share = _held_share(read, commanded, seq, max(step_rad, coarser))
         if share > _HELD_SHARE:
             shares[name] = share
     if shares:
@@ -248,8 +248,8 @@ def _held_share(measured: Array, desired: Array, seq: Ticks, step_rad: float) ->
     around = _HELD_AROUND
     k = np.arange(around, len(seq) - around)
     moves = np.abs(measured[k + around] - measured[k - around]) > 2 * around * step_rad
-    told = np.abs(desired[k] - desired[k - 1]) > step_rad
-    k = k[moves & told & (seq[k + around] - seq[k - around] == 2 * around)]
+    commanded = np.abs(desired[k] - desired[k - 1]) > step_rad
+    k = k[moves & commanded & (seq[k + around] - seq[k - around] == 2 * around)]
     if len(k) < _FEWEST_MOVING:
         return 0.0
     return float(np.mean(measured[k] == measured[k - 1]))
@@ -294,7 +294,7 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
     joints = measured.shape[1]
     if not 2 <= joints <= _MOST_ORDERED or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
         return None
-    if min(_begun(told, _COMMANDED_RAD) for told in desired.T) < _FEWEST_MOVING:
+    if min(_begun(commanded, _COMMANDED_RAD) for commanded in desired.T) < _FEWEST_MOVING:
         return None
     apart = np.full((joints, joints), np.inf)
     for back in range(min(_LAG_TICKS, len(measured) - 1) + 1):
@@ -313,10 +313,10 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
 
 def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[Fault]:
     """Judge one joint by its command; ``begun``: ticks since any of its leg's commands changed."""
-    told = float(np.ptp(desired))
+    commanded = float(np.ptp(desired))
     followed = _begun(desired, _COMMANDED_RAD) >= _FEWEST_MOVING
     moved = float(np.ptp(measured))
-    still = moved == 0.0 if told < _WIDE_RAD else moved < _STILL_SHARE * told
+    still = moved == 0.0 if commanded < _WIDE_RAD else moved < _STILL_SHARE * commanded
     if followed and still:
         within = "" if moved == 0.0 else f" within {moved:.3f} rad"
         yield Fault(
@@ -325,8 +325,8 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
             "a reading never changes while its command moves",
             "the servo does not answer or has no torque; check cable, power and id",
             f"{name} reads {np.median(measured):.3f} rad all the time{within}, its command moves "
-            f"by {told:.2f} rad",
-            told,
+            f"by {commanded:.2f} rad",
+            commanded,
         )
         return
     off = float(np.median(np.abs(measured - desired)))

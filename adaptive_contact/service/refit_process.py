@@ -4,8 +4,8 @@ A frame is 8 bytes of length, big endian, and a pickle.  Pickles are safe here b
 ours and the pipe is private.  The process ends with its stdin.
 
 Light, so that the process can be started before anything else is loaded: what fits need takes more
-than a second of a core to import.  Beside the service's own imports that disturbs nobody; later it
-takes a core from threads with an event in hand.
+than a second of a core to import.  Beside the service's own imports that disturbs no thread; later
+it takes a core from threads with an event in hand.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from typing import IO, Final
 import adaptive_contact
 from adaptive_contact.priority import yield_priority
 
-# Says that nobody is disturbed yet by what it imports.
+# Says that no thread is disturbed yet by what it imports.
 HURRY: Final = "--hurry"
 
 _LENGTH: Final = struct.Struct(">Q")
-# What fits need, seconds to import: while nobody waits, not while the first job does.
+# What fits need, seconds to import: before the first job, not while it waits.
 _NEEDED: Final = ("pysindy.optimizers", "adaptive_contact.fit.refit_job")
 # A robot's other core is the tick loop's; a refit can wait.
 _NICE: Final = 5
@@ -78,7 +78,7 @@ def start_process(*, hurry: bool = False) -> subprocess.Popen[bytes]:
     It ends with its stdin, and so with the process that started it.
 
     Args:
-        hurry: nobody has an event in hand yet, and it need not stand behind others before it is
+        hurry: no thread has an event in hand yet, and it need not stand behind others before it is
             there.
 
     Raises:

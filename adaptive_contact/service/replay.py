@@ -107,8 +107,8 @@ def control_ticks(
 
     Args:
         records: messages in the order they were recorded; only servo samples are used.
-        wanted: tells for a leg, and the joints of its first sample, whether it is used; samples of
-            others are counted as unknown.
+        wanted: returns for a leg, and the joints of its first sample, whether it is used; samples
+            of others are counted as unknown.
         counts: filled on the way.
 
     Yields:
@@ -164,7 +164,7 @@ def replay_events(
 class WirePlayer:
     """Publishes a recording.
 
-    A replay is a new start of the source: unless told to keep it, ``run`` is replaced in every
+    A replay is a new start of the source: unless it is to be kept, ``run`` is replaced in every
     servo sample, so that a service which has seen the recording before takes it for a restart
     rather than for time going backwards.
 
@@ -368,7 +368,7 @@ class TraceBank:
         ratio = np.array(self._ratio[leg], dtype=np.float64)
         events = [event for event in self._events if event.leg == leg]
         end_ns = int(t_ns.max(initial=start_ns))
-        told = _spans([(event.t_ns, event.contact) for event in events], start_ns, end_ns)
+        reported = _spans([(event.t_ns, event.contact) for event in events], start_ns, end_ns)
         stance: Spans = []
         truth: Spans | None = None
         touches: list[Touch] = []
@@ -396,7 +396,7 @@ class TraceBank:
             t_s=(t_ns - start_ns) / _NS_PER_S,
             ratio=ratio,
             stance=stance,
-            contact=told,
+            contact=reported,
             truth=truth,
             touches=tuple(touches),
             note=note,
@@ -408,7 +408,7 @@ class TracedRecords:
 
     Args:
         records: with the keys of the contract.
-        robot: whose geometry tells swings.
+        robot: whose geometry shows swings.
     """
 
     def __init__(self, records: Iterable[Record], robot: Robot) -> None:

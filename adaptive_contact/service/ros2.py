@@ -154,7 +154,7 @@ class Gateway:
         self._inbox = _Inbox(tuple(self._topics))
         self._contacts: queue.SimpleQueue[Received | None] = queue.SimpleQueue()
         self._learners: dict[str, Received] = {}
-        self._heard_s: float | None = None
+        self._learner_s: float | None = None
         self._numbers = itertools.count(1)
         self._shown: set[str] = set()
         self._samples = {leg: service.publisher(servo_key(leg)) for leg in self.intake.legs}
@@ -232,7 +232,7 @@ class Gateway:
     def _note_learner(self, received: Received) -> None:
         if received.key in self._learners or len(self._learners) < len(self._legs):
             self._learners[received.key] = received
-            self._heard_s = self._now_s()
+            self._learner_s = self._now_s()
 
     # -- ROS 2 to the service ----------------------------------------------------------------------
 
@@ -293,7 +293,7 @@ class Gateway:
     def _housekeeping(self, stop: threading.Event) -> None:
         begun_s = self._now_s()
         silent_s = begun_s + _SILENT_S
-        told: str | None = None
+        reported: str | None = None
         while not stop.wait(_EVERY_S):
             for topic, times in self._inbox.take_dropped().items():
                 for _ in range(times):
@@ -306,10 +306,10 @@ class Gateway:
             now_s = self._now_s()
             if now_s >= silent_s and self.intake.silent:
                 silent_s = now_s + 10 * _SILENT_S
-                self._tell_silent()
+                self._report_silent()
             trouble = self._trouble(now_s - begun_s)
-            if trouble != told:
-                told = trouble
+            if trouble != reported:
+                reported = trouble
                 self._say(trouble or "the service and ROS 2 are there")
             try:
                 self._diagnostics.put(self._diagnosis(trouble))
@@ -323,9 +323,9 @@ class Gateway:
             return f"ROS 2 cannot be reached: {shown_of_ros(self._ros.diagnose())}; trying on"
         if not self._service.is_connected():
             return f"the service cannot be reached: {self._service.diagnose().line}; trying on"
-        heard_s = self._heard_s
+        learner_s = self._learner_s
         if up_s > _SERVICE_GONE_S and (
-            heard_s is None or self._now_s() - heard_s > _SERVICE_GONE_S
+            learner_s is None or self._now_s() - learner_s > _SERVICE_GONE_S
         ):
             return "no service publishes robot/leg/*/learner; run `adaptive-contact serve`"
         return None
@@ -343,7 +343,7 @@ class Gateway:
         }
         return self._report.diagnose(time.time_ns(), learners, counts, trouble)
 
-    def _tell_silent(self) -> None:
+    def _report_silent(self) -> None:
         """Say which legs have had no sample, and who publishes on their topics."""
         seen = [
             address

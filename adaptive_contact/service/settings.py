@@ -3,8 +3,8 @@
 The service embeds a router on loopback; every other command is a client of it.  Peers do not
 relay for one another behind a hub (measured, ``docs/decisions``), so ``peer`` is not offered.
 
-Zenoh gives a refused client the same error as one that finds nobody (measured on 1.10.2), so
-the two are told apart from outside: a TCP connection that opens says somebody listens.
+Zenoh gives a refused client the same error as one that finds no listener (measured on 1.10.2), so
+the two are distinguished from outside: a TCP connection that opens shows a listener.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def client_settings(
     wait: bool = True,
     zenoh_config: Path | None = None,
 ) -> LinkSettings:
-    """Settings of everything but the service: a client, of the local router unless told.
+    """Settings of everything but the service: a client, by default of the local router.
 
     Raises:
         ConfigurationError: an endpoint or the namespace cannot be used.
@@ -191,7 +191,7 @@ def tcp_address(locator: str) -> tuple[str, int] | None:
 
 
 def is_loopback(locator: str) -> bool:
-    """Tell whether an endpoint can be reached from this machine only."""
+    """Return whether an endpoint can be reached from this machine only."""
     protocol, _, address = locator.partition("/")
     if protocol == "unixsock-stream":
         return True
@@ -208,7 +208,7 @@ def is_loopback(locator: str) -> bool:
 
 
 def is_multicast(locator: str) -> bool:
-    """Tell whether members of a multicast group reach an endpoint, and it reaches them.
+    """Return whether members of a multicast group reach an endpoint, and it reaches them.
 
     Zenoh looks up what is no plain address, ``0xe00000e1`` or a name, and so does this.
     """
@@ -240,7 +240,7 @@ class Reach(enum.StrEnum):
 class Finding(NamedTuple):
     """What a probe found, and one line for a person.
 
-    ``certain`` where trying to join would be in vain: every host has said that nobody listens.
+    ``certain`` where trying to join would be in vain: every host has said that it has no listener.
     """
 
     reach: Reach

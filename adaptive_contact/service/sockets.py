@@ -1,6 +1,6 @@
 """The sockets under a Zenoh session (TCP and Unix), for what no configuration of Zenoh reaches.
 
-Two things of a peer that hangs, or goes away without a word, stop a router for everybody else:
+Two things of a peer that hangs, or goes away without a word, stop a router for all others:
 
 - Zenoh (1.10.2) sets SO_LINGER of 10 s on every socket, and closes it on one of the two threads
   that receive from all links.  :class:`LinkSockets` clears the option; the kernel then sends what

@@ -2,7 +2,7 @@
 
 Published once a second on ``robot/service/status``, and within 0.1 s when a complaint of its note
 comes or goes; kept for late joiners, so that ``watch`` and ``doctor`` can say what belongs to no
-leg: payloads on unusable keys, and what the service was told about the robot.
+leg: payloads on unusable keys, and what the service knows about the robot.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
         cut_off: links dropped because their subscribers took no events: they hang, or were cut.
         stalls: times that the worker stood still for a second or more.
         state: how keeping the learners' state goes, None where none is kept.
-        strays: keys of samples that nobody reads, each with a question to the person who chose it;
+        strays: keys of samples without a reader, each with a question to the person who chose it;
             looked for while a leg has no samples.
         callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.
         tick_latency: arrival of a sample to the end of its processing, learning included.

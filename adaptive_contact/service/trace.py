@@ -2,7 +2,7 @@
 
 A page that draws command, reading, prediction and test ratio needs every tick, and a controller
 needs none of them.  So nothing is published: a program asks ``robot/leg/*/trace`` some ten times a
-second, and gets the ticks since it asked before.  Ticks are kept only while somebody asks, and
+second, and gets the ticks since it asked before.  Ticks are kept only while a program asks, and
 taken after the events of a tick are on their way: no contact waits for a page.
 """
 

@@ -2,8 +2,7 @@
 
 A configuration file comes first; ``DEFAULTS`` hold where it says nothing; our own settings
 (mode, endpoints, namespace) always hold.  Zenoh reads such a file itself but fills in its own
-defaults, and then nobody can tell what the file says from what it does not say; so its keys are
-read here too.
+defaults, which hide what the file itself says; so its keys are read here too.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ CONNECT_TIMEOUT_MS: Final = 1000
 # honest payload has at most 256 kB.  Zenoh's own limit is 1 GiB, per sender.
 MAX_MESSAGE_BYTES: Final = 4 * 1024 * 1024
 
-# Each session holds a descriptor, of which a process may have 1,024 where nobody raised that, and a
+# Each session holds a descriptor, of which a process may have 1,024 unless that was raised, and a
 # thread's time for whatever is sent to it.  A robot needs some ten; Zenoh's own limit is 1,000.
 MAX_SESSIONS: Final = 256
 
@@ -146,7 +145,7 @@ def router_failure(config: zenoh.Config, facts: Facts, error: zenoh.ZError) -> s
 
 
 def _opens_alone(config: zenoh.Config) -> bool:
-    """Whether a router opens that joins nobody; Zenoh does not say which endpoint it refuses."""
+    """Whether a router opens that joins no other; Zenoh does not say which endpoint it refuses."""
     _insert(config, "connect/endpoints", [])
     try:
         zenoh.open(config).close()
@@ -217,9 +216,9 @@ def _said(path: Path, config: zenoh.Config) -> frozenset[str]:
 def _check_door(config: zenoh.Config, text: str, users: bool) -> None:
     """Refuse an endpoint whose clients need not show who they are.
 
-    A user and password are asked for on any of them but multicast, where nobody is asked for
-    anything; mutual TLS only where TLS is spoken.  (Zenoh takes a list of known public keys, too,
-    but lets everybody in all the same.)
+    A user and password are asked for on any of them but multicast, which asks for
+    nothing; mutual TLS only where TLS is used.  (Zenoh takes a list of known public keys, too, but
+    lets all clients in all the same.)
     """
     if "enable_mtls=" in text.partition("#")[2]:
         raise ConfigurationError(
@@ -245,7 +244,7 @@ def _check_door(config: zenoh.Config, text: str, users: bool) -> None:
 def _users(config: zenoh.Config, path: Path | None) -> bool:
     """Whether Zenoh will ask for a user and password.
 
-    With neither a user of its own nor anybody in the dictionary, it asks nobody.
+    With neither a user of its own nor one in the dictionary, it does not ask.
 
     Raises:
         ConfigurationError: the dictionary cannot be read; Zenoh would only say so in words of its
@@ -280,7 +279,7 @@ def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, obj
         table[_MAX_SESSIONS] = settings.max_sessions
     if settings.namespace is not None:
         table["namespace"] = settings.namespace
-    # A router runs without the routers it joins; a client that is not let in must hear of it.
+    # A router runs without the routers it joins; a client that is not let in must be informed.
     table["connect/exit_on_failure"] = settings.mode == "client"
     return table
 
@@ -288,8 +287,8 @@ def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, obj
 def _with_free_ports(listen: tuple[str, ...]) -> tuple[str, ...]:
     """Replace port 0 by a port that is free now.
 
-    Zenoh takes 0 but tells nobody which port it got once a namespace is set (its admin space is
-    hidden then), so the port is chosen here.  Between the two somebody else may take it; the
+    Zenoh takes 0 but does not report which port it got once a namespace is set (its admin space is
+    hidden then), so the port is chosen here.  Between the two another process may take it; the
     listener then fails and says so.
 
     Raises:
@@ -334,7 +333,7 @@ _DEEPEST: Final = 64
 def keys_of(text: str) -> frozenset[str]:
     """Paths of all settings in a JSON5 text, read as JSON with its words as texts.
 
-    Zenoh has checked the file before: what cannot be read has no keys, and nobody is told.
+    Zenoh has checked the file before: what cannot be read has no keys and is not reported.
 
     Args:
         text: whose outermost value is an object.

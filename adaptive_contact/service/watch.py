@@ -46,7 +46,7 @@ _MISSED_AFTER_NS: Final = _DETECTION_NS + 2 * _JUDGE_AFTER_NS
 _STALE_NS: Final = 2_500_000_000
 _RATE_OVER_S: Final = 3.0
 # Times of contacts that are kept, of a leg.
-_MOST_HEARD: Final = 256
+_MOST_TIMES: Final = 256
 # No leg touches more often than this; a count that grows faster is another service's.
 _APART_NS: Final = 40_000_000
 
@@ -60,12 +60,12 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
         latency_ms: of the last detection, with its median; None without truth.
         touches, seen, false_alarms: after the first touch; None without truth.
         residual_rms, noise_floor: (J,) rad.
-        unheard: contacts that the service told since ``watch`` began and that did not arrive.
+        unheard: contacts that the service reported since ``watch`` began and that did not arrive.
         drift: level of the residuals of recent lifts, 1 without drift.
         changed_s: since the newest change of the leg, None without one.
-        kind: of that change, None where it cannot be told.
+        kind: of that change, None where it is unknown.
         rate_hz: accepted samples per second.
-        stale: the service has not spoken of this leg for a while.
+        stale: the service has sent no status of this leg for a while.
     """
 
     leg: str
@@ -139,7 +139,7 @@ class _Truth:
     count: int = 0
     latencies_ms: list[float] = field(default_factory=list)
     false_alarms: int = 0
-    verdicts: deque[Verdict] = field(default_factory=lambda: deque(maxlen=_MOST_HEARD))
+    verdicts: deque[Verdict] = field(default_factory=lambda: deque(maxlen=_MOST_TIMES))
 
     def change(self, truth: ContactTruth, now_ns: int) -> None:
         if truth.contact:
@@ -147,7 +147,7 @@ class _Truth:
                 return
             self.loaded_since_ns = truth.t_ns
             self.loads = [*self.loads[-20:], (truth.t_ns, None)]
-            # Whether a leg that was first seen loaded has been in the air, nobody knows.
+            # It is unknown whether a leg that was first seen loaded has been in the air.
             if self.released_ns is not None and truth.t_ns - self.released_ns >= _AIR_NS:
                 if self.began_ns is None:
                     self.began_ns = truth.t_ns
@@ -187,11 +187,11 @@ class _Truth:
 
 
 @dataclass(slots=True)
-class _Heard:
+class _Arrivals:
     """Contacts of one leg that arrived, against those that its statuses count.
 
-    A status counts the contacts up to its own time; which of them arrived is told by theirs, in
-    whatever order they come.  Another clock, and another service, restart the count.
+    A status counts the contacts up to its own time; their times show which of them arrived, in
+    any order.  Another clock, and another service, restart the count.
     """
 
     base: LearnerStatus | None = None
@@ -204,14 +204,14 @@ class _Heard:
         if self.base is None or self.last is None:
             return self.before
         until_ns = self.last.t_ns
-        heard = sum(t_ns <= until_ns for t_ns in self.times_ns)
-        return self.before + max(self.last.contacts - self.base.contacts - heard, 0)
+        arrived = sum(t_ns <= until_ns for t_ns in self.times_ns)
+        return self.before + max(self.last.contacts - self.base.contacts - arrived, 0)
 
     def event(self, t_ns: int) -> None:
-        # Before the first status nobody knows which it counts: the newest are kept.
+        # Before the first status it is unknown which contacts it counts: the newest are kept.
         if self.base is None or t_ns > self.base.t_ns:
             self.times_ns.add(t_ns)
-            if self.base is None and len(self.times_ns) > _MOST_HEARD:
+            if self.base is None and len(self.times_ns) > _MOST_TIMES:
                 self.times_ns.remove(min(self.times_ns))
 
     def status(self, status: LearnerStatus) -> None:
@@ -223,7 +223,7 @@ class _Heard:
             self.times_ns.clear()  # they are of another clock
         elif not 0 <= status.contacts - last.contacts <= 1 + (status.t_ns - last.t_ns) // _APART_NS:
             self._begin(status)
-        elif len(self.times_ns) > _MOST_HEARD:
+        elif len(self.times_ns) > _MOST_TIMES:
             self._begin(last)  # not this one: what it counts may be on its way
         self.last = status
 
@@ -239,7 +239,7 @@ class _Leg:
     status_ns: int = 0
     contact: bool | None = None
     contact_ns: int | None = None
-    heard: _Heard = field(default_factory=_Heard)
+    arrivals: _Arrivals = field(default_factory=_Arrivals)
     truth: _Truth | None = None
     pending: list[tuple[int, ContactEvent]] = field(default_factory=list)
     ticks: list[tuple[int, int]] = field(default_factory=list)
@@ -258,7 +258,7 @@ class Watch:
         leg.contact = event.contact
         if event.contact:
             leg.contact_ns = now_ns - age_ns
-            leg.heard.event(event.t_ns)
+            leg.arrivals.event(event.t_ns)
             if age_ns < _JUDGE_AFTER_NS:
                 leg.pending.append((now_ns, event))
 
@@ -267,7 +267,7 @@ class Watch:
         leg = self._leg(status.leg)
         leg.status, leg.status_ns = status, now_ns
         leg.contact = status.contact
-        leg.heard.status(status)
+        leg.arrivals.status(status)
         if leg.ticks and status.ticks < leg.ticks[-1][1]:  # the service was restarted
             leg.ticks = []
         oldest_ns = now_ns - int(_RATE_OVER_S * 1e9)
@@ -339,7 +339,7 @@ class Watch:
             row,
             status=status.status,
             contacts=status.contacts,
-            unheard=leg.heard.unheard,
+            unheard=leg.arrivals.unheard,
             residual_rms=status.residual_rms,
             noise_floor=status.noise_floor,
             model_version=status.model_version,
@@ -401,16 +401,16 @@ class Feed:
         self._link = link
         self._on_contact = on_contact
         self.watch = Watch()
-        # Zenoh's thread appends, the reader pops; should nobody read, the oldest go.
+        # Zenoh's thread appends, the reader pops; without a reader the oldest go.
         self._waiting: deque[Received] = deque(maxlen=_KEPT)
         self._alive = False
         link.watch_tokens(SERVICE_TOKEN, self._token)
-        link.subscribe(SERVICE_STATUS, self._hear, history=True)
-        link.subscribe(ALL_CONTACT, self._hear, history=True)
-        link.subscribe(ALL_LEARNER, self._hear)
-        link.subscribe(ALL_TRUTH, self._hear)
+        link.subscribe(SERVICE_STATUS, self._receive, history=True)
+        link.subscribe(ALL_CONTACT, self._receive, history=True)
+        link.subscribe(ALL_LEARNER, self._receive)
+        link.subscribe(ALL_TRUTH, self._receive)
 
-    def _hear(self, received: Received) -> None:
+    def _receive(self, received: Received) -> None:
         # A larger one would only be refused, and until then be kept.
         if len(received.payload) <= MAX_PAYLOAD_BYTES:
             self._waiting.append(received)

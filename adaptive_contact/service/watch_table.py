@@ -210,7 +210,7 @@ def _rejects(leg: LegView) -> Text:
 
 
 def _lost(leg: LegView) -> Text:
-    """Samples missed; no number tells what a source lost while it restarted."""
+    """Samples missed; what a source lost while it restarted is not counted."""
     words = f"{leg.missed}"
     if leg.restarts:
         words += f", {leg.restarts} {'restart' if leg.restarts == 1 else 'restarts'}"
@@ -237,7 +237,7 @@ def _status(leg: LegView) -> Text:
 
 
 def _change(leg: LegView) -> Text:
-    """What the leg has changed in, as far as can be told, and when."""
+    """What the leg has changed in, as far as is known, and when."""
     when = None if leg.changed_s is None else f"{_duration(leg.changed_s)} ago"
     words = ", ".join(filter(None, (leg.kind, when)))
     return Text(printable(words)) if words else Text("-", style="dim")

@@ -1,9 +1,9 @@
 """Looks at the worker and the publisher from outside, for they cannot say that they hang.
 
-A worker that stands still is told of after a second (the log and ServiceStatus), an event whose
+A worker that stands still is reported after a second (the log and ServiceStatus), an event whose
 put blocks after half a second.  After half a minute of either, the process ends with exit code 70
 and every thread's stack on stderr, for whatever started it to restart it: state is on disk, and
-a service that only looks alive helps nobody.
+a service that only looks alive is of no use.
 
 What the worker hangs on, the watchdog must not: the network and the reader of the log are only
 spoken to on other threads, and the end waits for neither.  Code that keeps Python's lock for
@@ -77,19 +77,19 @@ class Watchdog:
         self._blocked_looks = 0  # in a row with a put under way
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="watchdog", daemon=True)
-        self._told: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._teller = threading.Thread(target=self._tell, name="stalls", daemon=True)
+        self._reports: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._reporter = threading.Thread(target=self._report, name="stalls", daemon=True)
 
     def start(self) -> None:
         """Look every quarter of a second from now on."""
-        self._teller.start()
+        self._reporter.start()
         self._thread.start()
 
     def close(self) -> None:
         """Stop looking."""
         self._stop.set()
-        self._told.put(None)
-        for thread in (self._thread, self._teller):
+        self._reports.put(None)
+        for thread in (self._thread, self._reporter):
             if thread.is_alive():
                 thread.join(2 * LOOK_S)
 
@@ -125,19 +125,19 @@ class Watchdog:
         if still_s == STALL_S:
             self.stalls += 1
             self._say(lambda: _log.error("worker stands still", for_s=still_s))
-        # Where the last one is still being told, this one would only be old by its turn.
-        if self._told.empty():
+        # While the last report is under way, this one would only be old by its turn.
+        if self._reports.empty():
             self._say(lambda: self._on_stall(still_s))
 
     def _say(self, what: Callable[[], None]) -> None:
-        """Leave it to the teller; say it at once where there is none, as when looked by hand."""
-        if self._teller.ident is None:
+        """Leave it to the reporter; say it at once where there is none, as when looked by hand."""
+        if self._reporter.ident is None:
             what()
         else:
-            self._told.put(what)
+            self._reports.put(what)
 
-    def _tell(self) -> None:
-        while (what := self._told.get()) is not None:
+    def _report(self) -> None:
+        while (what := self._reports.get()) is not None:
             what()
 
     def _work(self) -> None:

@@ -34,7 +34,7 @@ from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, Leg
 _JUMP_NS: Final = 2_000_000_000
 # Legs of one source have one clock: what differs by less is the way here.
 _TOGETHER_NS: Final = 500_000_000
-# Contacts that wait for the first tick of their leg, which tells its clock.
+# Contacts that wait for the first tick of their leg, which shows its clock.
 _MOST_WAITING: Final = 1024
 # A tick further ahead of its arrival, or longer ago, is none: nothing after it could be drawn.
 _AHEAD_MS: Final = 1000
@@ -109,8 +109,8 @@ class Frames:
             self._last_ms[trace.leg] = at_ms
             if len(measured) != len(desired):
                 continue
-            told = predicted if predicted and len(predicted) == len(measured) else ()
-            angles = [*desired, *measured, *told]
+            drawn = predicted if predicted and len(predicted) == len(measured) else ()
+            angles = [*desired, *measured, *drawn]
             ticks.append(
                 [
                     at_ms,

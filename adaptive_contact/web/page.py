@@ -198,7 +198,7 @@ class LivePage:
     def _ask_ticks(self, view: View) -> bool:
         """Ask the service for the ticks since the last question; False where it has none."""
         if self._reader is None or not view.alive or not view.connected:
-            return True  # nobody is there to ask
+            return True  # no service is there to ask
         try:
             traces = self._reader.ask()
         except LinkError:

@@ -104,7 +104,7 @@ def decode(payload: bytes, kind: type[M], encoding: str = MSGPACK) -> M | Reject
 
 
 def is_json(payload: bytes, encoding: str) -> bool:
-    """Tell whether a payload is JSON: by its encoding, or as it begins with ``{``.
+    """Return whether a payload is JSON: by its encoding, or as it begins with ``{``.
 
     A message is a map, and no map of msgpack begins with the byte ``{``.  So a client that declares
     ``text/json``, or nothing, is understood.

@@ -1,6 +1,6 @@
 """Zenoh keys of the wire contract.
 
-Keys carry no leading slash.  Several robots on one network are told apart by Zenoh's own
+Keys carry no leading slash.  Several robots on one network are distinguished by Zenoh's
 ``namespace`` setting, which prefixes every key outside the process and strips it inside.
 """
 
@@ -26,12 +26,12 @@ _OWN_DEPTH: Final = 4
 
 
 def is_leg_id(text: str) -> bool:
-    """Tell whether ``text`` may name a leg: 1-32 letters, digits, ``_``, ``.`` or ``-``."""
+    """Return whether ``text`` may name a leg: 1-32 letters, digits, ``_``, ``.`` or ``-``."""
     return _LEG_ID.match(text) is not None
 
 
 def leg_of_key(key: str) -> str | None:
-    """Return the leg a key speaks of, or None where it has none or an unusable one."""
+    """Return the leg that a key names, or None where it has none or an unusable one."""
     match = _LEG_KEY.match(key)
     if match is None or not is_leg_id(match.group(1)):
         return None

@@ -42,7 +42,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="v", tag=VERS
 
 
 class ServoSample(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """What one leg's servos report and are told in control tick k.
+    """What one leg's servos report and are commanded in control tick k.
 
     Attributes:
         t_ns: source clock, strictly increasing per leg within a run.
@@ -128,9 +128,9 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         ticks: samples accepted since start.
         rejects: samples refused, by reason.
         missed: samples lost, from gaps in ``seq``.
-        restarts: times the source restarted; what is lost there, no number tells.
+        restarts: times the source restarted; samples lost there are not counted.
         contact: whether the leg touches, by its last event.
-        contacts: contacts told so far, up to ``t_ns``: who heard fewer has lost some.
+        contacts: contacts reported up to ``t_ns``; a subscriber with fewer has lost some.
         withheld: contacts withheld so far, as the leg was ambiguous.
         doubt: why the leg is ambiguous, None while it is not.
         jitter_ms: root mean square of what ``t_ns`` has been off an even grid of late, ms.
@@ -176,8 +176,8 @@ class ModelReport(Message, frozen=True, kw_only=True):
     Attributes:
         terms: one list of terms per joint.
         equations: the same as text, one per joint.
-        first: per joint, terms of the movement δ that terms of a changed leg speak of: what the
-            leg would do as it was first known; empty while there are none.
+        first: per joint, terms of the movement δ that terms of a changed leg refer to: the
+            movement of the leg as it was first known; empty while there are none.
     """
 
     leg: str
@@ -197,7 +197,7 @@ class LegTrace(Message, frozen=True, kw_only=True):
     Attributes:
         number: of the newest tick in it; ask for what came ``after`` that next time.
         t_ns, seq: (n,) of the samples.
-        swing: (n,) whether the sample says so, or else its commands; None where nobody can tell.
+        swing: (n,) as the sample says, or else its commands; None where neither shows it.
         measured, desired: (n, J) rad, in the source's angles, as the samples have them.
         predicted: (n, J) rad, likewise, what ``measured`` was expected to be; None for a tick that
             was not judged.
@@ -320,7 +320,7 @@ class BridgeStatus(Message, frozen=True, kw_only=True):
         reconnects: times the port was lost and found again.
         commands_refused: commands that could not be used, and ``note`` names the last.
         commands_limited: commands that joint limits or the largest step have cut down.
-        servos: those with something to tell, by id.
+        servos: those with something to report, by id.
     """
 
     port: str

@@ -1,14 +1,14 @@
-r"""Backlash: gears with play between motor and link.
+r"""Backlash: gears with a gap between motor and link.
 
-A joint without play is one rigid body: rotor inertia, back-EMF and friction sit on the joint in
-the engine.  With play :math:`b`, rotor and link become two masses.  The rotor,
-:math:`(\theta_m, \omega_m)`, is integrated here; the teeth couple them only outside the play,
+A joint without backlash is one rigid body: rotor inertia, back-EMF and friction sit on the joint in
+the engine.  With backlash :math:`b`, rotor and link become two masses.  The rotor,
+:math:`(\theta_m, \omega_m)`, is integrated here; the teeth couple them only outside the backlash,
 
 .. math:: \delta = \theta_m - \theta, \quad
           \tau_c = k\,[\delta - \operatorname{clip}(\delta, \pm b/2)] + d\,(\omega_m - \omega),
 
 and never pull (the damping cannot turn the force around).  The potentiometer sits on the output
-shaft, so the servo regulates the link and hunts inside the play, as worn servos do.
+shaft, so the servo regulates the link and hunts inside the backlash, as worn servos do.
 
 The rotor's step is semi-implicit: damping implicit, Coulomb friction solved exactly (a rotor
 that friction can stop within the step stops).
@@ -38,11 +38,11 @@ OUTPUT_DAMPING_NMS: Final = 0.001
 
 
 class GearTrain:
-    """The joints that have play, and their rotors.
+    """The joints that have backlash, and their rotors.
 
     Args:
         servos: the servo bank; its damping, friction and armature are taken over for the joints
-            with play.
+            with backlash.
         position, velocity, torque, friction, damping, armature: (S,) views of the engine's
             joint state, motor torques and joint constants.
         period_s: physics step.
@@ -69,31 +69,31 @@ class GearTrain:
         self._armature = armature
         self._period_s = period_s
         self._index = np.zeros(0, dtype=np.intp)
-        self._half_play = np.zeros(0)
+        self._half_backlash = np.zeros(0)
         self.rotor_angle = np.zeros(0)
         self.rotor_velocity = np.zeros(0)
 
     @property
     def active(self) -> bool:
-        """Whether any joint has play."""
+        """Whether any joint has backlash."""
         return bool(self._index.size)
 
     @property
     def joints(self) -> NDArray[np.intp]:
-        """Indices of the joints that have play."""
+        """Indices of the joints that have backlash."""
         return self._index
 
     def set_backlash(self, backlash_rad: Array) -> bool:
-        """Give the joints their play.
+        """Give the joints their backlash.
 
-        Rotors that keep having play keep their state; new ones start in the middle of it, at
+        Rotors that keep having backlash keep their state; new ones start in the middle of it, at
         the link's speed.
 
         Args:
-            backlash_rad: (S,) total play, 0 for none.
+            backlash_rad: (S,) total, 0 for none.
 
         Returns:
-            Whether the set of joints with play changed, and with it the joints' armature.
+            Whether the set of joints with backlash changed, and with it the joints' armature.
         """
         index = np.flatnonzero(backlash_rad > 0.0)
         changed = not np.array_equal(index, self._index)
@@ -107,7 +107,7 @@ class GearTrain:
             self._armature[self._index] = self._servos.parameters.armature_kgm2[self._index]
             self._armature[index] = OUTPUT_ARMATURE_KGM2
             self._index = index
-        self._half_play = backlash_rad[index] / 2.0
+        self._half_backlash = backlash_rad[index] / 2.0
         self.refresh()
         return changed
 
@@ -127,7 +127,7 @@ class GearTrain:
         link_velocity = self._velocity[i]
 
         gap = self.rotor_angle - self._position[i]
-        bite = gap - np.clip(gap, -self._half_play, self._half_play)
+        bite = gap - np.clip(gap, -self._half_backlash, self._half_backlash)
         push = _STIFFNESS_NM * bite + _DAMPING_NMS * (self.rotor_velocity - link_velocity)
         teeth = np.where(
             bite > 0.0, np.maximum(push, 0.0), np.where(bite < 0.0, np.minimum(push, 0.0), 0.0)
@@ -143,6 +143,6 @@ class GearTrain:
         self._torque[i] = teeth
 
     def rub(self) -> None:
-        """Leave the joints with play only the friction beyond the teeth."""
+        """Leave the joints with backlash only the friction beyond the teeth."""
         i = self._index
         self._friction[i] = OUTPUT_FRICTION_SHARE * self._servos.sliding[i]

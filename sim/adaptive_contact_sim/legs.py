@@ -73,7 +73,7 @@ class Geometry(Protocol):
         """(L, 3) m in the legs' frames: feet so far out, the body so high over them."""
 
     def reachable(self, points_m: Array) -> NDArray[np.bool_]:
-        """Tell which foot points (..., 3) m in the leg's frame lie within reach and limits."""
+        """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
 
     def joints(
         self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
@@ -198,7 +198,7 @@ class LegGeometry(_Mounted):
         return np.tile([reach_m, 0.0, -height_m], (len(LEGS), 1))
 
     def reachable(self, points_m: Array) -> NDArray[np.bool_]:
-        """Tell which foot points (..., 3) m in the leg's frame lie within reach and limits."""
+        """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
         joints = inverse(points_m, self.lengths_m)
         with np.errstate(invalid="ignore"):
             inside = (joints >= self.lower_rad) & (joints <= self.upper_rad)
@@ -286,7 +286,7 @@ class ChainLegs(_Mounted):
         return np.asarray(self.rest_rad[0])
 
     def reachable(self, points_m: Array) -> NDArray[np.bool_]:
-        """Tell which foot points (..., 3) m in the leg's frame lie within reach and limits."""
+        """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
         off = np.linalg.norm(self.feet(self.joints(points_m)) - points_m, axis=-1)
         return np.asarray(off < _NEAR_M)
 

@@ -155,7 +155,7 @@ def run_live(
     try:
         while not _over(sim, seconds) and not stop.is_set():
             _answer(sim, requests)
-            _hear(sim, events)
+            _take_events(sim, events)
             tick = sim.tick()
             for leg, sample in tick.samples.items():
                 servo[leg].put(sample)
@@ -178,10 +178,10 @@ def _offer(waiting: queue.Queue[T], item: T) -> None:
     try:
         waiting.put_nowait(item)
     except queue.Full:
-        return  # the asker's own timeout tells it
+        return  # the asker's own timeout shows it
 
 
-def _hear(sim: Simulation, events: queue.Queue[Received]) -> None:
+def _take_events(sim: Simulation, events: queue.Queue[Received]) -> None:
     """Pass contact events on to the gait."""
     while not events.empty():
         received = events.get_nowait()
@@ -196,7 +196,7 @@ def _answer(sim: Simulation, requests: queue.Queue[Request]) -> None:
     while not requests.empty():
         request = requests.get_nowait()
         error = None
-        if request.payload:  # without one, somebody only asks what holds
+        if request.payload:  # without one, the request only asks what holds
             drift = decode(request.payload, Drift, request.encoding)
             if isinstance(drift, Rejected):
                 error = f"not a drift: {drift.detail}; expected a Drift message"

@@ -26,8 +26,8 @@ class World:
         position_m, rotation: (3,) and (3, 3), the body in the world.
         touch_step: per leg, the physics step at which it last came down; None in the air.
         feet_m: (L, 3), the true feet in the world: for those who set the stage, not for gaits.
-        told_tick: per leg, the tick at which someone else (the service) last said that it
-            touches; None when taken back.
+        reported_tick: per leg, the tick at which another process (the service) last reported that
+            it touches; None when taken back.
     """
 
     tick: int
@@ -38,7 +38,7 @@ class World:
     rotation: Array
     feet_m: Array
     touch_step: tuple[int | None, ...]
-    told_tick: tuple[int | None, ...]
+    reported_tick: tuple[int | None, ...]
 
 
 class Goal(NamedTuple):

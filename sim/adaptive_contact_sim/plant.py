@@ -66,7 +66,7 @@ class Plant:
 
     Attributes:
         steps: physics steps made so far.
-        on_step: called after each of them; None where nobody listens.
+        on_step: called after each of them; None without a listener.
 
     Raises:
         ConfigurationError: the period is not a whole number of physics steps.
@@ -200,7 +200,7 @@ class Plant:
         drive, rub = self.servos.drive, self.servos.rub
         step, sensed, sensors = mujoco.mj_step, self._sensed, data.sensordata
         gears = self.gears if self.gears.active else None
-        told = self.on_step
+        on_step = self.on_step
         for i in range(self.substeps):
             drive()
             if gears is not None:
@@ -211,8 +211,8 @@ class Plant:
                 gears.rub()
             sensed[i] = sensors
             self.steps += 1
-            if told is not None:
-                told()
+            if on_step is not None:
+                on_step()
             if data.ncon != self._contacts:
                 self._note_contacts()
 
@@ -234,7 +234,7 @@ class Plant:
         self.gears.refresh()
 
     def set_backlash(self, backlash_rad: Array) -> None:
-        """Give the joints play, (S,) rad."""
+        """Give the joints backlash, (S,) rad."""
         if self.gears.set_backlash(backlash_rad):
             self._set_const()
 

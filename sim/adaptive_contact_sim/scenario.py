@@ -251,7 +251,7 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
     if not isinstance(robot, str):
         raise ConfigurationError(f"{source}: robot is {robot!r}; expected a name")
     try:
-        # A gait that is none is told by what reads the table.
+        # A gait that is not a table is reported by what reads it.
         gait = own.get("gait") if isinstance(own, dict) else None
         base = SimulationSettings.of(
             robot, "pose" if mode == "pose" else "walk", gait if gait in GAITS else None

@@ -195,7 +195,7 @@ def _window(sim: Simulation, stack: ExitStack, stop: Event) -> Look:
             if thread not in before and thread.daemon:
                 thread.join(_CLOSE_S)
 
-    stack.callback(join)  # runs after the viewer was told to close
+    stack.callback(join)  # runs after the viewer was asked to close
     viewer: Any = stack.enter_context(
         mujoco.viewer.launch_passive(
             sim.plant.model, sim.plant.data, show_left_ui=False, show_right_ui=False

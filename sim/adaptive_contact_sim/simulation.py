@@ -57,7 +57,7 @@ class SimulationSettings:
         terrain: ground of a walk; a pose stands on flat ground.
         encoder: reading noise and faults.
         drift: what changes during the run.
-        preview_ticks: goals told ahead in every sample.
+        preview_ticks: goals to come that every sample carries.
         epoch_ns: time stamp of tick 0.
         run: the ``run`` of the samples.
         supply_resistance_ohm: of battery and wiring.
@@ -216,7 +216,7 @@ class Simulation:
         legs = self._legs = len(self.layout.legs)
         self.truth = TruthTracker(self.plant.step_s, self.plant.substeps, legs)
         self.ticks = 0
-        self._told: list[int | None] = [None] * legs
+        self._reported: list[int | None] = [None] * legs
         self._tick_ns = round(settings.period_s * 1e9)
         self._step_ns = round(self.plant.step_s * 1e9)
         self._opening = self._settle()
@@ -266,9 +266,9 @@ class Simulation:
         return self.drift.holds()
 
     def notify_contact(self, leg: str, contact: bool = True) -> None:
-        """Tell the gait that someone (the service) says a leg touches."""
+        """Report to the gait that a leg touches, as the service says."""
         if leg in self.layout.legs:
-            self._told[self.layout.legs.index(leg)] = self.ticks if contact else None
+            self._reported[self.layout.legs.index(leg)] = self.ticks if contact else None
 
     def advance(self) -> None:
         """Make one control tick, without composing messages."""
@@ -353,7 +353,7 @@ class Simulation:
                 rotation=rotation,
                 feet_m=self.plant.foot_positions(),
                 touch_step=tuple(self.truth.recent(i) for i in range(self._legs)),
-                told_tick=tuple(self._told),
+                reported_tick=tuple(self._reported),
             )
         )
 

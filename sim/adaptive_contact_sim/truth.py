@@ -3,7 +3,7 @@
 A contact begins at the first physics step whose force is above 0.5 N and whose mean over the
 20 ms from there on is too, in a leg that was in the air; it ends at the first step of at least
 60 ms below 0.1 N.  Chatter is thus one contact, a brush too light to matter is none, and the
-force told is not the solver's peak.  Looking 20 and 60 ms ahead delays the *report*, never its
+force reported is not the solver's peak.  Looking 20 and 60 ms ahead delays the *report*, never its
 time stamp; who needs a touch at once (a gait that reacts to it) asks :meth:`TruthTracker.recent`.
 """
 

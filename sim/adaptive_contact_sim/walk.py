@@ -68,7 +68,7 @@ class WalkSettings:
         depth_m: how far below the expected ground descents aim, lowest and highest.
         reach_m: of neutral feet from their legs' first joints.
         variability: relative half-width of the differences between cycles and swings.
-        stop_on: who tells a leg that it touches: ``truth``, ``service`` or ``never``.
+        stop_on: what reports to a leg that it touches: ``truth``, ``service`` or ``never``.
         react_ms: from a true touch to the leg's stop; the phase stays swing until then.
         phase: what ends a swing: ``touch`` (a stop, or the descent's end) or ``planned`` (the
             command reaches the expected ground; nothing stops a descent).
@@ -372,7 +372,7 @@ class WalkMotion:
         # Level the body: it tilts by (up x z); lower the feet on the side that hangs.
         slope = -(feet[:, 0] * up[0] + feet[:, 1] * up[1])
         feet[stance, 2] += dt * (_HEIGHT_GAIN * height - _LEVEL_GAIN * slope[stance])
-        # How far a foot is pushed off its command tells its load: a spring of servos.
+        # How far a foot is pushed off its command shows its load: a spring of servos.
         pressed = (measured - feet) @ up
         load = pressed[stance]
         feet[stance, 2] += dt * _SHARE_GAIN * (load - load.mean())
@@ -398,7 +398,7 @@ class WalkMotion:
                 continue
             if not descending:
                 self._descent_tick[leg] = world.tick + 1
-            if descending and self._told(world, int(leg)):
+            if descending and self._stops(world, int(leg)):
                 self._swinging[leg] = False
                 if self._land_m is not None:
                     lowest = measured[leg, 2] - self._land_m
@@ -408,7 +408,7 @@ class WalkMotion:
             if progress[leg] >= 1.0:
                 self._swinging[leg] = False
 
-    def _told(self, world: World, leg: int) -> bool:
+    def _stops(self, world: World, leg: int) -> bool:
         """Whether the leg is to stop now."""
         if self.settings.stop_on == "truth":
             touched = world.touch_step[leg]
@@ -417,7 +417,7 @@ class WalkMotion:
             since_ms = (world.step - touched) * world.step_s * 1e3
             return since_ms >= self.settings.react_ms
         if self.settings.stop_on == "service":
-            told = world.told_tick[leg]
+            at = world.reported_tick[leg]
             # What was said of the lift is of no use for the descent, and would stop it in the air.
-            return told is not None and told >= self._descent_tick[leg]
+            return at is not None and at >= self._descent_tick[leg]
         return False

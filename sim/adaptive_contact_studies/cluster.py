@@ -136,7 +136,7 @@ def why_not(answer: Any, ours: dict[str, str], folder: Path | None) -> str | Non
 
 def _prepare(token: str | None) -> dict[str, Any]:
     """In a worker: what it is, and whether it sees a file; one BLAS thread from here on."""
-    import mujoco  # noqa: F401 - a worker without it is told before any work
+    import mujoco  # noqa: F401 - a worker without it is reported before any work
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)

@@ -60,7 +60,7 @@ _NOISE_STEPS: Final = 0.5
 # Where on the commanded descent a plate is met; the foot comes there four ticks later.
 _PLATE_SHARE: Final = (0.1, 0.5)
 _ROBOT_SEED: Final = 0
-# Physics steps over which a foot's speed is kept for the truth, which is told 60 ms late at most.
+# Physics steps over which a foot's speed is kept for the truth, which comes 60 ms late at most.
 _KEPT_STEPS: Final = 200
 # A plate comes when the foot is this clear of it.
 _CLEAR_M: Final = 0.008

@@ -51,7 +51,7 @@ def on_cluster(scheduler: str | None, folder: Path | None) -> Iterator[None]:
 
 
 def alone(processes: int, items: int) -> bool:
-    """Tell whether work is done in this process, as others would not speed it up."""
+    """Return whether work is done in this process, as others would not speed it up."""
     return items <= 1 or (processes <= 1 and _cluster.get() is None)
 
 
@@ -109,7 +109,7 @@ def _local_pool(processes: int, *, finish: bool) -> Iterator[ProcessPoolExecutor
 
     Matrices as small as a leg's gain nothing from threads, and threads that wait for each other
     by spinning take the cores from the other processes.  Ctrl-C goes to the whole group: workers
-    leave silently and the parent speaks; what they write is written under another name first.
+    leave silently and the parent reports; what they write is written under another name first.
     The environment says one thread for as long as the pool is open, as workers start when there is
     something to do.
     """

@@ -325,5 +325,5 @@ def test_the_chain_loses_at_most_a_point_of_recall(
     assert live.recall >= direct.recall - 0.01
     # A bridge that looks on does not know swing from stance: against samples that do not say it
     # either, ticks lost and read off their moment may cost one false alarm in fifty touches.
-    untold = result.direct_untold.total.false_alarms
+    untold = result.direct_no_phase.total.false_alarms
     assert result.live.total.false_alarms <= untold + live.touches / 50

@@ -153,7 +153,7 @@ def planned(text: str):
         ("ids = [1, 2]", "ids = [1, 1]", "servo id 1 is used twice"),
         ("ids = [1, 2]", "ids = [1, 300]", "ids are 0 to 252"),
         ("ids = [1, 2]", 'ids = [1, 2], model = "AX-21A"', "did you mean 'AX-1"),
-        ("ids = [1, 2]", 'ids = [1, 2], model = "XL-330"', "speaks protocol 2"),
+        ("ids = [1, 2]", 'ids = [1, 2], model = "XL-330"', "uses protocol 2"),
         ("ids = [1, 2]", 'ids = [1, 2], port = "b"', "no such \\[port.NAME\\] \\(a\\)"),
         ("ids = [1, 2]", "ids = [1, 2], max_step_rad = 9", "max_step_rad is 9"),
         ('"/dev/ttyA"', '"/dev/ttyA"\nbaud = 250000', "baud 250000 is not supported"),

@@ -182,7 +182,7 @@ def test_doubt_counts_what_a_term_adds_to_those_before_it(
 
     certain, whole = dense(~doubtful), dense(np.ones(terms, dtype=bool))
     plain = Domain.of(factor_of(theta, np.zeros((rows, 1))), scale)
-    domain = Domain(plain.triangle, scale, doubt=np.where(doubtful, doubt, 1.0))
+    domain = Domain(plain.triangle, scale, inflation=np.where(doubtful, doubt, 1.0))
     expected = certain + doubt * (whole - certain)
     np.testing.assert_allclose(
         domain.leverage(new), expected, rtol=1e-5, atol=1e-8 * doubt * whole.max()
@@ -192,8 +192,8 @@ def test_doubt_counts_what_a_term_adds_to_those_before_it(
 
 @pytest.mark.parametrize("doubt", [np.ones(3), np.array([1.0, np.nan]), np.array([1.0, -1.0])])
 def test_doubts_that_are_none_are_refused(doubt: Array) -> None:
-    with pytest.raises(IdentificationError, match="expected 2 doubts of 0 and more"):
-        Domain(np.eye(2), np.ones(2), doubt=doubt)
+    with pytest.raises(IdentificationError, match="expected 2 inflations of 0 and more"):
+        Domain(np.eye(2), np.ones(2), inflation=doubt)
 
 
 # -- stretches held out ------------------------------------------------------------------------
@@ -289,9 +289,9 @@ def test_a_baseline_keeps_its_doubt(few: Training, tmp_path: Path) -> None:
     before, after = few.baseline.legs["arm"].domain, load_baseline(file).legs["arm"].domain
     assert before is not None
     assert after is not None
-    assert before.doubt is not None
-    assert after.doubt is not None
-    np.testing.assert_allclose(after.doubt, before.doubt)
+    assert before.inflation is not None
+    assert after.inflation is not None
+    np.testing.assert_allclose(after.inflation, before.inflation)
     rng = np.random.default_rng(2)
     theta = rng.normal(size=(20, len(before.scale))) * before.scale
     np.testing.assert_allclose(after.leverage(theta), before.leverage(theta), rtol=0.02)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptive_contact.detect.contact import model_doubt
+from adaptive_contact.detect.contact import model_uncertainty
 from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings
 
 P, J = 6, 2
@@ -32,7 +32,7 @@ def uncertainty(rls: RecursiveLeastSquares, theta: np.ndarray) -> np.ndarray:
     size = index.shape[1]
     return np.array(
         [
-            [model_doubt(row, index, per_scale, root, size, j) for j in range(len(index))]
+            [model_uncertainty(row, index, per_scale, root, size, j) for j in range(len(index))]
             for row in theta
         ]
     )

@@ -24,7 +24,7 @@ import msgspec
 
 from adaptive_contact.detect.stream import (
     CONFIRM_SAMPLES,
-    MOST_DOUBTS,
+    MOST_SHORT_LIVED,
     Accepted,
     StreamGuard,
 )
@@ -133,7 +133,7 @@ NASTY: tuple[Any, ...] = (
     *([], {}, [[]], [None], [0.0] * 5000, {"a": {"b": {}}}, [[0.0, 0.1, 0.2]] * 3),
 )
 HUGE = (2**64, 2**70, -(2**63) - 1, -(2**70), 10**300)
-MOST_SAMPLES = CONFIRM_SAMPLES << (MOST_DOUBTS - 1)
+MOST_SAMPLES = CONFIRM_SAMPLES << (MOST_SHORT_LIVED - 1)
 RUN = 10**12
 FRESH = 100_000  # inputs after which there is a new pool, and a source that starts anew
 POOL = 5_000

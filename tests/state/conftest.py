@@ -39,12 +39,12 @@ class Desk:
         self.leg = leg
         self.learner = learner or Learner(7)
         self.model_version = 1
-        self.heard_samples = 0
+        self.received_samples = 0
         self.position: Position | None = None
 
     def hear(self, count: int = 1) -> None:
-        self.heard_samples += count
-        self.position = Position(None, self.heard_samples)
+        self.received_samples += count
+        self.position = Position(None, self.received_samples)
 
 
 class Folder:

@@ -37,7 +37,7 @@ class Desk:
         self.leg = leg
         self.learner = learner
         self.model_version = 1
-        self.heard_samples = 1
+        self.received_samples = 1
         self.position: Position | None = Position(None, seq)
 
 

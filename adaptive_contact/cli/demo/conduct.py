@@ -253,7 +253,7 @@ def _conduct(
         last = _settle(feed, recorder, robot, stop)
         recording.end()
         for drift in settings.drifts:
-            # It went as a query, which no subscription receives; a recording should tell it.
+            # It went as a query, which no subscription receives; a recording should hold it.
             writer.write_message(SIM_DRIFT, drift, run.drift_ns)
         return Take(
             drift_ns=run.drift_ns,
@@ -280,7 +280,7 @@ def _walk(settings: DemoSettings, endpoint: str) -> tuple[str, ...]:
 
 
 def _must_run(service: Child) -> None:
-    """Raise if the service has ended, well or not: it should go on until it is told to."""
+    """Raise if the service has ended, well or not: it should go on until it is stopped."""
     if not service.running:
         raise service.failure()
 

@@ -231,11 +231,11 @@ def _free(stream: LegStream) -> NDArray[np.bool_]:
 def _level(stream: LegStream, free: NDArray[np.bool_], residual: Floats, floor: Floats) -> Level:
     """RMS over the noise floor, swing by swing."""
     begins = np.flatnonzero(stream.swing & ~np.concatenate(([False], stream.swing[:-1])))
-    told = free & np.isfinite(residual).all(axis=1)
+    usable = free & np.isfinite(residual).all(axis=1)
     times: list[int] = []
     levels: list[float] = []
     for begin, end in zip(begins, [*begins[1:], len(stream.t_ns)], strict=True):
-        rows = residual[begin:end][told[begin:end]]
+        rows = residual[begin:end][usable[begin:end]]
         if len(rows) >= _LEAST_TICKS and np.all(floor > 0.0):
             times.append(int(stream.t_ns[begin]))
             levels.append(float(np.max(np.sqrt(np.square(rows).mean(axis=0)) / floor)))

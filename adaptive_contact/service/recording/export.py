@@ -45,8 +45,8 @@ from adaptive_contact.wire import (
     json_text,
 )
 
-# Larger than a recorder's, for nobody loses what an export has not written out: fewer, and packed
-# tighter.
+# Larger than a recorder's: what an export has not written out is not lost.  Chunks are fewer, and
+# packed tighter.
 _CHUNK_BYTES: Final = 1 << 20
 # Rows of a Parquet group; PyArrow holds one group of each table in memory.
 _ROWS: Final = 20_000

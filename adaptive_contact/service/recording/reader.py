@@ -131,7 +131,7 @@ class Recording:
                 content = file.read(length)
                 try:
                     found = Metadata.read(ReadDataStream(BytesIO(content)))
-                except _PARSE_ERRORS:  # a header is none; damage is told when messages are read
+                except _PARSE_ERRORS:  # a header is none; damage is reported when messages are read
                     found = None
                 if opcode == Opcode.METADATA and found is not None and found.name == ABOUT:
                     return {k: text for k, text in found.metadata.items() if k != "v"}
@@ -190,7 +190,7 @@ def read_recording(path: str | Path, robot: Robot | None = None) -> Recording:
 
 
 def is_bag(path: str | Path) -> bool:
-    """Tell whether a path is a bag of ROS: a folder, a db3 or bag file, or rosbag2's MCAP."""
+    """Return whether a path is a bag of ROS: a folder, a db3 or bag file, or rosbag2's MCAP."""
     path = Path(path)
     if path.is_dir():
         return any(entry.suffix in _OF_BAGS for entry in path.iterdir())
@@ -319,7 +319,7 @@ class _Walk:
         return None
 
     def _count_index(self, length: int) -> None:
-        """An index of messages tells how many a damaged or missing chunk had."""
+        """An index of messages gives how many a damaged or missing chunk had."""
         if self._chunk_used is None:
             self._skip(self._at, "a chunk is missing before it")
             self._chunk_used = False

@@ -41,7 +41,7 @@ def check_key_expression(text: str) -> str:
 
 
 class Recorder:
-    """Writes what a subscription hears.
+    """Writes what a subscription receives.
 
     The subscription only queues, on Zenoh's thread; the thread that calls :meth:`run` writes.
     Log time is the arrival on this machine's wall clock, publish time the publisher's, where the

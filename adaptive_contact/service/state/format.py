@@ -164,7 +164,7 @@ def settings_digest(
     """Digest of everything that makes what a leg has learned useless when it changes.
 
     Args:
-        robot: description; mounts, servo ids and the aim for false alarms do not enter.
+        robot: description; mounts, servo ids and the target false-alarm rate do not enter.
         leg: id; one that the description lacks is known by its id alone.
         baseline: text of the models the learner starts from, empty for none: a new baseline is
             a new beginning, which old state must not undo.

@@ -2,7 +2,7 @@
 
 The worker takes a snapshot, one leg at a time and only when no sample waits; the thread packs
 it, writes it and syncs it.  A disk that is slower than the snapshots come gets the newest of
-each leg; a disk that fails is counted, told of, and tried again with the next snapshot.  A folder
+each leg; a disk that fails is counted, reported, and tried again with the next snapshot.  A folder
 that could not be had at the start (full, read-only, in use) is tried again every 10 s.
 """
 
@@ -25,8 +25,8 @@ _log = structlog.get_logger()
 SAVE_PERIOD_S: Final = 10.0
 # A write that takes this long is not slow, the disk does not answer.
 HANGS_S: Final = 10.0
-# Refusals told in ServiceStatus; more than a robot has legs would not fit its 4 kB.
-_TOLD: Final = 4
+# Refusals listed in ServiceStatus; more than a robot has legs would not fit its 4 kB.
+_MOST: Final = 4
 _LINE: Final = 160
 _ERROR_LINE: Final = 320
 
@@ -88,7 +88,7 @@ class Kept(Protocol):
 
     leg: str
     model_version: int
-    heard_samples: int
+    received_samples: int
     position: Position | None
 
     @property
@@ -100,7 +100,7 @@ class _Last(NamedTuple):
     """What was last saved of a leg, and when the next save is due."""
 
     due_ns: int
-    heard: int
+    samples: int
     model_version: int | None  # None until the leg is looked at
 
 
@@ -151,12 +151,12 @@ class StateKeeper:
     @property
     def facts(self) -> StateFacts:
         """How it goes."""
-        more = len(self._refused) - _TOLD
+        more = len(self._refused) - _MOST
         error = self._hanging or self._error
         return StateFacts(
             folder=self._store.shown,
             restored=self._restored,
-            refused=self._refused[:_TOLD] + ([f"{more} more, as the log says"] if more > 0 else []),
+            refused=self._refused[:_MOST] + ([f"{more} more, as the log says"] if more > 0 else []),
             saved=self._saved,
             failed=self._failed,
             error=None if error is None else error[:_ERROR_LINE],
@@ -209,13 +209,13 @@ class StateKeeper:
         return None
 
     def due(self, endpoint: Kept, now_ns: int) -> bool:
-        """Tell whether a leg should be saved: a new model, or 10 s with samples since the last."""
+        """Return whether a leg should be saved: a new model, or 10 s of samples since the last."""
         last = self._last.get(endpoint.leg)
         if last is None:
             return False
         if last.model_version is None:  # what it started or went on with is no promotion
             last = self._last[endpoint.leg] = last._replace(model_version=endpoint.model_version)
-        if self._store.trouble is not None or endpoint.heard_samples == last.heard:
+        if self._store.trouble is not None or endpoint.received_samples == last.samples:
             return False
         return endpoint.model_version != last.model_version or now_ns >= last.due_ns
 
@@ -224,7 +224,7 @@ class StateKeeper:
         if self._store.trouble is not None:
             return
         self._last[endpoint.leg] = _Last(
-            now_ns + self._period_ns, endpoint.heard_samples, endpoint.model_version
+            now_ns + self._period_ns, endpoint.received_samples, endpoint.model_version
         )
         if not isinstance(endpoint.learner, Keepable):
             return
@@ -254,8 +254,8 @@ class StateKeeper:
         hanging = self._hanging
         if hanging is not None:
             with self._counting:
-                told = self._throttle.passes("hangs", time.monotonic_ns())
-            if told is not None:
+                passed = self._throttle.passes("hangs", time.monotonic_ns())
+            if passed is not None:
                 _log.warning("state not saved", why=hanging)
 
     def flush(self, timeout_s: float) -> bool:

@@ -77,7 +77,7 @@ class StateStore:
     def reopen(self) -> bool:
         """Try to get hold of the folder, if that has not worked yet; False where it does not.
 
-        One that was removed is made again: a lock on what was there keeps nobody out.
+        One that was removed is made again: a lock on what was there keeps no process out.
         """
         if self._lock is not None:
             if self._in_place(self._lock):
@@ -138,7 +138,7 @@ class StateStore:
     def candidates(self, identity: Identity) -> Iterator[tuple[Path, Record | Refused]]:
         """What there is to restore a leg from, newest first; a missing file is no candidate."""
         if not os.access(self.folder, os.X_OK, effective_ids=True):
-            return  # nobody knows what is in there; `trouble` tells that once, not for each leg
+            return  # its content is unknown; `trouble` says that once, not for each leg
         newest = self.path(identity)
         for path in (newest, newest.with_suffix(BEFORE)):
             found = _read(path, identity)
@@ -298,5 +298,5 @@ def _is_open(path: Path) -> bool:
     if found.st_uid not in (0, os.geteuid()):
         return True
     if stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX:
-        return False  # as /tmp: nobody may replace another's folder
+        return False  # as /tmp: no user may replace another's folder
     return bool(found.st_mode & _OTHERS_WRITE)

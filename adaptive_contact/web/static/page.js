@@ -136,7 +136,7 @@ const state = {
   banner: [],
   now: 0, // ms of the server's clock, of the newest frame
   begin: null, // ms, of the oldest frame
-  end: null, // ms, right edge while somebody looks back; null while live
+  end: null, // ms, right edge while an earlier time is shown; null while live
   span: 10000,
   joint: 1,
   periodMs: 20,
@@ -258,7 +258,7 @@ async function refused() {
   }, 2000);
 }
 
-// A tab that nobody sees takes none of the few connections that a browser has for one server.
+// A hidden tab takes none of the few connections that a browser has for one server.
 document.addEventListener("visibilitychange", () => {
   if (state.over) return;
   if (document.hidden) source?.close();

@@ -36,7 +36,7 @@ class Backend(Protocol):
         """Write a servo's goal."""
 
     def goal(self, index: int) -> float | None:
-        """A goal that somebody else (a gait inside) has written, or None."""
+        """A goal that another source (a gait inside) has written, or None."""
 
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""
@@ -100,7 +100,7 @@ class KinematicBackend:
         self._goal[index] = angle_rad
 
     def goal(self, index: int) -> float | None:
-        """Nobody else writes goals here."""
+        """Only the bus writes goals here."""
         return None
 
     def set_torque(self, index: int, on: bool) -> None:

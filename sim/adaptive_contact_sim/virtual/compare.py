@@ -42,13 +42,13 @@ class Comparison(NamedTuple):
 
     Attributes:
         direct: the simulator's own samples, through learners here.
-        direct_untold: the same without the phase, which a bridge that observes cannot know.
+        direct_no_phase: the same without the phase, which a bridge that observes cannot know.
         bridged: samples of the bridge, through learners here.
         live: samples of the bridge, with the events that the service sent; None without any.
     """
 
     direct: Score
-    direct_untold: Score
+    direct_no_phase: Score
     bridged: Score
     live: Score | None
 
@@ -77,9 +77,9 @@ def compare(
     Raises:
         RecordingError: a recording cannot be read, or holds nothing to be scored.
     """
-    own, heard = _read(direct), _read(bridged)
-    first = min(sample.t_ns for _, sample in heard.samples) + round(skip_s * 1e9)
-    last = max(sample.t_ns for _, sample in heard.samples)
+    own, received = _read(direct), _read(bridged)
+    first = min(sample.t_ns for _, sample in received.samples) + round(skip_s * 1e9)
+    last = max(sample.t_ns for _, sample in received.samples)
     truth = [(leg, t) for leg, t in own.truth if first - _BEFORE_NS <= t.t_ns <= last]
 
     def within(samples: _Samples) -> _Samples:
@@ -92,23 +92,23 @@ def compare(
             events += bank.update({leg: sample})
         return score_messages(_messages(samples, truth), robot, events)
 
-    mine, theirs = within(own.samples), within(heard.samples)
-    untold = [(leg, msgspec.structs.replace(s, phase=None)) for leg, s in mine]
+    mine, theirs = within(own.samples), within(received.samples)
+    no_phase = [(leg, msgspec.structs.replace(s, phase=None)) for leg, s in mine]
     live = None
-    if heard.events:
-        events = [event for event in heard.events if event.t_ns >= first]
+    if received.events:
+        events = [event for event in received.events if event.t_ns >= first]
         live = score_messages(_messages(theirs, truth), robot, events)
-    return Comparison(play(mine), play(untold), play(theirs), live)
+    return Comparison(play(mine), play(no_phase), play(theirs), live)
 
 
-class _Heard(NamedTuple):
+class _Received(NamedTuple):
     samples: _Samples
     truth: list[tuple[str, ContactTruth]]
     events: list[ContactEvent]
 
 
-def _read(path: Path) -> _Heard:
-    heard = _Heard([], [], [])
+def _read(path: Path) -> _Received:
+    received = _Received([], [], [])
     for record in read_recording(path):
         leg = leg_of_key(record.key)
         if leg is None:
@@ -117,17 +117,17 @@ def _read(path: Path) -> _Heard:
         if kind == "servo":
             sample = decode(record.payload, ServoSample, record.encoding)
             if not isinstance(sample, Rejected):
-                heard.samples.append((leg, sample))
+                received.samples.append((leg, sample))
         elif kind == "truth":
             truth = decode(record.payload, ContactTruth, record.encoding)
             if not isinstance(truth, Rejected):
-                heard.truth.append((leg, truth))
+                received.truth.append((leg, truth))
         elif kind == "contact":
             event = decode(record.payload, ContactEvent, record.encoding)
             if not isinstance(event, Rejected):
-                heard.events.append(event)
-    heard.samples.sort(key=lambda pair: (pair[1].t_ns, pair[0]))
-    return heard
+                received.events.append(event)
+    received.samples.sort(key=lambda pair: (pair[1].t_ns, pair[0]))
+    return received
 
 
 def _messages(

@@ -140,7 +140,7 @@ class OnStand(ABC):
         self._goal[index] = self._horns.joint(index, angle_rad)
 
     def goal(self, index: int) -> float | None:
-        """Nobody but the bus writes goals."""
+        """Only the bus writes goals."""
         return None
 
     def set_torque(self, index: int, on: bool) -> None:

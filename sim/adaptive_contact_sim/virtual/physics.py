@@ -136,7 +136,7 @@ class ProcessSource:
 
     def begin(self, epoch_ns: int) -> None:
         """Ask for the next tick."""
-        with contextlib.suppress(BrokenPipeError):  # `take` tells what has become of it
+        with contextlib.suppress(BrokenPipeError):  # `take` reports what has become of it
             self._pipe.send(epoch_ns)
 
     def take(self) -> MadeTick:

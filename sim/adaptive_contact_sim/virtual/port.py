@@ -92,7 +92,7 @@ class VirtualPort:
         self._slave = -1
         self._byte_s = _BITS_PER_BYTE / baud if wire_time else 0.0
         self._wire_time = wire_time
-        self._hearing = self.servos
+        self._listening = self.servos
         protocol = servos[0].model.protocol if servos else 1
         self._codec: Codec = Protocol1() if protocol == 1 else Protocol2()
         self._buffer = bytearray()
@@ -120,7 +120,7 @@ class VirtualPort:
     def close(self) -> None:
         """Hang up: the link is gone, and who has the terminal open sees the end of it."""
         with contextlib.suppress(OSError):
-            if self.path.readlink() == Path(os.ttyname(self._slave)):  # nobody else's by now
+            if self.path.readlink() == Path(os.ttyname(self._slave)):  # no other port's by now
                 self.path.unlink()
         for descriptor in (self.master, self._slave):
             if descriptor >= 0:
@@ -135,15 +135,15 @@ class VirtualPort:
             return
         speed = termios.tcgetattr(self._slave)[4]
         # At another baud rate, packets are noise.
-        self._hearing = tuple(servo for servo in self.servos if _SPEEDS.get(servo.baud) == speed)
-        if not self._hearing:
+        self._listening = tuple(servo for servo in self.servos if _SPEEDS.get(servo.baud) == speed)
+        if not self._listening:
             return
         self._buffer += data
         frames, _ = self._codec.parse(self._buffer)
         for frame in frames:
             self.requests += 1
-            heard = len(data) * self._byte_s
-            self._answer(frame, now_s + heard, elapsed_s)
+            arrival_s = len(data) * self._byte_s
+            self._answer(frame, now_s + arrival_s, elapsed_s)
 
     def flush(self, now_s: float) -> float:
         """Send replies that are due.
@@ -153,7 +153,7 @@ class VirtualPort:
         """
         while self._replies and self._replies[0][0] <= now_s:
             packet = heapq.heappop(self._replies)[2]
-            with contextlib.suppress(BlockingIOError):  # nobody reads: as on a wire, it is lost
+            with contextlib.suppress(BlockingIOError):  # no reader: as on a wire, it is lost
                 os.write(self.master, packet)
         return self._replies[0][0] if self._replies else float("inf")
 
@@ -172,16 +172,16 @@ class VirtualPort:
             return
         everyone = frame.id == BROADCAST_ID
         answers = []
-        for servo in self._hearing:
+        for servo in self._listening:
             if not everyone and servo.id != frame.id:
                 continue
             # It answers as it was when asked: a new id or baud rate counts from then on.
-            speaks = servo.answers == 2 or frame.code == Instruction.PING
-            speaks |= servo.answers == 1 and frame.code == Instruction.READ
+            replies = servo.answers == 2 or frame.code == Instruction.PING
+            replies |= servo.answers == 1 and frame.code == Instruction.READ
             status = self._execute(servo, frame)
             if everyone:
-                speaks = version == 2 and frame.code == Instruction.PING
-            if status is None or not speaks:
+                replies = version == 2 and frame.code == Instruction.PING
+            if status is None or not replies:
                 continue
             if everyone:
                 now_s = self._reply(servo, status, now_s, elapsed_s)
@@ -190,16 +190,16 @@ class VirtualPort:
         self._send_all(answers)
 
     def _execute(self, servo: VirtualServo, frame: Frame) -> Status | None:
-        """Carry out an instruction; None for those that nobody answers."""
+        """Carry out an instruction; None for those without an answer."""
         version, p = self._codec.version, frame.parameters
         width = version  # bytes of an address and of a length
         if frame.code == Instruction.PING:
             if version == 1:
                 return Status(servo.id, 0, b"")
-            told = servo.model.number.to_bytes(2, "little") + bytes((servo.value("firmware"),))
-            return Status(servo.id, 0, told)
+            about = servo.model.number.to_bytes(2, "little") + bytes((servo.value("firmware"),))
+            return Status(servo.id, 0, about)
         if frame.code == Instruction.READ and len(p) == 2 * width:
-            return _told(servo, _number(p[:width]), _number(p[width:]))
+            return _read_out(servo, _number(p[:width]), _number(p[width:]))
         if frame.code in (Instruction.WRITE, Instruction.REG_WRITE) and len(p) > width:
             address = int.from_bytes(p[:width], "little")
             if frame.code == Instruction.REG_WRITE:
@@ -233,7 +233,7 @@ class VirtualPort:
         size = int.from_bytes(p[width : 2 * width], "little")
         rows = p[2 * width :]
         for at in range(0, len(rows) - size, size + 1):
-            for servo in self._hearing:
+            for servo in self._listening:
                 if servo.id == rows[at]:
                     servo.write(address, rows[at + 1 : at + 1 + size])
 
@@ -241,7 +241,7 @@ class VirtualPort:
         rows = frame.parameters
         while len(rows) > _BULK_ROW:
             address, size = _number(rows[1:3]), _number(rows[3:5])
-            for servo in self._hearing:
+            for servo in self._listening:
                 if servo.id == rows[0]:
                     servo.write(address, rows[_BULK_ROW : _BULK_ROW + size])
             rows = rows[_BULK_ROW + size :]
@@ -256,15 +256,15 @@ class VirtualPort:
             asked = [(wanted, _number(p[:2]), _number(p[2:4])) for wanted in p[4:]]
         joint: list[list[tuple[VirtualServo, Status]]] = []
         for wanted, address, size in asked:
-            group = [servo for servo in self._hearing if servo.id == wanted and servo.answers]
+            group = [servo for servo in self._listening if servo.id == wanted and servo.answers]
             if not group or self.faults.strike("silent", wanted, elapsed_s) is not None:
                 # Each waits for the one before it: those after a mute one stay mute.
                 break
-            statuses = [(servo, _told(servo, address, size)) for servo in group]
+            statuses = [(servo, _read_out(servo, address, size)) for servo in group]
             if frame.code == Instruction.FAST_SYNC_READ:
-                joint.append([(s, self._troubled(s, told, elapsed_s)) for s, told in statuses])
+                joint.append([(s, self._troubled(s, status, elapsed_s)) for s, status in statuses])
             else:
-                answers = [self._answer_of(s, told, now_s, elapsed_s) for s, told in statuses]
+                answers = [self._answer_of(s, status, now_s, elapsed_s) for s, status in statuses]
                 now_s = self._send_all(answers)
         if joint and len(joint) == len(asked):
             packet = fast_sync_status([group[0][1] for group in joint])
@@ -343,7 +343,7 @@ def _overlap(one: bytes, other: bytes) -> bytes:
     return bytes(a & b for a, b in zip(short, long, strict=False)) + long[len(short) :]
 
 
-def _told(servo: VirtualServo, address: int, size: int) -> Status:
+def _read_out(servo: VirtualServo, address: int, size: int) -> Status:
     """What a servo answers to a read."""
     data = servo.read(address, size)
     if isinstance(data, Refusal):

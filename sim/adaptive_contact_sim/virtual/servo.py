@@ -151,13 +151,13 @@ class VirtualServo:
         return int.from_bytes(part, "little", signed=register.signed)
 
     def set_errors(self, bits: int) -> int:
-        """Put up what is wrong now; a servo told to shut down for it does so.
+        """Put up what is wrong now; a servo that is set to shut down for it does so.
 
         Args:
             bits: of protocol 1.0's error byte, or of the model's Hardware Error Status.
 
         Returns:
-            Bits to tell: those that an X-series servo has shut down for stay until a reboot.
+            Bits to report: those that an X-series servo has shut down for stay until a reboot.
         """
         fatal = bits & self.value("shutdown")
         if self.model.compact:
@@ -389,7 +389,7 @@ class VirtualServo:
         return sign * (full - model.centre) * model.step_rad
 
     def _frame(self) -> tuple[int, int, int]:
-        """Offset, divider and sign of the positions told, as the mode applies them."""
+        """Offset, divider and sign of the positions reported, as the mode applies them."""
         sign = -1 if self._has("drive_mode") & DriveMode.REVERSE else 1
         if self.model.compact:
             if not self._multi_turn:

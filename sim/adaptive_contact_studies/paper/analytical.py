@@ -241,11 +241,11 @@ def predict(leg: NominalLeg, streams: list[tuple[Array, Array]], gains: Gains) -
     measured = np.stack([streams[w][0][r].T for (w, _), r in zip(parts, rows, strict=True)], -1)
     desired = np.stack([streams[w][1][r].T for (w, _), r in zip(parts, rows, strict=True)], -1)
     measured, desired = measured.transpose(1, 0, 2), desired.transpose(1, 0, 2)
-    told = _observe(_Dynamics(leg), measured, desired, gains)
+    predicted = _observe(_Dynamics(leg), measured, desired, gains)
     out = [np.full_like(m, np.nan) for m, _ in streams]
     for column, (which, start) in enumerate(parts):
         stop = min(start + chunk, len(out[which]))
-        out[which][start:stop] = told[_SETTLE : _SETTLE + stop - start, :, column]
+        out[which][start:stop] = predicted[_SETTLE : _SETTLE + stop - start, :, column]
     for values in out:
         values[0] = np.nan
     return out
@@ -253,8 +253,8 @@ def predict(leg: NominalLeg, streams: list[tuple[Array, Array]], gains: Gains) -
 
 def _observe(dynamics: _Dynamics, measured: Array, desired: Array, gains: Gains) -> Array:
     """(ticks, 3, s) readings predicted, the first repeating the reading."""
-    told = np.empty_like(measured)
-    told[0] = measured[0]
+    predicted = np.empty_like(measured)
+    predicted[0] = measured[0]
     q, v = measured[0].copy(), np.zeros_like(measured[0])
     angle = gains.angle[:, None]
     period = dynamics.h * _SUBSTEPS
@@ -266,8 +266,8 @@ def _observe(dynamics: _Dynamics, measured: Array, desired: Array, gains: Gains)
         else:
             v = v + gains.speed[:, None] * innovation / period
         q, v = dynamics.tick(q, v, desired[k])
-        told[k + 1] = q
-    return told
+        predicted[k + 1] = q
+    return predicted
 
 
 def tune_gains(
@@ -284,9 +284,9 @@ def tune_gains(
     angle, speed = np.ones(3), np.zeros(3)
     for gamma in _GAINS:
         for gamma_speed in _SPEED_GAINS:
-            told = predict(leg, streams, Gains(np.full(3, gamma), np.full(3, gamma_speed)))
+            predicted = predict(leg, streams, Gains(np.full(3, gamma), np.full(3, gamma_speed)))
             residual = np.concatenate(
-                [(s[0] - t)[f] for s, t, f in zip(streams, told, free, strict=True)]
+                [(s[0] - t)[f] for s, t, f in zip(streams, predicted, free, strict=True)]
             )
             rms = np.sqrt(np.nanmean(np.square(residual), axis=0))
             better = rms < best

@@ -96,7 +96,7 @@ def ten_collisions(
         train: the paper's training segments of the same leg.
         test: its test segments.
         count: how many.
-        progress: told the share of the whole that each step adds.
+        progress: called with the share of the whole that each step adds.
 
     Returns:
         A table of collisions, the traces of one of them, and how each detector's fit ended: one
@@ -110,7 +110,7 @@ def ten_collisions(
         motion=motion, seed=_SEED, robot_seed=train.piece.leg_run.robot_seed
     )
     sim = simulation_of(settings)
-    heard = _Listener(sim, leg)
+    listener = _Listener(sim, leg)
     rows: list[tuple[Array, Array, bool]] = []
     touches: list[tuple[int, float, float]] = []
 
@@ -133,8 +133,8 @@ def ten_collisions(
 
     progress(0.2)
     model, status = fitted(robot, train, "paper", PAPER_WINDOW, _THRESHOLD)
-    told = predictions(model, measured, desired)
-    difference = paper_rule(Prediction(measured - told, np.zeros_like(measured)))
+    predicted = predictions(model, measured, desired)
+    difference = paper_rule(Prediction(measured - predicted, np.zeros_like(measured)))
     limit = _found_threshold(model, test)
     progress(0.3)
     judged = swing_ticks(swing) > JUDGED_AFTER_TICKS
@@ -172,12 +172,12 @@ def ten_collisions(
             "default": reason,
         },
         "trace": _trace(
-            heard,
+            listener,
             table[shown],
             number,
             measured,
             desired,
-            told,
+            predicted,
             difference,
             paper_ticks,
             default_ticks,
@@ -187,12 +187,12 @@ def ten_collisions(
 
 def _found_threshold(model: LegModel | None, test: Stream) -> Array:
     """(3,) the largest change of the absolute error on judged free ticks; NaN without a model."""
-    told = predictions(model, test.measured, test.desired)
-    change = paper_rule(Prediction(test.measured - told, np.zeros_like(told)))
+    predicted = predictions(model, test.measured, test.desired)
+    change = paper_rule(Prediction(test.measured - predicted, np.zeros_like(predicted)))
     judged = swing_ticks(test.swing) > JUDGED_AFTER_TICKS
     known = change[judged]
     known = known[np.isfinite(known).all(axis=1)]
-    return known.max(axis=0) if len(known) else np.full(told.shape[1], np.nan)
+    return known.max(axis=0) if len(known) else np.full(predicted.shape[1], np.nan)
 
 
 def _default(
@@ -203,7 +203,7 @@ def _default(
     desired: Array,
     swing: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
-    """Ticks at which the default detector tells a contact.
+    """Ticks at which the default detector reports a contact.
 
     Raises:
         IdentificationError: too little to learn from.
@@ -238,12 +238,12 @@ def _latency(ticks: NDArray[np.int64], onset_ms: float) -> float | None:
 
 
 def _trace(
-    heard: _Listener,
+    listener: _Listener,
     touch: dict[str, Any],
     number: NDArray[np.int64],
     measured: Array,
     desired: Array,
-    told: Array,
+    predicted: Array,
     difference: Array,
     paper_ticks: NDArray[np.int64],
     default_ticks: NDArray[np.int64],
@@ -254,9 +254,9 @@ def _trace(
     first, last = max(inside[0] - _BEFORE, 0), min(inside[-1] + _MARGIN, len(number) - 1)
     ticks = np.arange(first, last + 1)
     start_ms = 20.0 * first
-    t_ms = np.array(heard.t_s) * 1e3
+    t_ms = np.array(listener.t_s) * 1e3
     fine = (t_ms >= start_ms) & (t_ms <= 20.0 * last)
-    tilt = np.degrees(np.array(heard.tilt)[fine])
+    tilt = np.degrees(np.array(listener.tilt)[fine])
 
     def events(which: NDArray[np.int64]) -> list[float]:
         return [20.0 * k - start_ms for k in which if first <= k <= last]
@@ -264,10 +264,10 @@ def _trace(
     return {
         "fine_ms": t_ms[fine] - start_ms,
         "tilt_deg": tilt - tilt[0],
-        "torque_nm": np.array(heard.torque)[fine],
+        "torque_nm": np.array(listener.torque)[fine],
         "tick_ms": 20.0 * ticks - start_ms,
         "tracking_deg": np.degrees(desired[np.maximum(ticks - 1, 0)] - measured[ticks]),
-        "residual_deg": np.degrees(measured[ticks] - told[ticks]),
+        "residual_deg": np.degrees(measured[ticks] - predicted[ticks]),
         "difference_deg": np.degrees(difference[ticks]),
         "moves_ms": 20.0 * inside[0] - start_ms,
         "onset_ms": touch["onset_ms"] - start_ms,

@@ -4,8 +4,8 @@ One state machine for every detector that is compared, with the rules of
 the tick (:mod:`adaptive_contact.detect.detector`) on a single score.  A swing begins loaded: the
 foot may still be held by the stance before.  It is free once the score was calm (below half the
 threshold) for :data:`CALM_TICKS`, or once the command descends.  A free leg whose score passes the
-threshold is told to touch, and may be told so again after :data:`REARM_TICKS` calm ticks.  A NaN
-score changes nothing.
+threshold is reported to touch, and may be reported again after :data:`REARM_TICKS` calm ticks.  A
+NaN score changes nothing.
 
 Detectors to be compared with: every one a statistic per tick, calibrated the same way.
 
@@ -65,7 +65,7 @@ def alarm_ticks(
     threshold: float = 1.0,
     descending: NDArray[np.bool_] | None = None,
 ) -> Ints:
-    """Ticks at which a contact is told.
+    """Ticks at which a contact is reported.
 
     Args:
         score: (n,), NaN on ticks that are not judged.
@@ -120,7 +120,7 @@ def _freed(
 
 
 def _rearmed(score: NDArray[np.float64], swing: Ints, tick: int, n: int, calm_below: float) -> int:
-    """First tick after a contact told at ``tick`` on which another may be told."""
+    """First tick after a contact reported at ``tick`` on which another may be."""
     calm, at = 0, tick + 1
     while at < n and swing[at] == swing[tick]:
         value = score[at]

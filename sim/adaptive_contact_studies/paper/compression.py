@@ -203,7 +203,7 @@ def compare_all(
     Args:
         robot: whose leg it is.
         stream: the paper's training segments.
-        progress: told the share of the whole that each comparison adds.
+        progress: called with the share of the whole that each comparison adds.
     """
     leg = robot.leg(stream.leg)
     found = []
@@ -222,7 +222,7 @@ def compare_full(
         root: folder of what later calls reuse.
         robot: whose leg it is.
         workers: processes that simulate.
-        progress: told the share of the segments that each process adds.
+        progress: called with the share of the segments that each process adds.
     """
     store = Store(root)
     pieces = FULL.paper_pieces("train")

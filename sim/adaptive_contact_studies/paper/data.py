@@ -106,7 +106,7 @@ def record_all(
         store: where they go.
         pieces: which.
         workers: processes.
-        progress: told the seconds of every piece as it is done.
+        progress: called with the seconds of every piece as it is done.
 
     Raises:
         SimulationDivergedError: the physics of one blew up.

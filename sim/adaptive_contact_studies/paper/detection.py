@@ -128,10 +128,10 @@ def _quiet(root: Path, plan: Plan, role: Role) -> dict[str, Any]:
                     total["online"][name] += int(np.count_nonzero(events.contact))
                     total["online_ticks"][name] += ticks
             kind = total["kinds"].setdefault(piece.kind, Counter())
-            told = online_events(result, index, DEFAULT)
-            assert told is not None
+            reported = online_events(result, index, DEFAULT)
+            assert reported is not None
             kind["ticks"] += ticks
-            kind["alarms"] += int(np.count_nonzero(told.contact))
+            kind["alarms"] += int(np.count_nonzero(reported.contact))
             for name in DETECTORS:
                 sweep = result[f"{prefix}alarms/{name}"]
                 both = total["alarms"][name]
@@ -238,7 +238,7 @@ def _roc(
 
 
 def _aims(touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """The same of the default, played at several aims."""
+    """The same of the default, played at several target rates."""
     fast = headline_streams(touched)
     points = []
     for aim in AIMS:
@@ -252,7 +252,7 @@ def _aims(touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]) -> list[
 def _tail(
     name: str, bench: Bench, touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    """Where free ticks and touches score, over the aim's threshold; what set that threshold."""
+    """Where free ticks and touches score, over the target rate's threshold, and what set that."""
     calibration: Calibration = bench.calibrations[name]
     known = sum(total["known"][name] for total in quiet.values())
     top, near_top = (int(v) for v in sum(total["top"][name] for total in quiet.values()))

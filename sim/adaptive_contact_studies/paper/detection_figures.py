@@ -89,7 +89,7 @@ def _curve(axes: Axes, name: str, title: str, figures: Any) -> None:
         (*_place(p, p), p.get("aim")) for p in figures.get("roc", ()) if p["per_hour"] is not None
     ]
     if any(aim is not None for *_, aim in points) and at is not None:
-        # Played at some aims besides the product's own, which is the star.
+        # Played at some target rates besides the product's own, which is the star.
         points = sorted([*points, (*at, None)], key=lambda p: p[:2])
     mark = "s" if name == "default" else ""
     axes.plot(
@@ -115,7 +115,7 @@ def _place(rate: Any, row: Any) -> Any:
 
 
 def tails_figure(data: Any) -> Figure:
-    """How high free ticks score, and touches: why an aim's threshold may find nothing."""
+    """How high free ticks score, and touches: why a target rate's threshold may find nothing."""
     figure = new_figure(8.4, 6.0)
     axes = figure.subplots()
     shown = [name for name in _TAILED if name in data["tails"]]

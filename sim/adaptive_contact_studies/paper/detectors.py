@@ -93,9 +93,9 @@ def evidence_of(
         models: by leg-run's name.
         gains: of the analytical observer.
     """
-    told = predict(NominalLeg.of(), [(s.measured, s.desired) for s in streams], gains)
+    predicted = predict(NominalLeg.of(), [(s.measured, s.desired) for s in streams], gains)
     found = []
-    for stream, rollout in zip(streams, told, strict=True):
+    for stream, rollout in zip(streams, predicted, strict=True):
         leg = robot.leg(stream.leg)
         fitted = models[stream.piece.leg_run.name]
         found.append(
@@ -120,20 +120,20 @@ def evidence_of(
 
 def _predict(model: LegModel, stream: Stream) -> Prediction:
     cut = stack(stream.measured, stream.desired, model.library.window)
-    told = np.full_like(stream.measured, np.nan)
+    predicted = np.full_like(stream.measured, np.nan)
     # Block by block: Θ of the paper's library takes 2.4 kB a row.
     for start in range(0, len(cut.tick), 20_000):
         part = slice(start, start + 20_000)
-        told[cut.tick[part] + 1] = cut.measured[part, 0] + model.increment(
+        predicted[cut.tick[part] + 1] = cut.measured[part, 0] + model.increment(
             cut.measured[part], cut.desired[part], cut.preview[part]
         )
-    return _against(stream.measured, told)
+    return _against(stream.measured, predicted)
 
 
-def _against(measured: Array, told: Array) -> Prediction:
+def _against(measured: Array, predicted: Array) -> Prediction:
     increment = np.full_like(measured, np.nan)
-    increment[1:] = told[1:] - measured[:-1]
-    return Prediction(measured - told, increment)
+    increment[1:] = predicted[1:] - measured[:-1]
+    return Prediction(measured - predicted, increment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ class Bench:
         noise: by model, then by leg-run's name.
         calibrations: by detector.
         quantum_rad: position step.
-        aim_per_hour: false alarms per robot-hour that thresholds aim at.
+        aim_per_hour: false alarms per robot-hour, the target rate of thresholds.
         tuned: what tuning found, for the report: recall on the tuning collisions by detector.
     """
 
@@ -161,7 +161,7 @@ class Bench:
         return DETECTORS[detector].statistic(self, evidence)
 
     def score(self, detector: str, evidence: Evidence) -> Array:
-        """(n,) over the threshold of the aim; NaN on ticks that are not judged."""
+        """(n,) over the target rate's threshold; NaN on ticks that are not judged."""
         values = self.calibrations[detector].score(
             self.statistic(detector, evidence), self.aim_per_hour / ROBOT_HOUR_TICKS
         )

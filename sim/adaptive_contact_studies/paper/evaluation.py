@@ -1,10 +1,10 @@
 """The default detector itself, sample by sample, on many streams at once.
 
-The product's learner with other settings, on the same streams: other aims, and ungated.
+The product's learner with other settings, on the same streams: other target rates, and ungated.
 
-An aim moves more than a threshold: what is told as a contact is not learned from, so that every aim
-is one more play of the streams.  The ungated learner is the design's: recursive least squares over
-every tick, contact or not.
+A target rate moves more than a threshold: what is reported as a contact is not learned from.  So
+every target rate is one more play of the streams.  The ungated learner is the design's: recursive
+least squares over every tick, contact or not.
 
 Every detector on the report's streams, piece by piece, in processes.
 
@@ -90,7 +90,7 @@ def play_streams(
     return [Events.of(own) for own in events]
 
 
-# False alarms per robot-hour beside the product's own aim of one: the default's curve.
+# False alarms per robot-hour beside the product's own target of one: the default's curve.
 AIMS: Final = (0.1, 10.0, 100.0)
 
 
@@ -100,7 +100,7 @@ def aim_name(per_hour: float) -> str:
 
 
 def at_other_aims(plan: Plan, piece: Piece) -> bool:
-    """Whether a piece is one of those played at every aim.
+    """Whether a piece is one of those played at every target rate.
 
     All collisions, so that the curve is of the same touches as every other; of the free motion
     that of the first robot: three more plays of everything would take longer than all the rest.
@@ -128,8 +128,8 @@ def play_ungated(
             baselines[stream.piece.leg_run.robot_seed],
             mode=LearnerMode.UNGATED,
         )
-        told = [learner.update(sample) for sample in samples_of(stream.run, stream.leg)]
-        found.append(Events.of([event for event in told if event is not None]))
+        reported = [learner.update(sample) for sample in samples_of(stream.run, stream.leg)]
+        found.append(Events.of([event for event in reported if event is not None]))
     return found
 
 
@@ -229,7 +229,7 @@ def _evaluate(store: Store, job: Job) -> dict[str, NDArray[Any]]:
 def _online(
     robot: Robot, plan: Plan, known: Learned, streams: Sequence[Stream]
 ) -> dict[str, NDArray[Any]]:
-    """Events of the learners, at the product's aim, ungated, and at other aims where asked."""
+    """Events of the learners: at the product's target rate, ungated, and at others if asked."""
     played = {
         DEFAULT: play_streams(robot, known.baselines, streams),
         UNGATED: play_ungated(robot, known.baselines, streams),
@@ -238,9 +238,9 @@ def _online(
         for per_hour in AIMS:
             played[aim_name(per_hour)] = play_at(per_hour, robot, known.baselines, streams)
     return {
-        f"{index}/online/{name}/{field}": getattr(told, field)
+        f"{index}/online/{name}/{field}": getattr(of_stream, field)
         for name, events in played.items()
-        for index, told in enumerate(events)
+        for index, of_stream in enumerate(events)
         for field in Events._fields
     }
 

@@ -39,7 +39,7 @@ __all__ = ["draw_all"]
 
 # Shown at about the size they are drawn at: no smaller than 9 points.
 _STYLE: Final = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
-# Figure 4: the paper's colours; line and mark tell curves that lie on each other apart.
+# Figure 4: the paper's colours; line and mark distinguish curves that lie on each other.
 _CURVES: Final = {
     "all": ("black", "-", "o"),
     "position": (BLUE, "--", "s"),
@@ -166,11 +166,11 @@ def _responses(data: Any) -> Figure:
         ("paper", "predicted, paper's library", BLUE, "."),
         ("servo", "predicted, servo law", RED, "x"),
     ):
-        told = np.array(data[name], dtype=float)
+        predicted = np.array(data[name], dtype=float)
         status = data["status"][name]
         label = title if status == "ok" else f"{title} ({status})"
-        upper.plot(t, told, mark, color=colour, ms=5, label=label)
-        lower.plot(t, measured - told, f"{mark}-", color=colour, lw=0.7)
+        upper.plot(t, predicted, mark, color=colour, ms=5, label=label)
+        lower.plot(t, measured - predicted, f"{mark}-", color=colour, lw=0.7)
     upper.set(ylabel="femur (deg)")
     lower.set(xlabel="time (s)", ylabel="residual (deg)")
     for axes in (upper, lower):
@@ -300,13 +300,13 @@ def _collision(data: Any) -> Figure:
     figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=4)
     axes[4].set_xlabel("time (ms)")
     row = data["table"][data["drawn"]]
-    told = [
+    delays = [
         f"{name} {'missed' if row[key] is None else f'{row[key]:.0f} ms'}"
         for name, key in (("paper's rule", "paper_ms"), ("default", "default_ms"))
     ]
     axes[0].set_title(
         f"collision {data['drawn'] + 1} of {len(data['table'])}: {row['speed_m_s']:.2f} m/s, "
-        f"{row['force_n']:.1f} N; after the touch: {', '.join(told)}"
+        f"{row['force_n']:.1f} N; after the touch: {', '.join(delays)}"
     )
     return figure
 

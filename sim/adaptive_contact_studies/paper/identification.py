@@ -98,7 +98,7 @@ def identification(
         robot: whose leg it is.
         train: the paper's training segments.
         test: its test segments.
-        progress: told the share of the whole that each step adds.
+        progress: called with the share of the whole that each step adds.
 
     Returns:
         A tree of figures, see the keys.
@@ -175,7 +175,7 @@ def _sweep(
         "window": dataclasses.asdict(library.window),
         "size": library.size,
         "ridge": RIDGE,
-        "condition": told_condition(_condition(r)),
+        "condition": shown_condition(_condition(r)),
         "points": points,
         "emptied_at": emptied[0] if emptied else None,
         "picked": picked,
@@ -234,8 +234,8 @@ def _scores(windows: Rows, position: Array, states: Array | None) -> dict[str, A
         before = windows.measured[:, 1]
         figures["acceleration"] = _r2(position - 2 * now + before, actual - 2 * now + before)
         wanted = _next_state(windows)
-        told = windows.measured.reshape(wanted.shape) if states is None else states
-        figures["all"] = _r2(told, wanted)
+        predicted = windows.measured.reshape(wanted.shape) if states is None else states
+        figures["all"] = _r2(predicted, wanted)
     return figures
 
 
@@ -275,17 +275,17 @@ def _support_condition(r: Array, coefficients: Array) -> list[float | str | None
         if kept.shape[1] == 0:
             values.append(None)
             continue
-        values.append(told_condition(_condition(kept / np.linalg.norm(kept, axis=0))))
+        values.append(shown_condition(_condition(kept / np.linalg.norm(kept, axis=0))))
     return values
 
 
-def told_condition(condition: float) -> float | str:
+def shown_condition(condition: float) -> float | str:
     """A condition number as the results hold it: JSON knows no infinity, and none is not known."""
     return condition if np.isfinite(condition) else SINGULAR
 
 
 def _condition(matrix: Array) -> float:
-    """Largest over smallest singular value; infinite where rows or columns do not tell apart."""
+    """Largest over smallest singular value; infinite where rows or columns are dependent."""
     if len(matrix) < matrix.shape[1]:
         return float("inf")
     values = np.linalg.svd(matrix, compute_uv=False)
@@ -384,7 +384,7 @@ def _window_row(
         "window": [window.past_measured, window.past_desired, window.preview],
         "terms": library.size,
         "status": fit.status.value,
-        "condition": told_condition(fit.condition),
+        "condition": shown_condition(fit.condition),
         "test_rms_deg": rms_deg(residual),
         "over_floor": [v / float(np.degrees(noise_floor())) for v in rms_deg(residual)],
     }
@@ -400,7 +400,7 @@ class Fitted(NamedTuple):
     """A model, and how its fit ended.
 
     Attributes:
-        model: None where the fit left nothing, so that nobody predicts with zeros.
+        model: None where the fit left nothing, so that no prediction uses zeros.
         status: of the fit.
     """
 
@@ -450,7 +450,7 @@ def responses(
     }
     for name, window in windows.items():
         fit = fitted(robot, train, name, window, thresholds[name])
-        told = predictions(fit.model, test.measured, test.desired)
+        predicted = predictions(fit.model, test.measured, test.desired)
         shown["status"][name] = fit.status.value
-        shown[name] = np.degrees(told[drawn, FEMUR])
+        shown[name] = np.degrees(predicted[drawn, FEMUR])
     return shown

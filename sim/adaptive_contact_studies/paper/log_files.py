@@ -5,8 +5,8 @@ motions (github.com/isaac-sim2real/sage).  ``.json``: one run of one servo, ``en
 ``timestamp`` s, ``goal_position`` and ``position`` rad, ``torque_enable``; beside them ``kp`` and
 ``trajectory`` (github.com/Rhoban/bam).
 
-Angles are unwrapped, rows without torque left out, and a file or motion that cannot be used is told
-with its reason instead of being dropped in silence.
+Angles are unwrapped, and rows without torque left out.  A file or motion that cannot be used is
+reported with its reason instead of being dropped in silence.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ _MIN_ROWS: Final = 50
 _GAP_S: Final = 0.1
 # More joints make the paper's library larger than memory.
 _MAX_JOINTS: Final = 12
-# How much of an error's own words is told, and of how many files where none is of use.
+# How much of an error's own words is shown, and of how many files where none is of use.
 _SAID: Final = 160
-_TOLD: Final = 3
+_FILES: Final = 3
 # What reading a file that is something else, or is damaged, may end with.
 _UNREADABLE: Final = (
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError, EOFError,
@@ -58,8 +58,8 @@ class Recording:
         name: of the motion or the run.
         kind: ``arm`` or ``pendulum``.
         measured, desired: (n, J) rad; desired is the command written at the tick.
-        gain: proportional gain, where it is told.
-        trajectory: what was driven, where it is told; several runs may share it.
+        gain: proportional gain, where it is given.
+        trajectory: what was driven, where it is given; several runs may share it.
         repaired: readings that were no angle of the servo, replaced by a straight line.
     """
 
@@ -116,9 +116,9 @@ def load_logs(path: Path) -> LogSet:
     if not found.recordings:
         reasons = "; ".join(
             f"{name}: {reason}" if path.is_dir() else reason
-            for name, reason in found.skipped[:_TOLD]
+            for name, reason in found.skipped[:_FILES]
         )
-        more = f"; and {len(found.skipped) - _TOLD} more" if len(found.skipped) > _TOLD else ""
+        more = f"; and {len(found.skipped) - _FILES} more" if len(found.skipped) > _FILES else ""
         raise RecordingError(
             f"{path}: no recording that can be used ({reasons}{more}); docs/paper.md describes "
             "both formats"

@@ -5,7 +5,7 @@ of a kind it has never seen, and by blocks of ten seconds, so that it knows the 
 moment.  Models are fitted to three fifths; λ, noise and thresholds are taken from another fifth;
 errors and alarms are counted on the last, in turn.  For a pendulum recorded at several gains, a
 model of one gain is tried at the others as it is, beside one fitted there; the trajectory that is
-tried is held out of both, so that nothing but the gain tells them apart.
+tried is held out of both, so that only the gain differs.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> 
 
     Args:
         path: a file, or a folder.
-        progress: told the share of the whole that each step adds.
+        progress: called with the share of the whole that each step adds.
 
     Returns:
         A tree of figures, with what was skipped and why.
@@ -131,9 +131,9 @@ def _fit(factor: Factor, tuning: Factor | None = None) -> tuple[FitStatus, Array
     best, error = plain.coefficients, float((tuning.rms(plain.coefficients) / unit).mean())
     for threshold in _THRESHOLDS[1:]:
         fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=unit))
-        told = float((tuning.rms(fit.coefficients) / unit).mean())
-        if fit.status is FitStatus.OK and told < error:
-            best, error = fit.coefficients, told
+        tuned = float((tuning.rms(fit.coefficients) / unit).mean())
+        if fit.status is FitStatus.OK and tuned < error:
+            best, error = fit.coefficients, tuned
     return FitStatus.OK, best
 
 
@@ -184,7 +184,7 @@ def _blocks(recording: Recording) -> list[Recording]:
 def _folded(
     parts: Sequence[Recording], joints: int, slope: float, done: Callable[[], None]
 ) -> dict[str, Any]:
-    """Every part predicted by models of others; no error is told where a fold has no model."""
+    """Every part predicted by models of others; no error is reported where a fold has no model."""
     out: dict[str, Any] = {"rms_deg": {}, "terms": {}, "status": {}}
     for name in _WINDOWS:
         library = _library(name, joints, slope)
@@ -271,8 +271,8 @@ def _alarms(
     motions = [_motion(r) for r in tuned]
     predicted = [_prediction(library, coefficients, r) for r in tuned]
     joined = Motion(*(np.concatenate(p) for p in zip(*motions, strict=True)))
-    told = Prediction(*(np.concatenate(p) for p in zip(*predicted, strict=True)))
-    noise = learn_noise(joined, told, joined.judged, _QUANTUM_RAD)
+    pooled = Prediction(*(np.concatenate(p) for p in zip(*predicted, strict=True)))
+    noise = learn_noise(joined, pooled, joined.judged, _QUANTUM_RAD)
     calibration = calibrate(
         [
             likelihood_ratio(m, p, noise, _QUANTUM_RAD)[m.judged]

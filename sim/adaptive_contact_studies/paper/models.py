@@ -35,7 +35,7 @@ from adaptive_contact_studies.paper.rows import PAPER_WINDOW, rms_deg
 
 __all__ = ["Learned", "learn_robot", "learned", "models_key"]
 
-# Streams on which the observer's gains are chosen: enough to tell gains apart.
+# Streams on which the observer's gains are chosen: enough to distinguish gains.
 _GAIN_STREAMS: Final = 6
 # λ of the paper's library, in units of the residual: on the plateau of the identification study,
 # where all thresholds predict alike.
@@ -219,6 +219,6 @@ def _analytical_rms(
     masks: list[Any],
     gains: Gains,
 ) -> list[float]:
-    told = predict(leg, pairs, gains)
-    parts = [(p[0] - t)[m] for p, t, m in zip(pairs, told, masks, strict=True)]
+    predicted = predict(leg, pairs, gains)
+    parts = [(p[0] - t)[m] for p, t, m in zip(pairs, predicted, masks, strict=True)]
     return rms_deg(np.concatenate(parts))

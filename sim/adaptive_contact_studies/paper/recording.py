@@ -80,7 +80,7 @@ class PatientGeometry(LegGeometry):
         return cls(**{f.name: getattr(plain, f.name) for f in fields(plain)})
 
     def reachable(self, points_m: Array) -> NDArray[np.bool_]:
-        """Tell which points are in reach; after :data:`_TRIES` refusals in a row, all are."""
+        """Return which points are in reach; after :data:`_TRIES` refusals in a row, all are."""
         inside = super().reachable(points_m)
         refused = self._refused
         refused[0] = 0 if inside.all() else refused[0] + 1
@@ -173,7 +173,7 @@ def record_gantry(settings: GantrySettings, seconds: float) -> dict[str, LegArra
             rotation=rotation,
             feet_m=plant.foot_positions(),
             touch_step=(None,) * len(LEGS),
-            told_tick=(None,) * len(LEGS),
+            reported_tick=(None,) * len(LEGS),
         )
         goals = np.zeros((len(LEGS), 3))
         for i, motion in enumerate(motions):

@@ -37,7 +37,7 @@ from adaptive_contact_studies.paper.workspace import (
     workspace,
     workspace_pieces,
 )
-from adaptive_contact_studies.show.progress import Tell, progress
+from adaptive_contact_studies.show.progress import Advance, progress
 
 __all__ = ["STAGES", "run_paper"]
 
@@ -136,9 +136,9 @@ class _Runner:
         """Section 4.2."""
         train, test = self._paper_streams()
         key = [self._paper_key(), source_fingerprint()]
-        with self._bar("identification: sweeps of λ, windows, libraries", 1.0) as tell:
+        with self._bar("identification: sweeps of λ, windows, libraries", 1.0) as add:
             return self.store.tree(
-                "identification", key, lambda: identification(self.robot, train, test, tell)
+                "identification", key, lambda: identification(self.robot, train, test, add)
             )
 
     def responses(self, identified: Any) -> Any:
@@ -155,22 +155,22 @@ class _Runner:
         """The compressed fit against PySINDy's own."""
         train, _ = self._paper_streams()
         key = [self._paper_key(), source_fingerprint()]
-        with self._bar("compressed regression against raw rows", 1.0) as tell:
+        with self._bar("compressed regression against raw rows", 1.0) as add:
             return self.store.tree(
                 "compression",
                 key,
-                lambda: compare_all(self.robot, train, tell),
+                lambda: compare_all(self.robot, train, add),
             )
 
     def collisions(self) -> Any:
         """Section 4.3, the ten collisions."""
         train, test = self._paper_streams()
         key = [self._paper_key(), source_fingerprint(), self.plan.collisions]
-        with self._bar("ten collisions", 1.0) as tell:
+        with self._bar("ten collisions", 1.0) as add:
             return self.store.tree(
                 "collisions",
                 key,
-                lambda: ten_collisions(self.robot, train, test, self.plan.collisions, tell),
+                lambda: ten_collisions(self.robot, train, test, self.plan.collisions, add),
             )
 
     def detection(self) -> Any:
@@ -178,9 +178,9 @@ class _Runner:
         pieces = [p for role in _ROLES for p in self.plan.pieces(role)]
         self._record("collisions and free motion", pieces)
         items = [(self.root, self.plan, robot) for robot in self.plan.robots]
-        with self._bar("learning the legs of each robot", len(items)) as tell:
+        with self._bar("learning the legs of each robot", len(items)) as add:
             for _ in parallel(learn_robot, items, self.workers):
-                tell(1.0)
+                add(1.0)
         with self._bar("choosing lags, joints, gains and thresholds on tuning streams", 1.0):
             learned(self.store, self.plan)
         jobs = [
@@ -188,11 +188,11 @@ class _Runner:
             for role in ("touch", "stand", "free")
             for job in jobs_of(self.root, self.plan, self.plan.pieces(role))
         ]
-        with self._bar("every detector on every stream", sum(len(j.pieces) for j in jobs)) as tell:
+        with self._bar("every detector on every stream", sum(len(j.pieces) for j in jobs)) as add:
             for _, done in parallel(evaluate, jobs, self.workers):
-                tell(float(done))
-        with self._bar("scoring, thresholds swept", len(DETECTORS) + len(ONLINE)) as tell:
-            return plain(detection(self.root, self.plan, tell))  # half a minute: made again
+                add(float(done))
+        with self._bar("scoring, thresholds swept", len(DETECTORS) + len(ONLINE)) as add:
+            return plain(detection(self.root, self.plan, add))  # half a minute: made again
 
     def workspace(self) -> Any:
         """One model or several, of every leg-run."""
@@ -206,10 +206,10 @@ class _Runner:
         self._record("the whole workspace", flat)
         items = [(self.root, self.plan, leg_run) for leg_run in self.plan.leg_runs]
         found: dict[str, Any] = {}
-        with self._bar("one model of the workspace, or several", len(items)) as tell:
+        with self._bar("one model of the workspace, or several", len(items)) as add:
             for _, (name, tree) in parallel(study_leg_run, items, self.workers):
                 found[name] = tree
-                tell(1.0)
+                add(1.0)
         return plain(workspace({run.name: found[run.name] for run in self.plan.leg_runs}))
 
     def logs(self) -> Any:
@@ -231,10 +231,10 @@ class _Runner:
             for p in sorted(path.rglob("*") if path.is_dir() else [path])
             if p.is_file()
         ]
-        with self._bar("recordings of real servos", 1.0) as tell:
+        with self._bar("recordings of real servos", 1.0) as add:
             try:
                 return self.store.tree(
-                    "logs", [source_fingerprint(), str(path), stamps], lambda: run_logs(path, tell)
+                    "logs", [source_fingerprint(), str(path), stamps], lambda: run_logs(path, add)
                 )
             except RecordingError as error:
                 return {"skipped_stage": str(error)}
@@ -256,10 +256,10 @@ class _Runner:
 
     def _record(self, what: str, pieces: Sequence[Piece]) -> None:
         seconds = sum(piece.seconds for piece in pieces)
-        with self._bar(f"simulating {what}", seconds) as tell:
-            record_all(self.store, pieces, self.workers, tell)
+        with self._bar(f"simulating {what}", seconds) as add:
+            record_all(self.store, pieces, self.workers, add)
 
-    def _bar(self, what: str, total: float) -> AbstractContextManager[Tell]:
+    def _bar(self, what: str, total: float) -> AbstractContextManager[Advance]:
         return progress(self.console, what, total)
 
 

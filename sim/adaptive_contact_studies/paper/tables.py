@@ -76,7 +76,7 @@ def _at_five(sweeps: Sequence[Tree]) -> tuple[list[Tree], list[tuple[Tree, Tree,
 
 
 def _tails(data: Tree) -> Iterator[tuple[str, Tree, Tree, Tree | None]]:
-    """The paper's detectors that find little at their aim, with their most sensitive threshold."""
+    """The paper's detectors that find little at their target rate; their lowest threshold."""
     for name, tail in data["tails"].items():
         own = data["figures"][name]
         row = own["summary"]["rows"]["headline"]
@@ -131,7 +131,7 @@ def _best_held_out(arm: Tree) -> dict[str, tuple[str, float, float]]:
 
 
 def _alarmed(arm: Tree) -> dict[str, Tree]:
-    """False alarms, where they are many more than the aim says."""
+    """False alarms, where they are many more than the target rate."""
     found = {held_out: arm[held_out].get("false_alarms") or {} for held_out in _HELD_OUT}
     return {
         held_out: alarms

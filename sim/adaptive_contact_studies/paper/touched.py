@@ -90,8 +90,8 @@ class Touched(NamedTuple):
         truth: as the score takes it.
         swing: (n,) number of the swing.
         descending: (n,) the command in force is past the lift.
-        scores: by compared detector, (n,) statistic over the aim's threshold.
-        events: by learner, at the product's aim and at others.
+        scores: by compared detector, (n,) statistic over the threshold of the target rate.
+        events: by learner, at the product's target rate and at others.
     """
 
     piece: Piece
@@ -111,7 +111,7 @@ def touched_streams(store: Store, root: Path, plan: Plan) -> list[Touched]:
         result = read_job(job)
         for index, piece in enumerate(job.pieces):
             stream = load(store, piece)
-            told = {name: online_events(result, index, name) for name in names}
+            online = {name: online_events(result, index, name) for name in names}
             found.append(
                 Touched(
                     piece,
@@ -119,7 +119,7 @@ def touched_streams(store: Store, root: Path, plan: Plan) -> list[Touched]:
                     find_swings(stream.run.t_ns, stream.swing).of_tick,
                     result[f"{index}/descending"],
                     {n: result[f"{index}/score/{n}"].astype(np.float64) for n in DETECTORS},
-                    {name: events for name, events in told.items() if events is not None},
+                    {name: events for name, events in online.items() if events is not None},
                 )
             )
     return found
@@ -130,7 +130,7 @@ def outcome_of(touched: Touched, name: str, factor: float = 1.0) -> LegOutcome:
 
     Args:
         touched: a stream.
-        name: a learner, at the product's aim or another, or a compared detector.
+        name: a learner, at the product's target rate or another, or a compared detector.
         factor: on the compared detector's threshold.
     """
     if name in touched.events:
@@ -330,7 +330,7 @@ def what_alarms_are(outcomes: Sequence[LegOutcome]) -> dict[str, int]:
 
 
 def late_events(outcomes: Sequence[LegOutcome], row: Row) -> dict[str, int]:
-    """Missed touches of a row, and those told all the same between 120 and 500 ms."""
+    """Missed touches of a row, and those reported all the same between 120 and 500 ms."""
     missed = late = 0
     for outcome in outcomes:
         table = outcome.touches

@@ -179,7 +179,7 @@ def _lower(
 class Headline(NamedTuple):
     """One of the run's promises, and what was measured.
 
-    ``kept`` is None where nothing speaks against it, but less was measured than was asked for.
+    ``kept`` is None where no figure is against it, but less was measured than was asked for.
     """
 
     what: str

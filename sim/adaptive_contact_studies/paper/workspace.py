@@ -27,7 +27,7 @@ from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim.pose import WORKSPACES
 from adaptive_contact_studies.cache import Store, plain
 from adaptive_contact_studies.paper.data import Stream, join, load
-from adaptive_contact_studies.paper.identification import told_condition
+from adaptive_contact_studies.paper.identification import shown_condition
 from adaptive_contact_studies.paper.plan import LegRun, Piece, Plan, Role
 from adaptive_contact_studies.paper.recording import physics_fingerprint, source_fingerprint
 from adaptive_contact_studies.paper.rows import (
@@ -71,7 +71,7 @@ def cylinder(point: Array) -> Array:
 def where_it_fails(
     library: Library, fitted: Rows, held: Rows, residual: Array, column: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """What tells a model's bad predictions from its good ones: the place, or the motion.
+    """What distinguishes a model's bad predictions from its good ones: the place, or the motion.
 
     Args:
         library: the terms.
@@ -167,7 +167,7 @@ _LIBRARIES: Final[tuple[tuple[LibraryName, Window], ...]] = (
     ("servo", Window()),
     ("paper", PAPER_WINDOW),
 )
-# Pairs of models whose difference is told over all leg-runs: what is tried, against what.
+# Pairs of models whose difference is reported over all leg-runs: what is tried, against what.
 _DIFFERENCES: Final = {
     "all regions seen": ("one per region", "one model"),
     "region unseen": (
@@ -344,7 +344,7 @@ def _compare(
         left = residual["paper's subspaces"]
         tree["before"] = {
             "status": before.status.value,
-            "condition": told_condition(before.condition),
+            "condition": shown_condition(before.condition),
             **(
                 where_it_fails(library, subspaces, held, left, paper_column(tried)) if known else {}
             ),
@@ -379,7 +379,7 @@ def nearest_regions(point: Array, region: Ints) -> list[int]:
     for r in np.unique(region):
         centre[r] = point[region == r].mean(axis=0)
     distance = np.linalg.norm(centre[:, None] - centre[None], axis=2)
-    # A region without rows has no centre, and is nobody's neighbour.
+    # A region without rows has no centre, and no neighbours.
     distance[~np.isfinite(distance)] = np.inf
     np.fill_diagonal(distance, np.inf)
     return [int(i) for i in distance.argmin(axis=1)]

@@ -64,7 +64,7 @@ __all__ = [
 
 _VALID: Final = STATUSES.index("valid")
 _AMBIGUOUS: Final = STATUSES.index("ambiguous")
-# The phase in which a foot is caught, and the swings after which that can be told: it is caught
+# The phase in which a foot is caught, and the swings after which that can be detected: it is caught
 # when it next rests, and two swings in a row have to show it.
 CAUGHT: Final = "caught"
 CAUGHT_GRACE: Final = 4
@@ -80,7 +80,7 @@ class Recovery:
         swings: until the leg could be relied on again, None where it could not.
         alarms: false ones on the way; all there were where it did not recover.
         of: swings that there were.
-        kind: what the change was taken for, by what was told last; None where nothing was.
+        kind: what the change was taken for, by the last report; None without one.
     """
 
     swings: int | None
@@ -102,7 +102,7 @@ class Judged:
         touched_before: those of these that began in touch, not with the touch itself.
         until_valid: swings until it called itself valid and went on to, None where it did not.
         valid_ns: when it did.
-        doubted: whether it ever called itself anything else.
+        wavered: whether it ever called itself anything else.
         caught: swings that ended while the foot was held by the stage, but for the first few.
         caught_told: those of them after which it called itself ambiguous.
     """
@@ -115,7 +115,7 @@ class Judged:
     touched_before: int
     until_valid: int | None
     valid_ns: int | None
-    doubted: bool
+    wavered: bool
     caught: int
     caught_told: int
 
@@ -132,7 +132,7 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
     }
     first_s = marks[0].at_s if marks else 0.0
     until, valid_ns = swings_until_valid(replayed.log)
-    caught, told = _caught(scenario, replayed.log)
+    caught, shown = _caught(scenario, replayed.log)
     return Judged(
         outcome=outcome,
         recovery=recovery,
@@ -142,9 +142,9 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
         touched_before=_touched_before(stream, replayed),
         until_valid=until,
         valid_ns=valid_ns,
-        doubted=bool(np.any(replayed.log.status != _VALID)),
+        wavered=bool(np.any(replayed.log.status != _VALID)),
         caught=caught,
-        caught_told=told,
+        caught_told=shown,
     )
 
 
@@ -162,14 +162,14 @@ def longest_lock_out(swings: SwingTable) -> int:
     run counts the swings with touches.
     """
     lost = swings.errors > 0
-    telling = (swings.touches > 0) | (swings.false_alarms > 0)
-    return max(_longest_run(lost), _longest_run(lost[telling]))
+    counted = (swings.touches > 0) | (swings.false_alarms > 0)
+    return max(_longest_run(lost), _longest_run(lost[counted]))
 
 
 def swings_until_valid(log: SwingLog) -> tuple[int | None, int | None]:
     """Swings until a learner called itself valid for :data:`SETTLED` swings in a row.
 
-    A single swing that it doubts later on is no part of how it began.
+    A single later swing in which it is not valid is no part of how it began.
 
     Returns:
         Their number, 0 for one that did from the first, and the time; None where it never did.
@@ -195,13 +195,13 @@ def _recovery(
     # By their own time: those of the swing that was under way at the mark are among them.
     until_s = end_s if count is None else swings.start_ns[count] / 1e9
     alarms = (outcome.alarms_ns >= mark_ns) & (outcome.alarms_ns < until_s * 1e9)
-    told = log.kind[(log.t_ns >= mark_ns) & (log.t_ns < end_s * 1e9) & (log.kind >= 0)]
-    kind = KINDS[told[-1]] if len(told) else None
+    kinds = log.kind[(log.t_ns >= mark_ns) & (log.t_ns < end_s * 1e9) & (log.kind >= 0)]
+    kind = KINDS[kinds[-1]] if len(kinds) else None
     return Recovery(count, int(np.sum(alarms)), len(swings.start_ns), kind)
 
 
 def _caught(scenario: Scenario, log: SwingLog) -> tuple[int, int]:
-    """Swings that ended while the foot was caught, and those of them after which that was told."""
+    """Swings that ended while the foot was caught, and those after which that was reported."""
     phases = [phase for phase in scenario.phases if phase.name == CAUGHT]
     if not phases:
         return 0, 0
@@ -228,7 +228,7 @@ def _longest_run(lost: NDArray[np.bool_] | Sequence[bool]) -> int:
 Tree = dict[str, Any]
 
 LOCK_OUT_SWINGS: Final = 5
-# What a change is taken for of which no kind is told.
+# What a change is taken for of which no kind is reported.
 NOTHING: Final = "nothing"
 _BOOTSTRAPS: Final = 2000
 
@@ -361,7 +361,7 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
         "touching_ticks_confirmed": touched,
         "touching_since_before": sum(one.touched_before for one in judged),
         "touching_share": touched / confirmed if confirmed else None,
-        "ever_doubted": sum(one.doubted for one in judged),
+        "ever_doubted": sum(one.wavered for one in judged),
         "caught_swings": sum(one.caught for one in judged),
         "caught_told": sum(one.caught_told for one in judged),
     }

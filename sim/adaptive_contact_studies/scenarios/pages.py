@@ -146,8 +146,8 @@ def _free_by_swing(
     else:
         total = np.bincount(swing, np.square(picked), minlength=count)
         found = np.sqrt(total / np.maximum(np.bincount(swing, minlength=count), 1))
-    told = np.isin(np.arange(count), swing)
-    return outcome.swings.start_ns[told] / 1e9, found[told]
+    judged = np.isin(np.arange(count), swing)
+    return outcome.swings.start_ns[judged] / 1e9, found[judged]
 
 
 def _scores(
@@ -168,7 +168,8 @@ def _scores(
 def _thresholds(
     ax: Any, recording: Recording, leg: str, outcome: LegOutcome, variants: dict[Variant, LegReplay]
 ) -> None:
-    ax.set_title("Threshold with level, tail and the model's doubt, × the first; largest per swing")
+    what = "Threshold with level, tail and uncertainty of the model"
+    ax.set_title(f"{what}, × the first; largest per swing")
     for variant, replayed in variants.items():
         trace = replayed.trace
         if trace is None or not np.isfinite(trace.threshold).any():

@@ -128,8 +128,8 @@ def hold(truth: TruthChanges, from_ns: int, to_ns: int) -> TruthChanges:
     after = bool(truth.contact[until][-1]) if until.any() else False
     rest = TruthChanges._make(column[~inside] for column in truth)
     ends = [(from_ns, True), (to_ns, after)]
-    told = [ContactTruth(t_ns=t, contact=on, force=0.0, surface="soft") for t, on in ends]
-    added = truth_changes(told)
+    held = [ContactTruth(t_ns=t, contact=on, force=0.0, surface="soft") for t, on in ends]
+    added = truth_changes(held)
     both = TruthChanges._make(np.concatenate(pair) for pair in zip(rest, added, strict=True))
     order = np.argsort(both.t_ns, kind="stable")
     return TruthChanges._make(column[order] for column in both)
@@ -232,7 +232,7 @@ def _unseen_code() -> str:
 
 
 _MOVED: Final = ("adaptive_contact_studies.scenarios", "adaptive_contact_sim.trials")
-# Besides what holds feet: play, faults of encoders, other grounds, how drifts grow.
+# Besides what holds feet: backlash, faults of encoders, other grounds, how drifts grow.
 _UNSEEN: Final = ("gear.py", "encoder.py", "terrain.py", "drift.py")
 _STREAMS: Final = ("measured", "desired", "valid", "swing")
 

@@ -65,7 +65,7 @@ class SwingLog(NamedTuple):
         status: position in :data:`STATUSES`.
         version: of the model.
         level: drift level.
-        kind: of the change that is told, position in ``KINDS``; -1 for none.
+        kind: of the change that is reported, position in ``KINDS``; -1 for none.
         residual_rad: root mean square of recent free residuals, mean over joints.
         swings, ticks: in the buffer.
         promoted, refused, rolled_back: refits so far.
@@ -91,7 +91,7 @@ class Trace(NamedTuple):
         residual_rad: (n, J), NaN where nothing was predicted.
         score: (n,) statistic over threshold, NaN where the tick was not judged.
         threshold: (n,) of a tick's squared distance, in the baseline's noise, NaN likewise: with
-            level, tail and the model's own doubt in it.
+            level, tail and the model's own uncertainty in it.
         coefficients: (s, p, J) after each swing, of the terms in ``names``.
         names: (p,) terms.
     """

@@ -11,8 +11,8 @@ descent,
 
 .. math:: f = -F\,\tanh(|\dot x| / v_0)\,\dot x / |\dot x|,
 
-and nothing of it is a touch: to be told are those of the ground.  The engine calls both through its
-hook for passive forces.
+and nothing of it is a touch: only touches of the ground are to be reported.  The engine calls both
+through its hook for passive forces.
 """
 
 from __future__ import annotations

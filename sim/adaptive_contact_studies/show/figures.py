@@ -15,7 +15,7 @@ from adaptive_contact.files import write_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, told apart by everybody; the paper's own where it names one.
+# Okabe and Ito's colours, which all readers can distinguish; the paper's own where it names one.
 BLUE: Final = "#0072B2"
 ORANGE: Final = "#E69F00"
 GREEN: Final = "#009E73"

@@ -10,13 +10,13 @@ from typing import Final, Protocol
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-__all__ = ["Tell", "progress"]
+__all__ = ["Advance", "progress"]
 
 # Between two lines where there is no terminal.
 _LINE_S: Final = 20.0
 
 
-class Tell(Protocol):
+class Advance(Protocol):
     """Takes how much more was done, and perhaps what of it is worth a word."""
 
     def __call__(self, amount: float, note: str = "") -> None:
@@ -24,7 +24,7 @@ class Tell(Protocol):
 
 
 @contextmanager
-def progress(console: Console, what: str, total: float) -> Iterator[Tell]:
+def progress(console: Console, what: str, total: float) -> Iterator[Advance]:
     """Show how far some work is, and in the end how long it took.
 
     Args:
@@ -47,7 +47,7 @@ def progress(console: Console, what: str, total: float) -> Iterator[Tell]:
     with bar:
         task = bar.add_task(what, total=total, note="")
 
-        def tell(amount: float, note: str = "") -> None:
+        def advance(amount: float, note: str = "") -> None:
             nonlocal done, last
             done += amount
             bar.update(task, advance=amount, note=note)
@@ -58,5 +58,5 @@ def progress(console: Console, what: str, total: float) -> Iterator[Tell]:
                 share = f"{100 * done / total:.0f} % in {minutes:.0f} min"
                 console.print(f"{what}: {share}, about {left:.0f} to go", highlight=False)
 
-        yield tell
+        yield advance
     console.print(f"{what}: {time.monotonic() - start:.0f} s", highlight=False)

@@ -300,7 +300,7 @@ def test_the_limits_say_how_late_the_missed_ones_come(robot: Robot) -> None:
     }
     (section,) = read_sections(part("limits", data))
     assert "1.31 mm of the coxa, 1.04 mm of the femur, 0.71 mm of the tibia" in section.text
-    assert "Of the 3 the default missed there, 2 are told after all" in section.text
+    assert "Of the 3 the default missed there, 2 are reported after all" in section.text
     assert section.tables[1].rows[0][0] == "13 and more"
     assert "best in all bins of speed and force" in section.text
     other = data["figures"]["tracking"]

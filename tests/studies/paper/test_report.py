@@ -11,7 +11,7 @@ from adaptive_contact_studies.paper.detection import _rate
 from adaptive_contact_studies.paper.identification import (
     SINGULAR,
     _sparsest,
-    told_condition,
+    shown_condition,
 )
 from adaptive_contact_studies.paper.tables import part
 from adaptive_contact_studies.paper.verdicts import headline
@@ -125,8 +125,8 @@ def test_no_alarm_in_few_hours_only_bounds_the_rate() -> None:
 
 def test_what_has_no_model_and_what_is_singular_are_no_dashes() -> None:
     assert per_joint([1.234, SINGULAR, None], 1) == "1.2 infinite (singular) -"
-    assert told_condition(float("inf")) == SINGULAR
-    assert told_condition(12.0) == 12.0
+    assert shown_condition(float("inf")) == SINGULAR
+    assert shown_condition(12.0) == 12.0
 
 
 def test_every_joint_has_a_say_in_the_sparsest_model() -> None:
