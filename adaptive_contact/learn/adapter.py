@@ -151,7 +151,7 @@ class Adapter:
     def status(self) -> Status:
         """Status of the leg; learning while one that began with a prior is not known yet."""
         status = self.monitor.status
-        if status == "valid" and self._early.told:
+        if status == "valid" and self._early.reported:
             return "ambiguous"
         return "learning" if self.first is not None and status != "ambiguous" else status
 
@@ -338,7 +338,7 @@ class Adapter:
             "level": self.monitor.variance_scale,
             "status": self.monitor.status,
             "held": self.monitor.obstructed,
-            "heard": list(self.monitor.heard),
+            "heard": list(self.monitor.lifts_assessed),
             "kind": self.monitor.kind,
             "belied": self._early.snapshot(),
             "first": None if self.first is None else self.first.swings,
@@ -359,7 +359,9 @@ class Adapter:
             self._active.restore(state, saved.get("factor"))
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
-        self.monitor.resume(state.level, state.status, obstructed=state.held, heard=state.heard)
+        self.monitor.resume(
+            state.level, state.status, obstructed=state.held, lifts_assessed=state.lifts_assessed
+        )
         self.monitor.kind = state.kind
         self._early.restore(saved.get("belied"))
         self._restore_first(saved.get("first"))

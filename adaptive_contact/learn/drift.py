@@ -152,7 +152,7 @@ class DriftMonitor:
         return self._obstructed_by if self.obstructed else "unsettled"
 
     @property
-    def heard(self) -> tuple[int, int]:
+    def lifts_assessed(self) -> tuple[int, int]:
         """Lifts so far, and how many of them were far off; to be saved."""
         return self._lifts, self._lifts_far
 
@@ -280,7 +280,7 @@ class DriftMonitor:
         status: Status,
         *,
         obstructed: bool = False,
-        heard: tuple[int, int] = (1, 0),
+        lifts_assessed: tuple[int, int] = (1, 0),
     ) -> None:
         """Resume a saved state; its times may be of another clock and are dropped.
 
@@ -288,7 +288,7 @@ class DriftMonitor:
             level: followed.
             status: of the leg.
             obstructed: whether that was because of a foot that did not rise.
-            heard: lifts, and those far off; where not saved, the model is this leg's.
+            lifts_assessed: those, and those far off; where not saved, the model is this leg's.
         """
         self.variance_scale, self.status, self._since_ns = level, status, None
         self._obstructed_swings = OBSTRUCTED_SWINGS if obstructed else 0
@@ -296,7 +296,7 @@ class DriftMonitor:
         adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}
         self._swings_adapting = 0 if obstructed else adapting.get(status, 0)
         self._swings_loose = LOOSEN_EVERY  # a suspicion that comes now is of something new
-        self._lifts, self._lifts_far = heard
+        self._lifts, self._lifts_far = lifts_assessed
 
     def _drop_suspicions(self) -> None:
         self._suspicions, self._suspected = 0, []
@@ -402,11 +402,11 @@ class EarlyContacts:
     meet the ground in swing after swing where it has hardly begun to come down.
 
     Attributes:
-        told: early contacts are too many to be contacts.
+        reported: early contacts are too many to be contacts.
     """
 
     def __init__(self) -> None:
-        self.told = False
+        self.reported = False
         self._lately: deque[bool] = deque(maxlen=EARLY_SWINGS)
 
     def take(self, early: bool) -> bool:
@@ -416,19 +416,19 @@ class EarlyContacts:
             early: it reported an early contact.
         """
         self._lately.append(early)
-        count, before = sum(self._lately), self.told
-        self.told = count > EARLY_END if before else count >= EARLY_BEGIN
-        return self.told and not before
+        count, before = sum(self._lately), self.reported
+        self.reported = count > EARLY_END if before else count >= EARLY_BEGIN
+        return self.reported and not before
 
     def forget(self) -> None:
         """Drop the counts, as the leg is known to have changed."""
-        self.told = False
+        self.reported = False
         self._lately.clear()
 
     @property
     def note(self) -> str | None:
         """One line for a person, None when all is well."""
-        if not self.told:
+        if not self.reported:
             return None
         return (
             f"in {sum(self._lately)} of {len(self._lately)} swings a touch was reported at the top "
@@ -437,7 +437,7 @@ class EarlyContacts:
 
     def snapshot(self) -> dict[str, Any]:
         """Return the counts, for :meth:`restore`."""
-        return {"lately": [int(early) for early in self._lately], "told": self.told}
+        return {"lately": [int(early) for early in self._lately], "told": self.reported}
 
     def restore(self, saved: Any) -> None:
         """Take over saved counts; what is not usable is left."""
@@ -445,7 +445,7 @@ class EarlyContacts:
             return
         self.forget()
         self._lately.extend(bool(early) for early in saved["lately"])
-        self.told = saved.get("told") is True and sum(self._lately) > EARLY_END
+        self.reported = saved.get("told") is True and sum(self._lately) > EARLY_END
 
 
 @functools.cache

@@ -100,7 +100,7 @@ class SavedState(NamedTuple):
         support: (p, J) of its recursion.
         segments: of the buffer, oldest first.
         version, era: of the model, and of the leg as it was.
-        level, status, held, heard, kind: of the drift monitor.
+        level, status, held, lifts_assessed, kind: of the drift monitor.
         inflated: whether the recursion's covariance was.
     """
 
@@ -112,7 +112,7 @@ class SavedState(NamedTuple):
     level: float
     status: Status
     held: bool
-    heard: tuple[int, int]
+    lifts_assessed: tuple[int, int]
     kind: str | None
     inflated: bool
 
@@ -153,13 +153,13 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
         level=level,
         status=status,
         held=saved.get("held") is True,
-        heard=_heard(saved.get("heard")),
+        lifts_assessed=_lifts_assessed(saved.get("heard")),
         kind=next((kind for kind in KINDS if kind == saved.get("kind")), None),
         inflated=bool(saved.get("loosened", False)),
     )
 
 
-def _heard(value: object) -> tuple[int, int]:
+def _lifts_assessed(value: object) -> tuple[int, int]:
     """Lifts and those far off; a state of before they were saved is of a leg that was learned."""
     if isinstance(value, list | tuple) and len(value) == 2:
         lifts, far = value

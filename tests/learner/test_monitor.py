@@ -262,7 +262,7 @@ def test_a_restart_does_not_make_a_wrong_baseline_right(at: int) -> None:
                 before.variance_scale,
                 before.status,
                 obstructed=before.obstructed,
-                heard=before.heard,
+                lifts_assessed=before.lifts_assessed,
             )
         assert not monitor.unfit
         hear(monitor, 99.0, k)

@@ -309,7 +309,7 @@ def ambiguous_from(
     assert adapter is not None
     for sample in stream[begin:end]:
         if doubt == "descents":
-            adapter._early.told = True
+            adapter._early.reported = True
         else:
             adapter.monitor.status = "ambiguous"
         learner._report.publish_withholding()  # what an assessed swing does
