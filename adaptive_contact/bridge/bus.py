@@ -174,14 +174,15 @@ class Bus:
         """
         return self._guarded(lambda: self._ping(servo))
 
-    def answers(self, servo: int) -> bool:
-        """Whether a servo answers a ping, without asking who it is.
+    def answering(self, servos: Sequence[int], quiet_ms: float) -> list[int]:
+        """Return which servos answer a ping, in time or by ``quiet_ms`` after the last question.
 
         Raises:
             PortLostError: the port is gone.
         """
-        result, _ = self._guarded(lambda: self._ping_alone(servo))
-        return result == int(COMM_SUCCESS)
+        here = self._guarded(lambda: [s for s in servos if self._ping_alone(s)[0] == COMM_SUCCESS])
+        self.settle(quiet_ms)
+        return [servo for servo in servos if servo in here or self.late[servo]]
 
     def read(
         self, servos: Sequence[int], block: Block, until: float = math.inf, end: float = math.inf

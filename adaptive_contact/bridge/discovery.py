@@ -12,6 +12,7 @@ import msgspec
 from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.handshake import (
     ANSWERS_NOW,
+    BUSY,
     USUAL_BAUDS,
     Place,
     let_answer,
@@ -115,7 +116,7 @@ def find_servos(
         configure: let servos answer reads.
 
     Raises:
-        BusError: the port cannot be opened, or no servo answers.
+        BusError: the port cannot be opened, no servo answers, or one answers too late only.
     """
     places = [(baud, protocol) for baud in bauds for protocol in _PROTOCOLS]
     found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
@@ -139,10 +140,15 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | No
     bus.open()
     try:
         pongs = scan(bus)
-        if not pongs:
+        bus.settle()  # were some late?  They are there, and the row goes on behind them
+        if not pongs and not bus.late:
             return None
-        row = range(min(max(pongs) + _BEYOND, MAX_ID) + 1)
-        found = _found(bus, port, scan_again(bus, pongs, row))
+        row = range(min(max({*pongs, *bus.late}) + _BEYOND, MAX_ID) + 1)
+        pongs = scan_again(bus, pongs, row)
+        late = sorted(servo for servo in bus.late if servo not in pongs and servo in (ids or row))
+        if late:  # a description without them would be of another robot
+            raise BusError(f"port {name}: answers of servo {_ranges(late)} come too late: {BUSY}")
+        found = _found(bus, port, pongs)
     finally:
         bus.close()
     missing = [servo for servo in ids or row[1:] if servo not in found.servos]

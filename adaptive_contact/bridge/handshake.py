@@ -203,7 +203,7 @@ def look_elsewhere(
             bus = Bus(name, msgspec.structs.replace(port, baud=baud, protocol=protocol, fast=False))
             try:
                 bus.open()
-                here = [servo for servo in left if bus.answers(servo)]
+                here = bus.answering(left, _PATIENT_MS)
             except BusError:  # a rate that this adapter cannot have
                 continue
             finally:
@@ -254,7 +254,9 @@ def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
     What came in between may have been a late answer to another question.
     """
     worst = before
-    for _ in range(_LATE_TRIES if bus.late else _MORE_TRIES):
+    for tries in range(_LATE_TRIES):
+        if tries >= _MORE_TRIES and not bus.late:
+            break
         if worst is not None or bus.late:
             bus.settle()
         pong = bus.ping(servo)

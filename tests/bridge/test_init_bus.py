@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
 import pytest
 from described import Serve, command, init, robot
 from typer.testing import CliRunner
 
+from adaptive_contact.bridge import discovery, handshake
+from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.discovery import find_servos, group, wanted_legs
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
@@ -108,16 +113,42 @@ def test_a_servo_at_another_rate_is_looked_for_and_told(bus: Serve) -> None:
     assert all(servo.writes == 0 for servo in servos)
 
 
+@pytest.mark.parametrize("late", [(4, 5, 6), (1, 2, 3, 4, 5, 6)])
+def test_servos_whose_answers_come_late_are_found(
+    rig: Callable, tmp_path: Path, late: tuple[int, ...]
+) -> None:
+    """As on a busy computer: later than the first look waits, and more than it looks beyond."""
+    r = rig(model="AX-12A", protocol=1)
+    r.fault(*(f"late:id={servo},ms=20" for servo in late))
+    found = find_servos("p0", str(tmp_path / "p0"), (57_600, 1_000_000))
+    assert sorted(found.servos) == [1, 2, 3, 4, 5, 6]
+    assert (found.port.baud, found.port.protocol) == (1_000_000, 1)
+
+
+def test_a_servo_that_is_never_heard_in_time_is_told_and_not_left_out(
+    rig: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def in_vain(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int, Pong]:
+        return {servo: pong for servo, pong in found.items() if servo != 6}
+
+    monkeypatch.setattr(discovery, "scan_again", in_vain)
+    # The look at all ids goes on for much longer than servo 6 is late.
+    monkeypatch.setattr(handshake, "ALL_IDS", range(61))
+    r = rig(model="AX-12A", protocol=1)
+    r.fault("late:id=6,ms=200")
+    where = str(tmp_path / "p0")
+    with pytest.raises(BusError, match="answers of servo 6 come too late: this computer is too"):
+        find_servos("p0", where, (1_000_000,))
+    found = find_servos("p0", where, (1_000_000,), ids=(1, 2, 3, 4, 5))
+    assert 6 not in found.servos  # it is no leg's
+
+
 def test_the_rate_of_most_servos_is_the_ports(bus: Serve) -> None:
     """A new servo at its own rate is the odd one, though it is heard first."""
     device, _ = bus("1:AX-12A:at=0.2", "2-4:AX-12A:baud=115200")
     out = device.parent / "robot.toml"
     words = ["robot", "init", "--device", str(device), "--out", str(out), "--force"]
-    said = ""
-    for _ in range(5):  # a busy computer's virtual servo may answer a ping too late
-        said = CliRunner().invoke(cli.app, words).output
-        if "servo 1" in said:
-            break
+    said = CliRunner().invoke(cli.app, words).output
     assert "ids 2-4; 115200 baud, protocol 1" in said
     assert "servo 1 answers at 1000000 baud, protocol 1" in said
     assert load_robot(out).ports["main"].baud == 115200

@@ -80,7 +80,7 @@ class Served:
     ready: str
     log: Path
 
-    def stop(self, number: int = signal.SIGTERM, timeout_s: float = 5.0) -> int:
+    def stop(self, number: int = signal.SIGTERM, timeout_s: float = 20.0) -> int:
         self.process.send_signal(number)
         return self.process.wait(timeout_s)
 

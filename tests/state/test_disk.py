@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -88,6 +90,23 @@ def test_a_disk_that_is_too_slow_at_the_end_is_told(
     (line,) = logs
     assert line["event"] == "state not saved in time, the one before it stays"
     assert line["legs"] == "lf lr rm"
+
+
+def test_the_end_waits_for_a_slow_disk_and_is_over_before_the_service_is_killed(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file synced on a busy disk was seen to take more than a second."""
+    keeper = folder.open()
+    waits: list[float] = []
+    monkeypatch.setattr(keeper, "flush", lambda timeout_s: not waits.append(timeout_s))
+    keeper.close()
+    folder.keeper = None
+    unit = Path(__file__).parents[2] / "packaging" / "adaptive-contact.service"
+    killed = re.search(r"^TimeoutStopSec=(\d+)$", unit.read_text(), re.MULTILINE)
+    assert killed is not None
+    # All else takes two seconds, and a subscriber that hangs one.
+    assert waits[0] > 1.0
+    assert waits[0] + 3.0 < float(killed[1])
 
 
 def test_a_disk_that_does_not_answer_is_told(
