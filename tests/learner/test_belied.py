@@ -144,14 +144,14 @@ def test_the_doubt_begins_with_three_quarters_of_the_swings_and_ends_with_half(
         began = touches.take(swing)
         count = sum(swings[max(k + 1 - EARLY_SWINGS, 0) : k + 1])
         now = count >= EARLY_BEGIN or (told and count > EARLY_END)
-        assert (touches.told, began) == (now, now and not told)
+        assert (touches.reported, began) == (now, now and not told)
         assert (touches.note is None) == (not now)
         told = now
         again = EarlyContacts()
         again.restore(touches.snapshot())
-        assert (again.told, again.note) == (touches.told, touches.note)
+        assert (again.reported, again.note) == (touches.reported, touches.note)
     touches.forget()
-    assert not touches.told
+    assert not touches.reported
     assert touches.note is None
 
 
@@ -221,7 +221,7 @@ def test_what_was_heard_outlives_a_restart_and_is_kept_from_refits(
 def test_a_snapshot_that_knows_nothing_of_it_is_no_reason_for_doubt(saved: object) -> None:
     touches = EarlyContacts()
     touches.restore(saved)
-    assert not touches.told
+    assert not touches.reported
 
 
 def test_a_change_that_is_known_ends_the_doubt(robot: Robot, baseline: Baseline) -> None:
