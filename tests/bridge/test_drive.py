@@ -64,7 +64,7 @@ def test_goals_stay_within_limits_and_steps_whatever_is_commanded(
     last, heard = None, False
     for k, command in enumerate(commands):
         if command is not None:
-            driver.hear(Command(desired=list(command)), k * TICK_NS)
+            driver.receive(Command(desired=list(command)), k * TICK_NS)
             heard = True
         here = [None, None] if k in lost else measured
         goal = driver.step(here, k * TICK_NS)
@@ -87,14 +87,14 @@ def test_nothing_is_written_without_a_command() -> None:
 
 def test_nothing_is_written_while_it_is_not_known_where_the_leg_is() -> None:
     driver = Driver(leg())
-    driver.hear(Command(desired=[0.3, 0.3]), 0)
+    driver.receive(Command(desired=[0.3, 0.3]), 0)
     assert driver.step([None, 0.2], 0) is None
     assert driver.step([0.1, 0.2], 1) is not None
 
 
 def test_a_leg_begins_without_a_servo_that_is_silent_and_takes_it_in_when_it_is_back() -> None:
     driver = Driver(leg())
-    driver.hear(Command(desired=[0.3, 0.3]), 0)
+    driver.receive(Command(desired=[0.3, 0.3]), 0)
     assert driver.step([0.1, None], 0) is None  # it may answer in the next tick
     assert driver.step([None, None], 1, absent=(0, 1)) is None
     assert driver.step([0.1, None], 2, absent=(1,))[0] == pytest.approx(0.1 + 0.1 * EASY_SHARE)
@@ -105,7 +105,7 @@ def test_a_leg_begins_without_a_servo_that_is_silent_and_takes_it_in_when_it_is_
 def test_the_first_command_is_approached_at_an_easy_pace() -> None:
     driver = Driver(leg())
     for k in range(40):
-        driver.hear(Command(desired=[0.4, 0.0]), k * TICK_NS)
+        driver.receive(Command(desired=[0.4, 0.0]), k * TICK_NS)
         goal = driver.step([0.0, 0.0], k * TICK_NS)
         assert goal is not None
         if k == 0:
@@ -116,22 +116,22 @@ def test_the_first_command_is_approached_at_an_easy_pace() -> None:
 
 def test_a_stream_that_stops_is_held_and_resumed_gently() -> None:
     driver = Driver(leg())
-    driver.hear(Command(desired=[0.0, 0.0]), 0)
+    driver.receive(Command(desired=[0.0, 0.0]), 0)
     driver.step([0.0, 0.0], 0)
     assert driver.mode is Mode.FOLLOWING
     assert driver.step([0.0, 0.0], HOLD_AFTER_NS) is not None
     assert driver.step([0.0, 0.0], HOLD_AFTER_NS + 1) is None
     assert driver.mode is Mode.HOLDING
     later = 10 * HOLD_AFTER_NS
-    driver.hear(Command(desired=[0.4, 0.0]), later)
+    driver.receive(Command(desired=[0.4, 0.0]), later)
     assert driver.step([0.0, 0.0], later) == pytest.approx([0.02, 0.0])
 
 
 def test_a_joint_outside_its_limits_comes_back_and_goes_no_further() -> None:
     driver = Driver(leg())
-    driver.hear(Command(desired=[0.9, 0.0]), 0)
+    driver.receive(Command(desired=[0.9, 0.0]), 0)
     assert driver.step([0.7, 0.0], 0) == pytest.approx([0.7, 0.0])
-    driver.hear(Command(desired=[0.0, 0.0]), 1)
+    driver.receive(Command(desired=[0.0, 0.0]), 1)
     assert driver.step([0.7, 0.0], 1)[0] < 0.7
 
 
@@ -139,7 +139,7 @@ def test_a_preview_is_limited_like_commands_and_belongs_to_one_tick() -> None:
     driver = Driver(leg())
 
     def step(k: int, *wanted: float, preview: list[list[float]] | None) -> None:
-        driver.hear(Command(desired=list(wanted), preview=preview), k * TICK_NS)
+        driver.receive(Command(desired=list(wanted), preview=preview), k * TICK_NS)
         driver.step([0.0, 0.0], k * TICK_NS)
 
     step(0, 0.0, 0.0, preview=[[0.05, 0.0], [0.3, 0.0], [0.9, -5.0]])
