@@ -72,7 +72,7 @@ class RefitResult:
 
 
 class Job(Protocol):
-    """Describes work on numbers alone, for any process."""
+    """Describes work on numbers alone, for any process: a refit, or a search for signs or ids."""
 
     @property
     def leg(self) -> str:

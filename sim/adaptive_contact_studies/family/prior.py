@@ -109,7 +109,15 @@ def learn_family(
 def maximise(
     joints: Sequence[JointRows], progress: Callable[[str], None] = lambda _: None
 ) -> FamilyFile:
-    """Find the family whose joints these are, and the noise of each, which is set in them."""
+    """Find the family of joints by expectation maximisation, :data:`_ROUNDS` rounds of it.
+
+    Args:
+        joints: compressed rows; the variance of each is set to what is found.
+        progress: called after every round.
+
+    Returns:
+        Mean, covariance and deviations in units of the slope, without an origin.
+    """
     own = joints[0].own
     mean, covariance = np.zeros((own, len(joints[0].z))), 0.3 * np.eye(own)
     common, others = np.array([0.1, 0.1]), np.full(2 * len(OTHERS), 0.05)  # deviations

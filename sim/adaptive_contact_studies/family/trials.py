@@ -231,6 +231,7 @@ def _recorded(kind: str, seed: int) -> tuple[Run, Robot, Baseline | None]:
 
 
 def _outside(seed: int) -> ServoParameters:
+    """Draw a hexapod's servos that rub and yield as none of the family does."""
     servo = manufactured(seed)
     coulomb = _RUBBING * servo.stall_torque_nm
     more = coulomb / servo.coulomb_nm
