@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import itertools
 import os
 import signal
@@ -22,6 +22,7 @@ from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.wire import Message, ServoSample, decode
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # the helpers beside the tests
 
 ROBOT = """
 [robot]
@@ -87,24 +88,12 @@ class Served:
 
 @pytest.fixture(scope="session")
 def fake() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("fake_service", HERE / "fake_service.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["fake_service"] = module
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("fake_service")
 
 
 @pytest.fixture(scope="session")
 def rig() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("service_rig", HERE / "rig.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["service_rig"] = module
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("rig")
 
 
 @pytest.fixture

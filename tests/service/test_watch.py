@@ -1,9 +1,9 @@
+"""What `watch` counts of events, truth and statuses."""
+
 from __future__ import annotations
 
-import io
 import json
 import pickle
-import re
 import subprocess
 import time
 from collections.abc import Callable
@@ -11,79 +11,17 @@ from typing import Any
 
 import msgspec
 import pytest
-from rich.console import Console
+from views import MS, S, drawn, event, service, status, truth
 
-from adaptive_contact.service.state import StateFacts
-from adaptive_contact.service.status import LegFacts, ServiceStatus
-from adaptive_contact.service.watch import LegView, View, Watch
-from adaptive_contact.service.watch_table import _counts, headline, table
+from adaptive_contact.service.watch import Watch
+from adaptive_contact.service.watch_table import headline
 from adaptive_contact.wire import (
-    ContactEvent,
-    ContactTruth,
     DriftLevel,
     LearnerStatus,
     ServoSample,
     servo_key,
     truth_key,
 )
-
-S = 1_000_000_000
-MS = 1_000_000
-
-
-def event(t_ms: float, *, contact: bool = True, leg: str = "rf") -> ContactEvent:
-    t_ns = int(t_ms * MS)
-    return ContactEvent(
-        leg=leg,
-        t_ns=t_ns,
-        seq=1,
-        onset_ns=t_ns,
-        contact=contact,
-        status="valid",
-        score=2.0,
-        residual=[0.1],
-        model_version=1,
-    )
-
-
-def status(ticks: int = 0, **fields: Any) -> LearnerStatus:
-    return LearnerStatus(
-        **{
-            "leg": "rf",
-            "t_ns": 0,
-            "status": "valid",
-            "model_version": 4,
-            "residual_rms": [0.004, 0.006],
-            "noise_floor": [0.004, 0.003],
-            "ticks": ticks,
-            **fields,
-        }
-    )
-
-
-def truth(t_ms: float, contact: bool) -> ContactTruth:
-    return ContactTruth(t_ns=int(t_ms * MS), contact=contact, force=2.0 if contact else 0.0)
-
-
-def service(**fields: Any) -> ServiceStatus:
-    return ServiceStatus(
-        **{
-            "version": "1",
-            "robot": "mini",
-            "period_s": 0.02,
-            "baseline": None,
-            "legs": {"rf": LegFacts(joints=["a"]), "lf": LegFacts(joints=["a"])},
-            "uptime_s": 75.0,
-            **fields,
-        }
-    )
-
-
-def drawn(view: View) -> str:
-    console = Console(width=180, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
-    console.print(table(view))
-    console.file.close()
-    return console.export_text()
 
 
 def after_one_swing() -> Watch:
@@ -321,125 +259,6 @@ def test_a_contact_heard_before_the_first_status_is_counted_as_heard() -> None:
     assert row(watch).unheard == 0
 
 
-LEGS = [
-    LegView(
-        leg=f"leg{i}",
-        contact=i % 2 == 0,
-        status="ambiguous" if i == 11 else "valid",
-        contact_age_s=12.3,
-        latency_ms=16.0,
-        median_latency_ms=18.0,
-        touches=120,
-        seen=119,
-        false_alarms=i,
-        residual_rms=[0.01, 0.02],
-        noise_floor=[0.01, 0.02],
-        model_version=12,
-        changed_s=40.0,
-        kind="friction",
-        rate_hz=50.0,
-        missed=3,
-        rejects={"malformed": 3, "implausible": 4} if i == 11 else {},
-        note="what is wrong, in words that go on for longer than a line has" if i == 11 else None,
-    )
-    for i in range(12)
-]
-
-
-def lines(view: View, width: int, height: int | None = None) -> list[str]:
-    out = io.StringIO()
-    Console(width=width, file=out).print(table(view, width, height))
-    return out.getvalue().splitlines()
-
-
-@pytest.mark.parametrize("width", [30, 40, 60, 80, 100, 120, 160])
-def test_a_row_is_a_line_at_any_width(width: int) -> None:
-    """Columns that do not fit are left out and named; nothing is cut to pieces."""
-    drawn = lines(View(legs=LEGS, alive=True), width)
-    assert all(len(line.rstrip()) <= width for line in drawn)
-    rows = [line for line in drawn if re.match(r"leg\d+ ", line)]
-    assert len(rows) == len(LEGS)
-    assert not any("\u2026" in line for line in drawn)
-    words = " ".join(" ".join(drawn).split())
-    assert "leg11: what is wrong, in words that go on for longer than a line has" in words
-    assert "leg11: refused: implausible 4, malformed 3" in words
-    head = next(line for line in drawn if line.startswith("leg "))
-    named = words.partition(f"not shown at {width} columns: ")[2]
-    for column in ("status", "seen", "false", "residual", "model", "Hz", "changed"):
-        assert (column in head) != (column in named), column
-    if width >= 80:
-        for column in ("state", "status", "last contact", "seen", "false", "missed", "rejects"):
-            assert column in head
-
-
-@pytest.mark.parametrize("height", [8, 12, 16, 20, 24, 40])
-def test_legs_that_find_no_room_are_counted(height: int) -> None:
-    """Those that are well, before those that are not."""
-    drawn = lines(View(legs=LEGS, alive=True), 80, height)
-    assert len(drawn) <= height
-    rows = [line for line in drawn if re.match(r"leg\d+ ", line)]
-    assert any(line.startswith("leg11 ") for line in rows)
-    hidden = len(LEGS) - len(rows)
-    more = [line for line in drawn if re.match(r"\d+ more legs?: ", line)]
-    assert more == ([f"{hidden} more leg{'s' * (hidden > 1)}: valid {hidden}"] if hidden else [])
-
-
-def test_rows_come_in_the_order_of_the_robot() -> None:
-    watch = Watch()
-    watch.event(event(1, leg="aa"), 0)
-    watch.service(service())
-    assert [leg.leg for leg in watch.view(0).legs] == ["rf", "lf", "aa"]
-
-
-def test_the_table_says_what_matters() -> None:
-    watch = Watch()
-    watch.service(service(events=7, rejects={"unknown_leg": 2}))
-    watch.truth("rf", truth(0, False), 0)
-    watch.truth("rf", truth(300, True), 0)
-    watch.truth("rf", truth(500, False), 0)
-    watch.truth("rf", truth(1000, True), 0)
-    watch.event(event(1016), 1 * S)
-    watch.learner(
-        status(
-            rejects={"malformed": 3, "not_finite": 9},
-            note="something odd",
-            drift=DriftLevel(level=1.7),
-            contact=True,
-        ),
-        1 * S,
-    )
-    text = drawn(watch.view(2 * S))
-    for part in (
-        "mini  up 1.2 min  7 events",
-        "refused: unknown_leg 2",
-        "CONTACT",
-        "16 ms (16)",
-        "1/1",
-        "0.34°",
-        "2.0",
-        "v4",
-        "not_finite 9, malformed 3",
-        "something odd",
-    ):
-        assert part in text, f"{part!r} not in\n{text}"
-
-
-def test_without_truth_there_are_no_columns_of_it() -> None:
-    watch = Watch()
-    watch.learner(status(), 0)
-    assert "latency" not in drawn(watch.view(0))
-
-
-def test_the_headline_says_what_is_wrong_as_a_whole() -> None:
-    watch = Watch()
-    assert "router lost" in headline(watch.view(0, connected=False)).plain
-    assert "no service is running" in headline(watch.view(0, alive=False)).plain
-    assert "waiting for the service" in headline(watch.view(0, alive=True)).plain
-    watch.service(service(callback_faults=2))
-    assert "service gone" in headline(watch.view(0, alive=False)).plain
-    assert "2 callback faults" in headline(watch.view(0)).plain
-
-
 @pytest.mark.e2e
 def test_the_command_over_zenoh(
     serve: Any, cli: Any, join: Callable[..., Any], sample: Callable[..., ServoSample]
@@ -487,30 +306,3 @@ def test_looking_once_ends_where_there_is_no_router(command: Any) -> None:
     process.stderr.close()
     assert process.returncode == 2
     assert "no router within 0.3 s: unreachable: nobody listens on tcp/127.0.0.1:1; start" in said
-
-
-def test_what_the_service_says_of_itself_is_over_the_table() -> None:
-    watch = Watch()
-    kept = StateFacts(
-        folder="/x", restored=[], refused=["rf.state: damaged"], saved=1, failed=0, error=None
-    )
-    told = service(
-        note="state: disk full", events_lost=3, slow_puts=2, cut_off=4, stalls=1, state=kept
-    )
-    watch.service(told)
-    text = drawn(watch.view(0))
-    for part in (
-        "state refused: rf.state: damaged",
-        "state: disk full",
-        "3 events lost",
-        "2 events held up",
-        "4 links of subscribers dropped",
-        "stood still 1 times",
-    ):
-        assert part in text
-
-
-def test_no_reason_is_out_of_sight_behind_larger_ones() -> None:
-    counts = {"time_backwards": 9, "overflow": 650, "not_finite": 4000, "too_large": 2000, "x": 1}
-    shown = _counts(counts)
-    assert shown == "not_finite 4000, too_large 2000, overflow 650, time_backwards 9, x 1"

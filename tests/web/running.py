@@ -1,0 +1,108 @@
+"""A page's server on a thread of its own, and requests to it byte by byte."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+from adaptive_contact.web import WebSettings
+from adaptive_contact.web.server import Site
+
+FRAME = b'{"t":1}'
+
+
+class Running:
+    """A site whose loop runs on a thread; it pushes a frame when it is told to."""
+
+    def __init__(self, settings_: WebSettings) -> None:
+        self.loop = asyncio.new_event_loop()
+        self.site = Site(settings_, self._model)
+        self.site.bind()
+        self.stop = asyncio.Event()
+        self.asked: list[str] = []
+        self.faults: list[object] = []
+        self.loop.set_exception_handler(lambda _, context: self.faults.append(context))
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+        self.port = self.site.port
+        self.host = f"127.0.0.1:{self.port}"
+
+    def _run(self) -> None:
+        self.loop.run_until_complete(self.site.serve(self.stop))
+        self.loop.close()
+
+    async def _model(self, leg: str) -> bytes | None:
+        self.asked.append(leg)
+        return b'{"leg":"rf"}' if leg == "rf" else None
+
+    def push(self, frame: bytes = FRAME, view: bytes | None = None) -> None:
+        self.on_loop(lambda: self.site.history.push(frame, view))
+
+    def on_loop(self, call: Callable[[], object]) -> None:
+        """Call something in the loop, and wait for it."""
+        done = threading.Event()
+
+        def run() -> None:
+            call()
+            done.set()
+
+        self.loop.call_soon_threadsafe(run)
+        assert done.wait(20)
+
+    def until(self, test: Callable[[], bool]) -> None:
+        end = time.monotonic() + 20
+        while not test():
+            assert time.monotonic() < end
+            time.sleep(0.005)
+
+    def connect(self) -> socket.socket:
+        return socket.create_connection(("127.0.0.1", self.port), 20)
+
+    def send(self, request: bytes) -> tuple[int, dict[str, str], bytes]:
+        """Send bytes; the answer, once the server has closed."""
+        with self.connect() as one:
+            one.sendall(request)
+            return answer_of(everything(one))
+
+    def get(
+        self, path: str, *headers: str, method: str = "GET"
+    ) -> tuple[int, dict[str, str], bytes]:
+        lines = [f"{method} {path} HTTP/1.1", f"Host: {self.host}", *headers, "", ""]
+        return self.send("\r\n".join(lines).encode())
+
+    def stream(self, after: str = "") -> socket.socket:
+        one = self.connect()
+        one.sendall(f"GET /stream?after={after} HTTP/1.1\r\nHost: {self.host}\r\n\r\n".encode())
+        return one
+
+    def close(self) -> None:
+        self.loop.call_soon_threadsafe(self.stop.set)
+        self.thread.join(10)
+        assert not self.thread.is_alive()
+        assert not self.faults
+
+
+def everything(one: socket.socket) -> bytes:
+    parts = []
+    while part := one.recv(65536):
+        parts.append(part)
+    return b"".join(parts)
+
+
+def answer_of(data: bytes) -> tuple[int, dict[str, str], bytes]:
+    head, _, body = data.partition(b"\r\n\r\n")
+    first, *lines = head.decode().split("\r\n")
+    pairs = (line.split(": ", 1) for line in lines)
+    return int(first.split()[1]), dict(pairs), body
+
+
+def read_until(one: socket.socket, what: bytes) -> bytes:
+    data = b""
+    while what not in data:
+        part = one.recv(65536)
+        assert part, f"closed before {what!r}: {data[-200:]!r}"
+        data += part
+    return data
