@@ -15,8 +15,6 @@ import math
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,67 +24,38 @@ import numpy as np
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Window, save_baseline
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.wire import Drift, ServoSample
 from adaptive_contact_sim import (
     EncoderSettings,
-    Injection,
     ObstacleSettings,
     PoseGroupSettings,
     PoseSettings,
-    Simulation,
     SimulationSettings,
-    TerrainSettings,
-    WalkSettings,
     record_arrays,
 )
-from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.obstacles import Approach
 from adaptive_contact_studies import quadruped_trials
 from adaptive_contact_studies.scenarios.spec import Staging
-from adaptive_contact_studies.scenarios.staging import stagehand
 from adaptive_contact_studies.training import stretch_of
 
+from .simulated import (
+    CHANGE_S,
+    LONG_POSE_S,
+    PERIOD_NS,
+    TRIPOD,
+    Recording,
+    Round,
+    Sample,
+    Spoiler,
+    change,
+    hexapod,
+    hexapod_pose,
+    hexapod_walk,
+    looks_of,
+    plain,
+    shipped,
+    simulated,
+)
+
 __all__ = ["RECIPES", "Recording", "kept", "quick"]
-
-# One leg's sample as plain values; what is left out has its default.
-Sample = dict[str, Any]
-Round = dict[str, Sample]
-# Makes a bad sample of one and the one before; whether it comes instead, or besides.
-Spoiler = Callable[[Sample, Sample], tuple[Sample, bool]]
-
-PERIOD_NS: Final = 20_000_000
-POSE_S: Final = 90.0
-LONG_POSE_S: Final = 180.0  # half a dozen refits
-WALK_S: Final = 60.0  # the first refits
-# When something about the leg changes: some 40 swings are long enough to know it by.
-CHANGE_S: Final = 20.0
-_TRIPOD: Final = ("lm", "rf", "rr")
-
-
-@dataclass
-class Recording:
-    """What learners are given, and when they are asked.
-
-    Attributes:
-        robot: content of ``robot.toml``.
-        baseline: content of a baseline file, None for a cold start.
-        rounds: samples, by leg.
-        looks: after which round the status of which legs is noted.
-        restarts: before which rounds the service that has the learners is started again.
-        probes: after which rounds, of which leg, scores and thresholds are asked for.
-    """
-
-    robot: str
-    baseline: bytes | None
-    rounds: list[Round]
-    looks: list[tuple[int, list[str]]] = field(default_factory=list)
-    restarts: list[int] = field(default_factory=list)
-    probes: list[tuple[int, str]] = field(default_factory=list)
-
-    @property
-    def samples(self) -> int:
-        """Of all legs."""
-        return sum(map(len, self.rounds))
 
 
 def kept(folder: Path, names: Sequence[str], *, processes: int = 2) -> dict[str, Path]:
@@ -98,7 +67,9 @@ def kept(folder: Path, names: Sequence[str], *, processes: int = 2) -> dict[str,
         processes: how many are simulated at a time.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    digest = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:12]
+    here = Path(__file__)
+    recipes = here.read_bytes() + here.with_name("simulated.py").read_bytes()
+    digest = hashlib.sha256(recipes).hexdigest()[:12]
     files = {name: folder / f"{name}-{digest}.msgpack" for name in names}
     missing = [name for name, path in files.items() if not path.is_file()]
     for name, path in files.items():  # of an older recipe
@@ -112,8 +83,8 @@ def kept(folder: Path, names: Sequence[str], *, processes: int = 2) -> dict[str,
 
 def quick() -> Recording:
     """A leg in pose that changes, touches and loses readings, all within 20 s: for fast tests."""
-    drift = _drift("friction", 4.0, 8.0)
-    return _pose(5101, seconds=20.0, drift=drift, encoder=EncoderSettings(dropped=0.01))
+    drift = change("friction", 4.0, 8.0)
+    return hexapod_pose(5101, seconds=20.0, drift=drift, encoder=EncoderSettings(dropped=0.01))
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -127,125 +98,17 @@ def _make(name: str, path: Path) -> None:
     write(RECIPES[name](), path)
 
 
-# -- what robots send ------------------------------------------------------------------------------
-
-
-def _simulated(
-    settings: SimulationSettings,
-    seconds: float,
-    legs: Sequence[str],
-    staging: Staging | None = None,
-) -> list[Round]:
-    sim = Simulation(settings)
-    rounds = []
-    with stagehand(sim, staging or Staging(), legs[0]) as hand:
-        for _ in range(round(seconds / settings.period_s)):
-            hand.before_tick()
-            samples = sim.tick().samples
-            rounds.append({leg: _plain(samples[leg]) for leg in legs})
-    return rounds
-
-
-def _plain(sample: ServoSample) -> Sample:
-    fields: Sample = msgspec.to_builtins(sample)
-    del fields["v"]
-    return fields
-
-
-def _looks(rounds: Sequence[Round]) -> list[tuple[int, list[str]]]:
-    """After the first sample of every stance that follows a swing, and at the end."""
-    swinging: set[str] = set()
-    looks = []
-    for number, samples in enumerate(rounds):
-        ended = [leg for leg, s in samples.items() if s["phase"] != "swing" and leg in swinging]
-        if ended:
-            looks.append((number, ended))
-        swinging = {leg for leg, s in samples.items() if s["phase"] == "swing"} | (
-            swinging - set(samples)
-        )
-    legs = sorted({leg for samples in rounds for leg in samples})
-    return [*looks, (len(rounds) - 1, legs)]
-
-
-def _shipped(name: str, file: str) -> bytes:
-    return resources.files("adaptive_contact_models").joinpath(name, file).read_bytes()
-
-
-def _hexapod(rounds: list[Round]) -> Recording:
-    robot = _shipped("hexapod", "robot.toml").decode()
-    return Recording(robot, _shipped("hexapod", "baseline.json"), rounds, _looks(rounds))
-
-
-def _walk(seed: int, kind: str, gait: str = "tripod", *, phase: bool = True) -> Recording:
-    settings = SimulationSettings(
-        motion=WalkSettings(gait=gait),  # type: ignore[arg-type]
-        terrain=TerrainSettings(kind=kind),  # type: ignore[arg-type]
-        seed=seed,
-    )
-    recording = _hexapod(_simulated(settings, WALK_S, LEGS))
-    if not phase:
-        for samples in recording.rounds:
-            for sample in samples.values():
-                del sample["phase"]
-    return recording
-
-
-def _pose(
-    seed: int,
-    *,
-    seconds: float = POSE_S,
-    obstacles: float = 0.5,
-    approach: Approach = "descent",
-    segment_ticks: int = 10,
-    drift: tuple[Injection, ...] = (),
-    encoder: EncoderSettings | None = None,
-    staging: Staging | None = None,
-    preview_ticks: int = 0,
-) -> Recording:
-    settings = SimulationSettings(
-        motion=PoseSettings(
-            segment_ticks=segment_ticks,
-            obstacles=ObstacleSettings(probability=obstacles, soft=0.3),
-            approach=approach,
-        ),
-        seed=seed,
-        drift=drift,
-        encoder=encoder or EncoderSettings(),
-        preview_ticks=preview_ticks,
-    )
-    return _hexapod(_simulated(settings, seconds, ("rf",), staging))
-
-
-def _drift(
-    kind: str,
-    value: float,
-    at_s: float = CHANGE_S,
-    *,
-    joint: str | None = None,
-    shape: str = "step",
-    duration_s: float = 0.0,
-) -> tuple[Injection, ...]:
-    drift = Drift(
-        kind=kind,  # type: ignore[arg-type]
-        value=value,
-        joint=joint,
-        shape=shape,  # type: ignore[arg-type]
-        duration_s=duration_s,
-    )
-    return (Injection(drift, at_s),)
-
-
 # -- starts ----------------------------------------------------------------------------------------
 
 
 def _cold_start() -> Recording:
-    recording = _pose(5201)
+    recording = hexapod_pose(5201)
     recording.baseline = None
     return recording
 
 
 def _other_leg() -> Recording:
-    recording = _pose(5202)
+    recording = hexapod_pose(5202)
     assert recording.baseline is not None
     table = json.loads(recording.baseline)
     table["legs"] = {"rf": table["legs"]["lf"]}
@@ -255,7 +118,7 @@ def _other_leg() -> Recording:
 
 def _unfit_baseline() -> Recording:
     """A baseline that promises an eighth of the noise: given up, and the leg learned again."""
-    recording = _pose(5208)
+    recording = hexapod_pose(5208)
     assert recording.baseline is not None
     table = json.loads(recording.baseline)
     leg = table["legs"]["rf"]
@@ -266,14 +129,14 @@ def _unfit_baseline() -> Recording:
 
 def _no_lengths() -> Recording:
     # Without geometry a lift is told by its time, which needs swings of 0.4 s and more.
-    recording = _pose(5203, segment_ticks=14, drift=_drift("friction", 4.0, 30.0))
+    recording = hexapod_pose(5203, segment_ticks=14, drift=change("friction", 4.0, 30.0))
     recording.robot = re.sub(r"(?m)^lengths_m.*\n", "", recording.robot)
     return recording
 
 
 def _preview_library() -> Recording:
     """A baseline whose library looks one command ahead, learned here from free swings."""
-    recording = _pose(5204, preview_ticks=2, drift=_drift("supply", 9.5))
+    recording = hexapod_pose(5204, preview_ticks=2, drift=change("supply", 9.5))
     robot = parse_robot(recording.robot, source="hexapod")
     run = record_arrays(SimulationSettings(seed=5205), 300.0)
     training = learn(
@@ -293,7 +156,7 @@ def _preview_library() -> Recording:
 
 def _service_restart() -> Recording:
     """The service starts again while the leg touches, and while an old publisher still speaks."""
-    recording = _pose(5206, drift=_drift("friction", 4.0))
+    recording = hexapod_pose(5206, drift=change("friction", 4.0))
     rounds: list[Round] = []
     for number, samples in enumerate(recording.rounds):
         samples["rf"]["run"] = 71 if number < 1400 else 72
@@ -311,12 +174,12 @@ def _quadruped() -> Recording:
     for leg, sample in quadruped_trials.record(scenario).samples:
         if not rounds or leg in rounds[-1]:
             rounds.append({})
-        rounds[-1][leg] = _plain(sample)
+        rounds[-1][leg] = plain(sample)
     return Recording(
-        _shipped("quadruped", "robot.toml").decode(),
-        _shipped("quadruped", "baseline.json"),
+        shipped("quadruped", "robot.toml").decode(),
+        shipped("quadruped", "baseline.json"),
         rounds,
-        _looks(rounds),
+        looks_of(rounds),
     )
 
 
@@ -334,7 +197,7 @@ def _streams(recording: Recording, rounds: Iterable[Round]) -> Recording:
 
 def _restarted(*, run: bool) -> Recording:
     """A source that starts again: in a swing, in a stance, and then every few samples."""
-    parts = [_pose(5301 + i, seconds=s) for i, s in enumerate((21.0, 14.1, 20.0))]
+    parts = [hexapod_pose(5301 + i, seconds=s) for i, s in enumerate((21.0, 14.1, 20.0))]
     rounds: list[Round] = []
     number = 0
     for part in parts:
@@ -355,10 +218,10 @@ def _restarted(*, run: bool) -> Recording:
 def _tripod(seed: int, encoder: EncoderSettings) -> Recording:
     """Three legs in pose at a time."""
     poses = tuple(
-        PoseSettings(legs=(leg,), obstacles=ObstacleSettings(probability=0.4)) for leg in _TRIPOD
+        PoseSettings(legs=(leg,), obstacles=ObstacleSettings(probability=0.4)) for leg in TRIPOD
     )
     settings = SimulationSettings(motion=PoseGroupSettings(poses), seed=seed, encoder=encoder)
-    return _hexapod(_simulated(settings, 60.0, _TRIPOD))
+    return hexapod(simulated(settings, 60.0, TRIPOD))
 
 
 def _lost_samples() -> Recording:
@@ -366,10 +229,10 @@ def _lost_samples() -> Recording:
     rng = np.random.default_rng(5311)
     recording = _tripod(5310, EncoderSettings(dropped=0.01))
     lost: set[tuple[int, str]] = set()
-    for leg in (*_TRIPOD, *_TRIPOD, "all"):
+    for leg in (*TRIPOD, *TRIPOD, "all"):
         for start in rng.integers(100, 2900, 20).tolist():
             length = int(rng.choice([1, 1, 2, 3, 6, 40]))
-            legs = _TRIPOD if leg == "all" else (leg,)
+            legs = TRIPOD if leg == "all" else (leg,)
             lost |= {(start + i, of) for i in range(length) for of in legs}
     rounds = [
         {leg: s for leg, s in samples.items() if (number, leg) not in lost}
@@ -387,7 +250,7 @@ def _failing_readings() -> Recording:
 def _late_ticks() -> Recording:
     """Ticks that come late, their readings as well as their stamps, and pauses of the source."""
     rng = np.random.default_rng(5313)
-    recording = _pose(5314, seconds=60.0)
+    recording = hexapod_pose(5314, seconds=60.0)
     late_ns = 0
     for number, samples in enumerate(recording.rounds):
         if number in (900, 1700):  # that no number shows
@@ -401,7 +264,7 @@ def _late_ticks() -> Recording:
 def _stamp_jitter() -> Recording:
     """Readings on time with stamps that are not: by 3 ms, then by 6 ms (standard deviation)."""
     rng = np.random.default_rng(5322)
-    recording = _pose(5323, seconds=50.0)
+    recording = hexapod_pose(5323, seconds=50.0)
     for number, samples in enumerate(recording.rounds):
         deviation_ns = 0.0 if number < 500 else 3e6 if number < 1500 else 6e6
         jitter_ns = float(np.clip(rng.normal(), -1.5, 1.5)) * deviation_ns
@@ -411,7 +274,7 @@ def _stamp_jitter() -> Recording:
 
 def _other_rate() -> Recording:
     """Ticks of 25 ms for 8 s, and of 20.6 ms for 8 s."""
-    recording = _pose(5320, seconds=50.0)
+    recording = hexapod_pose(5320, seconds=50.0)
     t_ns = 0
     for number, samples in enumerate(recording.rounds):
         t_ns += 25_000_000 if 700 <= number < 1020 else PERIOD_NS
@@ -422,7 +285,7 @@ def _other_rate() -> Recording:
 
 def _two_publishers() -> Recording:
     """Two sources of one leg: together, the older alone again, and the newer again."""
-    first, second = _pose(5331, seconds=40.0), _pose(5332, seconds=40.0)
+    first, second = hexapod_pose(5331, seconds=40.0), hexapod_pose(5332, seconds=40.0)
     rounds: list[Round] = []
     for number, (one, other) in enumerate(zip(first.rounds, second.rounds, strict=True)):
         one["rf"]["run"], other["rf"]["run"] = 41, 42
@@ -436,7 +299,7 @@ def _two_publishers() -> Recording:
 
 def _spoilt(seed: int, seconds: float, spoilers: Sequence[Spoiler]) -> Recording:
     """One bad sample a second and some, each kind in turn."""
-    recording = _pose(seed, seconds=seconds)
+    recording = hexapod_pose(seed, seconds=seconds)
     last = len(recording.rounds) - 20
     rounds: list[Round] = []
     for number, samples in enumerate(recording.rounds):
@@ -493,7 +356,7 @@ _UNREAL: Final[tuple[Spoiler, ...]] = (
 
 def _wrong_signs() -> Recording:
     """Pitch angles that grow downwards: the baseline is of another leg, and one is learned."""
-    recording = _pose(5351, obstacles=0.3)
+    recording = hexapod_pose(5351, obstacles=0.3)
     for samples in recording.rounds:
         for sample in samples.values():
             for name in ("measured", "desired"):
@@ -504,25 +367,29 @@ def _wrong_signs() -> Recording:
 
 # Seeds are those of no test, benchmark or baseline; names are permanent.
 RECIPES: Final[dict[str, Callable[[], Recording]]] = {
-    "walk-flat": lambda: _walk(5001, "flat"),
-    "walk-rough": lambda: _walk(5002, "rough", "ripple"),
-    "walk-soft": lambda: _walk(5003, "soft"),
-    "walk-no-phase": lambda: _walk(5004, "rough", phase=False),
-    "pose-obstacles": lambda: _pose(5101, seconds=LONG_POSE_S),
-    "pose-free": lambda: _pose(5102, obstacles=0.0),
-    "pose-friction4": lambda: _pose(5103, drift=_drift("friction", 4.0)),
-    "pose-joint6": lambda: _pose(5104, drift=_drift("friction", 6.0, joint="femur")),
-    "pose-supply": lambda: _pose(5105, drift=_drift("supply", 9.0)),
-    "pose-mass": lambda: _pose(5106, drift=_drift("mass", 0.1)),
-    "pose-offset": lambda: _pose(5107, drift=_drift("offset", 0.05, joint="tibia")),
-    "pose-creeping": lambda: _pose(
-        5108, drift=_drift("friction", 3.0, shape="ramp", duration_s=60.0)
+    "walk-flat": lambda: hexapod_walk(5001, "flat"),
+    "walk-rough": lambda: hexapod_walk(5002, "rough", "ripple"),
+    "walk-soft": lambda: hexapod_walk(5003, "soft"),
+    "walk-no-phase": lambda: hexapod_walk(5004, "rough", phase=False),
+    "pose-obstacles": lambda: hexapod_pose(5101, seconds=LONG_POSE_S),
+    "pose-free": lambda: hexapod_pose(5102, obstacles=0.0),
+    "pose-friction4": lambda: hexapod_pose(5103, drift=change("friction", 4.0)),
+    "pose-joint6": lambda: hexapod_pose(5104, drift=change("friction", 6.0, joint="femur")),
+    "pose-supply": lambda: hexapod_pose(5105, drift=change("supply", 9.0)),
+    "pose-mass": lambda: hexapod_pose(5106, drift=change("mass", 0.1)),
+    "pose-offset": lambda: hexapod_pose(5107, drift=change("offset", 0.05, joint="tibia")),
+    "pose-creeping": lambda: hexapod_pose(
+        5108, drift=change("friction", 3.0, shape="ramp", duration_s=60.0)
     ),
-    "pose-passing": lambda: _pose(5109, drift=_drift("mass", 0.1, shape="pulse", duration_s=25.0)),
-    "pose-slipped": lambda: _pose(5111, drift=_drift("offset", 0.2)),
-    "pose-post": lambda: _pose(5113, obstacles=0.9, approach="forward"),
-    "trailing-foot": lambda: _pose(5112, staging=Staging(caught_s=(CHANGE_S, 50.0), trails_n=12.0)),
-    "caught-foot": lambda: _pose(5110, staging=Staging(caught_s=(CHANGE_S, 50.0))),
+    "pose-passing": lambda: hexapod_pose(
+        5109, drift=change("mass", 0.1, shape="pulse", duration_s=25.0)
+    ),
+    "pose-slipped": lambda: hexapod_pose(5111, drift=change("offset", 0.2)),
+    "pose-post": lambda: hexapod_pose(5113, obstacles=0.9, approach="forward"),
+    "trailing-foot": lambda: hexapod_pose(
+        5112, staging=Staging(caught_s=(CHANGE_S, 50.0), trails_n=12.0)
+    ),
+    "caught-foot": lambda: hexapod_pose(5110, staging=Staging(caught_s=(CHANGE_S, 50.0))),
     "cold-start": _cold_start,
     "other-leg": _other_leg,
     "unfit-baseline": _unfit_baseline,
