@@ -214,12 +214,12 @@ class ContactLearner:
         usable = int(leg["usable"])
         if recent is None or not usable:
             return None
-        units = self.place.units
-        whiten = recent.whiten[int(leg["context"])] / np.sqrt(units)[:, None]
+        unit = self.place.batch.unit[self.place.row]
+        whiten = recent.whiten[int(leg["context"])] / np.sqrt(unit)
         found = statistic(self.place.residuals, self.place.increments, whiten, np.array(usable))
         thresholds = recent.thresholds
         residual = self.place.residuals[0].copy()
-        return JudgedTick(residual, found.value / thresholds, thresholds * units.mean(axis=1))
+        return JudgedTick(residual, found.value / thresholds, thresholds * float(unit.mean()))
 
     def drain_confirmed(self) -> list[int]:
         """Return the times of the ticks confirmed as free since the last call, ns."""

@@ -24,10 +24,6 @@ from adaptive_contact.detect.layout import BROKE_OFF, DECIDED, DEPTH, ENTERED, T
 from adaptive_contact.detect.swing import LEAST_WAY_M, height_gradient
 from adaptive_contact.model.noise import SPEED_EDGES_QUANTA, UNFIT_LEVEL
 
-# A coefficient that is off puts ticks in a row off alike: the variance of sums of w grows towards
-# w² times one's, not w times.  By so much more its share counts in windows of 1, 2 and 3 ticks of a
-# leg known from a prior; in full (1.1 and 2.3 times) it delays the first contact by two swings.
-CORRELATED: Final = (0.0, 0.25, 0.5)
 SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
 # A tick is calm when its distance from the free model is below this share of the threshold: one
 # free tick in a thousand is not, while a foot let go of is at several times the threshold.
@@ -86,7 +82,7 @@ def leverage(theta, reach):
 
 @compiled
 def statistic(
-    leg, history, whiten, unit, shrink, limits, awaited, scores, sums, gradient, against
+    leg, history, whiten, shrink, limits, awaited, scores, sums, gradient, against
 ):  # fmt: skip
     """Fill the (windows,) test ratios, NaN where a window reaches too far back.
 
@@ -96,8 +92,7 @@ def statistic(
     one that reaches back into the swing would apply them to motion judged before.  The first
     residual after the turn is of the swing, too: it is of the way to that sample.
 
-    ``unit`` are the (J,) variances of this tick over the baseline's, ``shrink`` their reciprocal
-    roots.
+    ``shrink`` are the (J,) reciprocal roots of this tick's variances over the baseline's.
 
     Returns:
         The squared distance of the last residual from zero, whitened.
@@ -107,10 +102,6 @@ def statistic(
     for j in range(joints):
         sums[0, j] = sums[1, j] = 0.0
     for width in range(DEPTH):
-        if leg.from_prior and width > 0:
-            for j in range(joints):
-                more = CORRELATED[width] * max(unit[j] - leg.variance_scale * leg.inflation, 0.0)
-                shrink[j] = 1.0 / math.sqrt(unit[j] + more)
         for j in range(joints):
             sums[0, j] += history[0, width, j]
             sums[1, j] += history[1, width, j]

@@ -336,7 +336,7 @@ def judge_tick(
         if against:
             height_gradient(last_measured, links[i], turns, room[3])
         leg.distance = statistic(
-            leg, history[i], whiten[i], unit, room[2], limits, limits_awaited, scores, sums,
+            leg, history[i], whiten[i], room[2], limits, limits_awaited, scores, sums,
             room[3], against,
         )  # fmt: skip
         if leg.usable and not leg.bad:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.compiled import records
-from adaptive_contact.detect.contact import CORRELATED
 from adaptive_contact.detect.detector import finish_tick, judge_tick
 from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, ROW, new_legs, vectors
 from adaptive_contact.detect.regressors import term_table
@@ -365,15 +364,6 @@ class LegPlace:
         """(lags, J) rad, measured, desired and preview, as a prediction is made from."""
         joints = self.batch.measured.shape[1]
         return np.asarray(self.batch.window[self.row].reshape(-1, joints))
-
-    @property
-    def units(self) -> Array:
-        """(windows, J) variance of the last tick's sums of residuals, over the baseline's."""
-        unit = self.batch.unit[self.row]
-        if not self.leg["from_prior"]:
-            return np.tile(unit, (DEPTH, 1))
-        own = float(self.leg["variance_scale"]) * float(self.leg["inflation"])
-        return np.asarray(unit + np.outer(CORRELATED, np.maximum(unit - own, 0.0)))
 
     @property
     def residuals(self) -> Array:

@@ -40,8 +40,7 @@ class FreeMotion(NamedTuple):
             them.
         variance_scale: of the residuals, over the baseline's; 1 for a leg as it was first known.
         covariance: of the coefficients while it is inflated, else None.
-        from_prior: the model goes on from a prior: what its coefficients add to residuals is alike
-            in ticks in a row.
+        from_prior: the model goes on from a prior; less of a swing's end is learned.
         changed: the leg has changed since the model in force was fitted.
         whiten: (contexts, windows, J, J) of sums of residuals.
         thresholds: (windows,) of the statistic.
