@@ -6,16 +6,16 @@ seconds (decision 46).
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from adaptive_contact.fit import FitSettings, fit_sparse
-from adaptive_contact.learn.active_model import PRIOR_BOUND
-from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings
+from adaptive_contact.learn.active_model import ActiveModel
 from adaptive_contact.model import Factor, Library, Window, stack, with_changes
-from adaptive_contact.model.change_prior import change_directions, core_support
+from adaptive_contact.model.labelled_swing import Row
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact_studies.paper.log_files import Recording, load_logs
@@ -89,9 +89,7 @@ def test_another_gain_is_followed_within_two_seconds(before: float, after: float
     first, again = (fitted(library, [r for r in runs if r.gain == g]) for g in (before, after))
     changing = with_changes(library, first)
     grown = np.concatenate([first, np.zeros((changing.size - library.size, 1))])
-    noise = np.full(1, QUANTUM_RAD)
     prior = leg_prior(library, QUANTUM_RAD)
-    assert prior.spread is not None
     off: dict[str, list[np.ndarray]] = {"frozen": [], "loose": [], "prior": [], "again": []}
     for run in (r for r in runs if r.gain == after):
         theta, increment = rows(library, [run])
@@ -99,18 +97,14 @@ def test_another_gain_is_followed_within_two_seconds(before: float, after: float
         kept = slice(FOLLOWED_TICKS, None)
         off["frozen"].append((increment - theta @ first)[kept, 0])
         off["again"].append((increment - theta @ again)[kept, 0])
-        scale = np.sqrt(np.square(more).mean(axis=0))
-        model = LegModel(changing, grown)
-        loose = RecursiveLeastSquares(grown, core_support(model), scale, noise)
-        loose.inflate(change_directions(model, scale, noise))
-        off["loose"].append(followed(loose, more, increment)[kept])
-        support = core_support(prior.model) | (prior.spread != 0.0).any(axis=1).T
-        begun = RecursiveLeastSquares(
-            prior.model.coefficients, support, prior.scale, prior.noise.rms,
-            RlsSettings(bound=PRIOR_BOUND),
+        known = dataclasses.replace(
+            prior, model=LegModel(changing, grown), spread=None,
+            scale=np.sqrt(np.square(more).mean(axis=0)),
         )  # fmt: skip
-        begun.inflate(prior.spread)
-        off["prior"].append(followed(begun, theta, increment)[kept])
+        loose = ActiveModel(known, on_fall=print)
+        loose.inflate()
+        off["loose"].append(followed(loose, more, increment)[kept])
+        off["prior"].append(followed(ActiveModel(prior, on_fall=print), theta, increment)[kept])
     rms = {name: float(np.sqrt(np.square(np.concatenate(e)).mean())) for name, e in off.items()}
     print(f"{before:g} to {after:g}:", *(f"{n} {e / rms['again']:.2f}" for n, e in rms.items()))
     assert rms["frozen"] > 1.25 * rms["again"]
@@ -118,12 +112,10 @@ def test_another_gain_is_followed_within_two_seconds(before: float, after: float
     assert rms["prior"] < 1.3 * rms["again"]
 
 
-def followed(
-    recursion: RecursiveLeastSquares, theta: np.ndarray, increment: np.ndarray
-) -> np.ndarray:
+def followed(active: ActiveModel, theta: np.ndarray, increment: np.ndarray) -> np.ndarray:
     """(n,) rad: what each tick differs from its prediction, before it is learned."""
     off = []
     for row, moved in zip(theta, increment, strict=True):
-        off.append(moved[0] - row @ recursion.coefficients[:, 0])
-        recursion.update(row, moved)
+        off.append(moved[0] - row @ active.coefficients[:, 0])
+        active.learn(Row(row, moved, 1.0, 1.0, 0, 0, lift=True, calm=True, cleared=True))
     return np.array(off)
