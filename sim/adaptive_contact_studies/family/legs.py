@@ -337,7 +337,11 @@ class _Plan:
         return np.array(self._data.site_xpos[0])
 
     def _reach(self, point: Array, near: Array) -> tuple[Array, float]:
-        """Angles that bring the foot to a point, and by how much they miss it."""
+        """Angles that bring the foot to a point, and by how much they miss it, m.
+
+        Unlike :class:`~adaptive_contact_sim.legs.ChainLegs` it refuses no point: drawn legs are
+        sent to points drawn, and take the nearest of six.
+        """
         q, jacobian = near.copy(), np.zeros((3, len(near)))
         off = np.inf
         for _ in range(25):
