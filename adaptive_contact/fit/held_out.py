@@ -1,7 +1,7 @@
 """Chooses how to fit a leg by errors on rows held out.
 
 The rows are dealt into folds, and each fold is predicted by a model of the others.  λ is chosen so,
-and whether the fit holds on to what is known of any leg (:mod:`.shrinkage`): where the folds are
+and whether the fit holds on to what is known of any leg (:mod:`.prior`): where the folds are
 motions of their own, the one thing that a model can be asked is what it says of the next motion.
 """
 
@@ -15,9 +15,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.fit.shrinkage import STRENGTHS, inflated_domain, shrinkage
-from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
+from adaptive_contact.fit.prior import STRENGTHS, fit_prior, inflated_domain
+from adaptive_contact.fit.sparse_regression import Fit, FitSettings, Prior, fit_sparse
 from adaptive_contact.model.factor import Factor
+from adaptive_contact.model.leg_prior import in_family
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import Domain
 
@@ -48,12 +49,14 @@ class Manner:
 
     Attributes:
         library: the terms to choose from.
+        quantum_rad: position step.
         unit: (J,) rad, of λ.
         strength: how firmly it holds on to what is known of any leg; None for not at all.
         inflation: factor on the leverage of a motion, beyond that of a position.
     """
 
     library: Library
+    quantum_rad: float
     unit: tuple[float, ...]
     strength: float | None = None
     inflation: float = 1.0
@@ -65,14 +68,17 @@ class Manner:
             factor: of the rows.
             threshold: λ.
         """
-        prior = None if self.strength is None else shrinkage(factor, self.library, self.strength)
+        prior = None if self.strength is None else self._prior(factor, self.strength)
         return fit_sparse(factor, FitSettings(threshold=threshold, unit=self.unit, prior=prior))
+
+    def _prior(self, factor: Factor, strength: float) -> Prior:
+        return fit_prior(factor, self.library, self.quantum_rad, strength)
 
     def domain(self, factor: Factor) -> Domain:
         """Make the domain of a fit to some rows."""
         if self.strength is None:
             return Domain.of(factor, factor.scale())
-        prior = shrinkage(factor, self.library, self.strength)
+        prior = self._prior(factor, self.strength)
         return inflated_domain(factor, self.library, prior, self.inflation)
 
     def holding(self, held: HeldOut, strength: float) -> Manner:
@@ -240,7 +246,7 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
     Returns:
         A strength; None where the data determine the model.
     """
-    if not plain.manner.library.groups:
+    if not in_family(plain.manner.library):
         return None  # of its terms nothing is known
     without = held.residual(plain.manner, plain.threshold, still)
     gains: dict[float, float] = {}

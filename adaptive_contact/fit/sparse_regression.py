@@ -42,16 +42,18 @@ class FitStatus(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """Holds what is known of the coefficients before the data.
+    """Holds what is known of the coefficients before the data, a Gaussian for each joint.
 
     Attributes:
-        mean: (p, J) their values before the data.
-        rows: (p, J) how firmly: like so many rows of the term's typical size, 0 for not at all,
-            inf for a term that is left out.
+        mean: (p, J).
+        rows: (J, q, p) rows that stand for it among those of the data: their outer products sum to
+            the precision, in units of a row's.
+        used: (p, J) terms that a joint may have.
     """
 
     mean: Array
     rows: Array
+    used: NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,7 +140,7 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
         scaled = _stlsq(r / scale / root, qty / unit / root, settings)
         systems = [(r, qty[:, joint]) for joint in range(joints)]
     else:  # of every joint its own, as what is known of it is
-        systems = [_with_prior(r, qty, scale, settings.prior, joint) for joint in range(joints)]
+        systems = [_with_prior(r, qty, settings.prior, joint) for joint in range(joints)]
         scaled = np.concatenate(
             [
                 _stlsq(theta / scale / root, target[:, None] / unit[joint] / root, settings)
@@ -148,7 +150,7 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
         )
     support = scaled != 0.0
     if settings.prior is not None:  # a column of zeros has a coefficient of rounding errors
-        support &= np.isfinite(settings.prior.rows)
+        support &= settings.prior.used
     coefficients = np.zeros((p, joints))
     for joint, (theta, target) in enumerate(systems):
         kept = support[:, joint]
@@ -165,15 +167,11 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
     )
 
 
-def _with_prior(
-    r: Array, qty: Array, scale: Array, prior: Prior, joint: int
-) -> tuple[Array, Array]:
+def _with_prior(r: Array, qty: Array, prior: Prior, joint: int) -> tuple[Array, Array]:
     """Rows of one joint, with those that its prior stands for below them."""
-    rows = prior.rows[:, joint]
-    used = np.isfinite(rows)
-    weight = np.sqrt(np.where(used, rows, 0.0)) * scale
-    theta = np.concatenate([r * used, np.diag(weight)])
-    return theta, np.concatenate([qty[:, joint], weight * prior.mean[:, joint]])
+    rows = prior.rows[joint]
+    theta = np.concatenate([r, rows]) * prior.used[:, joint]
+    return theta, np.concatenate([qty[:, joint], rows @ prior.mean[:, joint]])
 
 
 def _stlsq(theta: Array, target: Array, settings: FitSettings) -> Array:

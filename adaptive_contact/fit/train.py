@@ -88,7 +88,7 @@ class LegFigures:
         spans: ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements
             summed over so many.
         strength: how firmly the fit holds on to what is known of any leg; None where the motions
-            determine all terms (:mod:`~adaptive_contact.fit.shrinkage`).
+            determine all terms (:mod:`~adaptive_contact.fit.prior`).
         lone: ticks in which a motion went beyond all others, so that thresholds there are ten times
             the noise and more.
     """
@@ -254,7 +254,7 @@ def learn_leg(
     still: Mask = naive < quantum_rad  # the readings of such joints may be constant
     rounding = quantum_rad / 12**0.5
     plain = _checked(leg, fit_sparse(held.whole, FitSettings()), still)
-    manner = Manner(library, tuple(np.maximum(plain.rms, rounding).tolist()))
+    manner = Manner(library, quantum_rad, tuple(np.maximum(plain.rms, rounding).tolist()))
     lambdas = SWEEP if threshold is None else (threshold,)
     best = swept(held, manner, lambdas, still, rounding)
     if best is None:

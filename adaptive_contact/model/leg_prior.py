@@ -39,6 +39,7 @@ __all__ = [
     "OwnColumns",
     "columns_of",
     "covariates",
+    "in_family",
     "leg_prior",
     "prior_tails",
 ]
@@ -116,6 +117,11 @@ def family() -> FamilyFile:
     return msgspec.json.decode(file.read_bytes(), type=FamilyFile)
 
 
+def in_family(library: Library) -> bool:
+    """Return whether a library's terms are those that the family is known in."""
+    return tuple(group.form for group in library.groups) == family().forms
+
+
 def covariates(period_s: float, slope_rad: float) -> Array:
     """Compute (5,) z, on which the mean depends."""
     tick, slope = math.log(period_s / _PERIOD_S), math.log(slope_rad / _SLOPE_RAD)
@@ -169,7 +175,7 @@ def leg_prior(library: Library, quantum_rad: float, widening: float = 1.0) -> Le
         ConfigurationError: the library is another than the family's.
     """
     of = family()
-    if tuple(group.form for group in library.groups) != of.forms:
+    if not in_family(library):
         raise ConfigurationError("the family of legs is known for the usual library only")
     joints, slope, p = len(library.joints), library.slope_rad, library.size
     mean = np.array(of.mean) @ covariates(library.period_s, slope)
