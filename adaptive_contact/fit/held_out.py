@@ -30,9 +30,9 @@ Ints = NDArray[np.int64]
 
 # The sparsest model whose held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005
-# By what logarithm held-out errors must fall, where the prior is to be held on to: 0.13 to 0.9 on
-# half the motions of an arm, at most 0.055 on 65 swings of a walking hexapod (decision 43).
-LEAST_GAIN: Final = 0.1
+# By what logarithm held-out errors must fall, where the prior is to be held on to: by 0.03 to 0.6
+# on 30 swings of most legs, by less than this on ten minutes of a leg that ships (decision 43).
+LEAST_GAIN: Final = 0.02
 # Mean leverage of held-out rows from which on any gain is enough: what the other folds do not
 # determine is then more than the noise.  It is 20 to 800 on most of an arm's motions, 0.05 to 2.7
 # on those 65 swings, 0.01 to 0.1 on ten minutes of walking.
@@ -84,9 +84,12 @@ class Manner:
     def holding(self, held: HeldOut, strength: float) -> Manner:
         """Return the manner that holds on to what is known of any leg.
 
-        A motion of the typical leverage is then judged by √2 of the noise, one that goes as far
-        beyond the others as a step among slow swings by as much more.
+        Where that is more firmly than the family says, errors come from the motion: one of the
+        typical leverage is then judged by √2 of the noise, one that goes as far beyond the others
+        as a step among slow swings by as much more.
         """
+        if strength == 1.0:
+            return dataclasses.replace(self, strength=strength)
         moving = dataclasses.replace(self, strength=strength).domain(held.whole)
         moving = dataclasses.replace(moving, inflation=self.library.moves.astype(np.float64))
         typical = float(np.median(moving.leverage(held.theta)))

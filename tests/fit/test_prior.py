@@ -1,4 +1,4 @@
-"""Fits that hold on to what is known of any leg, against dense least squares on the raw rows."""
+"""Fits that hold on to what is known of any leg, against dense solutions on the raw rows."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from adaptive_contact.cli.fit import undetermined
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit import FitSettings, fit_sparse
 from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
-from adaptive_contact.fit.shrinkage import LEAST, OTHERS, shrinkage
+from adaptive_contact.fit.prior import fit_prior
 from adaptive_contact.fit.sparse_regression import Prior
 from adaptive_contact.fit.train import Stretch, Training, learn
 from adaptive_contact.model import Domain, Factor, Library, Window
+from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact.model.model_file import dump_baseline, load_baseline
 from adaptive_contact.model.training_domain import PRIOR_DEVIATIONS
 from adaptive_contact.model.window import stack
@@ -49,34 +50,34 @@ def factor_of(theta: Array, target: Array) -> Factor:
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 9), st.integers(1, 3), st.integers(10, 40))
-def test_a_prior_counts_like_rows_of_the_terms_size(seed: int, p: int, joints: int, n: int) -> None:
-    """Minimises |y − Θβ|² + Σ rows · (scale · (β − mean))², without the terms that are left out."""
+def test_a_prior_counts_like_its_rows(seed: int, p: int, joints: int, n: int) -> None:
+    """Minimises |y − Θβ|² + |W (β − mean)|², the terms that are left out being nothing."""
     rng = np.random.default_rng(seed)
     theta = rng.normal(size=(n, p)) * 10.0 ** rng.uniform(-2, 2, p)
     target = rng.normal(size=(n, joints))
-    mean = rng.normal(size=(p, joints))
-    rows = 10.0 ** rng.uniform(-2, 3, (p, joints))
-    rows[rng.random((p, joints)) < 0.2] = np.inf
-    rows[0] = 1.0
-    fit = fit_sparse(factor_of(theta, target), FitSettings(ridge=0.0, prior=Prior(mean, rows)))
     scale = np.sqrt(np.square(theta).mean(axis=0))
+    mean = rng.normal(size=(p, joints))
+    rows = rng.normal(size=(joints, int(rng.integers(1, 12)), p)) * scale
+    used = rng.random((p, joints)) < 0.8
+    used[0] = True
+    prior = Prior(mean, rows, used)
+    fit = fit_sparse(factor_of(theta, target), FitSettings(ridge=0.0, prior=prior))
     for joint in range(joints):
-        used = np.isfinite(rows[:, joint])
-        weight = np.diag(np.sqrt(rows[used, joint]) * scale[used])
-        stacked = np.concatenate([theta[:, used], weight])
-        aim = np.concatenate([target[:, joint], weight @ mean[used, joint]])
+        kept = used[:, joint]
+        stacked = np.concatenate([theta, rows[joint]])[:, kept] / scale[kept]
+        aim = np.concatenate([target[:, joint], rows[joint] @ mean[:, joint]])
         # In units of the columns: those of the raw rows differ by four orders.
-        expected = np.linalg.lstsq(stacked / scale[used], aim, rcond=None)[0] / scale[used]
+        expected = np.linalg.lstsq(stacked, aim, rcond=None)[0]
         found = fit.coefficients[:, joint]
-        assert (found[~used] == 0.0).all()
-        np.testing.assert_allclose(found[used] * scale[used], expected * scale[used], atol=1e-7)
+        assert (found[~kept] == 0.0).all()
+        np.testing.assert_allclose(found[kept] * scale[kept], expected, atol=1e-7)
 
 
 def test_a_prior_of_no_rows_changes_nothing() -> None:
     rng = np.random.default_rng(3)
     theta, target = rng.normal(size=(50, 6)), rng.normal(size=(50, 2))
     factor = factor_of(theta, target)
-    none = Prior(np.ones((6, 2)), np.zeros((6, 2)))
+    none = Prior(np.ones((6, 2)), np.zeros((2, 1, 6)), np.ones((6, 2), dtype=bool))
     plain = fit_sparse(factor, FitSettings(threshold=0.1)).coefficients
     held = fit_sparse(factor, FitSettings(threshold=0.1, prior=none)).coefficients
     np.testing.assert_allclose(held, plain, atol=1e-10)
@@ -108,57 +109,88 @@ def test_groups_name_the_terms_and_tell_which_have_no_bound() -> None:
     assert Library("linear", ("a",), ("pitch",)).groups == ()
 
 
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 10**6), st.sampled_from([0.01, 1.0]))
-def test_what_joints_share_is_one_fit_to_all_of_them(seed: int, strength: float) -> None:
-    """Against one dense system: shared coefficients, and gravity and position for each joint."""
+def moved(seed: int, n: int = 200) -> tuple[Array, Array]:
+    """Rows of a leg that moves at random, and what they should predict."""
     rng = np.random.default_rng(seed)
-    n, joints = 200, 3
-    motion = np.cumsum(rng.normal(scale=0.05, size=(n, joints)), axis=0)
-    cut = stack(motion, motion + rng.normal(scale=0.1, size=(n, joints)), LIBRARY.window)
+    motion = np.cumsum(rng.normal(scale=0.05, size=(n, 3)), axis=0)
+    cut = stack(motion, motion + rng.normal(scale=0.1, size=(n, 3)), LIBRARY.window)
     theta = LIBRARY.evaluate(cut.measured, cut.desired, cut.preview)
-    target = rng.normal(size=(len(theta), joints))
-    prior = shrinkage(factor_of(theta, target), LIBRARY, strength)
+    return theta, rng.normal(scale=0.01, size=(len(theta), 3))
 
-    n = len(theta)
-    size = np.sqrt(np.square(theta).mean(axis=0))
-    bounded = [g for g in LIBRARY.groups if g.bounded]
-    alike = [[g.first + j for g in bounded if g.alike] for j in range(joints)]
-    place = next(g.first for g in bounded if not g.alike)
-    of_joints = {g.first + j for g in LIBRARY.groups for j in range(joints)}
-    common = [i for i in range(LIBRARY.size) if i not in of_joints]
-    shared, own = len(alike[0]), len(common) + 1
-    system, aim = [], []
-    for j in range(joints):
-        rest = [*common, place + j]
-        block = np.zeros((n + own, shared + joints * own))
-        block[:n, :shared] = theta[:, alike[j]]
-        mine = slice(shared + j * own, shared + (j + 1) * own)
-        block[:n, mine] = theta[:, rest]
-        block[n:, mine] = np.diag(np.sqrt(LEAST * n * size[rest] ** 2))
-        system.append(block)
-        aim.append(np.concatenate([target[:, j], np.zeros(own)]))
-    typical = np.sqrt(np.mean([size[columns] ** 2 for columns in alike], axis=0))
-    firm = np.zeros((shared, shared + joints * own))
-    firm[:, :shared] = np.diag(np.sqrt(LEAST * n * joints) * typical)
-    system.append(firm)
-    aim.append(np.zeros(shared))
-    whole = np.concatenate(system)
-    expected = np.linalg.lstsq(whole, np.concatenate(aim), rcond=None)[0][:shared]
-    for j in range(joints):
+
+def of_family() -> tuple[Array, Array, float]:
+    """Mean (p, J), covariances (J, p, p) and deviation of the noise of any leg."""
+    known = leg_prior(LIBRARY, QUANTUM)
+    assert known.spread is not None
+    covariance = np.einsum("jqa,jqb->jab", known.spread, known.spread)
+    return known.model.coefficients, covariance, float(known.noise.covariance[0, 0, 0, 0]) ** 0.5
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6))
+def test_at_strength_one_a_fit_is_the_family_s_posterior(seed: int) -> None:
+    """Against the mean of a Gaussian given the rows, by its covariance."""
+    theta, target = moved(seed)
+    factor = factor_of(theta, target)
+    prior = fit_prior(factor, LIBRARY, QUANTUM, 1.0)
+    fit = fit_sparse(factor, FitSettings(ridge=0.0, prior=prior))
+    mean, covariance, sigma = of_family()
+    for joint in range(3):
+        of_rows = theta @ covariance[joint] @ theta.T + sigma**2 * np.eye(len(theta))
+        gain = np.linalg.solve(of_rows, theta @ covariance[joint]).T
+        expected = mean[:, joint] + gain @ (target[:, joint] - theta @ mean[:, joint])
         np.testing.assert_allclose(
-            prior.mean[alike[j], j] * typical, expected * typical, rtol=1e-4, atol=1e-7
-        )
-        others = np.ones(LIBRARY.size, dtype=bool)
-        others[alike[j]] = False
-        assert (prior.mean[others, j] == 0.0).all()
-        np.testing.assert_allclose(prior.rows[alike[j], j], strength * n)
-        np.testing.assert_allclose(prior.rows[[*common, place + j], j], LEAST * n)
-        neighbours = [i for k in range(joints) if k != j for i in alike[k]]
-        np.testing.assert_allclose(prior.rows[neighbours, j], OTHERS * strength * n)
-    unbounded = [g.first + j for g in LIBRARY.groups if not g.bounded for j in range(joints)]
+            theta @ fit.coefficients[:, joint], theta @ expected, atol=1e-6
+        )  # fmt: skip
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([25.0, 400.0]))
+def test_what_joints_share_is_one_fit_to_all_of_them(seed: int, strength: float) -> None:
+    """Against one dense system: shared coefficients, and gravity and the others' for each joint."""
+    theta, target = moved(seed)
+    prior = fit_prior(factor_of(theta, target), LIBRARY, QUANTUM, strength)
+    mean, covariance, sigma = of_family()
+    bounded = [g for g in LIBRARY.groups if g.bounded]
+    unbounded = [g.first + j for g in LIBRARY.groups if not g.bounded for j in range(3)]
     assert unbounded
-    assert np.isinf(prior.rows[unbounded]).all()
+    assert not prior.used[unbounded].any()
+
+    noise = sigma * strength**0.5
+    every = [[g.first + j for g in LIBRARY.groups] for j in range(3)]
+    mine = np.array([g.bounded for g in LIBRARY.groups])
+    own = [[g.first + j for g in bounded] for j in range(3)]
+    rest = [
+        np.flatnonzero(prior.used[:, j] & ~np.isin(np.arange(LIBRARY.size), own[j]))
+        for j in range(3)
+    ]
+    whole = np.zeros((3 * len(theta), len(bounded) + sum(map(len, rest))))
+    firm = np.zeros((whole.shape[1],) * 2)
+    # Conditioned on terms without bound that are nothing: the precision's block of the others.
+    precision = np.linalg.inv(covariance[0][np.ix_(every[0], every[0])])
+    firm[: len(bounded), : len(bounded)] = precision[np.ix_(mine, mine)]
+    aim = np.zeros(len(firm))
+    aim[: len(bounded)] = (precision @ mean[every[0], 0])[mine]
+    at = len(bounded)
+    for j in range(3):
+        block = slice(j * len(theta), (j + 1) * len(theta))
+        columns = slice(at, at + len(rest[j]))
+        whole[block, : len(bounded)] = theta[:, own[j]]
+        whole[block, columns] = theta[:, rest[j]]
+        firm[columns, columns] = np.linalg.inv(covariance[j][np.ix_(rest[j], rest[j])])
+        at += len(rest[j])
+    left = whole.T @ whole + noise**2 * firm
+    right = whole.T @ target.T.ravel() + noise**2 * aim
+    shared = np.linalg.solve(left, right)[: len(bounded)]
+    for j in range(3):
+        scale = np.sqrt(np.square(theta[:, own[j]]).mean(axis=0))
+        np.testing.assert_allclose(prior.mean[own[j], j] * scale, shared * scale, atol=1e-6)
+        others = np.setdiff1d(np.arange(LIBRARY.size), own[j])
+        assert (prior.mean[others, j] == 0.0).all()
+        of_rows = prior.rows[j].T @ prior.rows[j]
+        np.testing.assert_allclose(
+            of_rows[np.ix_(own[j], own[j])], noise**2 * precision[np.ix_(mine, mine)], rtol=1e-6
+        )
 
 
 # -- what a fit does not know ------------------------------------------------------------------
@@ -205,7 +237,7 @@ def test_each_fold_is_predicted_by_a_fit_of_the_others() -> None:
     fold = rng.integers(0, 4, 90)
     library = Library("linear", ("a", "b"), ("yaw", "pitch"))
     residual = HeldOut(theta, target, fold).residual(
-        Manner(library, (1.0, 1.0)), 0.0, np.zeros(2, dtype=bool)
+        Manner(library, QUANTUM, (1.0, 1.0)), 0.0, np.zeros(2, dtype=bool)
     )
     assert residual is not None
     for k in range(4):
@@ -345,7 +377,7 @@ def test_without_groups_nothing_is_known() -> None:
     theta, target = rng.normal(size=(60, library.size)), rng.normal(size=(60, 1))
     held = HeldOut(theta, target, np.arange(60) // 20)
     still = np.zeros(1, dtype=bool)
-    plain = swept(held, Manner(library, (1.0,)), (0.0,), still, 0.001)
+    plain = swept(held, Manner(library, QUANTUM, (1.0,)), (0.0,), still, 0.001)
     assert plain is not None
     assert strength_of(held, plain, still, 0.001) is None
 
