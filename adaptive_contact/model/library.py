@@ -82,13 +82,11 @@ class TermGroup(NamedTuple):
         form: name, with ``{}`` for the joint.
         first: column of the first joint's.
         bounded: a joint's range or its servo's law bound it; a command's step has no bound.
-        alike: joints of one kind of servo have like coefficients.
     """
 
     form: str
     first: int
     bounded: bool
-    alike: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -283,7 +281,7 @@ class Library:
         behind = 1 + joints * len(forms) + 2 * len(self.gravity)
         firsts += [behind + joints * i for i in range(len(ahead))]
         return tuple(
-            TermGroup(form, first, not form.startswith(_UNBOUNDED), form != "θ_{}")
+            TermGroup(form, first, not form.startswith(_UNBOUNDED))
             for form, first in zip(forms + ahead, firsts, strict=True)
         )
 
@@ -292,7 +290,7 @@ class Library:
         """(p,) terms of how the leg moves; the others are of where it stands."""
         of_motion = np.zeros(self.size, dtype=bool)
         for group in self.groups:
-            of_motion[group.first : group.first + len(self.joints)] = group.alike
+            of_motion[group.first : group.first + len(self.joints)] = group.form != "θ_{}"
         return of_motion
 
     def _servo_names(self) -> list[str]:
