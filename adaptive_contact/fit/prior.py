@@ -89,6 +89,8 @@ def inflated_domain(factor: Factor, library: Library, prior: Prior, inflation: f
     left_out = np.diag(scale / BEYOND_DEVIATIONS)[~prior.used.any(axis=1)]
     whole.add(left_out, np.zeros((len(left_out), outputs)))
     plain = Domain.of(whole, scale)
+    if inflation == 1.0:
+        return plain
     return dataclasses.replace(plain, inflation=np.where(library.moves, inflation, 1.0))
 
 
