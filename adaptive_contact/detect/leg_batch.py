@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Final
 
 import msgspec
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
-from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, ROW, new_legs, vectors
+from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, ROW, SAMPLE, new_legs, vectors
 from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.source import COMMANDS, LAGS
 from adaptive_contact.detect.swing import tabulate
@@ -40,6 +42,7 @@ class LegBatch:
 
     Attributes:
         legs: scalars of every leg, see :mod:`adaptive_contact.detect.layout`.
+        accepted: (L,) of these, which legs have a sample in this tick.
         angles: (L, 2 J) rad, measured and desired of the samples in hand.
         vectors: of floats, of integers and of booleans; each has a name there, and so it has here.
         history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
@@ -50,15 +53,6 @@ class LegBatch:
         free_ring: residuals of the newest free ticks, rad.
     """
 
-    # Those of the scalars that a sample brings.
-    accepted: NDArray[np.bool_]
-    restart: NDArray[np.bool_]
-    lost: NDArray[np.int64]
-    t_ns: NDArray[np.int64]
-    seq: NDArray[np.int64]
-    phase: NDArray[np.int32]
-    has_valid: NDArray[np.bool_]
-    preview_n: NDArray[np.int32]
     # Those of the vectors that swings' judgements read.
     measured: Array
     desired: Array
@@ -103,8 +97,7 @@ class LegBatch:
             setattr(self, name, view)
         self.angles = self.vectors[0][:, : 2 * joints]
         self.unit[:] = 1.0
-        for name in _OF_SAMPLES:  # to write to one costs a quarter of what it does by leg
-            setattr(self, name, legs_[name])
+        self.accepted = legs_["accepted"]
         self.preview_in = zeros(shape.preview, joints)
         # Stream, source and swing.
         self.ring = zeros(RING, 3, dtype=i)
@@ -228,11 +221,8 @@ class LegBatch:
 
 
 _OF_ROWS: Final = ("rows", "row_thetas", "row_targets", "row_asides")
-_OF_SAMPLES: Final = (
-    "accepted", "restart", "lost", "t_ns", "seq", "phase", "has_valid", "preview_n",
-)  # fmt: skip
 # Scratch, and what is adopted by other names.
-_SCRATCH: Final = ("some", "room", "now", "sums", "places", "angles", *_OF_SAMPLES)
+_SCRATCH: Final = ("some", "room", "now", "sums", "places", "angles", "accepted")
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",
@@ -242,6 +232,11 @@ _OF_MODEL: Final = (
 
 
 _PHASES: Final = {None: -1, "stance": 0, "swing": 1}
+
+
+def _bytes(array: NDArray[Any]) -> memoryview:
+    """Return the bytes of a contiguous array, to be written to."""
+    return memoryview(array.reshape(-1).view(np.uint8))
 
 
 class LegPlace:
@@ -254,7 +249,7 @@ class LegPlace:
         angles: (2 J,) rad, measured and desired, of the sample in hand.
     """
 
-    __slots__ = ("_judged_by", "angles", "batch", "leg", "row")
+    __slots__ = ("_judged_by", "_write_angles", "_write_sample", "angles", "batch", "leg", "row")
 
     def __init__(self, batch: LegBatch, row: int = 0) -> None:
         self._judged_by: FreeMotion | None = None
@@ -268,17 +263,16 @@ class LegPlace:
     def take(self, sample: ServoSample, *, lost: int, restart: bool) -> None:
         """Put an accepted sample in, for the next tick to judge."""
         batch, row = self.batch, self.row
-        batch.accepted[row], batch.restart[row], batch.lost[row] = True, restart, lost
-        batch.t_ns[row], batch.seq[row] = sample.t_ns, sample.seq
-        batch.phase[row] = _PHASES[sample.phase]
-        self.angles[:] = sample.measured + sample.desired
         missing = sample.valid is not None and not all(sample.valid)
-        batch.has_valid[row] = missing
+        self._write_sample(
+            sample.t_ns, sample.seq, lost, _PHASES[sample.phase], True, restart, missing
+        )
+        self._write_angles(*sample.measured, *sample.desired)
         if missing:
             batch.valid[row] = sample.valid
         if batch.preview:
             ahead = sample.preview or ()
-            count = batch.preview_n[row] = min(len(ahead), batch.preview)
+            count = self.leg["preview_n"] = min(len(ahead), batch.preview)
             batch.preview_in[row, :count] = ahead[:count] if count else 0.0
 
     def sample(self, taken: ServoSample) -> ServoSample:
@@ -350,6 +344,10 @@ class LegPlace:
     def _locate(self, batch: LegBatch, row: int) -> None:
         self.batch, self.row, self.leg = batch, row, batch.legs[row]
         self.angles = batch.angles[row]
+        scalars, floats = batch.legs, batch.vectors[0]
+        self._write_sample = partial(SAMPLE.pack_into, _bytes(scalars), row * scalars.strides[0])
+        angles = struct.Struct(f"{len(self.angles)}d")
+        self._write_angles = partial(angles.pack_into, _bytes(floats), row * floats.strides[0])
 
     @property
     def free_rms(self) -> list[float]:
