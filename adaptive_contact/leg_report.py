@@ -226,13 +226,13 @@ class LegReport:
         return self.misread or bool(self._place.leg["cause"])
 
     def _withholds_at(self, *, fits: bool) -> bool:
-        if self._void:
+        doubt = self.doubt
+        if doubt is None:
+            return False
+        if self._void or self._when_ambiguous is WhenAmbiguous.STRICT:
             return True
         if self._when_ambiguous is WhenAmbiguous.PUBLISH:
             return False
-        doubt = self.doubt
-        if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
-            return doubt is not None
         # A foot that comes short of its command, and moved as the model says until it touched or
         # to its top, is slow, or meets something in its way.
         return doubt != "unsettled" and not (doubt == "held" and fits)

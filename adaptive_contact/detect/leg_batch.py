@@ -323,6 +323,7 @@ class LegPlace:
         leg, batch, row, before = self.leg, self.batch, self.row, self._judged_by
         leg["variance_scale"], leg["changed"] = free.variance_scale, free.changed
         leg["inflated"], leg["from_prior"] = free.covariance is not None, free.from_prior
+        leg["sure"] = free.sure
         if before is None or free.thresholds is not before.thresholds:
             batch.whiten[row] = free.whiten
             batch.limits[row], batch.limits_awaited[row] = free.thresholds, free.awaited

@@ -180,13 +180,18 @@ class Adapter:
             wanted: the leg is in a swing; while it stands no tick needs the coefficients, and most
                 rows are learned then.
         """
-        noise = self._noise_tracker
+        noise, active = self._noise_tracker, self._active
+        # First, as an implausible model is replaced when its coefficients are asked for.
+        coefficients = active.coefficients if wanted else None
+        variance = self.variance_in_force
+        changed = active.inflated or variance > 1.0
         return FreeMotion(
-            self._active.coefficients if wanted else None,
-            self.variance_in_force,
-            self._active.covariance,
-            self._active.from_prior,
-            self.changed,
+            coefficients,
+            variance,
+            active.covariance,
+            active.from_prior,
+            changed,
+            self.status == "valid" and not changed,
             noise.whiten,
             noise.thresholds,
             noise.awaited,

@@ -200,7 +200,7 @@ class DriftMonitor:
         self._far_swings = 0
         self._note_free()
         if self.obstructed:
-            self._swing_level = float(np.clip(level, self.variance_scale, LEVEL_RANGE[1]))
+            self._swing_level = _in_range(max(level, self.variance_scale))
             return LiftAssessment([])
         if level > _suspicion_limit(self._joints * len(kept)) * self.variance_scale:
             return self._suspect(list(rows), level, t_ns)
@@ -302,7 +302,7 @@ class DriftMonitor:
         self._suspicions, self._suspected = 0, []
 
     def _suspect(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
-        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
+        self._swing_level = _in_range(level)
         self._newest.clear()
         self._suspicions += 1
         self._settled = 0
@@ -318,7 +318,7 @@ class DriftMonitor:
 
     def _assess_far(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
         """Assess a lift further off than any drift: obstructed, or, if it lasts, another leg."""
-        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
+        self._swing_level = _in_range(level)
         self._newest.clear()
         self._settled = 0
         self._far_swings += 1
@@ -378,7 +378,7 @@ class DriftMonitor:
     def _follow_level(self, level: float) -> None:
         share = LEVEL_SHARE_ADAPTING if self._swings_adapting else LEVEL_SHARE
         mean = (1 - share) * self.variance_scale + share * level
-        self.variance_scale = float(np.clip(mean, *LEVEL_RANGE))
+        self.variance_scale = _in_range(mean)
 
     def _settle(self, level: float) -> None:
         if self.status == "valid":
@@ -446,6 +446,10 @@ class EarlyContacts:
         self.forget()
         self._lately.extend(bool(early) for early in saved["lately"])
         self.reported = saved.get("told") is True and sum(self._lately) > EARLY_END
+
+
+def _in_range(level: float) -> float:
+    return min(max(level, LEVEL_RANGE[0]), LEVEL_RANGE[1])
 
 
 @functools.cache

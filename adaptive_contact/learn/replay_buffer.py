@@ -102,9 +102,8 @@ class ReplayBuffer:
 
     def _evict(self) -> None:
         """Drop one: first of older eras, then the oldest of the fullest cell."""
-        newest = self._segments[-1].era
-        index = next((i for i, segment in enumerate(self._segments) if segment.era != newest), None)
-        if index is None:
+        index = 0  # eras are in order
+        if self._segments[0].era == self._segments[-1].era:
             cells = [segment.cell for segment in self._segments]
             index = cells.index(Counter(cells).most_common(1)[0][0])
         self._of_source -= index >= len(self._segments) - self._of_source
