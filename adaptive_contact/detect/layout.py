@@ -258,22 +258,6 @@ LEG: Final = np.dtype(
 # Writes the first scalars of a leg in one call; one by one they take four times as long.
 SAMPLE: Final = struct.Struct("3qi3?")
 
-# One row of a swing in hand.
-ROW: Final = np.dtype(
-    [
-        ("nis", f8),  # normalised innovation squared
-        ("value", f8),  # statistic of this tick alone
-        ("sigma", f8),  # push from the ground, deviations
-        ("t_ns", i8),
-        ("context", i4),
-        ("lift", b1),  # the foot was rising
-        ("calm", b1),
-        ("cleared", b1),
-        ("push", b1),  # `sigma` and the row of asides are set
-    ],
-    align=True,
-)
-
 
 def vectors(
     count: int, lengths: Mapping[str, int]

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
-from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, ROW, SAMPLE, new_legs, vectors
+from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, SAMPLE, new_legs, vectors
 from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.source import COMMANDS, LAGS
 from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
+from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.model.library import ChangeLibrary, Library
 from adaptive_contact.model.noise import CONTEXTS
 from adaptive_contact.robot import Leg
@@ -236,7 +237,7 @@ _PHASES: Final = {None: -1, "stance": 0, "swing": 1}
 
 def _bytes(array: NDArray[Any]) -> memoryview:
     """Return the bytes of a contiguous array, to be written to."""
-    return memoryview(array.reshape(-1).view(np.uint8))
+    return array.reshape(-1).view(np.uint8).data
 
 
 class LegPlace:

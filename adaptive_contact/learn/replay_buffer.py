@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.model.factor import Factor
-from adaptive_contact.model.labelled_swing import SEGMENTS, Row
+from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 from adaptive_contact.wire import BufferCounts
 
 __all__ = ["ReplayBuffer", "Segment"]
@@ -79,15 +79,14 @@ class ReplayBuffer:
             descent_ticks=self._held - sum(lifts),
         )
 
-    def add(self, rows: list[Row], region: int, era: int) -> None:
+    def add(self, rows: Rows, region: int, era: int) -> None:
         """Take in the confirmed rows of a lift or of a descent."""
         if not rows:
             return
-        cell = (0 if rows[0].lift else 1, region)
-        theta = np.array([row.theta for row in rows])
-        target = np.array([row.target for row in rows])
-        context = np.array([row.context for row in rows])
-        self._segments.append(Segment(theta, target, context, cell, era, rows[-1].t_ns))
+        cell = (0 if rows.known["lift"][0] else 1, region)
+        context = rows.known["context"].astype(np.int64)
+        segment = Segment(rows.theta, rows.target, context, cell, era, int(rows.t_ns[-1]))
+        self._segments.append(segment)
         self._held += len(rows)
         self._of_source += 1
         if len(self._segments) > self.limit and (
