@@ -102,6 +102,12 @@ LEG: Final = np.dtype(
         ("accepted", b1),  # the leg has a sample in this tick
         ("restart", b1),  # it is the first of a source
         ("has_valid", b1),  # it says which readings are valid
+        # Of free motion; `FREE` writes these.
+        ("variance_scale", f8),  # in force
+        ("changed", b1),  # the leg has changed since its model was fitted
+        ("inflated", b1),  # the covariance is
+        ("from_prior", b1),  # the model goes on from a prior
+        ("sure", b1),  # the leg is judged by a model that fits it
         # Description.
         ("has_lengths", b1),  # geometry is known: `lengths_m`
         ("size", f8),  # of the leg, in the hexapod's; limits of lengths are in proportion
@@ -186,9 +192,6 @@ LEG: Final = np.dtype(
         ("thetas_n", i4),  # rows of regressors kept
         # Statistic.
         ("context", i4),  # index of the whitening
-        ("variance_scale", f8),  # in force
-        ("inflated", b1),  # the covariance is
-        ("from_prior", b1),  # the model goes on from a prior
         ("root_n", i4),  # terms of a joint in its root
         ("clock_most", f8),  # largest stretch in question, periods
         ("clock_left", i4),  # ticks it stays in question
@@ -217,7 +220,6 @@ LEG: Final = np.dtype(
         ("resolved_rise", f8),
         ("resolved_fallen", f8),
         # Swings without a touch.
-        ("sure", b1),  # the leg is judged by a model that fits it
         ("quiet", i4),  # ticks in a row after the turn without a sign of a touch
         ("untouched", i8),  # swings that ended without a touch
         ("untouched_ns", i8),  # -1 before the first
@@ -243,7 +245,6 @@ LEG: Final = np.dtype(
         ("has_seam", b1),  # a command before is known, to unwrap by
         ("release_pending", b1),  # a release is to be sent
         ("hole_ns", i8),  # -1 for none
-        ("changed", b1),  # the leg has changed since its model was fitted
         ("has_domain", b1),  # a training domain is known
         # What this tick found.
         ("found", i8),  # flags, see `detector.py`
@@ -255,8 +256,10 @@ LEG: Final = np.dtype(
     align=True,
 )
 
-# Writes the first scalars of a leg in one call; one by one they take four times as long.
+# Write the first scalars of a leg in one call each; one by one they take four times as long.
 SAMPLE: Final = struct.Struct("3qi3?")
+FREE: Final = struct.Struct("d4?")
+FREE_AT: Final[int] = LEG.fields["variance_scale"][1]  # type: ignore[index]  # a dtype has some
 
 
 def vectors(

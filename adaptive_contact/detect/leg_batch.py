@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
-from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, SAMPLE, new_legs, vectors
+from adaptive_contact.detect.layout import (
+    DEPTH,
+    FREE,
+    FREE_AT,
+    PATH_TICKS,
+    RING,
+    SAMPLE,
+    new_legs,
+    vectors,
+)
 from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.source import COMMANDS, LAGS
 from adaptive_contact.detect.swing import tabulate
@@ -250,7 +259,10 @@ class LegPlace:
         angles: (2 J,) rad, measured and desired, of the sample in hand.
     """
 
-    __slots__ = ("_judged_by", "_write_angles", "_write_sample", "angles", "batch", "leg", "row")
+    __slots__ = (
+        "_judged_by", "_write_angles", "_write_free", "_write_sample", "angles", "batch", "leg",
+        "row",
+    )  # fmt: skip
 
     def __init__(self, batch: LegBatch, row: int = 0) -> None:
         self._judged_by: FreeMotion | None = None
@@ -322,9 +334,10 @@ class LegPlace:
     def judge_by(self, free: FreeMotion) -> None:
         """Put what is known of free motion into the arrays that ticks judge by."""
         leg, batch, row, before = self.leg, self.batch, self.row, self._judged_by
-        leg["variance_scale"], leg["changed"] = free.variance_scale, free.changed
-        leg["inflated"], leg["from_prior"] = free.covariance is not None, free.from_prior
-        leg["sure"] = free.sure
+        self._write_free(
+            free.variance_scale, free.changed, free.covariance is not None, free.from_prior,
+            free.sure,
+        )  # fmt: skip
         if before is None or free.thresholds is not before.thresholds:
             batch.whiten[row] = free.whiten
             batch.limits[row], batch.limits_awaited[row] = free.thresholds, free.awaited
@@ -346,10 +359,10 @@ class LegPlace:
     def _locate(self, batch: LegBatch, row: int) -> None:
         self.batch, self.row, self.leg = batch, row, batch.legs[row]
         self.angles = batch.angles[row]
-        scalars, floats = batch.legs, batch.vectors[0]
-        self._write_sample = partial(SAMPLE.pack_into, _bytes(scalars), row * scalars.strides[0])
-        angles = struct.Struct(f"{len(self.angles)}d")
-        self._write_angles = partial(angles.pack_into, _bytes(floats), row * floats.strides[0])
+        scalars, floats = _bytes(batch.legs[row : row + 1]), _bytes(batch.vectors[0][row])
+        self._write_sample = partial(SAMPLE.pack_into, scalars, 0)
+        self._write_free = partial(FREE.pack_into, scalars, FREE_AT)
+        self._write_angles = partial(struct.Struct(f"{len(self.angles)}d").pack_into, floats, 0)
 
     @property
     def free_rms(self) -> list[float]:

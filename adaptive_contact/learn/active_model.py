@@ -255,7 +255,8 @@ class ActiveModel:
         )
 
     def _error(self, rows: Rows, coefficients: Array) -> float:
-        return float(np.square(rows.residual(coefficients) / self._noise).mean())
+        squares = np.square(rows.residual(coefficients) / self._noise)
+        return float(np.add.reduce(squares, axis=None)) / squares.size
 
     def plausible(self, coefficients: Array) -> bool:
         """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""

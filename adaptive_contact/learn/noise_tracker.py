@@ -98,11 +98,12 @@ class NoiseTracker:
         tail = self._tails[0]
         level = tail.level
         self._ticks += len(rows)
-        values = rows.known["value"]
-        for k in np.flatnonzero(values > level).tolist():  # NaN is not
+        for k, value in enumerate(rows.known["value"].tolist()):
+            if not value > level:  # NaN is not
+                continue
             # As for an alarm, and when the tail was fitted: what is extrapolated is no noise.
             spread = 0.0 if self.domain is None else float(self.domain.leverage(rows.theta[k]))
-            value = float(values[k]) / (1.0 + spread)
+            value /= 1.0 + spread
             if value > level:
                 most = MOST_EXCESS * self.tail_factors[1] * tail.scale / (1.0 - tail.shape)
                 self._above += 1.0

@@ -142,10 +142,9 @@ class RecursiveLeastSquares:
         self._bound()
 
     def copy(self) -> RecursiveLeastSquares:
-        """Return one that goes its own way from here; what never changes is shared."""
+        """Return one that goes its own way from here; what is never written to is shared."""
         twin = copy.copy(self)
-        twin._full, twin._xi, twin._s = self._full.copy(), self._xi.copy(), self._s.copy()
-        twin._innovations, twin._room = self._innovations.copy(), self._room.copy()
+        twin._xi, twin._s = self._xi.copy(), self._s.copy()
         return twin
 
     def reset_covariance(self) -> None:
