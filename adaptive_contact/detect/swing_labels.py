@@ -243,10 +243,10 @@ class SwingLabels:
         batch, row, leg = place.batch, place.row, place.leg
         whiten = batch.whiten[row, int(leg["context"])] / batch.unit[row] ** 0.5
         thetas = batch.thetas[row, : int(leg["thetas_n"])]
-        target = place.residuals + place.increments
-        limits = batch.limits[row].copy()
-        waited = max(int(leg["after"]) - 1, 0)
-        limits[:waited] = batch.limits_awaited[row, :waited]
+        residual, increment = batch.history[row]
+        target, limits, waited = residual + increment, batch.limits[row].copy(), int(leg["after"])
+        if waited > 1:
+            limits[: waited - 1] = batch.limits_awaited[row, : waited - 1]
         return Touch.of(thetas, target, whiten, limits, int(leg["usable"]))
 
 
