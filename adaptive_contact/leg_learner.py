@@ -35,7 +35,7 @@ from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import ConventionWatch, MotionTrack
-from adaptive_contact.diagnose.leg_ids import IdTrack, IdWatch
+from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.adapter import Adapter
 from adaptive_contact.learn.lifecycle import Lifecycle
@@ -132,14 +132,10 @@ class ContactLearner:
         self.place = LegPlace(self._batch())
         self._guard = StreamGuard(len(self.leg.joints))
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
-        self._track = self._conventions.track(self.leg)
-        self._ids = None if ids is None else ids.track(self.leg)
+        self._track = self._conventions.track(self.leg, self.place)
+        self._ids = None if ids is None else ids.track(self.leg, self.place)
         self._misread = False  # the leg's angles are not counted as described
         self._faulty = False  # samples say nothing of the leg
-        # Those that still collect samples.
-        self._watching: tuple[MotionTrack | IdTrack, ...] = tuple(
-            track for track in (self._track, self._ids) if track is not None
-        )
         self._sample: ServoSample | None = None  # of the tick in hand
         self._swing = SwingJudge(self.leg, self.place)
         self._labels = SwingLabels(self.place, self._swing)
@@ -316,8 +312,6 @@ class ContactLearner:
         """
         lifecycle = self._lifecycle
         adapter = lifecycle.adapter
-        if self._watching:
-            self._watch(flags)
         # In most ticks a row was entered that only waits for its swing: nothing to assess.  While
         # the monitor watches a suspected lift, each tick may change the variance scale.
         assessed = flags & ~WAITING or (
@@ -396,19 +390,6 @@ class ContactLearner:
         adapter = self._lifecycle.adapter
         assert adapter is not None
         self.place.judge_by(adapter.free_motion(wanted=wanted or self._swing.ticks > 0))
-
-    def _watch(self, flags: int) -> None:
-        """Keep the sample for the watches of signs and offsets, and of leg ids."""
-        sample, angles = self._sample, self.place.angles
-        assert sample is not None
-        ended = False
-        for track in self._watching:
-            if flags & RESTARTED:
-                track.restart()
-            track.take(angles, sample.t_ns, sample.seq, sample.phase)
-            ended = ended or not track.wants
-        if ended:
-            self._watching = tuple(track for track in self._watching if track.wants)
 
     def _hand_over(self, flags: int) -> None:
         """Label what this tick's flags say of the swing, and pass it to the adapter."""

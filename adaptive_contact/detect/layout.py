@@ -24,6 +24,7 @@ SWINGS: Final = 5  # lengths of swings, remembered
 PATH_TICKS: Final = 400  # commands of a swing, remembered
 RING: Final = 101  # ticks by which the rate is judged, at most
 VALUES: Final = 8  # refused readings remembered
+KEPT: Final = 3000  # samples kept for judgements of a whole motion, a minute at 50 Hz
 
 # What a tick finds of a leg, as bits: Python looks only at legs that have one.
 RESTARTED: Final = 1  # the source began again
@@ -44,7 +45,7 @@ f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
 # The vectors of one leg, by kind; lengths are numbers, or J joints, p terms, w places of a window.
 VECTORS: Final[dict[Any, dict[str, int | str]]] = {
     f8: {
-        "measured": "J",  # the sample, rad; both side by side at the start, see `angles`
+        "measured": "J",  # the sample, rad; both side by side at the start
         "desired": "J",
         "seam": "J",  # the command before, to unwrap by
         "command": "J",  # in force, and the one before
@@ -132,6 +133,7 @@ LEG: Final = np.dtype(
         ("rate_ticks", i4),  # ticks by which the rate is judged
         ("ring_n", i8),  # stamps taken into the ring
         ("lacking", i4),  # samples for which the lack of a preview is still reported
+        ("kept_n", i8),  # samples kept since the source began
         ("missed", i8),  # ticks without a sample before this one; -1 after a pause
         ("accepted_n", i8),  # samples not yet counted by the learner
         ("total_n", i8),  # samples, never reset

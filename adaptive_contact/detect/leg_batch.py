@@ -17,6 +17,7 @@ from adaptive_contact.detect.layout import (
     DEPTH,
     FREE,
     FREE_AT,
+    KEPT,
     PATH_TICKS,
     RING,
     SAMPLE,
@@ -53,8 +54,9 @@ class LegBatch:
     Attributes:
         legs: scalars of every leg, see :mod:`adaptive_contact.detect.layout`.
         accepted: (L,) of these, which legs have a sample in this tick.
-        angles: (L, 2 J) rad, measured and desired of the samples in hand.
         vectors: of floats, of integers and of booleans; each has a name there, and so it has here.
+        kept_angles, kept_stamps: (3000, 2 J) rad, measured and desired, and (3000, 3) time, number
+            and phase of the newest samples, a ring.
         history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
         thetas: (3, p), regressors of the last ticks.
         domain: (p, p) matrix whose product with regressors has the leverage as squared length.
@@ -105,12 +107,12 @@ class LegBatch:
         self.vectors, self.places, views = vectors(rows, lengths)
         for name, view in views.items():
             setattr(self, name, view)
-        self.angles = self.vectors[0][:, : 2 * joints]
         self.unit[:] = 1.0
         self.accepted = legs_["accepted"]
         self.preview_in = zeros(shape.preview, joints)
         # Stream, source and swing.
         self.ring = zeros(RING, 3, dtype=i)
+        self.kept_angles, self.kept_stamps = zeros(KEPT, 2 * joints), zeros(KEPT, 3, dtype=i)
         self.echo_commands = zeros(COMMANDS, joints)
         self.echo_runs = zeros(joints, LAGS, 5)
         self.echo_runs[..., 4] = -1.0
@@ -149,11 +151,11 @@ class LegBatch:
         floats, ints, bools = self.vectors
         self._judged = (
             records(self.legs), floats, ints, bools, self.places, self.preview_in, self.ring,
-            self.echo_commands, self.echo_runs, self.parts, self.links, self.path, self.lags,
-            self.preview, self.history, self.thetas, *self.table, self.xi0, self.coefficients,
-            self.whiten, self.index, self.per_scale, self.root, self.domain, records(self.rows),
-            self.row_thetas, self.row_targets, self.row_asides, self.free_ring, self.some,
-            self.room, self.now, self.sums,
+            self.kept_angles, self.kept_stamps, self.echo_commands, self.echo_runs, self.parts,
+            self.links, self.path, self.lags, self.preview, self.history, self.thetas, *self.table,
+            self.xi0, self.coefficients, self.whiten, self.index, self.per_scale, self.root,
+            self.domain, records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
+            self.free_ring, self.some, self.room, self.now, self.sums,
         )  # fmt: skip
         self._finished = (
             records(self.legs), floats, self.places, self.preview_in, self.lags,
@@ -232,7 +234,7 @@ class LegBatch:
 
 _OF_ROWS: Final = ("rows", "row_thetas", "row_targets", "row_asides")
 # Scratch, and what is adopted by other names.
-_SCRATCH: Final = ("some", "room", "now", "sums", "places", "angles", "accepted")
+_SCRATCH: Final = ("some", "room", "now", "sums", "places", "accepted")
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",
@@ -256,12 +258,10 @@ class LegPlace:
         batch: that has them.
         row: of the leg.
         leg: its scalars.
-        angles: (2 J,) rad, measured and desired, of the sample in hand.
     """
 
     __slots__ = (
-        "_judged_by", "_write_angles", "_write_free", "_write_sample", "angles", "batch", "leg",
-        "row",
+        "_judged_by", "_write_angles", "_write_free", "_write_sample", "batch", "leg", "row",
     )  # fmt: skip
 
     def __init__(self, batch: LegBatch, row: int = 0) -> None:
@@ -358,11 +358,11 @@ class LegPlace:
 
     def _locate(self, batch: LegBatch, row: int) -> None:
         self.batch, self.row, self.leg = batch, row, batch.legs[row]
-        self.angles = batch.angles[row]
+        joints = batch.measured.shape[1]
         scalars, floats = _bytes(batch.legs[row : row + 1]), _bytes(batch.vectors[0][row])
         self._write_sample = partial(SAMPLE.pack_into, scalars, 0)
         self._write_free = partial(FREE.pack_into, scalars, FREE_AT)
-        self._write_angles = partial(struct.Struct(f"{len(self.angles)}d").pack_into, floats, 0)
+        self._write_angles = partial(struct.Struct(f"{2 * joints}d").pack_into, floats, 0)
 
     @property
     def free_rms(self) -> list[float]:
