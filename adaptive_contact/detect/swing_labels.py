@@ -16,6 +16,9 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adaptive_contact.detect.contact import MIN_LIFT_ROWS
 from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
 from adaptive_contact.detect.leg_batch import LegPlace
@@ -215,7 +218,7 @@ class SwingLabels:
         lift, commanded, count = (int(leg[name]) for name in ("lift_n", "commanded_n", "row_n"))
         hole_ns = int(leg["hole_ns"])
         kept, rows = confirmed_before(
-            self._rows(0, lift), commanded, self._rows(lift, count), onset_ns, period_ns,
+            batch.rows[row, :lift], commanded, self._rows(lift, count), onset_ns, period_ns,
             None if hole_ns < 0 else hole_ns,
         )  # fmt: skip
         if len(kept) < lift:
@@ -251,7 +254,12 @@ class SwingLabels:
 
 
 def confirmed_before(
-    lift: Rows, commanded: int, descent: Rows, onset_ns: int, period_ns: int, hole_ns: int | None
+    lift: NDArray[np.void],
+    commanded: int,
+    descent: Rows,
+    onset_ns: int,
+    period_ns: int,
+    hole_ns: int | None,
 ) -> tuple[list[int], Rows]:
     """Select the rows of a swing with a contact that are free: those well before its onset.
 
@@ -259,7 +267,7 @@ def confirmed_before(
     below accounts for.
 
     Args:
-        lift: rows of the lift, if its top has not been passed.
+        lift: what is known of the rows of the lift, if its top has not been passed.
         commanded: of these, the first so many had a command that went up, too.
         descent: rows of the descent.
         onset_ns: of the contact.
@@ -276,10 +284,10 @@ def confirmed_before(
             onset_ns, near_ns = hole_ns, 0
     last = onset_ns - GUARD_TICKS * period_ns
     # A foot on its way up while its command comes down lags behind, or has been kicked up.
-    nis = lift.nis.tolist()
+    nis = lift["nis"].tolist()
     limit = LET_GO_RATIO * max([1.0, *nis[:commanded]])
     kept = [
-        k for k, t_ns in enumerate(lift.t_ns.tolist())
+        k for k, t_ns in enumerate(lift["t_ns"].tolist())
         if k < commanded or t_ns <= last or nis[k] <= limit
     ]  # fmt: skip
     before = bisect.bisect_right(descent.t_ns.tolist(), last)

@@ -192,7 +192,7 @@ class Labels:
         lift, count = int(leg["lift_n"]), int(leg["row_n"])
         hole = int(leg["hole_ns"])
         kept, rows = confirmed_before(
-            self._rows(0, lift), int(leg["commanded_n"]), self._rows(lift, count), onset_ns,
+            self._rows(0, lift).known, int(leg["commanded_n"]), self._rows(lift, count), onset_ns,
             period_ns, None if hole < 0 else hole,
         )  # fmt: skip
         self.place.batch.rows[0, : len(kept)] = self.place.batch.rows[0, kept]
