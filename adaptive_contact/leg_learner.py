@@ -28,13 +28,14 @@ from adaptive_contact.detect.layout import (
     SOURCE,
     TOPPED,
     TOUCHED,
+    TOUCHING,
 )
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import ConventionWatch, MotionTrack
-from adaptive_contact.diagnose.leg_ids import IdTrack, IdWatch
+from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.adapter import Adapter
 from adaptive_contact.learn.lifecycle import Lifecycle
@@ -54,6 +55,8 @@ __all__ = ["EVENTS", "ContactLearner", "check_sample"]
 ROWS_PER_TICK: Final = 3
 # Flags of a tick that make an event; few ticks have one.
 EVENTS: Final = DECIDED | RELEASE_PENDING
+# Flags that change nothing of what the next tick is judged by.
+WAITING: Final = EVENTS | ENTERED | TOUCHING
 
 
 def check_sample(sample: object) -> None:
@@ -129,14 +132,10 @@ class ContactLearner:
         self.place = LegPlace(self._batch())
         self._guard = StreamGuard(len(self.leg.joints))
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
-        self._track = self._conventions.track(self.leg)
-        self._ids = None if ids is None else ids.track(self.leg)
+        self._track = self._conventions.track(self.leg, self.place)
+        self._ids = None if ids is None else ids.track(self.leg, self.place)
         self._misread = False  # the leg's angles are not counted as described
         self._faulty = False  # samples say nothing of the leg
-        # Those that still collect samples.
-        self._watching: tuple[MotionTrack | IdTrack, ...] = tuple(
-            track for track in (self._track, self._ids) if track is not None
-        )
         self._sample: ServoSample | None = None  # of the tick in hand
         self._swing = SwingJudge(self.leg, self.place)
         self._labels = SwingLabels(self.place, self._swing)
@@ -289,6 +288,7 @@ class ContactLearner:
         if flags & (BEGAN | TOPPED):
             # A swing that begins, or a lift whose top is past, changes the status of the event.
             self._assess(flags)
+            self._report.read_standing()
         if flags & RELEASE_PENDING:
             leg["release_pending"] = False
             event = self._report.event(
@@ -312,25 +312,21 @@ class ContactLearner:
         """
         lifecycle = self._lifecycle
         adapter = lifecycle.adapter
-        if self._watching:
-            self._watch(flags)
         # In most ticks a row was entered that only waits for its swing: nothing to assess.  While
         # the monitor watches a suspected lift, each tick may change the variance scale.
-        assessed = flags and (
-            flags != ENTERED or adapter is None or adapter.monitor.watches or not adapter.gated
+        assessed = flags & ~WAITING or (
+            flags & ENTERED and (adapter is None or adapter.monitor.watches or not adapter.gated)
         )
-        if assessed:
+        if assessed or flags & TOUCHING:
             self._hand_over(flags)
             self._assessed = False
             if flags & SOURCE:
                 self._faulty = self._report.source.cause is not None
-            self._report.read_standing()
-        if self._misread or self._faulty:
-            return self._begun != lifecycle.begun
-        if self._begun != lifecycle.begun:
-            return True
-        if adapter is None or not adapter.learning:
-            return False
+        another = self._begun != lifecycle.begun
+        if another or self._misread or self._faulty or adapter is None or not adapter.learning:
+            if assessed:
+                self._report.read_standing()
+            return another
         moved = adapter.tick(ROWS_PER_TICK)
         if assessed:
             if adapter.monitor.unfit and self.place.leg["ticks"]:
@@ -393,22 +389,7 @@ class ContactLearner:
         """Pass the adapter's ``FreeMotion`` to the arrays; the next tick is judged by it."""
         adapter = self._lifecycle.adapter
         assert adapter is not None
-        free = adapter.free_motion(wanted=wanted or self._swing.ticks > 0)
-        self.place.judge_by(free)
-        self.place.leg["sure"] = adapter.status == "valid" and not free.changed
-
-    def _watch(self, flags: int) -> None:
-        """Keep the sample for the watches of signs and offsets, and of leg ids."""
-        sample, angles = self._sample, self.place.angles
-        assert sample is not None
-        ended = False
-        for track in self._watching:
-            if flags & RESTARTED:
-                track.restart()
-            track.take(angles, sample.t_ns, sample.seq, sample.phase)
-            ended = ended or not track.wants
-        if ended:
-            self._watching = tuple(track for track in self._watching if track.wants)
+        self.place.judge_by(adapter.free_motion(wanted=wanted or self._swing.ticks > 0))
 
     def _hand_over(self, flags: int) -> None:
         """Label what this tick's flags say of the swing, and pass it to the adapter."""
@@ -431,7 +412,6 @@ class ContactLearner:
     def _assess(self, flags: int) -> None:
         """Label a swing that begins or a lift past its top; once per tick."""
         self._learn(self._labels.assess(flags))
-        self._report.read_standing()
         self._assessed = True
 
     def _learn(self, parts: Sequence[LabelledSwing]) -> None:

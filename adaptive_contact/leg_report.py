@@ -179,7 +179,7 @@ class LegReport:
     @property
     def withholds(self) -> bool:
         """Whether contacts are not reported, as the leg is ambiguous."""
-        return self._withholds_at(fits=bool(self._place.leg["fits"]))
+        return self._withholds_at(self.doubt, fits=bool(self._place.leg["fits"]))
 
     def read_standing(self) -> None:
         """Take over what the learning says of the leg, for the events of the next ticks."""
@@ -189,8 +189,9 @@ class LegReport:
     def publish_withholding(self) -> None:
         """Set for the tick whether contacts are reported, and in a swing that begins with it."""
         self.read_standing()
-        leg = self._place.leg
-        leg["withholds"], leg["withholds_begun"] = self.withholds, self._withholds_at(fits=False)
+        leg, doubt = self._place.leg, self.doubt
+        leg["withholds"] = self._withholds_at(doubt, fits=bool(leg["fits"]))
+        leg["withholds_begun"] = self._withholds_at(doubt, fits=False)
 
     @property
     def misread(self) -> bool:
@@ -225,14 +226,13 @@ class LegReport:
         """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
         return self.misread or bool(self._place.leg["cause"])
 
-    def _withholds_at(self, *, fits: bool) -> bool:
-        if self._void:
+    def _withholds_at(self, doubt: Doubt | None, *, fits: bool) -> bool:
+        if doubt is None:
+            return False
+        if self._void or self._when_ambiguous is WhenAmbiguous.STRICT:
             return True
         if self._when_ambiguous is WhenAmbiguous.PUBLISH:
             return False
-        doubt = self.doubt
-        if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
-            return doubt is not None
         # A foot that comes short of its command, and moved as the model says until it touched or
         # to its top, is slow, or meets something in its way.
         return doubt != "unsettled" and not (doubt == "held" and fits)

@@ -55,6 +55,7 @@ from adaptive_contact.detect.source import (
     begin_echo,
     follow_clock,
     follow_source,
+    keep_sample,
     restart_clock,
     restart_phase,
     take_command,
@@ -126,10 +127,10 @@ def restart_leg(leg, command, before, desired, suspects):
 
 @compiled
 def judge_tick(
-    legs, floats, ints, bools, places, preview_in, ring, echo_commands, echo_runs, parts, links,
-    path, lags, preview, history, thetas, kind, first, entry, weight, knee, law, xi0, coefficients,
-    whiten, index, per_scale, root, domain, rows, row_thetas, row_targets, row_asides, free_ring,
-    some, room, now, sums,
+    legs, floats, ints, bools, places, preview_in, ring, kept_angles, kept_stamps, echo_commands,
+    echo_runs, parts, links, path, lags, preview, history, thetas, kind, first, entry, weight,
+    knee, law, xi0, coefficients, whiten, index, per_scale, root, domain, rows, row_thetas,
+    row_targets, row_asides, free_ring, some, room, now, sums,
 ):  # fmt: skip
     """Judge a sample of every leg that has one: the first half of a tick, up to its events.
 
@@ -145,8 +146,9 @@ def judge_tick(
     legs, rows, floats, ints, bools = (
         borrow(legs), borrow(rows), borrow(floats), borrow(ints), borrow(bools),
     )  # fmt: skip
-    preview_in, ring, links, path, parts = (
+    preview_in, ring, links, path, parts, kept_angles, kept_stamps = (
         borrow(preview_in), borrow(ring), borrow(links), borrow(path), borrow(parts),
+        borrow(kept_angles), borrow(kept_stamps),
     )  # fmt: skip
     echo_commands, echo_runs, history, thetas, free_ring = (
         borrow(echo_commands), borrow(echo_runs), borrow(history), borrow(thetas),
@@ -208,6 +210,7 @@ def judge_tick(
         refused = vector(bools, places, i, SLOT.refused)
         # The sample, as it connects to the stream.
         unwrap(leg, measured, desired, preview_in[i], seam, leg.restart)
+        keep_sample(leg, measured, desired, kept_angles[i], kept_stamps[i])
         if leg.restart:
             restart_clock(leg)
         missed = follow_clock(leg, leg.t_ns, leg.seq, ring[i])

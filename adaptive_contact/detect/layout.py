@@ -8,6 +8,7 @@ dimensions is an array of its own.
 
 from __future__ import annotations
 
+import struct
 from collections import namedtuple
 from collections.abc import Mapping
 from typing import Any, Final
@@ -23,6 +24,7 @@ SWINGS: Final = 5  # lengths of swings, remembered
 PATH_TICKS: Final = 400  # commands of a swing, remembered
 RING: Final = 101  # ticks by which the rate is judged, at most
 VALUES: Final = 8  # refused readings remembered
+KEPT: Final = 3000  # samples kept for judgements of a whole motion, a minute at 50 Hz
 
 # What a tick finds of a leg, as bits: Python looks only at legs that have one.
 RESTARTED: Final = 1  # the source began again
@@ -43,7 +45,7 @@ f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
 # The vectors of one leg, by kind; lengths are numbers, or J joints, p terms, w places of a window.
 VECTORS: Final[dict[Any, dict[str, int | str]]] = {
     f8: {
-        "measured": "J",  # the sample, rad; both side by side at the start, see `angles`
+        "measured": "J",  # the sample, rad; both side by side at the start
         "desired": "J",
         "seam": "J",  # the command before, to unwrap by
         "command": "J",  # in force, and the one before
@@ -93,6 +95,20 @@ SLOT: Final[Any] = namedtuple("SLOT", _NAMES)(*range(len(_NAMES)))
 # The scalars of one leg, in the order in which a tick uses them.
 LEG: Final = np.dtype(
     [
+        # Of the sample; `SAMPLE` writes these.
+        ("t_ns", i8),  # stamp
+        ("seq", i8),
+        ("lost", i8),  # samples before it, by its number
+        ("phase", i4),  # that it states: -1 none, 0 stance, 1 swing
+        ("accepted", b1),  # the leg has a sample in this tick
+        ("restart", b1),  # it is the first of a source
+        ("has_valid", b1),  # it says which readings are valid
+        # Of free motion; `FREE` writes these.
+        ("variance_scale", f8),  # in force
+        ("changed", b1),  # the leg has changed since its model was fitted
+        ("inflated", b1),  # the covariance is
+        ("from_prior", b1),  # the model goes on from a prior
+        ("sure", b1),  # the leg is judged by a model that fits it
         # Description.
         ("has_lengths", b1),  # geometry is known: `lengths_m`
         ("size", f8),  # of the leg, in the hexapod's; limits of lengths are in proportion
@@ -110,20 +126,14 @@ LEG: Final = np.dtype(
         ("stretch", f8),  # of the last step beyond a period, periods
         ("late", i4),  # -1 unknown, 0 on time, 1 late
         ("rate_off", b1),  # ticks are not as far apart as described
-        ("seq", i8),  # of the sample
-        ("t_ns", i8),  # stamp of the sample
-        ("accepted", b1),  # the leg has a sample in this tick
-        ("unfinished", b1),  # and the second half of the tick is to come
-        ("restart", b1),  # the sample is the first of a source
-        ("lost", i8),  # samples before it, by its number
-        ("has_valid", b1),  # it says which readings are valid
-        ("phase", i4),  # that it states: -1 none, 0 stance, 1 swing
-        ("preview_n", i4),  # commands to come that it has
+        ("unfinished", b1),  # the second half of the tick is to come
+        ("preview_n", i4),  # commands to come that the sample has
         ("due_ns", i8),  # scheduled time of the next tick
         ("found_ns", f8),  # mean distance of ticks; NaN while unknown
         ("rate_ticks", i4),  # ticks by which the rate is judged
         ("ring_n", i8),  # stamps taken into the ring
         ("lacking", i4),  # samples for which the lack of a preview is still reported
+        ("kept_n", i8),  # samples kept since the source began
         ("missed", i8),  # ticks without a sample before this one; -1 after a pause
         ("accepted_n", i8),  # samples not yet counted by the learner
         ("total_n", i8),  # samples, never reset
@@ -184,9 +194,6 @@ LEG: Final = np.dtype(
         ("thetas_n", i4),  # rows of regressors kept
         # Statistic.
         ("context", i4),  # index of the whitening
-        ("variance_scale", f8),  # in force
-        ("inflated", b1),  # the covariance is
-        ("from_prior", b1),  # the model goes on from a prior
         ("root_n", i4),  # terms of a joint in its root
         ("clock_most", f8),  # largest stretch in question, periods
         ("clock_left", i4),  # ticks it stays in question
@@ -215,7 +222,6 @@ LEG: Final = np.dtype(
         ("resolved_rise", f8),
         ("resolved_fallen", f8),
         # Swings without a touch.
-        ("sure", b1),  # the leg is judged by a model that fits it
         ("quiet", i4),  # ticks in a row after the turn without a sign of a touch
         ("untouched", i8),  # swings that ended without a touch
         ("untouched_ns", i8),  # -1 before the first
@@ -241,7 +247,6 @@ LEG: Final = np.dtype(
         ("has_seam", b1),  # a command before is known, to unwrap by
         ("release_pending", b1),  # a release is to be sent
         ("hole_ns", i8),  # -1 for none
-        ("changed", b1),  # the leg has changed since its model was fitted
         ("has_domain", b1),  # a training domain is known
         # What this tick found.
         ("found", i8),  # flags, see `detector.py`
@@ -253,21 +258,10 @@ LEG: Final = np.dtype(
     align=True,
 )
 
-# One row of a swing in hand.
-ROW: Final = np.dtype(
-    [
-        ("nis", f8),  # normalised innovation squared
-        ("value", f8),  # statistic of this tick alone
-        ("sigma", f8),  # push from the ground, deviations
-        ("t_ns", i8),
-        ("context", i4),
-        ("lift", b1),  # the foot was rising
-        ("calm", b1),
-        ("cleared", b1),
-        ("push", b1),  # `sigma` and the row of asides are set
-    ],
-    align=True,
-)
+# Write the first scalars of a leg in one call each; one by one they take four times as long.
+SAMPLE: Final = struct.Struct("3qi3?")
+FREE: Final = struct.Struct("d4?")
+FREE_AT: Final[int] = LEG.fields["variance_scale"][1]  # type: ignore[index]  # a dtype has some
 
 
 def vectors(

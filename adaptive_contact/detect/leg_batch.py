@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Final
 
 import msgspec
@@ -11,11 +13,22 @@ from numpy.typing import NDArray
 
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
-from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, ROW, new_legs, vectors
+from adaptive_contact.detect.layout import (
+    DEPTH,
+    FREE,
+    FREE_AT,
+    KEPT,
+    PATH_TICKS,
+    RING,
+    SAMPLE,
+    new_legs,
+    vectors,
+)
 from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.source import COMMANDS, LAGS
 from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
+from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.model.library import ChangeLibrary, Library
 from adaptive_contact.model.noise import CONTEXTS
 from adaptive_contact.robot import Leg
@@ -40,8 +53,10 @@ class LegBatch:
 
     Attributes:
         legs: scalars of every leg, see :mod:`adaptive_contact.detect.layout`.
-        angles: (L, 2 J) rad, measured and desired of the samples in hand.
+        accepted: (L,) of these, which legs have a sample in this tick.
         vectors: of floats, of integers and of booleans; each has a name there, and so it has here.
+        kept_angles, kept_stamps: (3000, 2 J) rad, measured and desired, and (3000, 3) time, number
+            and phase of the newest samples, a ring.
         history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
         thetas: (3, p), regressors of the last ticks.
         domain: (p, p) matrix whose product with regressors has the leverage as squared length.
@@ -50,15 +65,6 @@ class LegBatch:
         free_ring: residuals of the newest free ticks, rad.
     """
 
-    # Those of the scalars that a sample brings.
-    accepted: NDArray[np.bool_]
-    restart: NDArray[np.bool_]
-    lost: NDArray[np.int64]
-    t_ns: NDArray[np.int64]
-    seq: NDArray[np.int64]
-    phase: NDArray[np.int32]
-    has_valid: NDArray[np.bool_]
-    preview_n: NDArray[np.int32]
     # Those of the vectors that swings' judgements read.
     measured: Array
     desired: Array
@@ -101,13 +107,12 @@ class LegBatch:
         self.vectors, self.places, views = vectors(rows, lengths)
         for name, view in views.items():
             setattr(self, name, view)
-        self.angles = self.vectors[0][:, : 2 * joints]
         self.unit[:] = 1.0
-        for name in _OF_SAMPLES:  # to write to one costs a quarter of what it does by leg
-            setattr(self, name, legs_[name])
+        self.accepted = legs_["accepted"]
         self.preview_in = zeros(shape.preview, joints)
         # Stream, source and swing.
         self.ring = zeros(RING, 3, dtype=i)
+        self.kept_angles, self.kept_stamps = zeros(KEPT, 2 * joints), zeros(KEPT, 3, dtype=i)
         self.echo_commands = zeros(COMMANDS, joints)
         self.echo_runs = zeros(joints, LAGS, 5)
         self.echo_runs[..., 4] = -1.0
@@ -146,11 +151,11 @@ class LegBatch:
         floats, ints, bools = self.vectors
         self._judged = (
             records(self.legs), floats, ints, bools, self.places, self.preview_in, self.ring,
-            self.echo_commands, self.echo_runs, self.parts, self.links, self.path, self.lags,
-            self.preview, self.history, self.thetas, *self.table, self.xi0, self.coefficients,
-            self.whiten, self.index, self.per_scale, self.root, self.domain, records(self.rows),
-            self.row_thetas, self.row_targets, self.row_asides, self.free_ring, self.some,
-            self.room, self.now, self.sums,
+            self.kept_angles, self.kept_stamps, self.echo_commands, self.echo_runs, self.parts,
+            self.links, self.path, self.lags, self.preview, self.history, self.thetas, *self.table,
+            self.xi0, self.coefficients, self.whiten, self.index, self.per_scale, self.root,
+            self.domain, records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
+            self.free_ring, self.some, self.room, self.now, self.sums,
         )  # fmt: skip
         self._finished = (
             records(self.legs), floats, self.places, self.preview_in, self.lags,
@@ -228,11 +233,8 @@ class LegBatch:
 
 
 _OF_ROWS: Final = ("rows", "row_thetas", "row_targets", "row_asides")
-_OF_SAMPLES: Final = (
-    "accepted", "restart", "lost", "t_ns", "seq", "phase", "has_valid", "preview_n",
-)  # fmt: skip
 # Scratch, and what is adopted by other names.
-_SCRATCH: Final = ("some", "room", "now", "sums", "places", "angles", *_OF_SAMPLES)
+_SCRATCH: Final = ("some", "room", "now", "sums", "places", "accepted")
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",
@@ -244,6 +246,11 @@ _OF_MODEL: Final = (
 _PHASES: Final = {None: -1, "stance": 0, "swing": 1}
 
 
+def _bytes(array: NDArray[Any]) -> memoryview:
+    """Return the bytes of a contiguous array, to be written to."""
+    return array.reshape(-1).view(np.uint8).data
+
+
 class LegPlace:
     """Locates a leg's arrays: a row of a batch.
 
@@ -251,10 +258,11 @@ class LegPlace:
         batch: that has them.
         row: of the leg.
         leg: its scalars.
-        angles: (2 J,) rad, measured and desired, of the sample in hand.
     """
 
-    __slots__ = ("_judged_by", "angles", "batch", "leg", "row")
+    __slots__ = (
+        "_judged_by", "_write_angles", "_write_free", "_write_sample", "batch", "leg", "row",
+    )  # fmt: skip
 
     def __init__(self, batch: LegBatch, row: int = 0) -> None:
         self._judged_by: FreeMotion | None = None
@@ -268,17 +276,16 @@ class LegPlace:
     def take(self, sample: ServoSample, *, lost: int, restart: bool) -> None:
         """Put an accepted sample in, for the next tick to judge."""
         batch, row = self.batch, self.row
-        batch.accepted[row], batch.restart[row], batch.lost[row] = True, restart, lost
-        batch.t_ns[row], batch.seq[row] = sample.t_ns, sample.seq
-        batch.phase[row] = _PHASES[sample.phase]
-        self.angles[:] = sample.measured + sample.desired
         missing = sample.valid is not None and not all(sample.valid)
-        batch.has_valid[row] = missing
+        self._write_sample(
+            sample.t_ns, sample.seq, lost, _PHASES[sample.phase], True, restart, missing
+        )
+        self._write_angles(*sample.measured, *sample.desired)
         if missing:
             batch.valid[row] = sample.valid
         if batch.preview:
             ahead = sample.preview or ()
-            count = batch.preview_n[row] = min(len(ahead), batch.preview)
+            count = self.leg["preview_n"] = min(len(ahead), batch.preview)
             batch.preview_in[row, :count] = ahead[:count] if count else 0.0
 
     def sample(self, taken: ServoSample) -> ServoSample:
@@ -327,8 +334,10 @@ class LegPlace:
     def judge_by(self, free: FreeMotion) -> None:
         """Put what is known of free motion into the arrays that ticks judge by."""
         leg, batch, row, before = self.leg, self.batch, self.row, self._judged_by
-        leg["variance_scale"], leg["changed"] = free.variance_scale, free.changed
-        leg["inflated"], leg["from_prior"] = free.covariance is not None, free.from_prior
+        self._write_free(
+            free.variance_scale, free.changed, free.covariance is not None, free.from_prior,
+            free.sure,
+        )  # fmt: skip
         if before is None or free.thresholds is not before.thresholds:
             batch.whiten[row] = free.whiten
             batch.limits[row], batch.limits_awaited[row] = free.thresholds, free.awaited
@@ -349,7 +358,11 @@ class LegPlace:
 
     def _locate(self, batch: LegBatch, row: int) -> None:
         self.batch, self.row, self.leg = batch, row, batch.legs[row]
-        self.angles = batch.angles[row]
+        joints = batch.measured.shape[1]
+        scalars, floats = _bytes(batch.legs[row : row + 1]), _bytes(batch.vectors[0][row])
+        self._write_sample = partial(SAMPLE.pack_into, scalars, 0)
+        self._write_free = partial(FREE.pack_into, scalars, FREE_AT)
+        self._write_angles = partial(struct.Struct(f"{2 * joints}d").pack_into, floats, 0)
 
     @property
     def free_rms(self) -> list[float]:

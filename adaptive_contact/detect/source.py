@@ -111,6 +111,19 @@ PEAK: Final = 3
 
 
 @compiled
+def keep_sample(leg, measured, desired, angles, stamps):
+    """Keep a sample, of the newest since the source began."""
+    if leg.restart:
+        leg.kept_n = 0
+    at = leg.kept_n % len(stamps)
+    joints = len(measured)
+    for j in range(joints):
+        angles[at, j], angles[at, joints + j] = measured[j], desired[j]
+    stamps[at, 0], stamps[at, 1], stamps[at, 2] = leg.t_ns, leg.seq, leg.phase
+    leg.kept_n += 1
+
+
+@compiled
 def anchor(leg, t_ns, seq, ring):
     """Set the schedule to this tick."""
     leg.at_ns, leg.due_ns = t_ns, t_ns + np.int64(np.rint(leg.pace * leg.period_ns))

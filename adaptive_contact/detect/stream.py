@@ -67,39 +67,28 @@ class Accepted(NamedTuple):
 _NEXT: Final = Accepted(missed=0, restart=False)  # what nearly every sample is
 
 
-class _Place(NamedTuple):
-    """Where a stream is: the time and number of its newest sample."""
-
-    t_ns: int
-    seq: int
-
-    def is_followed_by(self, now: _Place) -> bool:
-        """Whether ``now`` may be the next sample of the same stream, few being lost between."""
-        return now.t_ns > self.t_ns and 0 < now.seq - self.seq <= SHORT_GAP + 1
-
-
 class _Newcomer(NamedTuple):
     """Holds a run that is not accepted yet.
 
     Attributes:
-        place: of its newest sample.
+        newest: sample of it.
         in_a_row: samples of it that follow each other.
         accepted: samples of others accepted by then.
     """
 
-    place: _Place
+    newest: ServoSample
     in_a_row: int
     accepted: int
 
 
 class _Jump(NamedTuple):
-    """Holds an accepted gap: where the stream was, what was missed, where it went on."""
+    """Holds an accepted gap: the sample before it, what was missed, the sample after it."""
 
-    before: _Place
+    before: ServoSample
     missed: int
-    to: _Place
+    to: ServoSample
 
-    def goes_on_at(self, now: _Place) -> bool:
+    def goes_on_at(self, now: ServoSample) -> bool:
         """Whether a sample belongs to the stream as it was before the gap."""
         return now.t_ns > self.before.t_ns and self.before.seq < now.seq < self.to.seq
 
@@ -118,11 +107,11 @@ class StreamGuard:
         self.joints = joints
         self.run: int | None = None
         self.missed = self.restarts = 0
-        self._last: _Place | None = None
-        self._late: _Place | None = None  # newest sample that does not follow the last one
+        self._last: ServoSample | None = None
+        self._late: ServoSample | None = None  # newest that does not follow the last one
         self._late_count = 0
         self._jump: _Jump | None = None
-        self._since_jump = 0  # samples accepted
+        self._jump_at = 0  # samples accepted when it was
         self._newcomers: dict[int | None, _Newcomer] = {}
         self._accepted = 0
         self._short_lived = 0  # runs that took over and did not last
@@ -133,7 +122,7 @@ class StreamGuard:
         self._other_count = 0
         self._other: tuple[int | None, int] | None = None  # who it is, and since when, t_ns
         self._begun = False  # a publisher is in force, if only by a snapshot's word
-        self._since_start = SHORT_RUN_SAMPLES  # samples accepted
+        self._start_at = -SHORT_RUN_SAMPLES  # samples accepted when the source started
         self._short_runs = 0  # in a row
 
     @property
@@ -184,44 +173,46 @@ class StreamGuard:
         fault = self._form(sample)
         if fault is not None:
             return fault
-        now = _Place(sample.t_ns, sample.seq)
+        last = self._last
         if sample.run != self.run and self._begun:
             # The run that was seen first is the older publisher; the newer start wins, also when
             # it comes back after a pause.
             older = sample.run in self.older_runs
-            if not (self._is_alone(sample) if older else self._confirmed(sample.run, now)):
+            if not (self._is_alone(sample) if older else self._confirmed(sample)):
                 return Reject.OTHER_PUBLISHER
-            return self._restart(sample, now)
-        if self._last is None:
-            return self._restart(sample, now)
+            return self._restart(sample)
+        if last is None:
+            return self._restart(sample)
         self._other_count = 0
-        missed = now.seq - self._last.seq - 1
-        if missed == 0 and now.t_ns > self._last.t_ns:  # what nearly every sample is
-            return self._accept(now, 0)
-        if now.t_ns <= self._last.t_ns and missed != -1:
-            return self._refuse(sample, now, Reject.TIME_BACKWARDS)
+        missed = sample.seq - last.seq - 1
+        if missed == 0 and sample.t_ns > last.t_ns:  # what nearly every sample is
+            return self._accept(sample, 0)
+        if sample.t_ns <= last.t_ns and missed != -1:
+            return self._refuse(sample, Reject.TIME_BACKWARDS)
         if missed < 0:
-            return self._refuse(sample, now, Reject.DUPLICATE_SEQ)
+            return self._refuse(sample, Reject.DUPLICATE_SEQ)
         if missed > LONGEST_GAP:
-            return self._refuse(sample, now, Reject.OUT_OF_RANGE)
+            return self._refuse(sample, Reject.OUT_OF_RANGE)
         if missed > SHORT_GAP:
-            return self._refuse(sample, now, Reject.SEQ_JUMP)
-        return self._accept(now, missed)
+            return self._refuse(sample, Reject.SEQ_JUMP)
+        return self._accept(sample, missed)
 
-    def _accept(self, now: _Place, missed: int) -> Accepted:
-        self.missed += missed
-        self._last, self._late, self._late_count = now, None, 0
+    def _accept(self, sample: ServoSample, missed: int) -> Accepted:
+        self._last, self._late, self._late_count = sample, None, 0
         self._accepted += 1
-        self._since_jump += 1
-        self._since_start += 1
-        if self._since_start == SHORT_RUN_SAMPLES:
+        since_start = self._accepted - self._start_at
+        if since_start == SHORT_RUN_SAMPLES:
             self._short_runs = 0
-        if self._since_start % SETTLED_SAMPLES == 0:
+        if since_start % SETTLED_SAMPLES == 0:
             self._short_lived = max(0, self._short_lived - 1)
-        return _NEXT if missed == 0 else Accepted(missed=missed, restart=False)
+        if missed == 0:
+            return _NEXT
+        self.missed += missed
+        return Accepted(missed=missed, restart=False)
 
-    def _confirmed(self, run: int | None, now: _Place) -> bool:
+    def _confirmed(self, sample: ServoSample) -> bool:
         """Whether a run that is not older shows to be a stream of its own."""
+        run = sample.run
         known = self._newcomers.pop(run, None)
         in_a_row = 1
         if known is None:
@@ -229,12 +220,12 @@ class StreamGuard:
                 self._strays = 0
             self._strays += 1
             self._stray_at = self._accepted
-        elif known.place.is_followed_by(now) and self._accepted - known.accepted <= PACE:
+        elif _follows(sample, known.newest) and self._accepted - known.accepted <= PACE:
             in_a_row = known.in_a_row + 1
         if self._short_lived == 0 or in_a_row >= CONFIRM_SAMPLES << (self._short_lived - 1):
             self._strays = max(0, self._strays - 1)
             return True
-        self._newcomers[run] = _Newcomer(now, in_a_row, self._accepted)
+        self._newcomers[run] = _Newcomer(sample, in_a_row, self._accepted)
         if len(self._newcomers) > MAX_NEWCOMERS:
             del self._newcomers[next(iter(self._newcomers))]
         return False
@@ -247,56 +238,60 @@ class StreamGuard:
         long_enough = sample.t_ns - self._other[1] >= TAKE_BACK_NS
         return long_enough and self._other_count >= TAKE_BACK_SAMPLES
 
-    def _restart(self, sample: ServoSample, now: _Place) -> Accepted:
-        jump = self._jump if sample.run == self.run and self._since_jump < SETTLED_SAMPLES else None
-        if jump is not None and jump.goes_on_at(now):
+    def _restart(self, sample: ServoSample) -> Accepted:
+        jump = self._jump if sample.run == self.run and not self._settled_since_jump else None
+        if jump is not None and jump.goes_on_at(sample):
             # Another writer's samples were taken for a gap; the source itself never restarted.
-            self.missed = jump.missed + now.seq - jump.before.seq - 1
+            self.missed = jump.missed + sample.seq - jump.before.seq - 1
         else:
             # The first sample after a start of our own is no restart of the source's.
             self.restarts += self._last is not None or (self._begun and sample.run != self.run)
         self._jump = None
-        self.run, self._last, self._begun = sample.run, now, True
+        self.run, self._last, self._begun = sample.run, sample, True
         self._late, self._late_count, self._other_count = None, 0, 0
         if self.run not in self._runs:
             self._runs = [*self._runs, self.run][-MAX_OLD_RUNS - 1 :]
-        short = self._since_start < SHORT_RUN_SAMPLES
+        short = self._accepted - self._start_at < SHORT_RUN_SAMPLES
         self._short_runs = self._short_runs + 1 if short else 0
         self._short_lived = min(self._short_lived + short, MOST_SHORT_LIVED)
-        self._since_start = 1
+        self._start_at = self._accepted
         self._accepted += 1
         return Accepted(missed=0, restart=True)
 
-    def _refuse(self, sample: ServoSample, now: _Place, why: Reject) -> Accepted | Reject:
+    @property
+    def _settled_since_jump(self) -> bool:
+        return self._accepted - self._jump_at >= SETTLED_SAMPLES
+
+    def _refuse(self, sample: ServoSample, why: Reject) -> Accepted | Reject:
         """Refuse what does not follow the last sample, until it shows to be a stream itself."""
         last, late = self._last, self._late
         # A stream of its own is as close-knit as any: what jumps about at random is none.
-        in_order = late is None or late.is_followed_by(now)
+        in_order = late is None or _follows(sample, late)
         self._late_count = self._late_count + 1 if in_order else 1
-        self._late = now
+        self._late = sample
         if why is Reject.SEQ_JUMP and self._late_count >= CONFIRM_SAMPLES and last is not None:
-            if self._jump is None or self._since_jump >= SETTLED_SAMPLES:
-                self._jump = _Jump(last, self.missed, now)
-            self._since_jump = 0
-            return self._accept(now, now.seq - last.seq - 1)
+            if self._jump is None or self._settled_since_jump:
+                self._jump = _Jump(last, self.missed, sample)
+            self._jump_at = self._accepted
+            return self._accept(sample, sample.seq - last.seq - 1)
         if self._late_count >= RESET_SAMPLES:
-            return self._restart(sample, now)
+            return self._restart(sample)
         return why
 
     def _form(self, sample: ServoSample) -> Reject | None:
-        j = self.joints
-        if len(sample.measured) != j or len(sample.desired) != j:
+        j, measured, desired = self.joints, sample.measured, sample.desired
+        if len(measured) != j or len(desired) != j:
             return Reject.WRONG_JOINTS
         if sample.valid is not None and len(sample.valid) != j:
             return Reject.WRONG_JOINTS
-        preview = sample.preview or ()
-        if len(preview) > MAX_PREVIEW_TICKS:
-            return Reject.OUT_OF_RANGE
-        values = sample.measured + sample.desired
-        for row in preview:
-            if len(row) != j:
-                return Reject.WRONG_JOINTS
-            values += row
+        values = measured + desired
+        if sample.preview is not None:
+            if len(sample.preview) > MAX_PREVIEW_TICKS:
+                return Reject.OUT_OF_RANGE
+            for row in sample.preview:
+                if len(row) != j:
+                    return Reject.WRONG_JOINTS
+                values += row
         if not math.hypot(*values) <= MAX_ANGLE_RAD:  # false for NaN, too; else each is in range
             for value in values:
                 if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:
@@ -307,6 +302,11 @@ class StreamGuard:
         if sample.run is not None and not _is_run(sample.run):
             return Reject.OUT_OF_RANGE
         return None
+
+
+def _follows(sample: ServoSample, last: ServoSample) -> bool:
+    """Whether a sample may be the next one of the same stream, few being lost between."""
+    return sample.t_ns > last.t_ns and 0 < sample.seq - last.seq <= SHORT_GAP + 1
 
 
 def _is_count(value: object) -> bool:

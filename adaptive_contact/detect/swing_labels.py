@@ -10,16 +10,27 @@ ticks before the onset is learned, too.
 
 from __future__ import annotations
 
+import bisect
 import functools
 from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adaptive_contact.detect.contact import MIN_LIFT_ROWS
 from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
-from adaptive_contact.model.labelled_swing import SEGMENTS, Label, LabelledSwing, Push, Row, Touch
+from adaptive_contact.model.labelled_swing import (
+    NO_ROWS,
+    SEGMENTS,
+    Label,
+    LabelledSwing,
+    Rows,
+    Touch,
+)
 from adaptive_contact.model.leg_model import LegModel, rollout
 from adaptive_contact.model.noise import UNFIT_LEVEL
 
@@ -148,8 +159,8 @@ class SwingLabels:
         self.landings.touched(int(leg["after"]) - (now_ns - onset_ns) // period_ns)
         rows = self._close(onset_ns, period_ns)
         if leg["from_prior"] and leg["after"] and rows:
-            last_ns = min(onset_ns, rows[-1].t_ns + period_ns) - CAUTIOUS_TICKS * period_ns
-            rows = [row for row in rows if row.t_ns < last_ns]
+            last_ns = min(onset_ns, int(rows.t_ns[-1]) + period_ns) - CAUTIOUS_TICKS * period_ns
+            rows = rows[rows.t_ns < last_ns]
         found = self._confirmed(rows, lifted=self._swing.lifted)
         self._touch = [self._touch_tick()]
         leg["touching"] = True
@@ -181,14 +192,14 @@ class SwingLabels:
         rows = let_go_rows(self._rows(0, int(leg["lift_n"])))
         if rows is None:
             return found
-        leg["fits"] |= sum(row.nis for row in rows) <= UNFIT_LEVEL * len(rows)
+        leg["fits"] |= sum(rows.nis.tolist()) <= UNFIT_LEVEL * len(rows)
         if swing.lifted and not (swing.obstructed or leg["suspected"]):
             self._unobserved = 0
             self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())
             found.append(LabelledSwing(Label.LIFT, rows, self._region, int(leg["at_ns"])))
         return found
 
-    def _confirmed(self, rows: list[Row], *, lifted: bool) -> list[LabelledSwing]:
+    def _confirmed(self, rows: Rows, *, lifted: bool) -> list[LabelledSwing]:
         """Label rows of a descent as free, unless the foot had not come up or was obstructed."""
         if not rows or not lifted or self._swing.obstructed:
             return []
@@ -201,13 +212,13 @@ class SwingLabels:
         leg["touching"] = False
         return [LabelledSwing(Label.CONTACT, touch=ticks)] if ticks and leg["learning"] else []
 
-    def _close(self, onset_ns: int, period_ns: int) -> list[Row]:
+    def _close(self, onset_ns: int, period_ns: int) -> Rows:
         """Close the swing at a contact; return the rows of its descent that are free."""
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
         lift, commanded, count = (int(leg[name]) for name in ("lift_n", "commanded_n", "row_n"))
         hole_ns = int(leg["hole_ns"])
         kept, rows = confirmed_before(
-            self._rows(0, lift), commanded, self._rows(lift, count), onset_ns, period_ns,
+            batch.rows[row, :lift], commanded, self._rows(lift, count), onset_ns, period_ns,
             None if hole_ns < 0 else hole_ns,
         )  # fmt: skip
         if len(kept) < lift:
@@ -217,22 +228,17 @@ class SwingLabels:
         leg["closed"] = True
         return rows
 
-    def _rows(self, first: int, last: int) -> list[Row]:
+    def _rows(self, first: int, last: int) -> Rows:
         """Copy rows of the swing out of the arrays."""
         batch, at = self._place.batch, self._place.row
         if first == last:
-            return []
-        rows = batch.rows[at, first:last]
-        thetas = batch.row_thetas[at, first:last].copy()
-        targets = batch.row_targets[at, first:last].copy()
-        asides = batch.row_asides[at, first:last].copy()
-        columns = (rows[name].tolist() for name in _COLUMNS)
-        return [
-            Row(theta, target, nis, value, context, t_ns, lift, calm, cleared,
-                Push(sigma, aside) if push else None)
-            for theta, target, aside, nis, value, context, t_ns, lift, calm, cleared, sigma, push
-            in zip(thetas, targets, asides, *columns, strict=True)
-        ]  # fmt: skip
+            return NO_ROWS
+        return Rows(
+            batch.row_thetas[at, first:last].copy(),
+            batch.row_targets[at, first:last].copy(),
+            batch.rows[at, first:last].copy(),
+            batch.row_asides[at, first:last].copy(),
+        )
 
     def _touch_tick(self) -> Touch:
         """Return the last three ticks, as they were judged."""
@@ -240,24 +246,28 @@ class SwingLabels:
         batch, row, leg = place.batch, place.row, place.leg
         whiten = batch.whiten[row, int(leg["context"])] / batch.unit[row] ** 0.5
         thetas = batch.thetas[row, : int(leg["thetas_n"])]
-        target = place.residuals + place.increments
-        limits = batch.limits[row].copy()
-        waited = max(int(leg["after"]) - 1, 0)
-        limits[:waited] = batch.limits_awaited[row, :waited]
+        residual, increment = batch.history[row]
+        target, limits, waited = residual + increment, batch.limits[row].copy(), int(leg["after"])
+        if waited > 1:
+            limits[: waited - 1] = batch.limits_awaited[row, : waited - 1]
         return Touch.of(thetas, target, whiten, limits, int(leg["usable"]))
 
 
 def confirmed_before(
-    lift: Sequence[Row], commanded: int, descent: list[Row], onset_ns: int, period_ns: int,
+    lift: NDArray[np.void],
+    commanded: int,
+    descent: Rows,
+    onset_ns: int,
+    period_ns: int,
     hole_ns: int | None,
-) -> tuple[list[int], list[Row]]:  # fmt: skip
+) -> tuple[list[int], Rows]:
     """Select the rows of a swing with a contact that are free: those well before its onset.
 
     Nearer to it, what the ground cannot have done is: the part of the movement that no push from
     below accounts for.
 
     Args:
-        lift: rows of the lift, if its top has not been passed.
+        lift: what is known of the rows of the lift, if its top has not been passed.
         commanded: of these, the first so many had a command that went up, too.
         descent: rows of the descent.
         onset_ns: of the contact.
@@ -269,50 +279,47 @@ def confirmed_before(
     """
     near_ns = onset_ns - TOUCHING_TICKS * period_ns
     if hole_ns is not None:
-        after_ns = next((row.t_ns for row in descent if row.t_ns > hole_ns), onset_ns)
+        after_ns = next((t_ns for t_ns in descent.t_ns.tolist() if t_ns > hole_ns), onset_ns)
         if onset_ns - after_ns <= HOLE_TICKS * period_ns:
             onset_ns, near_ns = hole_ns, 0
     last = onset_ns - GUARD_TICKS * period_ns
     # A foot on its way up while its command comes down lags behind, or has been kicked up.
-    limit = LET_GO_RATIO * max([1.0, *(row.nis for row in lift[:commanded])])
+    nis = lift["nis"].tolist()
+    limit = LET_GO_RATIO * max([1.0, *nis[:commanded]])
     kept = [
-        k for k, row in enumerate(lift) if k < commanded or row.t_ns <= last or row.nis <= limit
-    ]
-    rows = [row for row in descent if row.t_ns <= last]
-    rows += _not_pushed(descent[len(rows) :], near_ns)
-    return kept, rows
+        k for k, t_ns in enumerate(lift["t_ns"].tolist())
+        if k < commanded or t_ns <= last or nis[k] <= limit
+    ]  # fmt: skip
+    before = bisect.bisect_right(descent.t_ns.tolist(), last)
+    return kept, descent[:before].then(_not_pushed(descent[before:], near_ns))
 
 
-def confirmed_of(descent: list[Row]) -> list[Row]:
+def confirmed_of(descent: Rows) -> Rows:
     """Select the confirmed rows of a descent after which the next stance has begun."""
     return descent[:-LAST_TICKS]
 
 
-def let_go_rows(rows: list[Row]) -> list[Row] | None:
+def let_go_rows(rows: Rows) -> Rows | None:
     """Select the part of a lift in which the foot is off the ground; None if it is too short."""
-    if rows and not rows[0].calm:
-        limit = LET_GO_RATIO * max(1.0, min(row.nis for row in rows[-2:]))
-        first = len(rows)
-        while first > 0 and rows[first - 1].nis <= limit:
+    if rows and not rows.known["calm"][0]:
+        nis = rows.nis.tolist()
+        limit = LET_GO_RATIO * max(1.0, min(nis[-2:]))
+        first = len(nis)
+        while first > 0 and nis[first - 1] <= limit:
             first -= 1
         rows = rows[first:]
     return rows if len(rows) >= MIN_LIFT_ROWS else None
 
 
-def _not_pushed(rows: list[Row], last_ns: int) -> list[Row]:
+def _not_pushed(rows: Rows, last_ns: int) -> Rows:
     """Select, of a leg that has changed, the ticks that no push from below accounts for."""
-    found: list[Row] = []
-    for row in rows:
-        if row.t_ns > last_ns or row.push is None or row.push.sigma > PUSHED_SIGMA:
-            break
-        if row.nis > MISSED_NIS:
-            found.append(row._replace(target=row.push.aside))
-    return found
-
-
-_COLUMNS: Final = (
-    "nis", "value", "context", "t_ns", "lift", "calm", "cleared", "sigma", "push",
-)  # fmt: skip
+    if not (rows and rows.known["push"][0]):  # as in nearly every swing
+        return NO_ROWS
+    pushed = (rows.t_ns > last_ns) | ~rows.known["push"] | (rows.known["sigma"] > PUSHED_SIGMA)
+    if pushed.any():
+        rows = rows[: int(pushed.argmax())]
+    found = rows[rows.nis > MISSED_NIS]
+    return Rows(found.theta, found.aside, found.known, found.aside)
 
 
 class _Regions:
@@ -323,17 +330,16 @@ class _Regions:
     """
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, float]] = deque(maxlen=SEGMENTS)
+        self._first, self._last = (deque[float](maxlen=SEGMENTS) for _ in range(2))
 
     def of(self, at: Sequence[float]) -> int:
         """Return the region, 0 to 5, of a command, (J,) rad."""
-        self._seen.append((at[0], at[-1]))
-        first, last = zip(*self._seen, strict=True)
-        return 2 * _part(at[0], first, 3) + _part(at[-1], last, 2)
+        return 2 * _part(at[0], self._first, 3) + _part(at[-1], self._last, 2)
 
 
-def _part(value: float, seen: Sequence[float], parts: int) -> int:
-    """Compute which of so many equal parts of a range a value lies in."""
+def _part(value: float, seen: deque[float], parts: int) -> int:
+    """Note a value; compute which of so many equal parts of the range seen it lies in."""
+    seen.append(value)
     least = min(seen)
     width = max(seen) - least
     return 0 if width <= 0.0 else min(int(parts * (value - least) / width), parts - 1)

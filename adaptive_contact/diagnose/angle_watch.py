@@ -1,6 +1,6 @@
 """Compares how a robot's samples count angles with what its description says.
 
-Samples of all legs are kept for a minute, and judged now and then until the motion has confirmed
+Each leg's samples of the last minute are judged now and then, until the motion has confirmed
 every leg (:mod:`adaptive_contact.conventions.judge`).  A leg that is described wrong gets a
 finding; its learner then reports no contacts and learns nothing, as both would rest on a geometry
 that is not the leg's.  A finding counts when two judgements in a row agree.
@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.conventions.judge import ConventionFinding, LegMotion, Verdict, judge_motion
+from adaptive_contact.detect.layout import KEPT
+from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.diagnose.kept_samples import KeptSamples
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.robot import Leg, Robot
-from adaptive_contact.wire import Phase
 
 Array = NDArray[np.float64]
 
@@ -28,8 +29,6 @@ Array = NDArray[np.float64]
 TIMES_S: Final = (4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 24.0, 28.0, 34.0, 40.0, 50.0, 60.0)
 LATER_S: Final = 60.0
 ENOUGH_S: Final = 600.0
-# Samples kept of a leg: a minute at 50 Hz, some forty swings.
-KEPT: Final = 3000
 NEVER: Final = 2**62
 # No leg has this name: the job is of all.
 _ALL: Final = "*"
@@ -50,62 +49,39 @@ class ConventionJob:
 
 
 class MotionTrack:
-    """Keeps the newest samples of one leg.
+    """Follows what the motion of one leg shows of its description.
 
     Args:
-        leg: its description.
+        place: its arrays.
 
     Attributes:
         finding: what is wrong with its description; None as long as nothing is known to be.
-        total: samples taken in.
         settled: the motion has confirmed the description.
     """
 
-    def __init__(self, leg: Leg) -> None:
+    def __init__(self, place: LegPlace) -> None:
         self.finding: ConventionFinding | None = None
-        self.total = 0
         self.settled = False
         self.suspected: ConventionFinding | None = None  # by the last judgement alone
-        self._leg = leg
-        self._kept = KeptSamples(len(leg.joints))
-        self._first_seq = 0
+        self._place = place
 
     @property
-    def wants(self) -> bool:
-        """Whether samples are kept still."""
-        return not self.settled
+    def begun(self) -> bool:
+        """Whether the leg has had samples."""
+        return bool(self._place.leg["kept_n"])
 
     @property
     def spoils(self) -> bool:
         """Whether the finding makes heights of the foot wrong."""
         return self.finding is not None and self.finding.grave
 
-    def take(self, angles: Array, t_ns: int, seq: int, phase: Phase | None) -> None:
-        """Take in an accepted sample: (2 J,) rad as described, measured and desired."""
-        if self.settled:
-            return
-        kept = self._kept
-        if len(kept) == KEPT:
-            kept.drop(KEPT // 2)
-        if not kept:
-            self._first_seq = seq
-        kept.add(angles, t_ns, seq - self._first_seq, phase)
-        self.total += 1
-
-    def restart(self) -> None:
-        """End the stretch of samples: what comes does not connect to what was."""
-        self._kept.clear()
-
-    def settle(self) -> None:
-        """Keep no more of it."""
-        self.settled = True
-        self._kept.clear()
-
     @property
     def motion(self) -> LegMotion:
-        """Samples kept, as copies."""
-        kept = self._kept
-        return LegMotion(kept.t_ns, kept.measured, kept.desired, kept.swing, kept.seq)
+        """Its newest samples; none once it is settled."""
+        kept = KeptSamples.of(self._place, 0 if self.settled else KEPT)
+        # Counted from the first, as numbers of any size are.
+        seq = kept.seq - kept.seq[:1]
+        return LegMotion(kept.t_ns, kept.measured, kept.desired, kept.swing, seq)
 
 
 class ConventionWatch:
@@ -125,11 +101,11 @@ class ConventionWatch:
         self._next = round(TIMES_S[0] / robot.period_s)
         self._ticks = 0
 
-    def track(self, leg: Leg) -> MotionTrack | None:
-        """Make the track of a leg; None for one whose geometry is not known."""
+    def track(self, leg: Leg, place: LegPlace) -> MotionTrack | None:
+        """Make the track of a leg with arrays; None for one whose geometry is not known."""
         if leg.chain is None or leg.id not in self._robot.leg_ids:
             return None
-        self._tracks[leg.id] = MotionTrack(leg)
+        self._tracks[leg.id] = MotionTrack(place)
         return self._tracks[leg.id]
 
     def look(self) -> None:
@@ -151,7 +127,7 @@ class ConventionWatch:
         if not open_tracks:
             return
         self._jobs += 1
-        motions = {leg: track.motion for leg, track in self._tracks.items() if track.total}
+        motions = {leg: track.motion for leg, track in self._tracks.items() if track.begun}
         job = ConventionJob(_ALL, self._jobs, self._robot, motions)
         if self._refitter is None:
             self._conclude(job.run())
@@ -169,7 +145,7 @@ class ConventionWatch:
         else:
             self._next = NEVER
             for track in self._tracks.values():
-                track.settle()
+                track.settled = True
 
     def _conclude(self, verdict: Verdict) -> None:
         found = {finding.leg: finding for finding in verdict.findings}
@@ -184,7 +160,7 @@ class ConventionWatch:
                 track.finding = finding
             track.suspected = finding
         # Legs are judged by each other: none is let go before all are confirmed.
-        open_legs = [leg for leg, track in self._tracks.items() if track.total]
+        open_legs = [leg for leg, track in self._tracks.items() if track.begun]
         if open_legs and set(open_legs) <= set(verdict.fits):
             for leg in open_legs:
-                self._tracks[leg].settle()
+                self._tracks[leg].settled = True

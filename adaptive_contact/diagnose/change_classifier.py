@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.model.change_prior import speaks_of
-from adaptive_contact.model.labelled_swing import Row, residuals_of
+from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.robot.kinematics import yaws_then_pitches
 
@@ -67,11 +67,11 @@ class ChangeClassifier:
         sizes = [2 + of.linear.shape[1] for of in self._shapes]
         self._products = [np.zeros((size, size)) for size in sizes]
 
-    def add(self, rows: Sequence[Row]) -> None:
+    def add(self, rows: Rows) -> None:
         """Take in free ticks, of lifts and of descents."""
         if not rows:
             return
-        theta, residual = residuals_of(rows, self._model.coefficients)
+        theta, residual = rows.theta, rows.residual(self._model.coefficients)
         friction = np.tanh(theta @ self._model.coefficients / self._knee)
         self._rows += len(rows)
         for joint, (linear, _) in enumerate(self._shapes):

@@ -1,75 +1,54 @@
-"""Samples of one leg, kept until the motion in them is judged."""
+"""Reads the newest samples of one leg, which its ticks keep, for judgements of a whole motion."""
 
 from __future__ import annotations
 
-from array import array
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.wire import Phase
+from adaptive_contact.detect.layout import KEPT
+from adaptive_contact.detect.leg_batch import LegPlace
+from adaptive_contact.wire import ServoSample
 
 Array = NDArray[np.float64]
 
 
-class KeptSamples:
-    """Samples in a row.
+class KeptSamples(NamedTuple):
+    """Holds copies of n samples in a row.
 
-    Plain arrays of Python's: a row is added in every tick, and nearly never looked at.
-
-    Args:
-        joints: J of the leg.
+    Attributes:
+        t_ns, seq: (n,) of each.
+        measured, desired: (n, J) rad.
+        swing: (n,) whether the leg was in a swing, by its source; None where that is silent.
     """
 
-    def __init__(self, joints: int) -> None:
-        self._joints = joints
-        self._angles = array("d")
-        self._times, self._seq, self._phases = array("q"), array("q"), array("b")
+    t_ns: NDArray[np.int64]
+    seq: NDArray[np.int64]
+    measured: Array
+    desired: Array
+    swing: NDArray[np.bool_] | None
 
-    def __len__(self) -> int:
-        return len(self._times)
+    @classmethod
+    def of(cls, place: LegPlace, most: int = KEPT) -> KeptSamples:
+        """Copy the newest samples of a leg since its source began, so many at most."""
+        count = int(place.leg["kept_n"])
+        at = np.arange(max(count - most, 0), count) % KEPT
+        t_ns, seq, phase = place.batch.kept_stamps[place.row, at].T
+        measured, desired = np.split(place.batch.kept_angles[place.row, at], 2, axis=1)
+        swing = None if (phase < 0).any() else phase == 1
+        return cls(t_ns.copy(), seq.copy(), measured.copy(), desired.copy(), swing)
 
-    def add(self, angles: Array, t_ns: int, seq: int, phase: Phase | None) -> None:
-        """Keep one more: (2 J,) rad, measured and desired."""
-        self._angles.frombytes(angles.tobytes())
-        self._times.append(t_ns)
-        self._seq.append(seq)
-        self._phases.append(-1 if phase is None else phase == "swing")
-
-    def drop(self, first: int) -> None:
-        """Drop the oldest, so many."""
-        del self._angles[: 2 * self._joints * first]
-        del self._times[:first], self._seq[:first], self._phases[:first]
-
-    def clear(self) -> None:
-        """Drop all."""
-        self.drop(len(self))
-
-    @property
-    def measured(self) -> Array:
-        """(n, J) rad, as a copy."""
-        return self._of_angles()[:, : self._joints].copy()
-
-    @property
-    def desired(self) -> Array:
-        """(n, J) rad, as a copy."""
-        return self._of_angles()[:, self._joints :].copy()
-
-    @property
-    def t_ns(self) -> NDArray[np.int64]:
-        """(n,) as a copy."""
-        return np.array(self._times, dtype=np.int64)
-
-    @property
-    def seq(self) -> NDArray[np.int64]:
-        """(n,) as a copy."""
-        return np.array(self._seq, dtype=np.int64)
-
-    @property
-    def swing(self) -> NDArray[np.bool_] | None:
-        """(n,) whether the leg was in a swing, by its source; None where that is silent."""
-        phases = np.array(self._phases, dtype=np.int8)
-        return None if (phases < 0).any() else phases == 1
-
-    def _of_angles(self) -> Array:
-        return np.array(self._angles, dtype=np.float64).reshape(-1, 2 * self._joints)
+    @classmethod
+    def first(cls, samples: Sequence[ServoSample]) -> KeptSamples:
+        """Take as many from the beginning of a recording, of one leg in its description's frame."""
+        samples = samples[:KEPT]
+        phases = [sample.phase for sample in samples]
+        return cls(
+            np.array([sample.t_ns for sample in samples]),
+            np.array([sample.seq for sample in samples]),
+            np.array([sample.measured for sample in samples]),
+            np.array([sample.desired for sample in samples]),
+            None if None in phases else np.array([phase == "swing" for phase in phases]),
+        )

@@ -23,6 +23,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.diagnose.kept_samples import KeptSamples
 from adaptive_contact.diagnose.standing_feet import LegRows, standing_feet
 from adaptive_contact.fit.refit_job import Refitter
@@ -31,7 +32,7 @@ from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
-from adaptive_contact.wire import Phase, ServoSample
+from adaptive_contact.wire import ServoSample
 
 __all__ = [
     "SWAPPED",
@@ -52,8 +53,6 @@ SWAPPED: Final = "the samples are those of leg"
 
 # When the samples are judged, s: a tripod's tenth swing ends after 14 s.  Two verdicts must agree.
 TIMES_S: Final = (12.0, 20.0, 28.0, 40.0, 60.0)
-# Samples kept of a leg: a minute at 50 Hz.
-KEPT: Final = 3000
 # Free ticks of a leg from which its residuals are evidence.
 LEAST_TICKS: Final = 150
 # Another leg's model is the right one where it errs by so much less than the leg's own.  Of the
@@ -224,82 +223,56 @@ class IdJob:
 
 
 class IdTrack:
-    """Keeps the first minute of one leg's samples.
+    """Follows whose samples come under one leg's name.
 
     Args:
-        joints: of the leg.
+        place: its arrays.
         period_ns: control tick.
 
     Attributes:
         owner: the leg whose samples these are; None as long as they seem to be the leg's own.
     """
 
-    def __init__(self, joints: int, period_ns: int) -> None:
+    def __init__(self, place: LegPlace, period_ns: int) -> None:
         self.owner: Owner | None = None
         self.suspected: Owner | None = None  # by the last judgement alone
-        self._open = True
-        self._kept = KeptSamples(joints)
-        self._period_ns = period_ns
-        self._ahead = 0
-
-    def take(self, angles: Array, t_ns: int, seq: int, phase: Phase | None) -> None:
-        """Take in an accepted sample: (2 J,) rad as described, measured and desired."""
-        if not self.wants:
-            return
-        if not self._kept:  # legs need not count alike
-            self._ahead = round(t_ns / self._period_ns) - seq
-        self._kept.add(angles, t_ns, seq + self._ahead, phase)
-
-    @property
-    def count(self) -> int:
-        """Samples kept."""
-        return len(self._kept)
-
-    @property
-    def wants(self) -> bool:
-        """Whether a sample more is kept."""
-        return self._open and len(self._kept) < KEPT
-
-    def restart(self) -> None:
-        """End the stretch of samples: what comes does not connect to what was."""
-        self._kept.clear()
-
-    def close(self) -> None:
-        """Drop the samples and keep no more."""
-        self._open = False
-        self._kept.clear()
+        self._place, self._period_ns = place, period_ns
 
     @property
     def rows(self) -> LegRows:
-        """Samples kept, as copies."""
-        kept = self._kept
-        return LegRows(kept.seq, kept.measured, kept.desired, kept.swing)
+        """Its newest samples."""
+        return rows_of(KeptSamples.of(self._place), self._period_ns)
 
     @property
     def note(self) -> str | None:
         """One line for a person while the samples seem to be another leg's."""
-        if self.owner is None:
-            return None
-        return (
-            f"{SWAPPED} '{self.owner.leg}': {self.owner.why}; give legs the ids of robot.toml "
-            "in the source, or change them there"
-        )
+        return None if self.owner is None else note_of(self.owner)
+
+
+def rows_of(kept: KeptSamples, period_ns: int) -> LegRows:
+    """Number the samples of a leg by their time: legs need not count alike."""
+    ahead = round(int(kept.t_ns[0]) / period_ns) - kept.seq[0] if len(kept.seq) else 0
+    return LegRows(kept.seq + ahead, kept.measured, kept.desired, kept.swing)
+
+
+def note_of(owner: Owner) -> str:
+    """Write one line for a person on samples that seem to be another leg's."""
+    return (
+        f"{SWAPPED} '{owner.leg}': {owner.why}; give legs the ids of robot.toml in the source, or "
+        "change them there"
+    )
 
 
 def judge_recorded_ids(
     robot: Robot, samples: Mapping[str, Sequence[ServoSample]]
 ) -> dict[str, str]:
     """Write one line for each leg whose recorded samples seem to be another leg's."""
-    tracks = {}
-    for leg, of_leg in samples.items():
-        track = tracks[leg] = IdTrack(len(robot.leg(leg).joints), round(robot.period_s * 1e9))
-        for sample in of_leg[:KEPT]:
-            angles = np.array(sample.measured + sample.desired)
-            track.take(angles, sample.t_ns, sample.seq, sample.phase)
-    rows = {leg: track.rows for leg, track in tracks.items() if track.count}
-    for leg, owner in judge_ids(robot, None, rows).items():
-        tracks[leg].owner = owner
-    return {leg: track.note for leg, track in tracks.items() if track.note is not None}
+    rows = {
+        leg: rows_of(KeptSamples.first(of_leg), round(robot.period_s * 1e9))
+        for leg, of_leg in samples.items()
+        if of_leg
+    }
+    return {leg: note_of(owner) for leg, owner in judge_ids(robot, None, rows).items()}
 
 
 class IdWatch:
@@ -318,11 +291,11 @@ class IdWatch:
         self._ticks = self._jobs = 0
         self._pending: int | None = None
 
-    def track(self, leg: Leg) -> IdTrack | None:
-        """Make the track of a described leg."""
+    def track(self, leg: Leg, place: LegPlace) -> IdTrack | None:
+        """Make the track of a described leg with arrays."""
         if leg.id not in self._robot.leg_ids:
             return None
-        self._tracks[leg.id] = IdTrack(len(leg.joints), round(self._robot.period_s * 1e9))
+        self._tracks[leg.id] = IdTrack(place, round(self._robot.period_s * 1e9))
         return self._tracks[leg.id]
 
     def look(self) -> None:
@@ -335,15 +308,13 @@ class IdWatch:
             assert isinstance(owners, dict)
             self._pending = None
             self._conclude(owners)
-            if not self._times:
-                for track in self._tracks.values():
-                    track.close()
         if not self._times or self._ticks < self._times[0]:
             return
         del self._times[0]
         self._jobs += 1
         self._pending = self._jobs
-        rows = {leg: track.rows for leg, track in self._tracks.items() if track.count}
+        every = {leg: track.rows for leg, track in self._tracks.items()}
+        rows = {leg: of_leg for leg, of_leg in every.items() if len(of_leg.seq)}
         self._refitter.submit(IdJob(_ALL, self._jobs, self._robot, self._baseline, rows))
 
     def _conclude(self, owners: Mapping[str, Owner]) -> None:

@@ -6,7 +6,7 @@ replaced by it, or by the baseline where there was none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, moves
 from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
 from adaptive_contact.model.change_prior import change_directions, core_support
 from adaptive_contact.model.free_motion import Covariance
-from adaptive_contact.model.labelled_swing import Row, residuals_of
+from adaptive_contact.model.labelled_swing import Row, Rows
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 
@@ -156,14 +156,13 @@ class ActiveModel:
         self._moved = True
         return self._rls.update(row.theta, row.target)
 
-    def uncertainty(self, rows: Sequence[Row]) -> float:
+    def uncertainty(self, rows: Rows) -> float:
         """Compute the variance of predictions that comes from the coefficients, over the noise's.
 
         Returns:
             Of the joint that is known the least, the mean over the rows.
         """
-        theta = np.array([row.theta for row in rows])
-        return float(self._rls.uncertainty(theta).max(axis=1).mean())
+        return float(self._rls.uncertainty(rows.theta).max(axis=1).mean())
 
     def inflate(self) -> None:
         """Inflate the covariance along the ways in which legs change."""
@@ -187,15 +186,16 @@ class ActiveModel:
         self._put(model)
         self._rls, self.inflated = self._recursion(model), False
 
-    def baseline_is_better(self, rows: Sequence[Row]) -> bool:
+    def baseline_is_better(self, rows: Rows) -> bool:
         """Tell whether the baseline has fitted lifts much better than the model, this one included.
 
         Args:
             rows: of a lift, all free.
         """
-        if self.model.version == 0:
+        if self.version == 0:
             return False
-        now, before = (self._error(rows, of.coefficients) for of in (self.model, self.baseline))
+        own, known = self.coefficients, self.baseline.coefficients
+        now, before = self._error(rows, own), self._error(rows, known)
         self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
         if self._better_baseline < RETURN_SWINGS:
             return False
@@ -254,9 +254,9 @@ class ActiveModel:
             model.coefficients, support, self._scale, self._noise, self._settings
         )
 
-    def _error(self, rows: Sequence[Row], coefficients: Array) -> float:
-        _, residual = residuals_of(rows, coefficients)
-        return float(np.square(residual / self._noise).mean())
+    def _error(self, rows: Rows, coefficients: Array) -> float:
+        squares = np.square(rows.residual(coefficients) / self._noise)
+        return float(np.add.reduce(squares, axis=None)) / squares.size
 
     def plausible(self, coefficients: Array) -> bool:
         """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""

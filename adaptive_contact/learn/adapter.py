@@ -34,7 +34,7 @@ from adaptive_contact.learn.state import (
     segment_of,
 )
 from adaptive_contact.model.free_motion import FreeMotion
-from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Row
+from adaptive_contact.model.labelled_swing import NO_ROWS, Label, LabelledSwing, Row, Rows
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.wire import Doubt, RefitCounts, Status
@@ -113,7 +113,7 @@ class Adapter:
         self.first = None if known.spread is None else FirstSwings()
         self._queue: deque[Row] = deque()
         self._learned_ns = -1  # the newest row learned
-        self._suspected: list[Row] = []  # the descent after a suspected lift
+        self._suspected = NO_ROWS  # the descent after a suspected lift
         self._evidence: ChangeClassifier | None = None  # of the newest change
         self._era = 0
         self._swings = 0  # since covariances were recomputed
@@ -180,13 +180,18 @@ class Adapter:
             wanted: the leg is in a swing; while it stands no tick needs the coefficients, and most
                 rows are learned then.
         """
-        noise = self._noise_tracker
+        noise, active = self._noise_tracker, self._active
+        # First, as an implausible model is replaced when its coefficients are asked for.
+        coefficients = active.coefficients if wanted else None
+        variance = self.variance_in_force
+        changed = active.inflated or variance > 1.0
         return FreeMotion(
-            self._active.coefficients if wanted else None,
-            self.variance_in_force,
-            self._active.covariance,
-            self._active.from_prior,
-            self.changed,
+            coefficients,
+            variance,
+            active.covariance,
+            active.from_prior,
+            changed,
+            self.status == "valid" and not changed,
             noise.whiten,
             noise.thresholds,
             noise.awaited,
@@ -205,11 +210,11 @@ class Adapter:
             case Label.TRAVEL:
                 self.monitor.note_travel(obstructed=part.obstructed, travel_ratio=part.travel_ratio)
             case Label.LIFT:
-                self._lift(list(part.rows), part.region, part.t_ns)
+                self._lift(part.rows, part.region, part.t_ns)
             case Label.DESCENT:
-                self._descent(list(part.rows), part.region)
+                self._descent(part.rows, part.region)
             case Label.UNGATED:
-                self._active.learn(part.rows[0])
+                self._active.learn(next(iter(part.rows)))
             case Label.CONTACT:
                 # While the leg is known, it is one to try candidates on.
                 if self.status == "valid":
@@ -217,10 +222,10 @@ class Adapter:
             case Label.END:
                 self._end_swing(part.early)
 
-    def _lift(self, rows: list[Row], region: int, t_ns: int) -> None:
+    def _lift(self, rows: Rows, region: int, t_ns: int) -> None:
         """Assess the lift of a swing whose top has been passed."""
         found = self.monitor.assess_lift(rows, t_ns)
-        waiting, self._suspected = self._suspected, []
+        waiting, self._suspected = self._suspected, NO_ROWS
         if found.changed:
             self._change(first=found.first)
         if found.rows:
@@ -231,7 +236,7 @@ class Adapter:
         if found.changed:
             self._confirm(waiting, region)
 
-    def _descent(self, rows: list[Row], region: int) -> None:
+    def _descent(self, rows: Rows, region: int) -> None:
         """Learn the confirmed part of a descent; after a suspected lift it waits for the next."""
         if self.first is not None:
             self.first.note(self._active.uncertainty(rows))
@@ -247,7 +252,7 @@ class Adapter:
         would have kept them.
         """
         self._queue = deque(row for row in self._queue if row.t_ns < since_ns)
-        self._suspected = [row for row in self._suspected if row.t_ns < since_ns]
+        self._suspected = self._suspected[self._suspected.t_ns < since_ns]
         self.buffer.drop_since(since_ns)
         self.monitor.distrust(since_ns)
         self._noise_tracker.drop_refresh()
@@ -265,7 +270,7 @@ class Adapter:
         """Follow a restart of the source: times from before do not compare with its own."""
         while self._queue:
             self._learn(self._queue.popleft())
-        self._suspected.clear()
+        self._suspected = NO_ROWS
         self._learned_ns = -1
         self.confirmed_ns.clear()
         self.buffer.new_source()
@@ -393,17 +398,19 @@ class Adapter:
         self._candidate.withdraw()
         self._refresh()
 
-    def _confirm(self, rows: list[Row], region: int) -> None:
+    def _confirm(self, rows: Rows, region: int) -> None:
         """Take free rows: into the replay buffer, the noise tracker and the recursion's queue."""
-        rows = [row for row in rows if row.cleared]
+        cleared = rows.known["cleared"]
+        if not cleared.all():
+            rows = rows[cleared]
         self._learned_swing |= bool(rows)
         if self._evidence is not None and not self._evidence.complete:
             self._evidence.add(rows)
             self.monitor.kind = self._evidence.kind
-        if self.monitor.status == "valid" and rows and rows[0].lift:
+        if self.monitor.status == "valid" and rows and rows.known["lift"][0]:
             # Lifts only: soft ground may be among the last rows of a descent.
             self._noise_tracker.count(rows)
-        self.confirmed_ns.extend(row.t_ns for row in rows)
+        self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
         if self.mode.recursive:
             self._queue.extend(rows)
@@ -411,7 +418,7 @@ class Adapter:
             for row in rows:
                 self._compare(row)
 
-    def _consider_baseline(self, rows: list[Row]) -> None:
+    def _consider_baseline(self, rows: Rows) -> None:
         """Return to the baseline where it fits again: mud is washed off, a battery is changed."""
         if not self._active.baseline_is_better(rows):
             return

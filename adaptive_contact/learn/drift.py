@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import functools
 from collections import deque
-from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri  # scipy.stats takes half a second to import
 
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
 from adaptive_contact.model.noise import UNFIT_LEVEL
 from adaptive_contact.wire import Doubt, DriftLevel, Status
 
@@ -84,7 +83,7 @@ class LiftAssessment(NamedTuple):
         first: that was not known before.
     """
 
-    rows: list[Row]
+    rows: Rows
     changed: bool = False
     first: bool = False
 
@@ -107,7 +106,7 @@ class DriftMonitor:
         self.kind: str | None = None
         self._joints = joints
         self._swing_level: float | None = None
-        self._suspected: list[Row] = []
+        self._suspected = NO_ROWS
         self._suspicions = 0
         self._suspected_ns = 0
         self._newest: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
@@ -183,33 +182,32 @@ class DriftMonitor:
         """Whether the descent of this swing may be learned; not where its lift was not."""
         return self._trusted
 
-    def assess_lift(self, rows: Sequence[Row], t_ns: int) -> LiftAssessment:
+    def assess_lift(self, rows: Rows, t_ns: int) -> LiftAssessment:
         """Assess a lift at its top, and update status and variance scale.
 
         Args:
             rows: its ticks, at least one, all free.
             t_ns: now.
         """
-        levels = np.sort([row.nis for row in rows])
-        kept = levels[: max(1, len(levels) - 1)]  # one wild reading is no change
-        level = float(kept.mean())
+        kept = np.sort(rows.nis)[: max(1, len(rows) - 1)]  # one wild reading is no change
+        level = float(np.add.reduce(kept)) / len(kept)
         self._lifts += 1
         self._lifts_far += level > UNFIT_LEVEL
         if level > FAR_LEVEL:
-            return self._assess_far(list(rows), level, t_ns)
+            return self._assess_far(rows, level, t_ns)
         self._far_swings = 0
         self._note_free()
         if self.obstructed:
-            self._swing_level = float(np.clip(level, self.variance_scale, LEVEL_RANGE[1]))
-            return LiftAssessment([])
+            self._swing_level = _in_range(max(level, self.variance_scale))
+            return LiftAssessment(NO_ROWS)
         if level > _suspicion_limit(self._joints * len(kept)) * self.variance_scale:
-            return self._suspect(list(rows), level, t_ns)
+            return self._suspect(rows, level, t_ns)
         self._drop_suspicions()
         self._follow_level(level)
         if self._crept():
-            return self._changed(list(rows), t_ns)
+            return self._changed(rows, t_ns)
         self._settle(level)
-        return LiftAssessment(list(rows))
+        return LiftAssessment(rows)
 
     def distrust(self, since_ns: int) -> None:
         """Drop the suspicion if its lift was at or after a time."""
@@ -299,33 +297,33 @@ class DriftMonitor:
         self._lifts, self._lifts_far = lifts_assessed
 
     def _drop_suspicions(self) -> None:
-        self._suspicions, self._suspected = 0, []
+        self._suspicions, self._suspected = 0, NO_ROWS
 
-    def _suspect(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
-        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
+    def _suspect(self, rows: Rows, level: float, t_ns: int) -> LiftAssessment:
+        self._swing_level = _in_range(level)
         self._newest.clear()
         self._suspicions += 1
         self._settled = 0
         self._trusted = self._suspicions >= SUSPICIONS
         if self._suspicions < SUSPICIONS:
             self._suspected, self._suspected_ns = rows, t_ns
-            return LiftAssessment([])
-        rows, self._suspected = [*self._suspected, *rows], []
+            return LiftAssessment(NO_ROWS)
+        rows, self._suspected = self._suspected.then(rows), NO_ROWS
         self.variance_scale = self._swing_level**0.5
         assessed = self._changed(rows, self._suspected_ns)
         self._follow_level(level)
         return assessed
 
-    def _assess_far(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
+    def _assess_far(self, rows: Rows, level: float, t_ns: int) -> LiftAssessment:
         """Assess a lift further off than any drift: obstructed, or, if it lasts, another leg."""
-        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
+        self._swing_level = _in_range(level)
         self._newest.clear()
         self._settled = 0
         self._far_swings += 1
         sign = f"the lift is {level**0.5:.0f} times as far from the model as it should be"
         self._note_obstructed("far", sign)
         if self._far_swings < PATIENCE_SWINGS:
-            return LiftAssessment([])
+            return LiftAssessment(NO_ROWS)
         # The foot comes all its way, and each time so: a horn that slipped, another leg's horn.
         self._far_swings = self._obstructed_swings = 0
         self.variance_scale = self._swing_level**0.5
@@ -362,7 +360,7 @@ class DriftMonitor:
         self._worn_swings = self._worn_swings + 1 if worn else 0
         return self._worn_swings >= LOOSEN_EVERY
 
-    def _changed(self, rows: list[Row], since_ns: int) -> LiftAssessment:
+    def _changed(self, rows: Rows, since_ns: int) -> LiftAssessment:
         """Set status and counts for a leg that has changed, for the first time or still."""
         first = self._swings_adapting == 0
         if first:
@@ -378,7 +376,7 @@ class DriftMonitor:
     def _follow_level(self, level: float) -> None:
         share = LEVEL_SHARE_ADAPTING if self._swings_adapting else LEVEL_SHARE
         mean = (1 - share) * self.variance_scale + share * level
-        self.variance_scale = float(np.clip(mean, *LEVEL_RANGE))
+        self.variance_scale = _in_range(mean)
 
     def _settle(self, level: float) -> None:
         if self.status == "valid":
@@ -446,6 +444,10 @@ class EarlyContacts:
         self.forget()
         self._lately.extend(bool(early) for early in saved["lately"])
         self.reported = saved.get("told") is True and sum(self._lately) > EARLY_END
+
+
+def _in_range(level: float) -> float:
+    return min(max(level, LEVEL_RANGE[0]), LEVEL_RANGE[1])
 
 
 @functools.cache

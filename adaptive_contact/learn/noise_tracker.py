@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.learn.replay_buffer import Segment
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.model_file import thresholds_of
 from adaptive_contact.model.noise import NoiseModel
 from adaptive_contact.model.tail import Tail
@@ -93,17 +93,17 @@ class NoiseTracker:
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
         self._ticks = self._above = self._excess = 0.0
 
-    def count(self, rows: Sequence[Row]) -> None:
+    def count(self, rows: Rows) -> None:
         """Count the exceedances in a lift of a leg that is known."""
         tail = self._tails[0]
         level = tail.level
         self._ticks += len(rows)
-        for row in rows:
-            if not row.value > level:  # NaN is not
+        for k, value in enumerate(rows.known["value"].tolist()):
+            if not value > level:  # NaN is not
                 continue
             # As for an alarm, and when the tail was fitted: what is extrapolated is no noise.
-            spread = 0.0 if self.domain is None else float(self.domain.leverage(row.theta))
-            value = row.value / (1.0 + spread)
+            spread = 0.0 if self.domain is None else float(self.domain.leverage(rows.theta[k]))
+            value /= 1.0 + spread
             if value > level:
                 most = MOST_EXCESS * self.tail_factors[1] * tail.scale / (1.0 - tail.shape)
                 self._above += 1.0

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.model.factor import Factor
-from adaptive_contact.model.labelled_swing import SEGMENTS, Row
+from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 from adaptive_contact.wire import BufferCounts
 
 __all__ = ["ReplayBuffer", "Segment"]
@@ -61,6 +61,7 @@ class ReplayBuffer:
     limit: int = SEGMENTS
     rows: int = 0
     _segments: deque[Segment] = dataclasses.field(default_factory=deque)
+    _cells: Counter[tuple[int, int]] = dataclasses.field(default_factory=Counter)
     _held: int = 0  # rows
     _of_source: int = 0  # segments, the newest: whose times are of the source in force
 
@@ -79,15 +80,15 @@ class ReplayBuffer:
             descent_ticks=self._held - sum(lifts),
         )
 
-    def add(self, rows: list[Row], region: int, era: int) -> None:
+    def add(self, rows: Rows, region: int, era: int) -> None:
         """Take in the confirmed rows of a lift or of a descent."""
         if not rows:
             return
-        cell = (0 if rows[0].lift else 1, region)
-        theta = np.array([row.theta for row in rows])
-        target = np.array([row.target for row in rows])
-        context = np.array([row.context for row in rows])
-        self._segments.append(Segment(theta, target, context, cell, era, rows[-1].t_ns))
+        cell = (0 if rows.known["lift"][0] else 1, region)
+        context = rows.known["context"].astype(np.int64)
+        segment = Segment(rows.theta, rows.target, context, cell, era, int(rows.t_ns[-1]))
+        self._segments.append(segment)
+        self._cells[cell] += 1
         self._held += len(rows)
         self._of_source += 1
         if len(self._segments) > self.limit and (
@@ -102,13 +103,13 @@ class ReplayBuffer:
 
     def _evict(self) -> None:
         """Drop one: first of older eras, then the oldest of the fullest cell."""
-        newest = self._segments[-1].era
-        index = next((i for i, segment in enumerate(self._segments) if segment.era != newest), None)
-        if index is None:
-            cells = [segment.cell for segment in self._segments]
-            index = cells.index(Counter(cells).most_common(1)[0][0])
+        index = 0  # eras are in order
+        if self._segments[0].era == self._segments[-1].era:
+            most = max(self._cells.values())
+            index = next(i for i, s in enumerate(self._segments) if self._cells[s.cell] == most)
         self._of_source -= index >= len(self._segments) - self._of_source
         self._held -= len(self._segments[index].target)
+        self._cells[self._segments[index].cell] -= 1
         del self._segments[index]
 
     def drop_since(self, t_ns: int) -> None:
@@ -120,7 +121,7 @@ class ReplayBuffer:
         kept = [segment for segment in reversed(own) if segment.t_ns < t_ns]
         self._segments.extend(kept)
         self._of_source = len(kept)
-        self._held = sum(len(segment.target) for segment in self._segments)
+        self._count()
 
     def new_source(self) -> None:
         """Mark all segments as of an earlier source: their times do not compare with its own."""
@@ -157,6 +158,11 @@ class ReplayBuffer:
     def restore(self, segments: list[Segment]) -> None:
         """Take over saved segments, oldest first; beyond the limit, the newest."""
         self._segments = deque(segments[-MOST_SEGMENTS:])
-        self._held = sum(len(segment.target) for segment in self._segments)
         self._of_source = 0
+        self._count()
         self._bound()
+
+    def _count(self) -> None:
+        """Count rows and cells anew."""
+        self._held = sum(len(segment.target) for segment in self._segments)
+        self._cells = Counter(segment.cell for segment in self._segments)

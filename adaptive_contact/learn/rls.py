@@ -27,7 +27,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from adaptive_contact.compiled import compiled
+from adaptive_contact.compiled import borrow, compiled
 from adaptive_contact.model.free_motion import Covariance
 
 __all__ = ["RecursiveLeastSquares", "RlsSettings"]
@@ -92,7 +92,7 @@ class RecursiveLeastSquares:
         self._xi = self._scaled(coefficients)  # (J, n)
         self._s = np.zeros((len(noise), size, size))
         self._innovations = np.zeros(len(noise))
-        self._room = np.zeros((3, len(noise), size))
+        self._room = np.zeros((2, len(noise), size))
         self.reset_covariance()
 
     @property
@@ -142,10 +142,9 @@ class RecursiveLeastSquares:
         self._bound()
 
     def copy(self) -> RecursiveLeastSquares:
-        """Return one that goes its own way from here; what never changes is shared."""
+        """Return one that goes its own way from here; what is never written to is shared."""
         twin = copy.copy(self)
-        twin._full, twin._xi, twin._s = self._full.copy(), self._xi.copy(), self._s.copy()
-        twin._innovations, twin._room = self._innovations.copy(), self._room.copy()
+        twin._xi, twin._s = self._xi.copy(), self._s.copy()
         return twin
 
     def reset_covariance(self) -> None:
@@ -249,9 +248,11 @@ def learn_row(
 
     Of (p,) theta, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
     coefficients in units of scale and noise, ``s`` (J, n, n) the roots of their covariances.
-    (J,) ``innovations`` are filled, (3, J, n) ``room`` is scratch.
+    (J,) ``innovations`` are filled, (2, J, n) ``room`` is scratch.
     """
+    s, room = borrow(s), borrow(room)
     joints, size = index.shape
+    whole = size - size % 4
     sound = True
     for j in range(joints):
         innovation = target[j] * per_noise[j]
@@ -264,20 +265,21 @@ def learn_row(
     if not sound:
         return False
     for j in range(joints):
-        phi, v, sv = room[0, j], room[1, j], room[2, j]
+        phi, v, root = room[0, j], room[1, j], s[j]
         v[:] = 0.0
-        for k in range(size):
-            if phi[k] != 0.0:
-                for c in range(size):
-                    v[c] += phi[k] * s[j, k, c]
+        for k in range(0, whole, 4):  # four at a time, in order: v is read and written less often
+            p, q, r, t = phi[k], phi[k + 1], phi[k + 2], phi[k + 3]
+            for c in range(size):
+                v[c] = (
+                    v[c] + p * root[k, c] + q * root[k + 1, c] + r * root[k + 2, c]
+                    + t * root[k + 3, c]
+                )  # fmt: skip
+        for k in range(whole, size):
+            for c in range(size):
+                v[c] += phi[k] * root[k, c]
         m = 0.0
         for c in range(size):
             m += v[c] * v[c]
-        for k in range(size):
-            total = 0.0
-            for c in range(size):
-                total += s[j, k, c] * v[c]
-            sv[k] = total
         # Huber's weight on the innovation, in units of its own standard deviation.
         size_of = abs(innovations[j]) / math.sqrt(1.0 + m)
         weight = 1.0 if size_of <= huber else huber / size_of
@@ -286,10 +288,13 @@ def learn_row(
         shrink = math.sqrt(1.0 / (forgetting * (1.0 + weight * m))) - 1.0
         rate = shrink / m if m > 1e-12 else 0.0
         for k in range(size):
-            xi[j, k] += sv[k] * gain
-            at = sv[k] * rate
+            sv = 0.0
             for c in range(size):
-                s[j, k, c] += at * v[c]
+                sv += root[k, c] * v[c]
+            xi[j, k] += sv * gain
+            at = sv * rate
+            for c in range(size):
+                root[k, c] += at * v[c]
     return True
 
 

@@ -42,6 +42,7 @@ class FreeMotion(NamedTuple):
         covariance: of the coefficients while it is inflated, else None.
         from_prior: the model goes on from a prior; less of a swing's end is learned.
         changed: the leg has changed since the model in force was fitted.
+        sure: it has not, and its status is valid.
         whiten: (contexts, windows, J, J) of sums of residuals.
         thresholds: (windows,) of the statistic.
         awaited: the same for ticks after the turn to stance, in which a touch is expected.
@@ -53,6 +54,7 @@ class FreeMotion(NamedTuple):
     covariance: Covariance | None
     from_prior: bool
     changed: bool
+    sure: bool
     whiten: Array
     thresholds: Array
     awaited: Array

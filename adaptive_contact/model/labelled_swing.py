@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.model.noise import WINDOWS
 
-__all__ = ["SEGMENTS", "Label", "LabelledSwing", "Push", "Row", "Touch", "residuals_of"]
+__all__ = ["NO_ROWS", "ROW", "SEGMENTS", "Label", "LabelledSwing", "Row", "Rows", "Touch"]
 
 Array = NDArray[np.float64]
 
@@ -24,52 +24,86 @@ Array = NDArray[np.float64]
 SEGMENTS: Final = 120
 
 
-class Push(NamedTuple):
-    """Holds the part of a residual that a push from the ground can have made.
-
-    Attributes:
-        sigma: how far it lies that way, in its own standard deviations; negative for a foot below
-            where it was predicted.
-        aside: (J,) rad, the movement measured, without that part.
-    """
-
-    sigma: float
-    aside: Array
+# What is known of one tick of a swing; the tick holds these back until the swing is resolved.
+ROW: Final = np.dtype(
+    [
+        ("nis", np.float64),  # normalised innovation squared, over J: 1 for a good model
+        ("value", np.float64),  # statistic of this tick alone, by which it was judged
+        ("sigma", np.float64),  # push from the ground, in its deviations; below 0 for a foot below
+        ("t_ns", np.int64),
+        ("context", np.int32),  # by which its covariance was chosen
+        ("lift", np.bool_),  # the foot was rising
+        ("calm", np.bool_),  # the leg had been found free before
+        ("cleared", np.bool_),  # the foot had left the ground before, by its height
+        ("push", np.bool_),  # `sigma` and the row of asides are set
+    ],
+    align=True,
+)
 
 
 class Row(NamedTuple):
-    """Holds one tick to learn from: regressors, target, NIS and what was known of it.
+    """Holds one tick to learn from.
 
     Attributes:
         theta: (p,) regressors that predicted it.
         target: (J,) rad, the movement that was measured.
-        nis: normalised innovation squared, over J: 1 on average for a good model.
-        value: the statistic of this tick alone, by which it was judged.
-        context: by which its covariance was chosen.
         t_ns: of the tick.
-        lift: the foot was rising.
-        calm: the leg had been found free before.
-        cleared: the foot had left the ground before, by its height; only then it is learned.
-        push: what it shows of a push from the ground, where the leg has changed, its geometry is
-            known and the foot does not rise; None elsewhere.
     """
 
     theta: Array
     target: Array
-    nis: float
-    value: float
-    context: int
     t_ns: int
-    lift: bool
-    calm: bool
-    cleared: bool
-    push: Push | None = None
 
 
-def residuals_of(rows: Sequence[Row], coefficients: Array) -> tuple[Array, Array]:
-    """Compute regressors (n, p) and residuals (n, J) rad of rows under (p, J) coefficients."""
-    theta = np.array([row.theta for row in rows])
-    return theta, np.array([row.target for row in rows]) - theta @ coefficients
+class Rows:
+    """Holds n ticks of a swing, in order, to learn from.
+
+    Args:
+        theta: (n, p) regressors that predicted them.
+        target: (n, J) rad, the movements that were measured.
+        known: (n,) of :data:`ROW`, what was known of them.
+        aside: (n, J) rad, the movements without what a push from the ground can have made; where
+            the leg has changed, its geometry is known and the foot does not rise.
+    """
+
+    __slots__ = ("aside", "known", "target", "theta")
+
+    def __init__(self, theta: Array, target: Array, known: NDArray[np.void], aside: Array) -> None:
+        self.theta, self.target, self.known, self.aside = theta, target, known, aside
+
+    def __len__(self) -> int:
+        return len(self.known)
+
+    def __getitem__(self, which: slice | NDArray[np.bool_]) -> Rows:
+        return Rows(self.theta[which], self.target[which], self.known[which], self.aside[which])
+
+    def __iter__(self) -> Iterator[Row]:
+        return map(Row, self.theta, self.target, self.t_ns.tolist())
+
+    def then(self, later: Rows) -> Rows:
+        """Return these and later ones."""
+        if not (self and later):
+            return self or later
+        pairs = ((getattr(self, name), getattr(later, name)) for name in _ARRAYS)
+        return Rows(*map(np.concatenate, pairs))
+
+    def residual(self, coefficients: Array) -> Array:
+        """Compute the (n, J) residuals, rad, under (p, J) coefficients."""
+        return np.asarray(self.target - self.theta @ coefficients)
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]:
+        """(n,) times."""
+        return np.asarray(self.known["t_ns"])
+
+    @property
+    def nis(self) -> Array:
+        """(n,) normalised innovations squared."""
+        return np.asarray(self.known["nis"])
+
+
+_ARRAYS: Final = ("theta", "target", "known", "aside")
+NO_ROWS: Final = Rows(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, ROW), np.zeros((0, 0)))
 
 
 class Touch(NamedTuple):
@@ -130,7 +164,7 @@ class LabelledSwing(NamedTuple):
     """
 
     label: Label
-    rows: Sequence[Row] = ()
+    rows: Rows = NO_ROWS
     region: int = 0
     t_ns: int = 0
     touch: Sequence[Touch] = ()

@@ -22,10 +22,12 @@ from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import confirmed_before, confirmed_of, let_go_rows
 from adaptive_contact.learn.lifecycle import ready_for_changes
 from adaptive_contact.model import Baseline, leg_library
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.library import with_changes
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ServoSample
+
+from .ticks import Tick, rows_of
 
 PERIOD_NS = 20_000_000
 _PHASES = {None: -1, "stance": 0, "swing": 1}
@@ -139,7 +141,7 @@ class Labels:
     def __init__(self, robot: Robot) -> None:
         self.place = place_of(robot, robot.leg("rf"))
         self.place.leg["gated"] = self.place.leg["learning"] = True
-        self._seen: list[Row] = []
+        self._seen: list[Tick] = []
         self._lift_taken = False
 
     def begin(self) -> None:
@@ -156,7 +158,7 @@ class Labels:
         """Readings were lost."""
         note_hole(self.place.leg, self.place.batch.rows[0])
 
-    def add(self, row: Row, ticks: int, *, descending: bool) -> None:
+    def add(self, row: Tick, ticks: int, *, descending: bool) -> None:
         """Enter a tick."""
         b, leg = self.place.batch, self.place.leg
         leg["ticks"], leg["rising"], leg["cleared"], leg["at_ns"] = (
@@ -176,7 +178,7 @@ class Labels:
         if leg["row_n"] + 2 > b.rows.shape[1]:
             b.grow()
 
-    def take_lift(self) -> list[Row] | None:
+    def take_lift(self) -> Rows | None:
         """The rows of the lift, once its top is past."""
         leg = self.place.leg
         if not leg["topped"] or leg["broken"] or self._lift_taken or not leg["lift_n"]:
@@ -184,13 +186,13 @@ class Labels:
         self._lift_taken = True
         return let_go_rows(self._rows(0, int(leg["lift_n"])))
 
-    def alarm(self, onset_ns: int, period_ns: int) -> list[Row]:
+    def alarm(self, onset_ns: int, period_ns: int) -> Rows:
         """A contact was reported."""
         leg = self.place.leg
         lift, count = int(leg["lift_n"]), int(leg["row_n"])
         hole = int(leg["hole_ns"])
         kept, rows = confirmed_before(
-            self._rows(0, lift), int(leg["commanded_n"]), self._rows(lift, count), onset_ns,
+            self._rows(0, lift).known, int(leg["commanded_n"]), self._rows(lift, count), onset_ns,
             period_ns, None if hole < 0 else hole,
         )  # fmt: skip
         self.place.batch.rows[0, : len(kept)] = self.place.batch.rows[0, kept]
@@ -199,19 +201,21 @@ class Labels:
         leg["closed"] = True
         return rows
 
-    def resolve(self) -> list[Row]:
+    def resolve(self) -> Rows:
         """The next stance has begun."""
         leg = self.place.leg
         rows = self._rows(int(leg["lift_n"]), int(leg["row_n"]))
         leg["row_n"], leg["closed"] = leg["lift_n"], True
         return confirmed_of(rows)
 
-    def _rows(self, first: int, last: int) -> list[Row]:
+    def _rows(self, first: int, last: int) -> Rows:
         found = self.place.batch.rows[0, first:last]
-        return [
-            row._replace(lift=bool(kept["lift"]), nis=float(kept["nis"]))
-            for row, kept in zip(self._seen[first:last], found, strict=True)
-        ]
+        return rows_of(
+            [
+                row._replace(lift=bool(kept["lift"]), nis=float(kept["nis"]))
+                for row, kept in zip(self._seen[first:last], found, strict=True)
+            ]
+        )
 
 
 class Phases:

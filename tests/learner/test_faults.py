@@ -22,7 +22,7 @@ from adaptive_contact.detect.layout import new_legs
 from adaptive_contact.learn.drift import OBSTRUCTED_SWINGS
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import Row, Rows
 from adaptive_contact.model.noise import UNFIT_LEVEL
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
@@ -49,7 +49,7 @@ def spy(learner: ContactLearner) -> list[Row]:
     assert adapter is not None
     add = adapter.buffer.add
 
-    def listen(rows: list[Row], region: int, era: int) -> None:
+    def listen(rows: Rows, region: int, era: int) -> None:
         taken.extend(rows)
         add(rows, region, era)
 

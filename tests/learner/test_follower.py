@@ -21,12 +21,13 @@ from adaptive_contact.learn.adapter import (
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
 from adaptive_contact.model import Baseline, Domain, Factor
-from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Row
+from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Row, Rows
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.robot import Leg, Robot, parse_robot
 from adaptive_contact.wire import DriftLevel
 
 from .conftest import TOML, FakeLeg, outcomes, play, samples
+from .ticks import Tick, rows_of
 
 Array = NDArray[np.float64]
 
@@ -43,15 +44,17 @@ def scale(baseline: Baseline) -> Array:
     return baseline.legs["rf"].scale
 
 
-def rows_of(theta: Array, target: Array, *, level: float = 1.0, t_ns: int = 0) -> list[Row]:
+def lift_of(theta: Array, target: Array, *, level: float = 1.0, t_ns: int = 0) -> Rows:
     """Free ticks of a lift, one after the other."""
-    return [
-        Row(t, moved, level, 1.0, 0, t_ns + k, lift=True, calm=True, cleared=True)
-        for k, (t, moved) in enumerate(zip(theta, target, strict=True))
-    ]
+    return rows_of(
+        [
+            Tick(t, moved, level, t_ns=t_ns + k)
+            for k, (t, moved) in enumerate(zip(theta, target, strict=True))
+        ]
+    )
 
 
-def swing(adapter: Adapter, rows: list[Row], number: int) -> None:
+def swing(adapter: Adapter, rows: Rows, number: int) -> None:
     """One that has a lift alone, and the stance that follows."""
     adapter.monitor.begin_swing()
     adapter.learn(LabelledSwing(Label.LIFT, rows, 0, number))
@@ -61,15 +64,15 @@ def swing(adapter: Adapter, rows: list[Row], number: int) -> None:
 
 
 def lifts(
-    adapter: Adapter, scale: Array, swings: int, spoil: Callable[[Row], Row] = lambda row: row
+    adapter: Adapter, scale: Array, swings: int, spoil: Callable[[Rows], Rows] = lambda rows: rows
 ) -> None:
-    """Swings of a leg that does what the model says, each row changed on its way."""
+    """Swings of a leg that does what the model says, their rows changed on their way."""
     rng = np.random.default_rng(swings)
     model = adapter.model
     for number in range(swings):
         theta = rng.normal(size=(8, model.library.size)) * scale
         target = theta @ model.coefficients + 1e-3 * rng.normal(size=(8, 3))
-        swing(adapter, [spoil(row) for row in rows_of(theta, target)], number)
+        swing(adapter, spoil(lift_of(theta, target)), number)
 
 
 def test_a_model_that_fits_stays(adapter: Adapter, scale: Array) -> None:
@@ -112,8 +115,9 @@ def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter, scale: A
     lifts(adapter, scale, 5)
     rng = np.random.default_rng(0)
 
-    def jump(row: Row) -> Row:
-        return row._replace(target=rng.normal(size=3) * 50.0, nis=300.0, value=900.0)
+    def jump(rows: Rows) -> Rows:
+        rows.known["nis"], rows.known["value"] = 300.0, 900.0
+        return Rows(rows.theta, rng.normal(size=(len(rows), 3)) * 50.0, rows.known, rows.aside)
 
     lifts(adapter, scale, 40, jump)
     moved = np.abs(adapter.model.coefficients * scale[:, None]).max()
@@ -179,10 +183,10 @@ def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> 
     assert float(restored.domain.leverage(theta)) <= grown * 1.05
 
 
-def rows_at(adapter: Adapter, scale: Array, level: float, t_ns: int) -> list[Row]:
+def rows_at(adapter: Adapter, scale: Array, level: float, t_ns: int) -> Rows:
     """Eight rows of the model's own leg, as far off as is said."""
     theta = np.random.default_rng(t_ns).normal(size=(8, len(scale))) * scale
-    return rows_of(theta, theta @ adapter.model.coefficients, level=level, t_ns=t_ns)
+    return lift_of(theta, theta @ adapter.model.coefficients, level=level, t_ns=t_ns)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +256,7 @@ def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
             off = (target - theta @ adapter.model.coefficients) / known.noise.rms
             level = 1.0 + float(np.square(off).mean())
             target += known.noise.rms * rng.normal(size=(8, 3))
-            swing(adapter, rows_of(theta, target, level=level), number)
+            swing(adapter, lift_of(theta, target, level=level), number)
 
     # Each of the terms that count has come to count for less.
     walk(0.9 * clean, 40, 0)
@@ -271,8 +275,8 @@ def test_what_came_at_another_rate_is_dropped_wherever_it_lies(adapter: Adapter)
     """A descent that waits for the next lift is confirmed after it, and is older."""
     p = adapter.model.library.size
 
-    def rows(t_ns: int) -> list[Row]:
-        return rows_of(np.zeros((4, p)), np.zeros((4, 3)), t_ns=t_ns)
+    def rows(t_ns: int) -> Rows:
+        return lift_of(np.zeros((4, p)), np.zeros((4, 3)), t_ns=t_ns)
 
     for first_ns in (100, 300, 200):
         adapter._confirm(rows(first_ns), 0)
@@ -322,7 +326,7 @@ def test_a_model_that_falls_in_the_midst_of_a_tick_takes_the_rows_that_wait_with
     adapter: Adapter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     p = adapter.model.library.size
-    adapter._queue.extend(rows_of(np.zeros((30, p)), np.zeros((30, 3))))
+    adapter._queue.extend(lift_of(np.zeros((30, p)), np.zeros((30, 3))))
     learned = []
 
     def falls(row: Row) -> None:

@@ -9,9 +9,11 @@ import pytest
 
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.contact import push_from_ground
-from adaptive_contact.detect.layout import ROW, new_legs
-from adaptive_contact.model.labelled_swing import Push
+from adaptive_contact.detect.layout import new_legs
+from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.model.noise import CONTEXTS
+
+from .ticks import Push
 
 GRADIENT = np.array([0.0, 0.15, 0.09])
 TARGET = np.array([0.01, -0.1, 0.06])

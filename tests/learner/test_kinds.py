@@ -14,11 +14,12 @@ from adaptive_contact.diagnose.change_classifier import (
     ChangeClassifier,
 )
 from adaptive_contact.model import Baseline, LegModel, leg_library, stack
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.robot import Robot
 
 from .conftest import FakeLeg
+from .ticks import Tick, rows_of
 
 SWINGS = 6
 
@@ -58,17 +59,14 @@ def changed(known: LegBaseline, kind: str, theta: np.ndarray) -> np.ndarray:
     return out * np.where(size > 0, 3.0 * known.noise.rms / np.maximum(size, 1e-12), 0.0)
 
 
-def rows_of(model: LegModel, theta: np.ndarray, residual: np.ndarray) -> list[Row]:
+def ticks_of(model: LegModel, theta: np.ndarray, residual: np.ndarray) -> Rows:
     target = theta @ model.coefficients + residual
-    return [
-        Row(t, y, 1.0, 1.0, 0, 0, lift=True, calm=True, cleared=True)
-        for t, y in zip(theta, target, strict=True)
-    ]
+    return rows_of([Tick(t, y) for t, y in zip(theta, target, strict=True)])
 
 
 def evidence(known: LegBaseline, theta: np.ndarray, residual: np.ndarray) -> ChangeClassifier:
     found = ChangeClassifier(known.model, np.asarray(known.noise.rms))
-    found.add(rows_of(known.model, theta, residual))
+    found.add(ticks_of(known.model, theta, residual))
     return found
 
 
@@ -165,9 +163,10 @@ def test_rows_one_by_one_are_as_good_as_all_at_once(known: LegBaseline, kind: st
     theta, noise = swings(known, 33)
     residual = noise + changed(known, "drive", theta)
     found = ChangeClassifier(known.model, np.asarray(known.noise.rms))
-    for row in rows_of(known.model, theta, residual):
-        found.add([row])
-    found.add([])
+    rows = ticks_of(known.model, theta, residual)
+    for k in range(len(rows)):
+        found.add(rows[k : k + 1])
+    found.add(NO_ROWS)
     assert found.unexplained(kind) == pytest.approx(_left(known, theta, residual, kind), rel=1e-6)
 
 
@@ -180,7 +179,7 @@ def test_a_library_without_a_control_law_tells_of_no_kind(known: LegBaseline, ro
     found = ChangeClassifier(model, noise)
     assert (found.unexplained("drive"), found.unexplained("load")) == (1.0, 1.0)
     rubbing = -3.0 * noise * np.tanh(theta @ model.coefficients / 0.02)
-    found.add(rows_of(model, theta, rubbing + rng.normal(size=(60, 3)) * noise))
+    found.add(ticks_of(model, theta, rubbing + rng.normal(size=(60, 3)) * noise))
     # The one kind that it has shapes for would be told of every change.
     assert found.unexplained("friction") < 0.5
     assert found.kind is None

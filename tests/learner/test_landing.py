@@ -103,7 +103,7 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
         history = np.stack([residual, rng.normal(0.0, 0.02, (3, 3))])
         scores = batch.scores[0]
         statistic(
-            leg, history, batch.whiten[0], np.ones(3), np.ones(3), recent.thresholds,
+            leg, history, batch.whiten[0], np.ones(3), recent.thresholds,
             recent.awaited, scores, batch.sums, gradient, True,
         )  # fmt: skip
         for w in (1, 2, 3):

@@ -13,6 +13,8 @@ from adaptive_contact.fit.refit_job import InlineRefitter
 from adaptive_contact.robot import Leg, Mount, Robot, foot, shipped_robot
 from adaptive_contact.wire import ServoSample
 
+from .drivers import place_of
+
 TICKS = 600
 
 
@@ -103,7 +105,7 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
     legs: dict[str, Leg] = {leg.id: leg for leg in robot.legs}
     tracks: dict[str, IdTrack] = {}
     for name, leg in legs.items():
-        track = watch.track(leg)
+        track = watch.track(leg, place_of(robot, leg))
         assert track is not None
         tracks[name] = track
     said = []
@@ -117,7 +119,8 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
                 desired=angles,
                 phase="stance",
             )
-            track.take(np.array(angles + angles), sample.t_ns, sample.seq, sample.phase)
+            track._place.take(sample, lost=0, restart=k == 0)
+            track._place.batch.judge()
         watch.look()
         said.append([name for name, track in tracks.items() if track.note is not None])
     assert said[900] == []  # after one judgement

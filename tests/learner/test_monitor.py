@@ -19,20 +19,21 @@ from adaptive_contact.learn.drift import (
     DriftMonitor,
     LiftAssessment,
 )
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
+
+from .ticks import Tick, rows_of
 
 SWING_NS = 1_000_000_000
 
 
-def lift(level: float, rng: np.random.Generator | None = None, ticks: int = 6) -> list[Row]:
+def lift(level: float, rng: np.random.Generator | None = None, ticks: int = 6) -> Rows:
     """Rows of a lift whose residuals are so many times as large, squared, as they should be."""
     levels = (
         np.full(ticks, level) if rng is None else level * rng.chisquare(3, ticks) / 3
     ).tolist()
-    return [
-        Row(np.zeros(1), np.zeros(3), at, 3 * at, 0, k, lift=True, calm=True, cleared=True)
-        for k, at in enumerate(levels)
-    ]
+    return rows_of(
+        [Tick(np.zeros(1), np.zeros(3), at, 3 * at, t_ns=k) for k, at in enumerate(levels)]
+    )
 
 
 def hear(monitor: DriftMonitor, level: float, swing: int, **more: object) -> LiftAssessment:
@@ -64,7 +65,7 @@ def test_a_good_model_is_hardly_ever_doubted() -> None:
 def test_one_lift_that_stands_out_is_doubted_and_not_learned() -> None:
     monitor = calmed()
     heard = hear(monitor, 20.0, 30)
-    assert heard == LiftAssessment([])
+    assert heard == LiftAssessment(NO_ROWS)
     assert monitor.variance_in_force == 20.0, "this swing is judged by what its lift shows"
     assert monitor.status == "valid"
     monitor.begin_swing()

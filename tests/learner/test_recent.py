@@ -8,10 +8,12 @@ import pytest
 from adaptive_contact.learn.noise_tracker import MOST, SEGMENTS_PER_TICK, NoiseTracker
 from adaptive_contact.learn.replay_buffer import Segment
 from adaptive_contact.model import Domain
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_prior import prior_tails
 from adaptive_contact.model.noise import CONTEXTS, WINDOWS, NoiseModel
 from adaptive_contact.model.tail import Tail
+
+from .ticks import Tick, rows_of
 
 J = 3
 SIGMA = 0.003
@@ -43,12 +45,9 @@ def segments(covariance: np.ndarray, n: int, seed: int = 0) -> list[Segment]:
     ]
 
 
-def rows(values: list[float], theta: float = 0.0) -> list[Row]:
+def rows(values: list[float], theta: float = 0.0) -> Rows:
     """Free ticks with a statistic."""
-    return [
-        Row(np.full(2, theta), np.zeros(J), v / J, v, 0, 0, lift=False, calm=True, cleared=True)
-        for v in values
-    ]
+    return rows_of([Tick(np.full(2, theta), np.zeros(J), v / J, v, lift=False) for v in values])
 
 
 def shape(of: NoiseTracker, noise: NoiseModel) -> np.ndarray:

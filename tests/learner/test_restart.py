@@ -9,7 +9,7 @@ import pytest
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.detect.stream import RESET_SAMPLES
 from adaptive_contact.model import Baseline, stack
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.robot import Robot
 
 from .conftest import PERIOD, FakeLeg, samples
@@ -53,10 +53,10 @@ def test_no_segment_spans_a_restart(
     learner = ContactLearner(robot, "rf", baseline)
     adapter = learner._lifecycle.adapter
     assert adapter is not None
-    buffer, taken = adapter.buffer, list[list[Row]]()
+    buffer, taken = adapter.buffer, list[Rows]()
     add = buffer.add
 
-    def spy(rows: list[Row], region: int, era: int) -> None:
+    def spy(rows: Rows, region: int, era: int) -> None:
         if rows:
             taken.append(rows)
         add(rows, region, era)

@@ -117,5 +117,5 @@ def followed(active: ActiveModel, theta: np.ndarray, increment: np.ndarray) -> n
     off = []
     for row, moved in zip(theta, increment, strict=True):
         off.append(moved[0] - row @ active.coefficients[:, 0])
-        active.learn(Row(row, moved, 1.0, 1.0, 0, 0, lift=True, calm=True, cleared=True))
+        active.learn(Row(row, moved, 0))
     return np.array(off)

@@ -17,6 +17,8 @@ from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import LegModel
 from adaptive_contact.model.labelled_swing import Row, Touch
 
+from .ticks import Tick, rows_of
+
 NOISE = np.array([0.01, 0.01, 0.01])
 
 
@@ -41,7 +43,7 @@ def row(rng: np.random.Generator, p: int, *, truth: float) -> Row:
     theta = np.zeros(p)
     theta[0] = rng.normal() + 2.0
     target = theta[0] * truth + rng.normal(size=3) * NOISE
-    return Row(theta, target, 1.0, 1.0, 0, 0, lift=True, calm=True, cleared=True)
+    return Row(theta, target, 0)
 
 
 def fill(
@@ -54,7 +56,8 @@ def fill(
 ) -> None:
     """Lifts of a dozen free ticks, in three regions by turns; 60 are enough for a refit."""
     for k in range(segments):
-        buffer.add([row(rng, p, truth=truth) for _ in range(12)], k % 3, 0)
+        ticks = [row(rng, p, truth=truth) for _ in range(12)]
+        buffer.add(rows_of([Tick(tick.theta, tick.target) for tick in ticks]), k % 3, 0)
 
 
 def stopped(model: LegModel) -> Touch:

@@ -11,7 +11,7 @@ from adaptive_contact.fit.refit_job import Job, RefitResult
 from adaptive_contact.learn.candidate import REFIT_DUE_TICKS, Candidate, first_refit_after
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import LegModel, Library
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import ROW, Rows
 from adaptive_contact.service.refits import _failed
 
 WHY = "the process that fits died or took too long"
@@ -42,10 +42,9 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
     p = library.size
     rng = np.random.default_rng(0)
     buffer = ReplayBuffer()
-    for k in range(40):
-        buffer.add(
-            [Row(rng.normal(size=p), np.zeros(2), 1.0, 1.0, 0, k, True, True, True)] * 12, 0, 0
-        )
+    for _ in range(40):
+        theta, known = np.tile(rng.normal(size=p), (12, 1)), np.zeros(12, dtype=ROW)
+        buffer.add(Rows(theta, np.zeros((12, 2)), known, np.zeros((12, 2))), 0, 0)
     for status, words in (
         (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
         (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),

@@ -1,0 +1,49 @@
+"""Ticks to learn from, one by one, and the rows they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.model.labelled_swing import NO_ROWS, ROW, Rows
+
+Array = NDArray[np.float64]
+
+
+class Push(NamedTuple):
+    """What a push from the ground can have made of a residual, in deviations, and the rest."""
+
+    sigma: float
+    aside: Array
+
+
+class Tick(NamedTuple):
+    """One row, with what was known of it."""
+
+    theta: Array
+    target: Array
+    nis: float = 1.0
+    value: float = 1.0
+    context: int = 0
+    t_ns: int = 0
+    lift: bool = True
+    calm: bool = True
+    cleared: bool = True
+    push: Push | None = None
+
+
+def rows_of(ticks: Sequence[Tick]) -> Rows:
+    """The rows of ticks."""
+    if not ticks:
+        return NO_ROWS
+    known = np.zeros(len(ticks), dtype=ROW)
+    for name in ("nis", "value", "context", "t_ns", "lift", "calm", "cleared"):
+        known[name] = [getattr(tick, name) for tick in ticks]
+    known["push"] = [tick.push is not None for tick in ticks]
+    known["sigma"] = [0.0 if tick.push is None else tick.push.sigma for tick in ticks]
+    target = np.array([tick.target for tick in ticks])
+    aside = np.array([tick.target if tick.push is None else tick.push.aside for tick in ticks])
+    return Rows(np.array([tick.theta for tick in ticks]), target, known, aside)
