@@ -71,7 +71,7 @@ def write_description(wishes: Wishes) -> None:
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
         robot = msgspec.structs.replace(robot, legs=alike)
     text = write_robot(robot)
-    parse_robot(text, source=f"{out} would not be read back, so it is not written")
+    parse_robot(text, source=str(wishes.urdf or f"{out} would not be read back"))
     write_file(out, text, advice="give another --out")
     for note in () if read is None else read.notes:
         say_note(note)
