@@ -149,6 +149,8 @@ _AT_VERSION = re.compile(r"at `\$\.v`")
 
 def _classify(text: str) -> Rejected:
     detail = _one_line(text)
+    if text.startswith("Invalid enum value") and text.endswith("`$.phase`"):
+        detail += '; expected "swing" or "stance"'
     if "missing required field" in text:
         return Rejected(Reject.MISSING_FIELD, detail)
     if _AT_VERSION.search(text):
