@@ -316,16 +316,20 @@ RealtimeOption = Annotated[
 
 
 def stoppable() -> threading.Event:
-    """An event that SIGINT and SIGTERM set; a second signal ends the process at once."""
+    """An event that signals to end set; a second one ends the process at once.
+
+    A terminal that is closed sends SIGHUP, often twice; under ``nohup`` it is ignored.
+    """
     stop = threading.Event()
 
-    def on_signal(*_: object) -> None:
-        if stop.is_set():
+    def on_signal(number: int, _: object) -> None:
+        if stop.is_set() and number != signal.SIGHUP:
             os._exit(1)
         stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, on_signal)
     return stop
 
 
