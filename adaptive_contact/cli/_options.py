@@ -352,12 +352,21 @@ def speed_of(text: str | None) -> float | None:
     return factor
 
 
-def check_output(path: Path, option: str) -> None:
+def check_output(path: Path, option: str, inputs: Sequence[Path | None] = ()) -> None:
     """Make sure that a file can be written later, before any work is done for it.
 
+    Args:
+        path: of the file.
+        option: that names it.
+        inputs: what the command reads, None where that is not given.
+
     Raises:
-        ConfigurationError: its folder is not there or not writable, or it is a folder itself.
+        ConfigurationError: its folder is not there or not writable, or it is a folder itself, or
+            an input would be lost.
     """
+    for other in inputs:
+        if other is not None and path.is_file() and other.exists() and path.samefile(other):
+            raise ConfigurationError(f"{path} is what the command reads; give another {option}")
     why = why_not_writable(path)
     if why is not None:
         raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")

@@ -50,7 +50,7 @@ def write_description(wishes: Wishes) -> None:
         )
     if holds_content(out) and not wishes.force:
         raise ConfigurationError(f"{out} is there already; give another --out, or --force")
-    check_output(out, "--out")
+    check_output(out, "--out", [wishes.urdf])
     if wishes.lengths is not None and wishes.urdf is not None:
         raise ConfigurationError("--lengths and --urdf both give the geometry; leave one out")
     if wishes.urdf is None and (wishes.base or wishes.tip):
