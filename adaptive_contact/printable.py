@@ -44,8 +44,9 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float 
         otherwise: what to say where none is near.
         cutoff: least likeness, 0 to 1.
     """
-    near = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
-    return f"did you mean '{near[0]}'?" if near else otherwise
+    plain = {one.casefold(): one for one in known}
+    near = difflib.get_close_matches(name.casefold(), plain, n=1, cutoff=cutoff)
+    return f"did you mean '{plain[near[0]]}'?" if near else otherwise
 
 
 def printable_json(text: bytes | str) -> str:

@@ -313,6 +313,19 @@ def _refuse_unknown(one: Found, ids: Sequence[int]) -> None:
             f"port {one.name}: servo {', '.join(unknown)} is of no known model; see docs/bridge.md "
             "for those that are, or name the servos of the legs with --ids"
         )
+    protocol = one.port.protocol
+    other = [
+        f"{servo} ({model.name})"
+        for servo in ids
+        if (model := one.servos[servo]) is not None and model.protocol != protocol
+    ]
+    if other:
+        raise BusError(
+            f"port {one.name}: servo {', '.join(other)} answers in protocol {protocol}, and is "
+            f"supported in protocol {3 - protocol} only; set its Protocol Type with DYNAMIXEL "
+            "Wizard (servos of one port need one protocol), or name the servos of the legs with "
+            "--ids"
+        )
 
 
 def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:

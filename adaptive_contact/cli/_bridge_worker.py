@@ -81,8 +81,9 @@ def work(
     """
     protect_output()
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: stop.set())
     # Before Zenoh makes its threads: a publication waits for their locks, and would otherwise
     # wait for as long as an ordinary thread that holds one is not let run.
     refused = take_priority() if realtime else None

@@ -6,12 +6,25 @@ import os
 import platform
 import subprocess
 import sys
+import threading
+from typing import Final
 
 from adaptive_contact.cli._output import say_note
 
+_POLL_S: Final = 0.1
+# Ctrl-C reaches it, too, and has nothing to say of it.
+_CODE: Final = (
+    "import signal; signal.signal(signal.SIGINT, signal.SIG_DFL); "
+    "from adaptive_contact.bank import compile_ahead; compile_ahead()"
+)
 
-def compile_tick() -> None:
-    """Load the compiled tick; the first start after an installation compiles it, and says so."""
+
+def compile_tick(stop: threading.Event | None = None) -> None:
+    """Load the compiled tick; the first start after an installation compiles it, and says so.
+
+    Args:
+        stop: ends it early: nothing is loaded then.
+    """
     from adaptive_contact.bank import compile_ahead
     from adaptive_contact.compiled import cache_folder, compiles, is_cached
 
@@ -28,9 +41,19 @@ def compile_tick() -> None:
         _tell(f"compiling the arithmetic of a tick for this computer, {kept} (10 to 20 s)")
         if cache_folder():
             # In a process of its own: the compiler would keep 200 MB for as long as this one runs.
-            code = "from adaptive_contact.bank import compile_ahead; compile_ahead()"
-            subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
-    compile_ahead()
+            _run_until(stop or threading.Event(), [sys.executable, "-c", _CODE])
+    if stop is None or not stop.is_set():
+        compile_ahead()
+
+
+def _run_until(stop: threading.Event, words: list[str]) -> None:
+    child = subprocess.Popen(words, stdin=subprocess.DEVNULL)
+    try:
+        while child.poll() is None and not stop.wait(_POLL_S):
+            pass
+    finally:
+        child.kill()
+        child.wait()
 
 
 def _tell(line: str) -> None:

@@ -316,16 +316,20 @@ RealtimeOption = Annotated[
 
 
 def stoppable() -> threading.Event:
-    """An event that SIGINT and SIGTERM set; a second signal ends the process at once."""
+    """An event that signals to end set; a second one ends the process at once.
+
+    A terminal that is closed sends SIGHUP, often twice; under ``nohup`` it is ignored.
+    """
     stop = threading.Event()
 
-    def on_signal(*_: object) -> None:
-        if stop.is_set():
+    def on_signal(number: int, _: object) -> None:
+        if stop.is_set() and number != signal.SIGHUP:
             os._exit(1)
         stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, on_signal)
     return stop
 
 
@@ -348,12 +352,21 @@ def speed_of(text: str | None) -> float | None:
     return factor
 
 
-def check_output(path: Path, option: str) -> None:
+def check_output(path: Path, option: str, inputs: Sequence[Path | None] = ()) -> None:
     """Make sure that a file can be written later, before any work is done for it.
 
+    Args:
+        path: of the file.
+        option: that names it.
+        inputs: what the command reads, None where that is not given.
+
     Raises:
-        ConfigurationError: its folder is not there or not writable, or it is a folder itself.
+        ConfigurationError: its folder is not there or not writable, or it is a folder itself, or
+            an input would be lost.
     """
+    for other in inputs:
+        if other is not None and path.is_file() and other.exists() and path.samefile(other):
+            raise ConfigurationError(f"{path} is what the command reads; give another {option}")
     why = why_not_writable(path)
     if why is not None:
         raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import shutil
 import sys
@@ -38,7 +39,12 @@ def say(line: object, *, err: bool = False) -> None:
 
 def say_json(text: bytes | str) -> None:
     """Print JSON of the same value that a terminal can show."""
-    print(printable_json(text), flush=True)
+    shown = printable_json(text)
+    try:
+        shown.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:  # a locale of fewer letters: as JSON has them in ASCII
+        shown = json.dumps(json.loads(shown))
+    print(shown, flush=True)
 
 
 def say_note(line: object) -> None:
@@ -125,7 +131,7 @@ def _protected(stream: TextIO | None, number: int, *, needed: bool) -> TextIO:
         with contextlib.suppress(OSError):
             stream.flush()
         at_once = stream.line_buffering or stream.write_through
-        encoding, errors = stream.encoding, stream.errors or errors
+        encoding = stream.encoding  # of a locale that may lack letters of the wire and of files
     return io.TextIOWrapper(
         io.BufferedWriter(_Channel(number, needed=needed)),
         encoding=encoding,

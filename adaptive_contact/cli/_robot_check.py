@@ -325,7 +325,7 @@ def check(
     """
     stop = opt.stoppable()
     if picture is not None:
-        opt.check_output(picture, "--picture")
+        opt.check_output(picture, "--picture", [config])
     if live:
         if device:
             raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")

@@ -50,7 +50,7 @@ def write_description(wishes: Wishes) -> None:
         )
     if holds_content(out) and not wishes.force:
         raise ConfigurationError(f"{out} is there already; give another --out, or --force")
-    check_output(out, "--out")
+    check_output(out, "--out", [wishes.urdf])
     if wishes.lengths is not None and wishes.urdf is not None:
         raise ConfigurationError("--lengths and --urdf both give the geometry; leave one out")
     if wishes.urdf is None and (wishes.base or wishes.tip):
@@ -71,7 +71,7 @@ def write_description(wishes: Wishes) -> None:
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
         robot = msgspec.structs.replace(robot, legs=alike)
     text = write_robot(robot)
-    parse_robot(text, source=f"{out} would not be read back, so it is not written")
+    parse_robot(text, source=str(wishes.urdf or f"{out} would not be read back"))
     write_file(out, text, advice="give another --out")
     for note in () if read is None else read.notes:
         say_note(note)

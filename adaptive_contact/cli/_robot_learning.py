@@ -104,7 +104,7 @@ def learn(
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    opt.check_output(out, "--out")
+    opt.check_output(out, "--out", [*(more or []), config])
     kept = free_file(out) if recording is None else recording
     opt.check_output(kept, "--recording")
     if holds_content(kept):

@@ -333,7 +333,7 @@ class VirtualOptions:
             )
         for path, name in ((self.write_config, "--write-config"), (self.record, "--record")):
             if path is not None:
-                opt.check_output(path, name)
+                opt.check_output(path, name, [self.config])
         return VirtualPlan(
             robot=shipped_robot(self.robot) if self.config is None else load_robot(self.config),
             simulated=self.robot,

@@ -98,7 +98,7 @@ def _traffic(diagnosis: Diagnosis) -> Table:
     from rich.text import Text
 
     shown = Table(box=box.SIMPLE_HEAD)
-    shown.add_column("key")
+    shown.add_column("key", no_wrap=True)  # the others give way on a narrow terminal
     for name in ("messages/s", "bytes/s", "mean size"):
         shown.add_column(name, justify="right")
     shown.add_column("encoding")

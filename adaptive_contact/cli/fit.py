@@ -61,7 +61,7 @@ def fit(
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    opt.check_output(out, "--out")
+    opt.check_output(out, "--out", [*recordings, config])
     robot = opt.recorded_robot(config, recordings)
     gathered = gather(recordings, robot)
     check_conventions(robot, gathered)
@@ -130,8 +130,10 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
     legs = {leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs}
     strangers: set[str] = set()
     causes: dict[str, set[str]] = {}
-    for path in recordings:
+    for number, path in enumerate(recordings):
         recording = read_recording(path, robot)
+        if any(path.samefile(other) for other in recordings[:number]):
+            raise ConfigurationError(f"{path} is given twice; give every recording once")
         samples: dict[str, list[ServoSample]] = {}
         refused: dict[str, list[Rejected]] = {}
         robots = OneRobot(recording)

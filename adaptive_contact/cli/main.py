@@ -10,6 +10,7 @@ import atexit
 import errno
 import importlib
 import os
+import signal
 import sys
 import threading
 from typing import Annotated, Any, Final, NoReturn
@@ -109,9 +110,13 @@ def main() -> None:
 
     Exit codes: 0 the command did its work; 1 it did not, or found something wrong; 2 an expected
     failure, said in one line on stderr, such as a file that cannot be read or a full disk under
-    stdout; 130 Ctrl-C; 141 the reader of stdout is gone (``| head``).
+    stdout; 129, 130 and 143 SIGHUP, Ctrl-C and SIGTERM; 141 the reader of stdout is gone
+    (``| head``).
     """
     protect_output()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:  # under `nohup` it is ignored
+            signal.signal(number, _end)
     try:
         code = run()
         sys.stdout.flush()
@@ -122,6 +127,11 @@ def main() -> None:
     if "zenoh" in sys.modules:
         _leave(code)
     sys.exit(code)
+
+
+def _end(number: int, _: object) -> NoReturn:
+    """End as an exception does: what is half written is removed, and children are ended."""
+    raise SystemExit(128 + number)
 
 
 def _leave(code: int) -> NoReturn:
@@ -144,6 +154,8 @@ def run() -> int:
         code = app(prog_name="adaptive-contact", standalone_mode=False)
     except KeyboardInterrupt:  # while a command was still being loaded
         return _INTERRUPTED
+    except SystemExit as ended:
+        return int(ended.code or 0)
     except typer.Abort as abort:
         if isinstance(abort.__cause__, KeyboardInterrupt):
             return _INTERRUPTED

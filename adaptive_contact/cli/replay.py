@@ -86,7 +86,8 @@ def replay(
         robot = opt.recorded_robot(config, [file])
         recording = read_recording(file, robot)
         learned = _learned(robot, config, baseline)
-        _to_events(recording, robot, events, plot, learned, when_ambiguous)
+        read = (file, config, baseline)
+        _to_events(recording, robot, events, plot, learned, when_ambiguous, read)
     else:
         bag = is_bag(file)
         if bag:
@@ -112,6 +113,7 @@ def _to_events(
     plot: Path | None,
     learned: Baseline | None,
     when_ambiguous: opt.WhenAmbiguous,
+    read: tuple[Path | None, ...],
 ) -> None:
     from threadpoolctl import threadpool_limits
 
@@ -124,10 +126,10 @@ def _to_events(
     from adaptive_contact.wire import JSON, encode
 
     if out is not None and str(out) != "-":
-        opt.check_output(out, "--events")
+        opt.check_output(out, "--events", read)
     if plot is not None:
         check_plot(plot)
-        opt.check_output(plot, "--plot")
+        opt.check_output(plot, "--plot", read)
     compile_tick()
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     counts = Counts()

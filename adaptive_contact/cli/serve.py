@@ -85,7 +85,9 @@ def serve(
         if refused is not None:
             say_note(refused)
         robot, learned, origin = _load(config, baseline)
-        compile_tick()
+        compile_tick(stop)
+        if stop.is_set():
+            return
         refitter = ProcessRefitter(process=process)
         bank = LearnerBank(
             robot,

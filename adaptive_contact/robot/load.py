@@ -14,7 +14,7 @@ from collections.abc import Callable
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Final, NoReturn, get_args
+from typing import Final, NoReturn, get_args, get_type_hints
 
 import msgspec
 
@@ -64,8 +64,7 @@ def check(robot: Robot, source: str) -> None:
     def fail(what: str) -> NoReturn:
         raise ConfigurationError(f"{source}: {what}")
 
-    if not robot.name:
-        fail("[robot] name is empty; give the robot a name")
+    _check_text(robot.name, "[robot] name", fail)
     if not 1e-4 <= robot.period_s <= 1.0:
         fail(f"[robot] period_s is {robot.period_s}; expected 0.0001 to 1 s (0.02 for 50 Hz)")
     if not robot.legs:
@@ -97,10 +96,19 @@ def check(robot: Robot, source: str) -> None:
     _check_ros2(robot, fail)
 
 
+def _check_text(text: str, where: str, fail: _Fail) -> None:
+    """Refuse a text that a person cannot read and a terminal would obey."""
+    if not text.strip():
+        fail(f"{where} is empty; write one")
+    if not text.isprintable():
+        fail(f"{where} is {text!r}; expected letters that can be printed")
+
+
 def _check_ports(robot: Robot, fail: _Fail) -> None:
     for name, port in robot.ports.items():
         if not is_leg_id(name):
             fail(f"[port.{name}]: a name is 1 to 32 letters, digits, '_', '.' or '-'")
+        _check_text(port.device, f"[port.{name}] device", fail)
         if port.fast and port.protocol == 1:
             fail(f"[port.{name}] fast is for protocol 2; remove it, or set protocol = 2")
         if not 0.5 <= port.timeout_ms <= 100.0:
@@ -143,6 +151,8 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
     quantum = robot.quantum(leg.id)
     if joints == 0:
         fail(f"{where}: joints is empty; name at least one")
+    for joint in leg.joints:
+        _check_text(joint, f"{where}: the name of a joint", fail)
     if len(set(leg.joints)) != joints:
         fail(f"{where}: joints {list(leg.joints)} repeat a name; names must differ")
     if not 1e-6 <= quantum <= 0.2:
@@ -173,9 +183,18 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
     for table, of in (("servos", leg.servos), ("angles", leg.angles)):
         if of is not None and any(d not in (-1, 1) for d in of.directions or ()):
             fail(f"{where}: {table}.directions are {list(of.directions or ())}; use 1 or -1")
-    for offset in (leg.angles.offsets_rad if leg.angles else None) or ():
-        if not -2 * math.pi <= offset <= 2 * math.pi:  # false for NaN, too
-            fail(f"{where}: angles.offsets_rad has {offset}; expected -6.28 to 6.28 rad")
+        for offset in (of.offsets_rad if of else None) or ():
+            if not _is_angle(offset):
+                fail(f"{where}: {table}.offsets_rad has {offset}; expected -6.28 to 6.28 rad")
+    if not all(abs(x) <= MOST_M for x in leg.mount.xyz_m):
+        fail(f"{where}: mount.xyz_m is {list(leg.mount.xyz_m)}; expected metres, up to 5")
+    if not _is_angle(leg.mount.yaw_rad):
+        fail(f"{where}: mount.yaw_rad is {leg.mount.yaw_rad}; expected -6.28 to 6.28 rad")
+
+
+def _is_angle(value: float) -> bool:
+    """Within a turn each way; false for NaN, and for most angles in degrees."""
+    return -2 * math.pi <= value <= 2 * math.pi
 
 
 def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
@@ -293,7 +312,7 @@ def load_robot(path: str | Path) -> Robot:
     if is_shipped(path):
         return shipped_robot(path.name)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # editors of Windows begin with a mark
     except OSError as error:
         raise ConfigurationError(
             f"{path}: cannot be read ({error.strerror}); give the path of a robot.toml, or a "
@@ -403,8 +422,9 @@ def _explain(text: str) -> str:
     if "missing key" in text:
         name = text.split("`")[1]
         return f"{text}; {_EXAMPLES.get(name, 'docs/robot.md has an example')}"
-    if "Invalid enum value" in text and ".axes" in text:
-        return f"{text}; expected {', '.join(get_args(AxisWord))}, or a direction such as [0, 1, 0]"
+    if "Invalid enum value" in text:
+        key = re.split(r"[.\[]", text.rstrip("`0123456789[]"))[-1]
+        return f"{text}; expected {_CHOICES.get(key, 'one that docs/robot.md names')}"
     wrong_type = re.fullmatch(r"Expected `(\S+)`, got `(\S+)` - at `(.+)`", text)
     if wrong_type:
         expected, got, where = wrong_type.groups()
@@ -420,6 +440,12 @@ _EXAMPLES: Final = {
     "name": 'such as name = "mybot"',
     "period_s": "such as period_s = 0.02",
     "quantum_rad": "such as quantum_rad = 0.00511",
+}
+
+_CHOICES: Final = {
+    "axes": f"{', '.join(get_args(AxisWord))}, or a direction such as [0, 1, 0]",
+    "protocol": "1 (AX, RX, MX) or 2 (X-series, MX with that firmware)",
+    "distro": ", ".join(get_args(get_type_hints(Ros2)["distro"])),
 }
 
 # What TOML calls msgspec's types.

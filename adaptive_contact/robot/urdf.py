@@ -58,16 +58,24 @@ class _Joint:
     xyz: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
     axis: Vector = (1.0, 0.0, 0.0)
-    lower: float | None = None
-    upper: float | None = None
+    lower: float = 0.0
+    upper: float = 0.0
     mimics: str | None = None
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        """Its range, rad; None where there is none."""
-        if self.lower is None or self.upper is None or not self.lower < self.upper:
+        """Its range within a turn each way, rad; None where there is none."""
+        low, high = max(self.lower, -math.tau), min(self.upper, math.tau)
+        return (low, high) if low < high else None
+
+    @property
+    def odd(self) -> str | None:
+        """Angles that no joint has, for a person: often degrees."""
+        largest = max(map(abs, (*self.rpy, self.lower, self.upper)))
+        if largest <= math.tau + _SNAP and self.lower <= self.upper:
             return None
-        return self.lower, self.upper
+        rpy = " ".join(f"{angle:g}" for angle in self.rpy)
+        return f"{self.name} (rpy {rpy}, limits {self.lower:g} .. {self.upper:g})"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +167,7 @@ class Urdf:
                 f"the body is link '{body}': joints above it ({', '.join(above)}) are no leg's"
             )
         owners: dict[str, str] = {}
-        legs, free, raised = [], [], []
+        legs, free, raised, odd = [], [], [], []
         for leg, path in paths.items():
             chain = path[_below(path, body) :]
             for joint in chain:
@@ -171,10 +179,16 @@ class Urdf:
                     )
             legs.append(self._leg(leg, chain, feet[leg], body, tip_m))
             free += [j.name for j in chain if j.kind in _TURNING and j.limits is None]
+            odd += [joint.odd for joint in chain if joint.odd is not None]
             raised += [leg] if _is_raised(legs[-1]) else []
         if free:
             notes.append(
                 f"no limits for joint {', '.join(free)}; fill in limits before the bridge drives it"
+            )
+        if odd:
+            notes.append(
+                f"{len(odd)} joints such as {odd[0]}: expected rad within a turn, lower below "
+                "upper; are they degrees? correct them"
             )
         if raised:
             notes.append(
@@ -476,13 +490,10 @@ def _is_raised(leg: Leg) -> bool:
 
 def _limits(joints: Sequence[_Joint]) -> Limits | None:
     """Limits of all joints: one turn for those without, if others have them."""
-    if all(joint.limits is None for joint in joints):
+    if not any(joint.limits for joint in joints):
         return None
     ends = [joint.limits or (-math.pi, math.pi) for joint in joints]
-    return Limits(
-        lower_rad=tuple(_rounded(max(low, -2 * math.pi)) for low, _ in ends),
-        upper_rad=tuple(_rounded(min(high, 2 * math.pi)) for _, high in ends),
-    )
+    return Limits(*(tuple(map(_rounded, side)) for side in zip(*ends, strict=True)))
 
 
 def _rounded(value: float) -> float:

@@ -217,6 +217,11 @@ def _faults(
     twins = dict(check_twins(seen.samples))
     unexplained: list[str] = []
     for leg in [*described, *sorted(published - set(described))]:
+        if leg not in published and leg in described and not described[leg].described:
+            gone = "samples came of a leg that robot.toml lacks, and come no longer"
+            forget = "nothing: the service forgets the leg at its next start"
+            yield leg, Fault("note", Cause.SILENT, gone, forget, key=leg)
+            continue
         of_leg = check_leg(
             leg,
             seen.samples.get(leg, []),

@@ -39,6 +39,7 @@ class Cause(enum.StrEnum):
     # Payloads.
     UNREADABLE = "unreadable"
     TIME_TYPE = "time_type"
+    FIELD = "field"
     JOINTS = "joints"
     # Order and time.
     TWO_PUBLISHERS = "two_publishers"
@@ -102,12 +103,13 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.SERVICE_QUIET: frozenset({Cause.UNREPORTED}),
     Cause.UNREADABLE: _ABSENT | _LEARNER,
     Cause.TIME_TYPE: _ABSENT | _LEARNER | {Cause.UNREADABLE},
+    Cause.FIELD: _ABSENT | _LEARNER | _TIMES,
     Cause.JOINTS: _VALUES | _LEARNER | {Cause.PHASE},
     Cause.TWO_PUBLISHERS: _TIMES | _VALUES | _LEARNER,
     Cause.RUN: _TIMES | _LEARNER,
     Cause.TIME_BACKWARDS: _LEARNER | {Cause.TIME_UNIT, Cause.PERIOD, Cause.JITTER},
     Cause.TIME_UNIT: _LEARNER | {Cause.PERIOD, Cause.JITTER},
-    Cause.SEQ: _LEARNER | {Cause.PERIOD, Cause.JITTER, Cause.TIME_UNIT},
+    Cause.SEQ: _LEARNER | {Cause.PERIOD, Cause.JITTER, Cause.TIME_UNIT, Cause.LOSS},
     Cause.PERIOD: _LEARNER | {Cause.JITTER},
     Cause.NOT_FINITE: _LEARNER,
     Cause.UNITS: _VALUES | _LEARNER | {Cause.UNDECLARED},
@@ -138,17 +140,19 @@ REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
     Cause.UNREADABLE: _READ,
     Cause.ENCODING: _READ,
     Cause.TIME_TYPE: _READ,
+    Cause.FIELD: frozenset({Reject.OUT_OF_RANGE, Reject.WRONG_JOINTS, Reject.NOT_FINITE}),
     Cause.JOINTS: frozenset({Reject.WRONG_JOINTS}),
     Cause.TWO_PUBLISHERS: _OTHER,
     Cause.RUN: _OTHER,
     Cause.TIME_BACKWARDS: frozenset({Reject.TIME_BACKWARDS}),
     Cause.TIME_UNIT: frozenset({Reject.TIME_BACKWARDS}),
-    Cause.SEQ: _OTHER,
-    Cause.NOT_FINITE: frozenset({Reject.NOT_FINITE}),
+    Cause.SEQ: _OTHER | {Reject.IMPLAUSIBLE},
+    Cause.NOT_FINITE: frozenset({Reject.NOT_FINITE, Reject.IMPLAUSIBLE}),
     Cause.UNITS: frozenset({Reject.OUT_OF_RANGE, Reject.IMPLAUSIBLE}),
     Cause.GLITCHES: frozenset({Reject.IMPLAUSIBLE}),
     Cause.TURN: frozenset({Reject.IMPLAUSIBLE}),
     Cause.ECHO: frozenset({Reject.IMPLAUSIBLE}),
+    Cause.FROZEN: frozenset({Reject.IMPLAUSIBLE}),
     Cause.ORDER: frozenset({Reject.IMPLAUSIBLE}),
     Cause.HELD: frozenset({Reject.IMPLAUSIBLE}),
     Cause.BACKWARDS: frozenset({Reject.IMPLAUSIBLE}),

@@ -17,9 +17,9 @@ from adaptive_contact.detect.source_watch import NOTED_JITTER
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries, of_legs
 from adaptive_contact.service.position_step import position_step
-from adaptive_contact.service.readings import check_readings
+from adaptive_contact.service.readings import check_fields, check_readings
 from adaptive_contact.service.status import LegFacts
-from adaptive_contact.wire import Rejected, ServoSample
+from adaptive_contact.wire import Reject, Rejected, ServoSample
 
 # A rate further off than this is not jitter: 50 Hz that is really 45 shifts every velocity.
 _RATE_TOLERANCE: Final = 0.05
@@ -35,7 +35,7 @@ _MAD_DEVIATION: Final = 1.4826
 _FEWEST_STAMPS: Final = 25
 # No swing takes so many samples in a row: two seconds at 50 Hz.
 _LONG_SWING: Final = 100
-# A leg that walks: its widest joint travels so far, rad, and so often from end to end.
+# A leg that walks: its widest joint travels so far, rad, so often from end to end.
 _WALKING_RAD: Final = 0.3
 _MANY_CYCLES: Final = 4
 _INVALID_SHARE: Final = 0.05
@@ -91,6 +91,7 @@ def check_leg(
         *_shape(samples, joints, facts),
         *_publishers(samples),
         *_order(samples, period_s),
+        *check_fields(samples, joints),
     ]
     usable = [s for s in samples if len(s.measured) == len(s.desired) == joints]
     quantum = None if facts is None else facts.quantum_rad
@@ -212,7 +213,9 @@ def _refusals(refused: Sequence[Rejected]) -> Iterator[Fault]:
             "error",
             Cause.UNREADABLE,
             "payloads cannot be read",
-            f"publish msgpack or JSON maps as {_DOCS} has them, with the encoding to match",
+            f"publish msgpack or JSON maps as {_DOCS} has them, with the encoding to match"
+            if reason in (Reject.MALFORMED, Reject.TOO_LARGE)
+            else f"publish the fields of ServoSample as {_DOCS} has them",
             f"{len(rest)} refused; {reason} {number} times: {detail}",
             len(rest),
             reason,
@@ -331,11 +334,11 @@ def _publishers(samples: Sequence[ServoSample]) -> Iterator[Fault]:
 
 def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[Fault]:
     # Within one run only: after a restart the source may count from 0.
-    pairs = [(a, b) for a, b in pairwise(samples) if a.run == b.run]
-    if not pairs:
+    if not (pairs := [(a, b) for a, b in pairwise(samples) if a.run == b.run]):
         return
-    backwards = sum(b.t_ns <= a.t_ns for a, b in pairs)
+    backwards = sum(b.t_ns <= a.t_ns and b.seq > a.seq for a, b in pairs)
     repeated = sum(b.seq == a.seq for a, b in pairs)
+    back = [(a.seq, b.seq) for a, b in pairs if b.seq < a.seq]
     lost = sum(max(0, b.seq - a.seq - 1) for a, b in pairs)
     if backwards:
         yield Fault(
@@ -355,6 +358,16 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
             "count seq up by one per control tick; look for two publishers of this leg",
             f"{repeated} of {len(pairs)}",
             repeated,
+        )
+    if back:
+        yield Fault(
+            "warning",
+            Cause.SEQ,
+            "seq goes back: it wraps, starts again without a new `run`, or samples change places",
+            "count seq in 64 bits, set a new `run` at each start, use one reliable publisher a leg",
+            f"{len(back)} times, such as {back[-1][0]} to {back[-1][1]}",
+            len(back),
+            "back",
         )
     if lost > _LOSS_SHARE * len(samples):
         yield Fault(
@@ -381,7 +394,7 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
         min(_off(mean_s, period_s), _off(middle_s, period_s)) > _RATE_TOLERANCE
     ):
         yield _rate(middle_s, period_s)
-    elif not backwards:
+    elif not backwards and not back:
         yield from _jitter(samples, mean_s if period_s is None else period_s)
 
 

@@ -8,17 +8,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.detect.source_watch import EchoWatch
+from adaptive_contact.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
 from adaptive_contact.service.findings import Cause, Fault
 from adaptive_contact.service.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.wire import ServoSample
+from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
 
 Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]  # seq
@@ -65,6 +67,38 @@ _LAG_TICKS: Final = 6
 _MOST_ORDERED: Final = 4  # joints whose orders are all tried
 _TURN_SLACK_RAD: Final = 0.5
 _DEGREE_RAD: Final = math.pi / 180.0
+
+
+# What the service expects of a sample's fields, and whether one of so many joints has it.
+_FIELDS: Final[Mapping[str, tuple[str, Callable[[ServoSample, int], bool]]]] = {
+    "t_ns": ("0 to 2^63 - 1", lambda s, _: 0 <= s.t_ns <= MAX_TIME_NS),
+    "seq": ("0 to 2^63 - 1", lambda s, _: 0 <= s.seq <= MAX_TIME_NS),
+    "run": ("a whole number of 64 bits", lambda s, _: s.run is None or MIN_RUN <= s.run <= MAX_RUN),
+    "valid": ("one value per joint", lambda s, joints: s.valid is None or len(s.valid) == joints),
+    "preview": (
+        f"{MAX_PREVIEW_TICKS} ticks at most, of one number per joint",
+        lambda s, joints: (
+            len(s.preview or ()) <= MAX_PREVIEW_TICKS
+            and all(len(row) == joints and all(map(math.isfinite, row)) for row in s.preview or ())
+        ),
+    ),
+}
+
+
+def check_fields(samples: Sequence[ServoSample], joints: int) -> Iterator[Fault]:
+    """Name the fields for which the service refuses samples that it can read."""
+    for name, (expected, is_right) in _FIELDS.items():
+        wrong = [s for s in samples if not is_right(s, joints)]
+        if wrong:
+            yield Fault(
+                "error",
+                Cause.FIELD,
+                f"samples are refused for their {name}",
+                f"publish {name} as docs/messages.md has it: {expected}",
+                f"{len(wrong)} of {len(samples)}",
+                len(wrong),
+                name,
+            )
 
 
 def check_readings(
@@ -135,6 +169,17 @@ def check_readings(
     if quantum_rad is not None:
         yield from _held(measured, desired, seq, names, quantum_rad)
     begun = _begun(desired, 0.0)
+    if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
+        yield Fault(
+            "warning",
+            Cause.FROZEN,
+            "no command of the leg changes while its joints move",
+            "publish as desired, in every tick, the goals that are written to the servos (a leg "
+            "moved by hand has none)",
+            f"by {max(np.ptp(measured, axis=0)):.2f} rad",
+            float(np.ptp(measured, axis=0).max()),
+            "desired",
+        )
     for j, name in enumerate(names):
         yield from _joint(measured[:, j], desired[:, j], name, begun)
         if quantum_rad is not None:
@@ -155,7 +200,7 @@ def _units(measured: Array, desired: Array, names: Sequence[str]) -> Fault | Non
         "angles are not in radians: more than a turn; these look like "
         + ("register steps" if whole else "degrees"),
         "publish radians: math.radians(degrees), or what `[leg.servos]` makes of register steps",
-        f"{names[j]} reaches {largest[j]:.1f}",
+        f"{names[j]} reaches {largest[j]:.4g}",
         float(largest[j]),
     )
 

@@ -26,6 +26,9 @@ MAX_PAYLOAD_BYTES: Final = 256 * 1024
 # Samples come fifty times a second from every leg, and a hostile one costs half a microsecond per
 # byte.  The largest honest one, 16 joints with the longest preview as JSON, is 21 kB.
 MAX_SAMPLE_BYTES: Final = 32 * 1024
+_MAP_BEGINS: Final = frozenset(bytes([byte]) for byte in (*range(0x80, 0x90), 0xDE, 0xDF))
+# What programs write for a float that JSON lacks, outside of texts.
+_NO_JSON: Final = re.compile(rb"[:\[,]\s*-?(?:nan|inf(?:inity)?)\s*[,\]}]", re.IGNORECASE)
 # Of a list or map in msgpack; of lists and maps together in JSON.  Ten times what that report has.
 _MAX_ITEMS: Final = 4096
 
@@ -104,13 +107,15 @@ def decode(payload: bytes, kind: type[M], encoding: str = MSGPACK) -> M | Reject
 
 
 def is_json(payload: bytes, encoding: str) -> bool:
-    """Return whether a payload is JSON: by its encoding, or as it begins with ``{``.
+    """Return whether a payload is JSON: as it begins with ``{``, or by its encoding.
 
-    A message is a map, and no map of msgpack begins with the byte ``{``.  So a client that declares
-    ``text/json``, or nothing, is understood.
+    A message is a map: no map of msgpack begins with the byte ``{``, and no JSON with those that
+    begin a map of msgpack.  So a client that declares another encoding, or none, is understood.
     """
-    begins = json_text(payload)[:16].lstrip(b" \t\r\n")
-    return encoding.startswith((JSON, "text/json")) or begins[:1] == b"{"
+    begins = json_text(payload)[:16].lstrip(b" \t\r\n")[:1]
+    if begins in _MAP_BEGINS:
+        return False
+    return begins == b"{" or encoding.startswith((JSON, "text/json"))
 
 
 def json_text(payload: bytes) -> bytes:
@@ -139,6 +144,8 @@ def _parse(payload: bytes, encoding: str) -> object:
     # msgpack documents ValueError and its own subclasses of it (and UnpackException for
     # truncated input); deep nesting raises RecursionError or StackError.
     except (ValueError, msgpack.UnpackException, msgspec.DecodeError, RecursionError) as error:
+        if isinstance(error, msgspec.DecodeError) and _NO_JSON.search(payload):
+            return Rejected(Reject.MALFORMED, "NaN or infinity, which JSON has no words for")
         return Rejected(Reject.MALFORMED, f"{type(error).__name__}: {_one_line(str(error))}")
     except (TypeError, OverflowError) as error:  # unhashable or absurd map keys
         return Rejected(Reject.MALFORMED, f"{type(error).__name__}: {_one_line(str(error))}")
@@ -149,6 +156,8 @@ _AT_VERSION = re.compile(r"at `\$\.v`")
 
 def _classify(text: str) -> Rejected:
     detail = _one_line(text)
+    if text.startswith("Invalid enum value") and text.endswith("`$.phase`"):
+        detail += '; expected "swing" or "stance"'
     if "missing required field" in text:
         return Rejected(Reject.MISSING_FIELD, detail)
     if _AT_VERSION.search(text):

@@ -61,7 +61,11 @@ def meant_key(key: str) -> str | None:
     if len(parts) < 2:
         return None
     own = key.lstrip("/").startswith("robot/leg/")
-    for leg, kind in (parts[-2:], parts[:-3:-1]):  # also the two the wrong way round
+    pairs = (
+        [parts[2:4]] if own and len(parts) > _OWN_DEPTH else []
+    )  # something behind, as of a joint
+    pairs.append(parts[-2:])
+    for leg, kind in [way for pair in pairs for way in (pair, pair[::-1])]:  # also turned round
         near = difflib.get_close_matches(kind.lower(), LEG_MESSAGES, n=1)
         # A word of other robots' keys, such as camera/command, is no misspelling of ours; nor are
         # keys with more slashes.

@@ -63,6 +63,15 @@ def test_ids_that_cannot_be(bus: Serve, words: tuple[str, ...], message: str) ->
     assert not (device.parent / "robot.toml").exists()
 
 
+def test_servos_of_another_protocol_make_no_robot(bus: Serve) -> None:
+    """An X servo whose Protocol Type is 1 answers, and no bridge would read it."""
+    device, _ = bus("1-3:AX-12A", "4-6:XM430-W350")
+    with pytest.raises(BusError, match=r"servo 4 \(XM430-W350\), 5 .* answers in protocol 1, and"):
+        init(device)
+    assert not (device.parent / "robot.toml").exists()
+    assert init(device, "--ids", "1,2,3")[1].ports["main"].ignore == (4, 5, 6)
+
+
 @pytest.mark.slow
 def test_ids_that_two_ports_have(bus: Serve) -> None:
     left, _ = bus("1-3:AX-12A", where="left")

@@ -119,6 +119,12 @@ def test_what_is_missing_is_said_in_one_line(words: tuple[str, ...], message: st
     assert not Path("robot.toml").exists()
 
 
+def test_a_urdf_in_millimetres_is_named() -> None:
+    Path("mm.urdf").write_text(quadruped().replace("-0.16", "-160"))
+    with pytest.raises(ConfigurationError, match=r"^mm.urdf: .*origins_m is .*expected metres"):
+        invoke("robot", "init", "--urdf", "mm.urdf", "--legs", FEET, *STEPS)
+
+
 def walker() -> Robot:
     invoke("robot", "init", "--urdf", "walker.urdf", "--legs", FEET, *STEPS)
     return load_robot("robot.toml")

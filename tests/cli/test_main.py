@@ -9,8 +9,11 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
+
+from adaptive_contact.compiled import CACHE_VARIABLE, compiles
 
 SOURCES = os.pathsep.join(path for path in sys.path if path)
 WIDE = {**os.environ, "PYTHONPATH": SOURCES, "COLUMNS": "200", "TERM": "xterm"}
@@ -69,6 +72,53 @@ def test_an_interrupt_says_nothing(where: str) -> None:
     )
     done = ran("-c", code)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_stop_leaves_no_part_of_a_file(tmp_path: Path, number: signal.Signals) -> None:
+    code = (
+        "import pathlib, signal, sys\n"
+        "import adaptive_contact.cli.main as cli\n"
+        "from adaptive_contact.files import whole_file\n"
+        "def writes(**_):\n"
+        "    with whole_file(pathlib.Path(sys.argv[1])) as file:\n"
+        "        file.write(b'half')\n"
+        "        print('writing', flush=True)\n"
+        "        while True: signal.pause()\n"
+        "cli.load_commands = lambda asked: None\n"
+        "cli.app = writes\n"
+        "cli.main()"
+    )
+    words = [sys.executable, "-c", code, str(tmp_path / "out.csv")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=WIDE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "writing\n"
+        child.send_signal(number)
+        assert child.wait(60) == 128 + number
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_while_the_tick_is_compiled_is_clean(tmp_path: Path, number: signal.Signals) -> None:
+    """To all processes of a terminal or a unit, as Ctrl-C and systemd do it."""
+    if not compiles():
+        pytest.skip("nothing is compiled here")
+    cache = tmp_path / "cache"
+    words = ("serve", "--no-state", "--listen", "tcp/127.0.0.1:0")
+    with subprocess.Popen(
+        [sys.executable, "-m", "adaptive_contact", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**WIDE, CACHE_VARIABLE: str(cache)},
+        start_new_session=True,
+    ) as serve:
+        assert serve.stderr is not None
+        assert "compiling the arithmetic" in serve.stderr.readline()
+        os.killpg(serve.pid, number)
+        out, err = serve.communicate(timeout=120)
+    assert (serve.returncode, out, err) == (0, "", "")
+    assert not list(cache.glob("compiled-*/whole"))
 
 
 def test_the_help_loads_no_linear_algebra() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -193,3 +194,24 @@ def test_a_command_that_runs_until_it_is_stopped_loses_its_lines(
         finally:
             process.kill()
             process.wait(60)
+
+
+@pytest.mark.parametrize("errors", ["", ":strict", ":surrogateescape"])
+def test_letters_that_the_locale_lacks_are_escaped(errors: str) -> None:
+    """A robot's name ends no command, and JSON stays JSON."""
+    script = (
+        "from adaptive_contact.cli._output import protect_output, say, say_json, say_note\n"
+        "protect_output()\n"
+        "say('k\\u00e4fer \\u5de6')\n"
+        "say_note('k\\u00e4fer')\n"
+        'say_json(\'{"robot":"k\\u00e4fer \\U0001f916"}\')\n'
+    )
+    env = {**BUFFERED, "PYTHONIOENCODING": f"ascii{errors}", "PYTHONUTF8": "0"}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=env, capture_output=True, timeout=60, check=False
+    )
+    assert done.stderr == b"adaptive-contact: k\\xe4fer\n"
+    line, told = done.stdout.splitlines()
+    assert line == b"k\\xe4fer \\u5de6"
+    assert json.loads(told) == {"robot": "k\u00e4fer \U0001f916"}
+    assert done.returncode == 0

@@ -321,6 +321,35 @@ without_phase = each_sample(
 never_stance = each_sample(lambda sent, _: sent.but(phase="swing"))
 
 
+def numbered(seq: Callable[[int], int]) -> Mistake:
+    """Numbers of ticks that are not counted up by one in 64 bits."""
+    return each_sample(lambda sent, _: sent.but(seq=seq(sent.body["seq"])))
+
+
+def with_fields(**fields: object) -> Mistake:
+    """Fields of every sample set to one value."""
+    return each_sample(lambda sent, _: sent.but(**fields))
+
+
+def twice(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+    """Every message sent twice, as by two bridges between the same networks."""
+    for sent in messages:
+        yield sent
+        yield sent
+
+
+def out_of_order(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+    """One sample in twenty of a leg overtaken by its next one."""
+    kept: dict[str, Sent] = {}
+    for sent in messages:
+        if sent.is_sample and sent.key not in kept and sent.body["seq"] % 20 == 0:
+            kept[sent.key] = sent
+            continue
+        yield sent
+        if sent.is_sample and sent.key in kept:
+            yield kept.pop(sent.key)
+
+
 def renamed(names: dict[str, str]) -> Mistake:
     """Legs published under other ids."""
 

@@ -21,6 +21,7 @@ from adaptive_contact.fit.verdict import refusals
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact.robot.write import write_robot
 
 from . import mistakes as m
 
@@ -36,6 +37,20 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = run("sim", "walk", "--seconds", "90", "--seed", "4", "--offline", "--record", path)
     assert done.returncode == 0, done.stderr
     return path
+
+
+def test_inputs_are_read_once_and_not_written_over(walk: Path, tmp_path: Path) -> None:
+    config, link = tmp_path / "robot.toml", tmp_path / "again.mcap"
+    config.write_text(write_robot(shipped_robot()))
+    link.symlink_to(walk)
+    before = config.read_bytes(), walk.read_bytes()
+    for out in (config, walk):
+        done = run("fit", walk, "--config", config, "-o", out)
+        assert (done.returncode, "what the command reads" in done.stderr) == (2, True), done.stderr
+    done = run("fit", walk, link, "-o", tmp_path / "b.json")
+    assert done.returncode == 2
+    assert done.stderr.endswith(f"{link} is given twice; give every recording once\n")
+    assert (config.read_bytes(), walk.read_bytes()) == before
 
 
 def test_a_good_fit_says_so_leg_by_leg(walk: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -105,6 +106,31 @@ TABLE: dict[str, tuple[m.Mistake, Cause]] = {
     "swing without end": (m.never_stance, Cause.PHASE),
     "an id in capitals": (m.renamed({"lf": "LF"}), Cause.LEG_IDS),
     "a misspelt key": (m.misspelt, Cause.KEY),
+    "stamps before 1970": (m.with_fields(t_ns=-5), Cause.FIELD),
+    "numbers below 0": (m.numbered(lambda seq: seq - 10**6), Cause.FIELD),
+    "a run beyond 64 bits": (m.with_fields(run=2**64 - 1), Cause.FIELD),
+    "valid of one joint": (m.with_fields(valid=[True]), Cause.FIELD),
+    "a preview of one joint": (m.with_fields(preview=[[0.1]]), Cause.FIELD),
+    "a preview that is not finite": (m.with_fields(preview=[[math.nan] * 3]), Cause.FIELD),
+    "numbers that count down": (m.numbered(lambda seq: 10**6 - seq), Cause.SEQ),
+    "numbers of 7 bits": (m.numbered(lambda seq: seq % 128), Cause.SEQ),
+    "numbers of 32 bits": (m.numbered(lambda seq: (seq - 1900) % 2**32), Cause.SEQ),
+    "one number for all": (m.numbered(lambda _: 0), Cause.SEQ),
+    "samples sent twice": (m.twice, Cause.SEQ),
+    "samples out of order": (m.out_of_order, Cause.SEQ),
+    "no goals": (m.with_fields(desired=[0.0, 0.0, 0.0]), Cause.FROZEN),
+    "the same goals": (m.with_fields(desired=[0.0, 0.5, -1.9]), Cause.FROZEN),
+    "a phase in capitals": (m.with_fields(phase="SWING"), Cause.UNREADABLE),
+    "NaN": (
+        m.each_sample(
+            lambda sent, rng: (
+                sent.but(measured=[math.nan, *sent.body["measured"][1:]])
+                if rng.random() < 0.05
+                else sent
+            )
+        ),
+        Cause.NOT_FINITE,
+    ),
 }
 
 

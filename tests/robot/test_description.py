@@ -112,6 +112,26 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
         ("[[leg]]", "[servo]\nslope_rad = 0\n[[leg]]", "slope_rad is 0"),
         ('id = "rf"', "id = 3", 'leg[0].id is a whole number; expected a text ("...")'),
         ("period_s = 0.02", 'period_s = "fast"', "robot.period_s is a text"),
+        ('"mybot"', '"  "', "[robot] name is empty"),
+        ('"mybot"', '"my\\u001bbot"', "expected letters that can be printed"),
+        ('"femur"', '""', "'rf': the name of a joint is empty"),
+        ('"femur"', '"fe\\nmur"', "expected letters that can be printed"),
+        ("lengths_m", "mount = { xyz_m = [nan, 0, 0] }\nlengths_m", "mount.xyz_m is [nan, 0.0"),
+        ("lengths_m", "mount = { xyz_m = [90, 60, 0] }\nlengths_m", "expected metres, up to 5"),
+        ("lengths_m", "mount = { yaw_rad = 90 }\nlengths_m", "yaw_rad is 90.0; expected -6.28"),
+        ("[[leg]]", '[port.a]\ndevice = ""\n[[leg]]', "[port.a] device is empty"),
+        ("[[leg]]", '[port.a]\ndevice = "/\\u0000"\n[[leg]]', "letters that can be printed"),
+        ("[[leg]]", '[port.a]\ndevice = "x"\nprotocol = 3\n[[leg]]', "expected 1 (AX"),
+        ("[[leg]]", '[ros2]\ndistro = "foxy"\n[[leg]]', "expected humble, iron, jazzy"),
+        *(
+            (
+                "lengths_m",
+                f"{key} = {{ {ids}offsets_rad = [0, {wrong}, 0] }}\nlengths_m",
+                f"{key}.o",
+            )
+            for key, ids in (("servos", "ids = [1, 2, 3], "), ("angles", ""))
+            for wrong in ("nan", "inf", "90")
+        ),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(old: str, new: str, says: str) -> None:
@@ -121,6 +141,11 @@ def test_what_is_wrong_is_said_in_one_line(old: str, new: str, says: str) -> Non
     assert says in text
     assert text.startswith("my/robot.toml: ")
     assert "\n" not in text
+
+
+def test_a_file_with_the_mark_of_windows_is_read(tmp_path: Path) -> None:
+    (tmp_path / "r.toml").write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
+    assert load_robot(tmp_path / "r.toml") == parse_robot(GOOD, source="x")
 
 
 def test_twice_the_same_leg() -> None:

@@ -163,6 +163,32 @@ def test_limits_that_are_missing_are_said() -> None:
     assert leg_of(robot_of(*none, FOOT)).limits is None
 
 
+@pytest.mark.parametrize(
+    ("wrong", "upper", "says"),
+    [
+        (("<limit", '<limit lower="-90" upper="90"/><no'), 2 * np.pi, "limits -90 .. 90)"),
+        (("<limit", '<limit lower="20" upper="30"/><no'), np.pi, "limits 20 .. 30)"),
+        (("<limit", '<limit lower="1" upper="-1"/><no'), np.pi, "limits 1 .. -1)"),
+        (('rpy="0 0 0"', 'rpy="0 0 90"'), 1.5, "(rpy 0 0 90, "),
+    ],
+)
+def test_angles_that_no_joint_has_are_said(wrong: tuple[str, str], upper: float, says: str) -> None:
+    found = Urdf(robot_of(HIP, THIGH, KNEE.replace(*wrong), FOOT), "x").legs({"l": "foot"})
+    assert found.legs[0].limits is not None
+    assert found.legs[0].limits.upper_rad[2] == pytest.approx(upper, abs=1e-5)
+    assert found.notes[-1].startswith("1 joints such as kfe (rpy ")
+    assert says in found.notes[-1]
+    assert found.notes[-1].endswith("are they degrees? correct them")
+    once = [part.replace(*wrong) for part in (HIP, THIGH, KNEE)]
+    note = Urdf(robot_of(*once, FOOT), "x").legs({"l": "foot"}).notes[-1]
+    assert note.startswith("3 joints such as haa (rpy ")
+
+
+def test_a_foot_of_other_case_is_recognised() -> None:
+    with pytest.raises(ConfigurationError, match=r"no link 'FOOT'; did you mean 'foot'\?"):
+        leg_of(robot_of(HIP, THIGH, KNEE, FOOT), "FOOT")
+
+
 def test_a_body_that_is_upside_down_is_doubted() -> None:
     over = [part.replace("-0.2", "0.2") for part in (KNEE, FOOT)]
     found = Urdf(robot_of(HIP, THIGH, *over), "x").legs({"l": "foot"})

@@ -236,6 +236,20 @@ def test_all_is_well() -> None:
     assert traffic.bytes_per_s == pytest.approx(50 * traffic.mean_bytes)
 
 
+def test_a_stranger_that_published_once_is_a_note() -> None:
+    """The service keeps a learner of it until it ends, whose status is `silent`."""
+    facts = {"rf": FACTS, "RF": LegFacts(joints=FACTS.joints, lengths=False, described=False)}
+    heard = hear(
+        *good(),
+        (SERVICE_STATUS, encode(service(legs=facts))),
+        (learner_key("RF"), encode(learner(leg="RF", status="silent"))),
+    )
+    diagnosis = diagnose(heard, 3.0, alive=True)
+    assert diagnosis.exit_code == 0, diagnosis.findings
+    (note,) = diagnosis.findings
+    assert (note.level, note.cause, note.legs) == ("note", "silent", ["RF"])
+
+
 def test_no_service() -> None:
     diagnosis = diagnose(hear(*good()), 3.0, alive=False)
     assert whats(diagnosis) == [
@@ -297,6 +311,8 @@ def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> N
         ("robot/rf/servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
         ("robot/leg/servo/rf", "read by nobody", "did you mean robot/leg/rf/servo?"),
         ("Robot/Leg/rf/Servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("robot/leg/rf/servo/coxa", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("robot/leg/servo/rf/coxa", "read by nobody", "did you mean robot/leg/rf/servo?"),
         ("hexa/robot/leg/rf/servo", "lie under 'hexa'", "--namespace hexa"),
         ("robot/leg/*/servo", "names no usable leg", "leg id"),
     ],

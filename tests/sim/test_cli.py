@@ -19,8 +19,9 @@ RUN = CliRunner()
 
 @pytest.fixture(autouse=True)
 def own_signals() -> Iterator[None]:
-    """Commands take SIGINT and SIGTERM over; give them back."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    """Commands take signals over; give them back."""
+    taken = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in taken}
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

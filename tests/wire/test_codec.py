@@ -68,7 +68,7 @@ GOOD = {"v": 1, "t_ns": 1, "seq": 1, "measured": [0.1], "desired": [0.2]}
         ({"t_ns": 1.5}, Reject.WRONG_TYPE, "t_ns"),
         ({"measured": [0.1, "x"]}, Reject.WRONG_TYPE, "measured[1]"),
         ({"measured": 3}, Reject.WRONG_TYPE, "measured"),
-        ({"phase": "flight"}, Reject.WRONG_TYPE, "phase"),
+        ({"phase": "flight"}, Reject.WRONG_TYPE, 'phase`; expected "swing" or "stance"'),
         ({"preview": [0.1]}, Reject.WRONG_TYPE, "preview[0]"),
     ],
 )
@@ -186,3 +186,21 @@ def test_a_payload_that_begins_with_a_brace_is_json_whatever_is_declared(encodin
         b' {"v":1,"t_ns":1,"seq":1,"measured":[0.1],"desired":[0]}', ServoSample, encoding
     )
     assert isinstance(sample, ServoSample)
+
+
+@pytest.mark.parametrize("encoding", ["", "text/json", JSON, MSGPACK])
+def test_a_map_of_msgpack_is_read_whatever_is_declared(encoding: str) -> None:
+    more = {f"extra{n}": n for n in range(20)}  # a map of 16 and more begins with another byte
+    for table in (GOOD, {**GOOD, **more}):
+        assert isinstance(decode(msgpack.packb(table), ServoSample, encoding), ServoSample)
+
+
+@pytest.mark.parametrize("word", ["NaN", "-Infinity", "nan", "inf"])
+def test_what_json_lacks_is_named(word: str) -> None:
+    text = f'{{"v":1,"t_ns":1,"seq":1,"measured":[0.1, {word}],"desired":[0,0]}}'
+    result = decode(text.encode(), ServoSample, JSON)
+    assert isinstance(result, Rejected)
+    assert result == (Reject.MALFORMED, "NaN or infinity, which JSON has no words for")
+    other = decode(b'{"v":1,"note":"NaN"', ServoSample, JSON)
+    assert isinstance(other, Rejected)
+    assert "NaN" not in other.detail

@@ -42,7 +42,7 @@ def run_demo(
     _make(settings)
     began_s = time.monotonic()
     # Here and not in the service, whose start has a time limit: it takes minutes on a busy machine.
-    compile_tick()
+    compile_tick(stop)
     if stop.is_set():
         raise StoppedError
     robot = settings.simulated.description

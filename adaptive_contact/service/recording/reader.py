@@ -240,8 +240,7 @@ class _Walk:
     def report(self, given: int) -> str | None:
         """One line on what was met; None for a file that is whole."""
         if not self.skipped:
-            cut = self._cut
-            return None if cut is None else f"{cut}; the {given} messages before it are intact"
+            return self._cut and f"{self._cut}; the {given} messages before it are intact"
         places = "1 damaged place" if self.skipped == 1 else f"{self.skipped} damaged places"
         lost = f" with {self.lost} messages" if self.lost else ""
         line = f"{places}{lost} stepped over, {self._first}; {given} messages are intact"
@@ -268,6 +267,8 @@ class _Walk:
                 self._file.seek(max(self._size - len(MCAP0_MAGIC), end))
                 if self._file.read() != MCAP0_MAGIC:
                     self._cut = f"cut at byte {self._size}, inside the index"
+                elif self._is_followed(end):
+                    self._cut = "another recording is appended, which is not read"
                 return
             wrong = self._framing(opcode, length)
             if wrong is not None:
@@ -279,6 +280,15 @@ class _Walk:
             self._at = end
             if opcode in _PROVEN:
                 self._sure = end
+
+    def _is_followed(self, at: int) -> bool:
+        """Whether another file begins behind the footer, as where `cat` joined recordings."""
+        opcode = Opcode.DATA_END
+        while opcode and opcode != Opcode.FOOTER:
+            head = os.pread(self._file.fileno(), _FRAME.size, at).ljust(_FRAME.size, b"\0")
+            opcode, length = _FRAME.unpack(head)
+            at = min(at + _FRAME.size + length, self._size)
+        return os.pread(self._file.fileno(), 2 * len(MCAP0_MAGIC), at) == 2 * MCAP0_MAGIC
 
     def _record(self, opcode: int, length: int) -> Iterator[Record]:
         """Messages of one record whose frame is sound; the file is at its content."""
