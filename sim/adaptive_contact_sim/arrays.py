@@ -18,8 +18,6 @@ from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.truth import Change
 
-__all__ = ["LegArrays", "Onset", "Run", "contact_at", "record_arrays", "record_run"]
-
 Array = NDArray[np.float64]
 
 

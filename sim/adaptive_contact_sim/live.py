@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.link import Link, Request
 
-__all__ = ["Outcome", "Pace", "run_live", "run_offline"]
-
 # Further behind than this, lost time is let go instead of caught up in a burst.
 _LET_GO_S = 0.5
 

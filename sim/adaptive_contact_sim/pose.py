@@ -28,8 +28,6 @@ from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
 
-__all__ = ["WORKSPACES", "PoseMotion", "PoseSettings", "Space", "Workspace"]
-
 Array = NDArray[np.float64]
 
 

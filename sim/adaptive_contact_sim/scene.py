@@ -19,16 +19,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
 from adaptive_contact_sim.terrain import HARD_SOLREF, Terrain
 
-__all__ = [
-    "OBSTACLES",
-    "OBSTACLE_TOP_M",
-    "PARKED_M",
-    "build",
-    "expose",
-    "obstacle_name",
-    "robot_xml",
-]
-
 # Bits of contype and conaffinity: what collides with the ground, and with obstacles.
 _GROUND_BIT: Final = 1
 _OBSTACLE_BIT: Final = 2

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
     from adaptive_contact.service.settings import Finding
 
-__all__ = ["Report", "RunPlan", "describe", "run"]
-
 Look = Callable[[Tick], None]
 
 _CLOSE_S: Final = 2.0

@@ -32,8 +32,6 @@ from adaptive_contact_sim.terrain import Terrain, TerrainSettings
 from adaptive_contact_sim.truth import Change, TruthTracker
 from adaptive_contact_sim.walk import WalkMotion, WalkSettings
 
-__all__ = ["Simulation", "SimulationSettings", "Tick", "Truth"]
-
 Array = NDArray[np.float64]
 MotionSettings: TypeAlias = PoseSettings | PoseGroupSettings | WalkSettings
 

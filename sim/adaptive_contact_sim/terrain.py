@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["HARD_SOLREF", "Terrain", "TerrainKind", "TerrainSettings", "soft_contact"]
-
 Array = NDArray[np.float64]
 TerrainKind = Literal["flat", "steps", "rough", "soft", "holes"]
 

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.plant import Touch
 
-__all__ = ["AIR_FORCE_N", "TOUCH_FORCE_N", "Change", "TruthTracker"]
-
 Array = NDArray[np.float64]
 
 TOUCH_FORCE_N: Final = 0.5

@@ -25,8 +25,6 @@ from adaptive_contact.score import (
 from adaptive_contact.wire import ContactEvent, ServoSample
 from adaptive_contact_sim.arrays import Run
 
-__all__ = ["LegRows", "Played", "Streams", "leg_stream", "play", "samples_of", "score_run"]
-
 MakeLearner = Callable[[Robot, str, Baseline | None], ContactLearner]
 
 

@@ -24,8 +24,6 @@ from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import play, score_run
 from adaptive_contact_studies.workers import completed
 
-__all__ = ["HEADLINE_RUNS", "HeadlineRun", "run_headline"]
-
 
 class HeadlineRun(NamedTuple):
     """One recording behind a row."""

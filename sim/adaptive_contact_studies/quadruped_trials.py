@@ -41,8 +41,6 @@ from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
 from adaptive_contact_studies.show.numbers import number, percent, share
 
-__all__ = ["SCENARIOS", "Recorded", "Scenario", "learn_quadruped", "play", "record"]
-
 Array = NDArray[np.float64]
 
 _L1, _L2 = 0.07, 0.09

@@ -34,8 +34,6 @@ from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import samples_of
 
-__all__ = ["Speed", "export_speed", "real_time_factor", "restore_speed", "tick_speed"]
-
 
 @dataclass(frozen=True)
 class TickSpeed:

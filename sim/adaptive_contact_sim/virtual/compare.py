@@ -31,8 +31,6 @@ from adaptive_contact.wire import (
     truth_key,
 )
 
-__all__ = ["Comparison", "compare"]
-
 # Truth of touches this long before the first sample still matters to it.
 _BEFORE_NS = 1_000_000_000
 

@@ -22,8 +22,6 @@ from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
 
-__all__ = ["HUNG_M", "PassiveBackend"]
-
 Array = NDArray[np.float64]
 OnTruth = Callable[[str, ContactTruth], None]
 

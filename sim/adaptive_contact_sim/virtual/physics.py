@@ -36,8 +36,6 @@ from adaptive_contact_sim.virtual.horns import Horns
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
 
-__all__ = ["GaitedBackend", "LocalSource", "ProcessSource"]
-
 Array = NDArray[np.float64]
 
 _END_S: Final = 5.0

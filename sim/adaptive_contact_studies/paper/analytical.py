@@ -31,8 +31,6 @@ from adaptive_contact_sim.elements import JOINTS
 from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.servo import FULL_SCALE_STEPS, QUANTUM_RAD, ServoParameters, duty
 
-__all__ = ["Gains", "NominalLeg", "predict", "tune_gains"]
-
 Array = NDArray[np.float64]
 
 # Physics steps per control tick, and rounds of the friction solver: the pitch joints are coupled.

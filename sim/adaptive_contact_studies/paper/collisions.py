@@ -40,8 +40,6 @@ from adaptive_contact_studies.paper.identification import fitted, predictions
 from adaptive_contact_studies.paper.recording import simulation_of
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW
 
-__all__ = ["ten_collisions"]
-
 Array = NDArray[np.float64]
 
 _SEED: Final = 13

@@ -42,20 +42,6 @@ from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.noise import WINDOWS, NoiseModel, context, fit_noise, lagged
 from adaptive_contact.model.tail import Tail, fit_tail
 
-__all__ = [
-    "JUDGED_AFTER_TICKS",
-    "Calibration",
-    "Motion",
-    "Prediction",
-    "alarm_ticks",
-    "calibrate",
-    "learn_noise",
-    "likelihood_ratio",
-    "paper_rule",
-    "position_difference",
-    "tracking_error",
-]
-
 Ints = NDArray[np.int64]
 
 

@@ -34,8 +34,6 @@ from adaptive_contact_studies.paper.data import Stream, join, load, record_all
 from adaptive_contact_studies.paper.plan import FULL
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, free_rows, residual_unit
 
-__all__ = ["RIDGE", "compare", "compare_all", "compare_full", "paper_fit"]
-
 Array = NDArray[np.float64]
 
 # PySINDy's default ridge term, which the paper does not mention changing.

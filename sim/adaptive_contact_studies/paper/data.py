@@ -29,8 +29,6 @@ from adaptive_contact_studies.paper.recording import (
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.workers import alone, completed
 
-__all__ = ["Stream", "join", "load", "parallel", "record_all"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 T = TypeVar("T")

@@ -49,8 +49,6 @@ from adaptive_contact_studies.paper.touched import (
     what_alarms_are,
 )
 
-__all__ = ["detection"]
-
 Array = NDArray[np.float64]
 
 _SPEED_EDGES_M_S: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["limits_figure", "roc_figure", "tails_figure"]
-
 _STYLES: Final = {
     "default": ("black", "-", 2.2),
     "ungated": (YELLOW, "-", 1.8),

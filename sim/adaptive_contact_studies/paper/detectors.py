@@ -37,8 +37,6 @@ from adaptive_contact_studies.paper.comparison_rules import (
 )
 from adaptive_contact_studies.paper.data import Stream
 
-__all__ = ["DETECTORS", "Bench", "Evidence", "LegModels", "evidence_of", "tune_bench"]
-
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 

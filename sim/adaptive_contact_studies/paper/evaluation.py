@@ -39,27 +39,6 @@ from adaptive_contact_studies.paper.detectors import DETECTORS, Evidence, eviden
 from adaptive_contact_studies.paper.models import Learned, learned, models_key
 from adaptive_contact_studies.paper.plan import GantrySettings, Piece, Plan
 
-__all__ = [
-    "AIM",
-    "AIMS",
-    "DEFAULT",
-    "FACTORS",
-    "MODELS",
-    "NEAR_TURN_TICKS",
-    "ONLINE",
-    "TOP_SCORE",
-    "UNGATED",
-    "aim_name",
-    "at_other_aims",
-    "evaluate",
-    "jobs_of",
-    "online_events",
-    "play_at",
-    "play_streams",
-    "play_ungated",
-    "read_job",
-]
-
 
 def play_streams(
     robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]

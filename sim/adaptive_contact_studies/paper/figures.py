@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_all"]
-
 # Shown at about the size they are drawn at: no smaller than 9 points.
 _STYLE: Final = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
 # Figure 4: the paper's colours; line and mark distinguish curves that lie on each other.

@@ -45,8 +45,6 @@ from adaptive_contact_studies.paper.rows import (
     rms_deg,
 )
 
-__all__ = ["LAMBDAS", "fitted", "identification", "predictions", "responses"]
-
 Array = NDArray[np.float64]
 
 # Log-spaced, three to a decade, and the paper's own choice.

@@ -35,8 +35,6 @@ from adaptive_contact_studies.paper.comparison_rules import (
 from adaptive_contact_studies.paper.log_files import PERIOD_S, Recording, load_logs
 from adaptive_contact_studies.paper.rows import NO_MODEL, blockwise, factor_of, worst
 
-__all__ = ["run_logs"]
-
 Array = NDArray[np.float64]
 
 FOLDS: Final = 5

@@ -49,15 +49,6 @@ from adaptive_contact_studies import evaluate, training
 from adaptive_contact_studies.cache import sources_digest
 from adaptive_contact_studies.paper.plan import GantrySettings
 
-__all__ = [
-    "physics_fingerprint",
-    "record_gantry",
-    "record_leg",
-    "require_unchanged_source",
-    "simulation_of",
-    "source_fingerprint",
-]
-
 Array = NDArray[np.float64]
 
 # Ways drawn in vain before one is bent: the acceptance elsewhere is above a tenth.

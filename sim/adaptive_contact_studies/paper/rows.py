@@ -15,20 +15,6 @@ from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_studies.paper.data import Stream
 
-__all__ = [
-    "NO_MODEL",
-    "PAPER_WINDOW",
-    "FreeRows",
-    "blockwise",
-    "factor_of",
-    "free_rows",
-    "noise_floor",
-    "pick",
-    "residual_unit",
-    "rms_deg",
-    "worst",
-]
-
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 

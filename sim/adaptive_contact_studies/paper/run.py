@@ -39,8 +39,6 @@ from adaptive_contact_studies.paper.workspace import (
 )
 from adaptive_contact_studies.show.progress import Advance, progress
 
-__all__ = ["STAGES", "run_paper"]
-
 STAGES: Final = (
     "dataset",
     "identification",

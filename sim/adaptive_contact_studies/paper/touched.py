@@ -47,25 +47,6 @@ from adaptive_contact_studies.paper.evaluation import (
 )
 from adaptive_contact_studies.paper.plan import Piece, Plan
 
-__all__ = [
-    "BOTH",
-    "SLIP_MS",
-    "SLOW_FAST",
-    "SLOW_KINDS",
-    "Touched",
-    "binned",
-    "by_kind",
-    "headline_streams",
-    "late_events",
-    "misses",
-    "outcome_of",
-    "peaks",
-    "rows_of",
-    "slips",
-    "touched_streams",
-    "what_alarms_are",
-]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -23,8 +23,6 @@ from adaptive_contact_studies.show.numbers import (
     thousands,
 )
 
-__all__ = ["HALF", "Headline", "Loss", "headline", "losses", "span"]
-
 DEFAULT: Final = "default"
 # Rows of 5,000 segments, on which the speed is asked for.
 _ASKED_ROWS: Final = 45_000

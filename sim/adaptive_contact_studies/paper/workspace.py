@@ -43,15 +43,6 @@ from adaptive_contact_studies.paper.rows import (
     worst,
 )
 
-__all__ = [
-    "compare_regions",
-    "map_extent",
-    "residual_map",
-    "study_leg_run",
-    "workspace",
-    "workspace_pieces",
-]
-
 Array = NDArray[np.float64]
 
 # Grid of the maps, m, over reach and height of the foot.
