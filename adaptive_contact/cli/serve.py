@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Final
 
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
-from adaptive_contact.cli._output import make_stdout_optional, say, say_note, say_waiting
-from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
+from adaptive_contact.cli._link import open_link
+from adaptive_contact.cli._output import make_stdout_optional, say, say_note
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.priority import cores, take_priority
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def serve(
 
         from adaptive_contact.bank import LearnerBank
         from adaptive_contact.learn.mode import WhenAmbiguous as Policy
-        from adaptive_contact.service.link import Link, router_settings
+        from adaptive_contact.service.link import router_settings
         from adaptive_contact.service.logs import FaultLog, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
         from adaptive_contact.service.server import Service, Sweeper
@@ -94,12 +95,9 @@ def serve(
             on_fault=FaultLog(),
             when_ambiguous=Policy(when_ambiguous),
         )
-        try:
-            link = Link.open(settings, on_wait=say_waiting, stop=stop)
-        except LinkError:
-            if stop.is_set():
-                return
-            raise
+        link = open_link(settings, stop)
+        if link is None:
+            return
         try:
             keeper = None if no_state else _keeper(state, robot, learned, network.namespace)
             sweeper = Sweeper()

@@ -45,6 +45,16 @@ class Space:
         height = rng.uniform(*self.height_m)
         return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
 
+    def holds(self, points_m: Array) -> NDArray[np.bool_]:
+        """(n,) which of (n, 3) m points lie in it, to the rounding of a grid."""
+        x, y, z = points_m.T
+        inside = np.ones(len(points_m), dtype=np.bool_)
+        ranges = (self.yaw_rad, self.reach_m, self.height_m)
+        values = (np.arctan2(y, x), np.hypot(x, y), z)
+        for value, (low, high) in zip(values, ranges, strict=True):
+            inside &= (value >= low - 1e-9) & (value <= high + 1e-9)
+        return inside
+
 
 # Lower and upper subspace, by name of the workspace.
 WORKSPACES: Final = {

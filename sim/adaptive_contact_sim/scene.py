@@ -113,6 +113,14 @@ def expose(model: mujoco.MjModel, elements: Elements, leg: str | None) -> None:
         model.geom_contype[elements.leg_geoms[i]] = bits
 
 
+def on_a_stand(height_m: float) -> mujoco.MjSpec:
+    """The hexapod with its body fixed so high over the origin; no ground."""
+    spec = mujoco.MjSpec.from_string(robot_xml())
+    spec.delete(spec.joint("body"))
+    spec.body("body").pos = [0.0, 0.0, height_m]
+    return spec
+
+
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
     """Sky, floor pattern, lights: for pictures only."""
     spec.add_texture(

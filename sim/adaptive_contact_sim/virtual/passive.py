@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.elements import JOINTS, LEGS, N_SERVOS, PARTS
 from adaptive_contact_sim.plant import Plant
-from adaptive_contact_sim.scene import robot_xml
+from adaptive_contact_sim.scene import on_a_stand
 from adaptive_contact_sim.servo import QUANTUM_RAD, manufactured
 from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.truth import TruthTracker
@@ -96,19 +96,8 @@ class PassiveBackend(OnStand):
             changes = self._truth.start(self._forces.mean(axis=0), plant.steps - _BATCH)
         changes += self._truth.update(self._forces, plant.touches, plant.steps)
         for change in changes:
-            touch = change.touch
-            self._on_truth(
-                LEGS[change.leg],
-                ContactTruth(
-                    t_ns=self._epoch_ns + change.step * round(STEP_S * 1e9),
-                    contact=change.contact,
-                    force=change.force_n,
-                    speed_m_s=None if touch is None else touch.speed_m_s,
-                    surface=None if touch is None else "hard",
-                    part=None if touch is None else PARTS[touch.part],
-                    grazing=touch is not None and touch.grazing,
-                ),
-            )
+            t_ns = self._epoch_ns + change.step * round(STEP_S * 1e9)
+            self._on_truth(LEGS[change.leg], change.message(t_ns, PARTS, lambda _: "hard"))
 
 
 def order() -> list[tuple[str, str]]:
@@ -118,9 +107,7 @@ def order() -> list[tuple[str, str]]:
 
 def _on_a_stand(height_m: float) -> mujoco.MjModel:
     """The robot with its body fixed over a hard floor."""
-    spec = mujoco.MjSpec.from_string(robot_xml())
-    spec.delete(spec.joint("body"))
-    spec.body("body").pos = [0.0, 0.0, height_m]
+    spec = on_a_stand(height_m)
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,

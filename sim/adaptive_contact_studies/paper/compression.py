@@ -165,7 +165,7 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
         return factor
 
     factor, factor_s = _timed(build, repeats)
-    unit: Array = np.array(residual_unit(factor))
+    unit: Array = np.array(residual_unit(fit_sparse(factor, FitSettings())))
     settings = FitSettings(threshold=threshold, unit=tuple(unit.tolist()))
     fit, compressed_s = _timed(lambda: fit_sparse(factor, settings), repeats)
     scale = factor.scale()

@@ -13,6 +13,7 @@ lies.  Of the leg of the paper's own dataset also the model of its two subspaces
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -31,7 +32,6 @@ from adaptive_contact_studies.paper.identification import shown_condition
 from adaptive_contact_studies.paper.plan import LegRun, Piece, Plan, Role
 from adaptive_contact_studies.paper.recording import physics_fingerprint, source_fingerprint
 from adaptive_contact_studies.paper.rows import (
-    BLOCK,
     NO_MODEL,
     PAPER_WINDOW,
     blockwise,
@@ -39,7 +39,9 @@ from adaptive_contact_studies.paper.rows import (
     free_rows,
     noise_floor,
     pick,
+    residual_unit,
     rms_deg,
+    thetas,
     worst,
 )
 
@@ -95,23 +97,14 @@ def where_it_fails(
 
 def _leverage(library: Library, domain: Domain, windows: Rows) -> Array:
     """(n,) how far each window's regressors lie from those of a fit."""
-    out = np.empty(len(windows.tick))
-    for start in range(0, len(out), BLOCK):
-        part = slice(start, start + BLOCK)
-        theta = library.evaluate(
-            windows.measured[part], windows.desired[part], windows.preview[part]
-        )
-        out[part] = domain.leverage(theta)
-    return out
+    parts = [domain.leverage(theta) for _, theta in thetas(library, windows)]
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def paper_column(point: Array) -> NDArray[np.bool_]:
     """Mask of feet within the paper's subspaces, or between them, where its segments pass."""
     low, high = WORKSPACES["paper"]
-    yaw, reach, height = cylinder(point).T
-    inside = (yaw >= low.yaw_rad[0]) & (yaw <= low.yaw_rad[1])
-    inside &= (reach >= low.reach_m[0]) & (reach <= low.reach_m[1])
-    return np.asarray(inside & (height >= low.height_m[0]) & (height <= high.height_m[1]))
+    return replace(low, height_m=(low.height_m[0], high.height_m[1])).holds(point)
 
 
 def norm_deg(residual: Array) -> float | None:
@@ -410,13 +403,7 @@ def _difference(
 
 def _joined(streams: Sequence[Stream], library: Library) -> Rows:
     parts = [free_rows(s, library).windows for s in streams]
-    return Rows(
-        np.concatenate([p.measured for p in parts]),
-        np.concatenate([p.desired for p in parts]),
-        np.concatenate([p.preview for p in parts]),
-        np.concatenate([p.increment for p in parts]),
-        np.concatenate([p.tick for p in parts]),
-    )
+    return Rows(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _region(point: Array, edges: Array) -> Ints:
@@ -429,7 +416,7 @@ def _fit(factor: Factor) -> _Model:
     whole = fit_sparse(factor, FitSettings())
     if whole.status in NO_MODEL:
         return _Model(whole.status, whole.coefficients, whole.condition)
-    unit = tuple(np.maximum(whole.rms, 1e-9).tolist())
-    sparse = fit_sparse(factor, FitSettings(threshold=_THRESHOLD, unit=unit))
+    settings = FitSettings(threshold=_THRESHOLD, unit=residual_unit(whole))
+    sparse = fit_sparse(factor, settings)
     fit = sparse if sparse.status is FitStatus.OK else whole
     return _Model(fit.status, fit.coefficients, fit.condition)

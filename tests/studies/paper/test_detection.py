@@ -24,9 +24,7 @@ from adaptive_contact_studies.paper.evaluation import (
     FACTORS,
     _tail,
     at_other_aims,
-    play_at,
     play_streams,
-    play_ungated,
 )
 from adaptive_contact_studies.paper.plan import FULL, LegRun, Piece
 from adaptive_contact_studies.paper.tables import part
@@ -317,7 +315,7 @@ def test_the_ungated_learner_is_the_products_own(robot: Robot, touched_stream: S
     baseline = shipped_baseline(robot.name)
     if baseline is None:
         pytest.skip("no shipped baseline: run `make baseline`")
-    (told,) = play_ungated(robot, {0: baseline}, [touched_stream])
+    (told,) = play_streams(robot, {0: baseline}, [touched_stream], mode=LearnerMode.UNGATED)
     learner = ContactLearner(robot, "rf", baseline, mode=LearnerMode.UNGATED)
     expected = Events.of(
         [
@@ -338,8 +336,9 @@ def test_an_aim_of_many_alarms_tells_more(robot: Robot, touched_stream: Stream) 
         pytest.skip("no shipped baseline: run `make baseline`")
     known = {0: baseline}
     (own,) = play_streams(robot, known, [touched_stream])
-    (same,) = play_at(robot.detector.false_alarms_per_hour, robot, known, [touched_stream])
-    (many,) = play_at(1e4, robot, known, [touched_stream])
+    aim = robot.detector.false_alarms_per_hour
+    (same,) = play_streams(robot, known, [touched_stream], per_hour=aim)
+    (many,) = play_streams(robot, known, [touched_stream], per_hour=1e4)
     np.testing.assert_array_equal(own.t_ns, same.t_ns)
     assert np.count_nonzero(many.contact) > np.count_nonzero(own.contact)
 

@@ -132,13 +132,17 @@ def test_what_has_no_model_and_what_is_singular_are_no_dashes() -> None:
 def test_every_joint_has_a_say_in_the_sparsest_model() -> None:
     """A mean would pick 0.3: the first joint gains there what the second loses."""
     points = [
-        {"lambda": 0.1, "held_out_rms": [0.200, 0.200]},
-        {"lambda": 0.3, "held_out_rms": [0.198, 0.203]},
-        {"lambda": 1.0, "held_out_rms": [0.300, 0.300]},
+        {"status": "ok", "lambda": 0.1, "held_out_rms": [0.200, 0.200]},
+        {"status": "ok", "lambda": 0.3, "held_out_rms": [0.198, 0.203]},
+        {"status": "ok", "lambda": 1.0, "held_out_rms": [0.300, 0.300]},
     ]
     assert _sparsest(points[:1] + points[2:]) == 0.1
     assert _sparsest([]) is None
     # Their best lie apart: the smallest.
     assert _sparsest(points) == 0.1
-    near = [*points[:1], {"lambda": 0.3, "held_out_rms": [0.2005, 0.2009]}, points[2]]
+    near = [
+        *points[:1],
+        {"status": "ok", "lambda": 0.3, "held_out_rms": [0.2005, 0.2009]},
+        points[2],
+    ]
     assert _sparsest(near) == 0.3
