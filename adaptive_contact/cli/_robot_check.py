@@ -169,14 +169,14 @@ def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
 
     if report.legs:
         console.print(_table(report.legs, report.moves if moves else []))
-    for line in _report_lines(report):
+    for line in report_lines(report):
         console.print(Text(line))
     print_findings(report.findings, console)
     if report.exit_code == 0:
         console.print(Text("nothing looks wrong", style="green"))
 
 
-def _report_lines(report: LiveReport) -> list[str]:
+def report_lines(report: LiveReport) -> list[str]:
     """What the motion has shown, and what it cannot."""
     lines = []
     sure = [leg for leg in report.confirmed if leg not in report.by_hand]

@@ -85,7 +85,7 @@ def serve(
         refused = take_priority(below=_BEHIND_THE_BUS) if realtime else None
         if refused is not None:
             say_note(refused)
-        robot, learned, origin = _load(config, baseline)
+        robot, learned, origin = learned_of(config, baseline)
         compile_tick()
         refitter = ProcessRefitter(process=process)
         bank = LearnerBank(
@@ -99,7 +99,7 @@ def serve(
         if link is None:
             return
         try:
-            keeper = None if no_state else _keeper(state, robot, learned, network.namespace)
+            keeper = None if no_state else keeper_of(state, robot, learned, network.namespace)
             sweeper = Sweeper()
             service = Service(
                 link,
@@ -153,7 +153,9 @@ def _leave(fault: BaseException | None) -> None:
         os._exit(0 if fault is None else 2 if expected else 1)
 
 
-def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline | None, str | None]:
+def learned_of(
+    config: Path | None, baseline: Path | None
+) -> tuple[Robot, Baseline | None, str | None]:
     """The robot, what is learned of it already, and where that comes from."""
     from adaptive_contact.robot import load_robot, shipped_robot
     from adaptive_contact.robot.load import is_shipped
@@ -172,7 +174,7 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
     return robot, learned, None if learned is None else f"shipped with {robot.name}"
 
 
-def _keeper(
+def keeper_of(
     folder: Path | None, robot: Robot, learned: Baseline | None, namespace: str | None
 ) -> StateKeeper:
     """Where the learners' state is kept: restored when they are made, saved as they go.

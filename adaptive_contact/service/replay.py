@@ -457,7 +457,7 @@ def _touches(
             found.append(Touch(at_s, "miss" if table.counted[i] else "beyond", why))
             continue
         kind = "miss" if table.counted[i] else "beyond"
-        found.append(Touch(at_s, kind, f"{_why_missed(t_ns, ratio, onset, end, withheld)} ({of})"))
+        found.append(Touch(at_s, kind, f"{why_missed(t_ns, ratio, onset, end, withheld)} ({of})"))
     for alarms, where in ((outcome.alarms_ns, "swing"), (outcome.after_ns, "turn to stance")):
         for at_ns in alarms.tolist():
             score = scores.get(at_ns, np.nan)
@@ -468,7 +468,7 @@ def _touches(
     return sorted(found, key=lambda touch: touch.at_s)
 
 
-def _why_missed(
+def why_missed(
     t_ns: NDArray[np.int64], ratio: Floats, onset: int, end: int, withheld: list[int]
 ) -> str:
     """The largest test ratio while a touch could be found, and what that says."""

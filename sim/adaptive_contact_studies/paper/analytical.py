@@ -92,7 +92,7 @@ class NominalLeg:
         )
 
 
-class _Dynamics:
+class Dynamics:
     """Advances many copies of the leg at once, state (3, s): joints first, which is faster."""
 
     def __init__(self, leg: NominalLeg) -> None:
@@ -239,7 +239,7 @@ def predict(leg: NominalLeg, streams: list[tuple[Array, Array]], gains: Gains) -
     measured = np.stack([streams[w][0][r].T for (w, _), r in zip(parts, rows, strict=True)], -1)
     desired = np.stack([streams[w][1][r].T for (w, _), r in zip(parts, rows, strict=True)], -1)
     measured, desired = measured.transpose(1, 0, 2), desired.transpose(1, 0, 2)
-    predicted = _observe(_Dynamics(leg), measured, desired, gains)
+    predicted = _observe(Dynamics(leg), measured, desired, gains)
     out = [np.full_like(m, np.nan) for m, _ in streams]
     for column, (which, start) in enumerate(parts):
         stop = min(start + chunk, len(out[which]))
@@ -249,7 +249,7 @@ def predict(leg: NominalLeg, streams: list[tuple[Array, Array]], gains: Gains) -
     return out
 
 
-def _observe(dynamics: _Dynamics, measured: Array, desired: Array, gains: Gains) -> Array:
+def _observe(dynamics: Dynamics, measured: Array, desired: Array, gains: Gains) -> Array:
     """(ticks, 3, s) readings predicted, the first repeating the reading."""
     predicted = np.empty_like(measured)
     predicted[0] = measured[0]

@@ -119,7 +119,7 @@ def record_all(
         shared = isinstance(piece.settings, GantrySettings)
         key = repr((piece.settings, piece.seconds)) if shared else repr(piece)
         jobs.setdefault(key, []).append((piece, path))
-    for _, seconds in parallel(_record, list(jobs.values()), workers):
+    for _, seconds in parallel(record_piece, list(jobs.values()), workers):
         progress(seconds)
 
 
@@ -128,7 +128,7 @@ def load(store: Store, piece: Piece) -> Stream:
     path = piece_path(store, piece)
     arrays = read_arrays(path)
     if arrays is None:
-        _record([(piece, path)])
+        record_piece([(piece, path)])
         arrays = read_arrays(path)
         assert arrays is not None
     steps = arrays["steps"].astype(np.float64) * QUANTUM_RAD
@@ -214,7 +214,8 @@ def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterat
     yield from completed(work, items, workers, finish=True)
 
 
-def _record(job: _Job) -> float:
+def record_piece(job: _Job) -> float:
+    """Simulate what pieces have in common, and write each; simulated time, s."""
     piece, _ = job[0]
     if isinstance(piece.settings, GantrySettings):
         legs = record_gantry(piece.settings, piece.seconds)

@@ -173,7 +173,7 @@ def _evaluate(store: Store, job: Job) -> dict[str, NDArray[Any]]:
             score = known.bench.score(detector, own)
             if free:
                 out[f"{prefix}alarms/{detector}"] = _sweep(own, score)
-                out |= {f"{prefix}{k}/{detector}": v for k, v in _tail(own, score).items()}
+                out |= {f"{prefix}{k}/{detector}": v for k, v in tail_of(own, score).items()}
             else:
                 out[f"{prefix}score/{detector}"] = score.astype(np.float32)
     return out
@@ -200,7 +200,7 @@ def _online(
     }
 
 
-def _tail(own: Evidence, score: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+def tail_of(own: Evidence, score: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
     """How high free ticks score: how many, above every threshold, the top ones after the turn."""
     known = own.free & np.isfinite(score)
     ordered = np.sort(score[known])

@@ -178,11 +178,11 @@ def _sweep(
         "condition": shown_condition(_condition(r)),
         "points": points,
         "emptied_at": emptied[0] if emptied else None,
-        "picked": _sparsest(points),
+        "picked": sparsest_of(points),
     }
 
 
-def _sparsest(points: Iterable[dict[str, Any]]) -> float | None:
+def sparsest_of(points: Iterable[dict[str, Any]]) -> float | None:
     """The largest λ at which every joint's held-out error is near its best.
 
     A mean over joints would let one of them pay for the others' sparsity.  The smallest λ where the
@@ -345,7 +345,7 @@ def _selection(
         "window": dataclasses.asdict(window),
         "size": library.size,
         "points": points,
-        "picked": _sparsest(points),
+        "picked": sparsest_of(points),
     }
 
 

@@ -81,7 +81,7 @@ def run_paper(
         SimulationDivergedError: the physics blew up.
     """
     console = console or Console()
-    runner = _Runner(out, plan, workers or os.cpu_count() or 1, logs, console)
+    runner = Runner(out, plan, workers or os.cpu_count() or 1, logs, console)
     results: dict[str, Any] = {
         "v": 1,
         "plan": plain(plan),
@@ -103,7 +103,7 @@ def run_paper(
     return dict(tree)
 
 
-class _Runner:
+class Runner:
     """The stages of one run."""
 
     def __init__(

@@ -48,7 +48,7 @@ from adaptive_contact_studies.paper.rows import (
 Array = NDArray[np.float64]
 
 # Grid of the maps, m, over reach and height of the foot.
-_CELL_M: Final = 0.015
+CELL_M: Final = 0.015
 _REACH_M: Final = (0.08, 0.26)
 _HEIGHT_M: Final = (-0.145, 0.13)
 # Windows in a cell that make a figure.
@@ -112,29 +112,29 @@ def norm_deg(residual: Array) -> float | None:
     return float(np.degrees(np.sqrt(np.square(residual).mean()))) if len(residual) else None
 
 
-def _edges(span: tuple[float, float]) -> Array:
+def edges_of(span: tuple[float, float]) -> Array:
     """Lower edges of the cells that cover a span; the last may reach beyond it."""
-    cells = int(np.ceil((span[1] - span[0]) / _CELL_M - 1e-9))
-    return np.asarray(span[0] + _CELL_M * np.arange(cells))
+    cells = int(np.ceil((span[1] - span[0]) / CELL_M - 1e-9))
+    return np.asarray(span[0] + CELL_M * np.arange(cells))
 
 
 def map_extent() -> list[float]:
     """Reach and height of the maps' outer edges, m: whole cells, not the spans asked for."""
-    ends = [(edges[0], edges[-1] + _CELL_M) for edges in map(_edges, (_REACH_M, _HEIGHT_M))]
+    ends = [(edges[0], edges[-1] + CELL_M) for edges in map(edges_of, (_REACH_M, _HEIGHT_M))]
     return [float(v) for pair in ends for v in pair]
 
 
 def residual_map(point: Array, residual: Array) -> list[list[float | None]]:
     """Root mean square over the floor, by height (rows) and reach (columns)."""
     reach = np.hypot(point[:, 0], point[:, 1])
-    columns, lines = _edges(_REACH_M), _edges(_HEIGHT_M)
+    columns, lines = edges_of(_REACH_M), edges_of(_HEIGHT_M)
     square = np.square(residual).mean(axis=1)
     grid: list[list[float | None]] = []
     for low in lines:
         line: list[float | None] = []
         for left in columns:
-            inside = (reach >= left) & (reach < left + _CELL_M)
-            inside &= (point[:, 2] >= low) & (point[:, 2] < low + _CELL_M)
+            inside = (reach >= left) & (reach < left + CELL_M)
+            inside &= (point[:, 2] >= low) & (point[:, 2] < low + CELL_M)
             enough = np.count_nonzero(inside) >= _MIN_CELL
             line.append(float(np.sqrt(square[inside].mean()) / noise_floor()) if enough else None)
         grid.append(line)
@@ -225,7 +225,7 @@ def workspace(studies: Mapping[str, Any]) -> dict[str, Any]:
                 for m in models
             },
             "difference": {
-                what: _difference([(s["rms_deg"][a], s["rms_deg"][b]) for s in own.values()])
+                what: difference_of([(s["rms_deg"][a], s["rms_deg"][b]) for s in own.values()])
                 for what, (a, b) in _DIFFERENCES.items()
             },
             "before": None if mapped is None else own[mapped]["before"],
@@ -375,7 +375,7 @@ def _mean(values: Sequence[Sequence[float] | None]) -> list[float] | None:
     return [float(v) for v in np.mean(known, axis=0)] if known else None
 
 
-def _difference(
+def difference_of(
     pairs: Sequence[tuple[Sequence[float] | None, Sequence[float] | None]],
 ) -> dict[str, Any]:
     """By how much the first of each pair is above the second, with Student's 95 % interval.
