@@ -17,7 +17,6 @@ from adaptive_contact.cli._bus import (
     described_in,
     needs_sdk,
     plans_of,
-    robot_of,
     shake_hands,
 )
 from adaptive_contact.cli._options import option, seconds_option
@@ -331,7 +330,7 @@ def check(
             raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")
         raise typer.Exit(
             check_live(
-                robot_of(config),
+                opt.described_robot(config),
                 network.client(wait=False),
                 _LIVE_S if seconds is None else seconds,
                 stop=stop,
@@ -344,7 +343,7 @@ def check(
             "--connect, --namespace, --zenoh-config and --json go with --live; without it, the bus "
             "is asked"
         )
-    robot = robot_of(config)
+    robot = opt.described_robot(config)
     if not (robot.ports or device):
         if picture is None:
             raise ConfigurationError(
@@ -384,7 +383,7 @@ def _check_bus(
 
     from adaptive_contact.cli._console import table_console
 
-    robot = robot_of(config)
+    robot = opt.described_robot(config)
     plans = plans_of(robot, config, device)
     shake_hands(plans)
     for line in compare(read_servos(plans)):

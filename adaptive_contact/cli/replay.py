@@ -85,7 +85,7 @@ def replay(
         _refuse(on_wire, "--events and --plot use no network; leave {} out")
         robot = opt.recorded_robot(config, [file])
         recording = read_recording(file, robot)
-        learned = _learned(robot, config, baseline)
+        learned, _ = opt.learned_of(robot, config, baseline)
         _to_events(recording, robot, events, plot, learned, when_ambiguous)
     else:
         bag = is_bag(file)
@@ -237,17 +237,6 @@ def _to_wire(
             f"{recording.path}: nothing to publish, there is no servo sample and no truth in it"
         )
     leave(closed=closed)
-
-
-def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseline | None:
-    """What is learned of the robot already; the shipped ones go together."""
-    from adaptive_contact.model.model_file import load_baseline, shipped_baseline
-    from adaptive_contact.robot.load import is_shipped
-
-    if baseline is not None:
-        return load_baseline(baseline)
-    shipped = config is None or is_shipped(config)
-    return shipped_baseline(robot.name) if shipped else None
 
 
 def _warn(recording: Recording, counts: Counts) -> None:

@@ -85,7 +85,8 @@ def serve(
         refused = take_priority(below=_BEHIND_THE_BUS) if realtime else None
         if refused is not None:
             say_note(refused)
-        robot, learned, origin = learned_of(config, baseline)
+        robot = opt.described_robot(config)
+        learned, origin = opt.learned_of(robot, config, baseline)
         compile_tick()
         refitter = ProcessRefitter(process=process)
         bank = LearnerBank(
@@ -151,27 +152,6 @@ def _leave(fault: BaseException | None) -> None:
         sys.stdout.flush()
     finally:  # also where nothing can be written any more
         os._exit(0 if fault is None else 2 if expected else 1)
-
-
-def learned_of(
-    config: Path | None, baseline: Path | None
-) -> tuple[Robot, Baseline | None, str | None]:
-    """The robot, what is learned of it already, and where that comes from."""
-    from adaptive_contact.robot import load_robot, shipped_robot
-    from adaptive_contact.robot.load import is_shipped
-
-    robot = shipped_robot() if config is None else load_robot(config)
-    if baseline is not None:
-        from adaptive_contact.model import load_baseline
-        from adaptive_contact.service.settings import shown_path
-
-        return robot, load_baseline(baseline), shown_path(baseline)
-    if config is not None and not is_shipped(config):
-        return robot, None, None
-    from adaptive_contact.model import shipped_baseline
-
-    learned = shipped_baseline(robot.name)
-    return robot, learned, None if learned is None else f"shipped with {robot.name}"
 
 
 def keeper_of(
