@@ -38,7 +38,6 @@ class PassiveBackend(OnStand):
         horns: how the servos are mounted.
         height_m: of the body over the floor.
         robot_seed: which robot of its kind.
-        start_rad: (18,) joint angles at first; legs stretched out level where left out.
         epoch_ns: wall clock of the start, for the truth's time stamps.
         on_truth: gets changes of contact.
     """
@@ -49,14 +48,12 @@ class PassiveBackend(OnStand):
         *,
         height_m: float = HUNG_M,
         robot_seed: int = 0,
-        start_rad: Array | None = None,
         epoch_ns: int = 0,
         on_truth: OnTruth = lambda *_: None,
     ) -> None:
-        start = np.zeros(N_SERVOS) if start_rad is None else np.array(start_rad, dtype=np.float64)
-        super().__init__(horns, start, epoch_ns)
+        super().__init__(horns, np.zeros(N_SERVOS), epoch_ns)  # legs stretched out level
         self.plant = Plant(_on_a_stand(height_m), manufactured(robot_seed), period_s=STEP_S)
-        self.plant.joint_angles[:] = start
+        self.plant.joint_angles[:] = 0.0
         mujoco.mj_forward(self.plant.model, self.plant.data)
         self._written: Array | None = None
         self._truth = TruthTracker(STEP_S, _BATCH)

@@ -77,7 +77,7 @@ class NominalLeg:
     gravity: float
 
     @classmethod
-    def of(cls, leg: str = "rf", *, servo: ServoParameters | None = None) -> NominalLeg:
+    def of(cls, leg: str = "rf") -> NominalLeg:
         """Read the constants; legs are equal, and so are nominal servos."""
         model = mujoco.MjSpec.from_string(robot_xml()).compile()
         bodies = [model.body(f"{leg}_{joint}").id for joint in JOINTS]
@@ -86,7 +86,7 @@ class NominalLeg:
             centre_m=model.body_ipos[bodies][:, [0, 2]].copy(),
             inertia=model.body_inertia[bodies].copy(),
             offset_m=np.array([0.0, *model.body_pos[bodies[1:]][:, 0]]),
-            servo=servo or ServoParameters(),
+            servo=ServoParameters(),
             step_s=float(model.opt.timestep),
             gravity=float(-model.opt.gravity[2]),
         )

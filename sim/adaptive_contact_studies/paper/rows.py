@@ -114,15 +114,14 @@ def residual_unit(least_squares: Fit) -> tuple[float, ...]:
     return tuple(np.maximum(least_squares.rms, _LEAST).tolist())
 
 
-def noise_floor(encoder: EncoderSettings | None = None) -> float:
+def noise_floor() -> float:
     r"""Standard deviation of a reading about the true angle, rad.
 
     Noise of :math:`\sigma` steps before rounding, and rounding itself, uniform over a step:
     :math:`q\sqrt{\sigma^2 + 1/12}`.  What is to be predicted is a reading, so that no model's
     residual is smaller.
     """
-    settings = encoder or EncoderSettings()
-    return QUANTUM_RAD * math.sqrt(settings.noise_steps**2 + 1.0 / 12.0)
+    return QUANTUM_RAD * math.sqrt(EncoderSettings().noise_steps ** 2 + 1.0 / 12.0)
 
 
 def rms_deg(residual: Array) -> list[float]:
