@@ -23,6 +23,7 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 # Of the name of a file in the name of the one beside it: a file system allows 255 bytes.
 _NAME_CHARACTERS: Final = 40
 _STANDARD_STREAMS: Final = (1, 2)
+_ADVICE: Final = "give a path in a folder that exists, is writable and has room"
 _APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOCTTY
 
 
@@ -30,25 +31,12 @@ def write_file(
     path: str | Path,
     data: bytes | str,
     *,
-    advice: str = "give a path in a folder that exists, is writable and has room",
+    advice: str = _ADVICE,
     error: type[AdaptiveContactError] = ConfigurationError,
 ) -> None:
-    """Write a file, whole or not at all.
-
-    Args:
-        path: where to; a link is followed, a device or FIFO written to.
-        data: content; text becomes UTF-8.
-        advice: what the person can do when it fails, the end of the error's line.
-        error: kind of error to raise.
-
-    Raises:
-        AdaptiveContactError: of the given kind, when it cannot be written.
-    """
-    path = Path(path)
-    try:
-        _write(path, data.encode() if isinstance(data, str) else data)
-    except OSError as why:
-        raise error(cannot_write(path, why, advice)) from why
+    """Write a file, whole or not at all, as :func:`whole_file` does; text becomes UTF-8."""
+    with whole_file(path, advice=advice, error=error) as file:
+        file.write(data.encode() if isinstance(data, str) else data)
 
 
 def open_stream(path: str | Path) -> IO[bytes]:
@@ -66,10 +54,10 @@ def open_stream(path: str | Path) -> IO[bytes]:
 def whole_file(
     path: str | Path,
     *,
-    advice: str = "give a path in a folder that exists, is writable and has room",
+    advice: str = _ADVICE,
     error: type[AdaptiveContactError] = ConfigurationError,
 ) -> Iterator[IO[bytes]]:
-    """Open a file that is too long for memory, and appears whole or not at all.
+    """Open a file that appears whole or not at all.
 
     Args:
         path: where to; a link is followed, a device or FIFO written to.
@@ -84,15 +72,7 @@ def whole_file(
     """
     path = Path(path)
     try:
-        if path.exists() and not path.is_file():
-            with os.fdopen(os.open(path, _APPEND), "wb") as file:
-                yield file
-            return
-        target = Path(os.path.realpath(path))
-        old = target.stat() if target.exists() else None
-        if old is not None and not os.access(target, os.W_OK):
-            raise PermissionError(13, "it is read-only", str(target))
-        with _beside(target, old) as file:
+        with _opened(path) as file:
             yield file
     except OSError as why:
         raise error(cannot_write(path, why, advice)) from why
@@ -125,32 +105,36 @@ def cannot_write(path: Path, why: OSError, advice: str) -> str:
     return f"{path}: cannot be written ({why.strerror or why}); {advice}"
 
 
-def _write(path: Path, data: bytes) -> None:
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[IO[bytes]]:
+    """Open a file beside its place, or what is there and is no regular file."""
     try:
         found = path.stat()
     except FileNotFoundError:
         found = None
     target = Path(os.path.realpath(path))
-    if found is None:
-        _replace(target, data, None)
-        return
+    stream = None if found is None else _standard_stream(found)
+    opened: contextlib.AbstractContextManager[IO[bytes]]
+    if stream is not None:
+        _flush_streams()
+        opened = os.fdopen(os.dup(stream), "wb")  # shares the position with what is printed
+    elif found is None or (stat.S_ISREG(found.st_mode) and _is_same(target, found)):
+        if found is not None and not os.access(target, os.W_OK):
+            raise PermissionError(13, "it is read-only", str(target))
+        opened = _beside(target, found)
+    else:
+        opened = os.fdopen(os.open(path, _APPEND), "wb")
+    with opened as file:
+        yield file
+
+
+def _standard_stream(found: os.stat_result) -> int | None:
+    """The standard stream that goes to a file, if one does."""
     for stream in _STANDARD_STREAMS:
         with contextlib.suppress(OSError):  # it may be closed
             if os.path.samestat(os.fstat(stream), found):
-                _flush_streams()
-                _pour(os.dup(stream), data)  # shares the position with what is printed
-                return
-    if stat.S_ISREG(found.st_mode) and _is_same(target, found):
-        if not os.access(target, os.W_OK):
-            raise PermissionError(13, "it is read-only", str(target))
-        _replace(target, data, found)
-        return
-    _pour(os.open(path, _APPEND), data)
-
-
-def _replace(target: Path, data: bytes, old: os.stat_result | None) -> None:
-    with _beside(target, old) as file:
-        file.write(data)
+                return stream
+    return None
 
 
 @contextlib.contextmanager
@@ -173,11 +157,6 @@ def _beside(target: Path, old: os.stat_result | None) -> Iterator[IO[bytes]]:
         with contextlib.suppress(OSError):
             part.unlink()
         raise
-
-
-def _pour(handle: int, data: bytes) -> None:
-    with os.fdopen(handle, "wb") as file:
-        file.write(data)
 
 
 def _is_same(target: Path, found: os.stat_result) -> bool:

@@ -28,8 +28,6 @@ from adaptive_contact.wire import (
     Status,
 )
 
-__all__ = ["Counters", "LegReport"]
-
 FAULT_LINE: Final = 160  # characters
 _NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 

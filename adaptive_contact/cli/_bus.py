@@ -37,13 +37,6 @@ def needs_sdk() -> Iterator[None]:
         raise MissingExtraError("the Dynamixel bridge", "dynamixel") from error
 
 
-def robot_of(config: Path | None) -> Robot:
-    """The robot described, or the shipped hexapod."""
-    from adaptive_contact.robot import load_robot, shipped_robot
-
-    return shipped_robot() if config is None else load_robot(config)
-
-
 def described_in(config: Path | None) -> str:
     """Name the file of a description for a person."""
     return "the shipped robot, as there is no --config" if config is None else str(config)

@@ -25,6 +25,7 @@ from adaptive_contact.files import why_not_writable
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
 
 if TYPE_CHECKING:
+    from adaptive_contact.model import Baseline
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.recording import Recording
 
@@ -377,6 +378,28 @@ def say_damage(recording: Recording) -> None:
     lines = recording.notes if recording.damage is None else (recording.damage, *recording.notes)
     for line in lines:
         say_note(f"{recording.path}: {line}")
+
+
+def described_robot(config: Path | None) -> Robot:
+    """The robot of ``--config``, or the shipped hexapod."""
+    from adaptive_contact.robot import load_robot, shipped_robot
+
+    return shipped_robot() if config is None else load_robot(config)
+
+
+def learned_of(
+    robot: Robot, config: Path | None, baseline: Path | None
+) -> tuple[Baseline | None, str | None]:
+    """What is learned of a robot already, by ``--baseline`` or with its description; its origin."""
+    from adaptive_contact.model.model_file import load_baseline, shipped_baseline
+    from adaptive_contact.robot.load import is_shipped
+    from adaptive_contact.service.settings import shown_path
+
+    if baseline is not None:
+        return load_baseline(baseline), shown_path(baseline)
+    shipped = config is None or is_shipped(config)
+    learned = shipped_baseline(robot.name) if shipped else None
+    return learned, None if learned is None else f"shipped with {robot.name}"
 
 
 def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:

@@ -17,7 +17,6 @@ from adaptive_contact.cli._bus import (
     described_in,
     needs_sdk,
     plans_of,
-    robot_of,
     shake_hands,
 )
 from adaptive_contact.cli._options import option, seconds_option
@@ -169,14 +168,14 @@ def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
 
     if report.legs:
         console.print(_table(report.legs, report.moves if moves else []))
-    for line in _report_lines(report):
+    for line in report_lines(report):
         console.print(Text(line))
     print_findings(report.findings, console)
     if report.exit_code == 0:
         console.print(Text("nothing looks wrong", style="green"))
 
 
-def _report_lines(report: LiveReport) -> list[str]:
+def report_lines(report: LiveReport) -> list[str]:
     """What the motion has shown, and what it cannot."""
     lines = []
     sure = [leg for leg in report.confirmed if leg not in report.by_hand]
@@ -331,7 +330,7 @@ def check(
             raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")
         raise typer.Exit(
             check_live(
-                robot_of(config),
+                opt.described_robot(config),
                 network.client(wait=False),
                 _LIVE_S if seconds is None else seconds,
                 stop=stop,
@@ -344,7 +343,7 @@ def check(
             "--connect, --namespace, --zenoh-config and --json go with --live; without it, the bus "
             "is asked"
         )
-    robot = robot_of(config)
+    robot = opt.described_robot(config)
     if not (robot.ports or device):
         if picture is None:
             raise ConfigurationError(
@@ -384,7 +383,7 @@ def _check_bus(
 
     from adaptive_contact.cli._console import table_console
 
-    robot = robot_of(config)
+    robot = opt.described_robot(config)
     plans = plans_of(robot, config, device)
     shake_hands(plans)
     for line in compare(read_servos(plans)):

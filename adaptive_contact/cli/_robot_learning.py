@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
+from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, shake_hands
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
@@ -109,7 +109,7 @@ def learn(
     opt.check_output(kept, "--recording")
     if holds_content(kept):
         raise ConfigurationError(f"{kept} is there already; give another --recording")
-    robot = robot_of(config)
+    robot = opt.described_robot(config)
     for leg in robot.legs:
         if leg.chain is None:
             raise ConfigurationError(

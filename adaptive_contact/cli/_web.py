@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
+from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, stoppable
 from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError
@@ -78,9 +79,6 @@ def live_page(settings: WebSettings, *, browse: bool) -> Iterator[LivePage]:
 
 def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bool) -> None:
     """Serve the page until Ctrl-C."""
-    from adaptive_contact.service.link import Link
-    from adaptive_contact.service.settings import NoRouterError
-
     # No exception: one that strikes inside a library may be lost there.
     stop = stoppable()
     with ExitStack() as stack:
@@ -94,12 +92,9 @@ def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bo
                 "by itself.",
             )
 
-        try:
-            link = Link.open(link_settings, on_wait=waiting, stop=stop)
-        except NoRouterError:
-            if stop.is_set():
-                return
-            raise
+        link = open_link(link_settings, stop, on_wait=waiting)
+        if link is None:
+            return
         stack.callback(link.close)
         page.follow(link)
         stack.callback(page.close)  # before the link that it asks

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, robot_of, shake_hands
+from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, shake_hands
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
@@ -60,7 +60,7 @@ def ros2(
     from adaptive_contact.ros2 import needs_rosbags
     from adaptive_contact.service.link import Link
 
-    robot = robot_of(config)
+    robot = opt.described_robot(config)
     with needs_rosbags():
         from adaptive_contact.ros2.intake import check_mapped
         from adaptive_contact.service.ros2 import Gateway, shown_of_ros
@@ -185,7 +185,7 @@ def dynamixel(
     """Publish the servos' positions and goals at the control rate, a process per port."""
     make_stdout_optional()
     stop = opt.stoppable()
-    plans = plans_of(robot_of(config), config, device, baud)
+    plans = plans_of(opt.described_robot(config), config, device, baud)
     settings = network.client(json=json)
     shake_hands(plans, "adaptive-contact bridge", configure=configure, drive=drive)
     _Crew(plans, "drive" if drive else "observe", settings, realtime=realtime).run(stop)

@@ -51,11 +51,12 @@ def doctor(
 
         say_json(msgspec.json.encode(diagnosis))
     else:
-        _print(diagnosis)
+        print_diagnosis(diagnosis)
     raise typer.Exit(diagnosis.exit_code)
 
 
-def _print(diagnosis: Diagnosis) -> None:
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """What was found, for a person."""
     from rich.text import Text
 
     from adaptive_contact.cli._console import table_console

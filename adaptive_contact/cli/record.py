@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import os
 import sys
 import time
 from pathlib import Path
@@ -12,9 +11,10 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._link import leave, open_link
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note, say_waiting
-from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content
 from adaptive_contact.printable import printable
 
@@ -39,7 +39,6 @@ def record(
     # Before anything that takes time, so that a stop during the start is clean too.
     stop = opt.stoppable()
 
-    from adaptive_contact.service.link import Link
     from adaptive_contact.service.recording import RecordingWriter
     from adaptive_contact.service.recording.recorder import Recorder, check_key_expression
 
@@ -49,12 +48,9 @@ def record(
             f"{file} exists already; choose another name, or give --force to replace it"
         )
     settings = network.client()
-    try:
-        link = Link.open(settings, on_wait=say_waiting, stop=stop)
-    except LinkError:
-        if stop.is_set():
-            return
-        raise
+    link = open_link(settings, stop)
+    if link is None:
+        return
     try:
         started_s = time.monotonic()
         live = sys.stderr.isatty()
@@ -70,10 +66,7 @@ def record(
     if live:
         overwrite("")
     _report(file, key, recorder.counts, time.monotonic() - started_s)
-    if not closed:
-        # A publisher hangs on to the session, and the interpreter's own exit would wait for it.
-        sys.stdout.flush()
-        os._exit(0)
+    leave(closed=closed)
 
 
 def _kinds(counts: collections.Counter[str]) -> str:

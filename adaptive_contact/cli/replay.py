@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import sys
 import time
 from collections.abc import Mapping
@@ -15,9 +14,10 @@ import typer
 
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
+from adaptive_contact.cli._link import leave, open_link
 from adaptive_contact.cli._options import option
-from adaptive_contact.cli._output import say, say_note, say_waiting
-from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
+from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def replay(
         _refuse(on_wire, "--events and --plot use no network; leave {} out")
         robot = opt.recorded_robot(config, [file])
         recording = read_recording(file, robot)
-        learned = _learned(robot, config, baseline)
+        learned, _ = opt.learned_of(robot, config, baseline)
         read = (file, config, baseline)
         _to_events(recording, robot, events, plot, learned, when_ambiguous, read)
     else:
@@ -207,17 +207,13 @@ def _to_wire(
     everything: bool,
     keep_run: bool,
 ) -> None:
-    from adaptive_contact.service.link import Link
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.replay import WirePlayer
 
     stop = opt.stoppable()
-    try:
-        link = Link.open(settings, on_wait=say_waiting, stop=stop)
-    except LinkError:
-        if stop.is_set():
-            return
-        raise
+    link = open_link(settings, stop)
+    if link is None:
+        return
     try:
         # Milliseconds since 1970: a later replay is a newer start.
         run = time.time_ns() // 1_000_000
@@ -242,21 +238,7 @@ def _to_wire(
         raise RecordingError(
             f"{recording.path}: nothing to publish, there is no servo sample and no truth in it"
         )
-    if not closed:
-        # A subscriber hangs on to the session, and the interpreter's own exit would wait for it.
-        sys.stdout.flush()
-        os._exit(0)
-
-
-def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseline | None:
-    """What is learned of the robot already; the shipped ones go together."""
-    from adaptive_contact.model.model_file import load_baseline, shipped_baseline
-    from adaptive_contact.robot.load import is_shipped
-
-    if baseline is not None:
-        return load_baseline(baseline)
-    shipped = config is None or is_shipped(config)
-    return shipped_baseline(robot.name) if shipped else None
+    leave(closed=closed)
 
 
 def _warn(recording: Recording, counts: Counts) -> None:

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Final
 
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
-from adaptive_contact.cli._output import make_stdout_optional, say, say_note, say_waiting
-from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
+from adaptive_contact.cli._link import open_link
+from adaptive_contact.cli._output import make_stdout_optional, say, say_note
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.priority import cores, take_priority
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def serve(
 
         from adaptive_contact.bank import LearnerBank
         from adaptive_contact.learn.mode import WhenAmbiguous as Policy
-        from adaptive_contact.service.link import Link, router_settings
+        from adaptive_contact.service.link import router_settings
         from adaptive_contact.service.logs import FaultLog, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
         from adaptive_contact.service.server import Service, Sweeper
@@ -84,7 +85,8 @@ def serve(
         refused = take_priority(below=_BEHIND_THE_BUS) if realtime else None
         if refused is not None:
             say_note(refused)
-        robot, learned, origin = _load(config, baseline)
+        robot = opt.described_robot(config)
+        learned, origin = opt.learned_of(robot, config, baseline)
         compile_tick(stop)
         if stop.is_set():
             return
@@ -96,14 +98,11 @@ def serve(
             on_fault=FaultLog(),
             when_ambiguous=Policy(when_ambiguous),
         )
+        link = open_link(settings, stop)
+        if link is None:
+            return
         try:
-            link = Link.open(settings, on_wait=say_waiting, stop=stop)
-        except LinkError:
-            if stop.is_set():
-                return
-            raise
-        try:
-            keeper = None if no_state else _keeper(state, robot, learned, network.namespace)
+            keeper = None if no_state else keeper_of(state, robot, learned, network.namespace)
             sweeper = Sweeper()
             service = Service(
                 link,
@@ -157,26 +156,7 @@ def _leave(fault: BaseException | None) -> None:
         os._exit(0 if fault is None else 2 if expected else 1)
 
 
-def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline | None, str | None]:
-    """The robot, what is learned of it already, and where that comes from."""
-    from adaptive_contact.robot import load_robot, shipped_robot
-    from adaptive_contact.robot.load import is_shipped
-
-    robot = shipped_robot() if config is None else load_robot(config)
-    if baseline is not None:
-        from adaptive_contact.model import load_baseline
-        from adaptive_contact.service.settings import shown_path
-
-        return robot, load_baseline(baseline), shown_path(baseline)
-    if config is not None and not is_shipped(config):
-        return robot, None, None
-    from adaptive_contact.model import shipped_baseline
-
-    learned = shipped_baseline(robot.name)
-    return robot, learned, None if learned is None else f"shipped with {robot.name}"
-
-
-def _keeper(
+def keeper_of(
     folder: Path | None, robot: Robot, learned: Baseline | None, namespace: str | None
 ) -> StateKeeper:
     """Where the learners' state is kept: restored when they are made, saved as they go.

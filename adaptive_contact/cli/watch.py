@@ -8,8 +8,9 @@ import time
 from typing import TYPE_CHECKING, Annotated, Final
 
 from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import say_json, say_waiting
+from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._web import (
     WEB_PANEL,
     HostOption,
@@ -71,17 +72,13 @@ def watch(
         serve_page(page_settings, settings, browse=not no_browser)
         return
     stop = opt.stoppable()
-    from adaptive_contact.service.link import Link, NoRouterError
     from adaptive_contact.service.watch import Feed
 
     # A script that looks once is not to stand still where there is no router.
     patience_s = wait if once else math.inf
-    try:
-        link = Link.open(settings, on_wait=say_waiting, stop=stop, patience_s=patience_s)
-    except NoRouterError:
-        if stop.is_set():
-            return
-        raise
+    link = open_link(settings, stop, patience_s=patience_s)
+    if link is None:
+        return
     with link:
         feed = Feed(link)
 

@@ -15,20 +15,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.conventions.rigid import LEAST_ROWS, RIGID, SETTLE_S, on_body, rigidity
 from adaptive_contact.robot import Leg
 from adaptive_contact.robot.gait_phase import infer_phase
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Standing feet: over this time, s, after settling, s; at least so many ticks of a pair; rho of a
-# body that is rigid, and of one that is not (see robot.conventions).
+# Standing feet: over this time, s; rho of a body that is not rigid (see conventions.rigid).
 LAG_S: Final = 0.08
-SETTLE_S: Final = 0.12
-LEAST_ROWS: Final = 40
-LEAST_WAY_M: Final = 0.002
-TRIMMED: Final = 0.3
-RIGID: Final = 0.1
 LOOSE: Final = 0.12
 MOST_LEGS: Final = 6
 
@@ -140,8 +135,10 @@ class StandingFeet:
                 desired = desired * [
                     -1.0 if a == "yaw" else 1.0 for a in self._legs[leg].joint_axes
                 ]
-            on_body = _on_body(self._legs[place], desired)
-            self._feet[seat] = np.stack([on_body[at], on_body[at - self._lag]], axis=1)
+            seated = self._legs[place]
+            assert seated.chain is not None
+            feet = on_body(seated, seated.chain.foot(desired))
+            self._feet[seat] = np.stack([feet[at], feet[at - self._lag]], axis=1)
         return self._feet[seat]
 
     def _compare(self, one: _Seat, other: _Seat) -> tuple[float, float]:
@@ -149,27 +146,8 @@ class StandingFeet:
         _, rows, columns = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
         if len(rows) < LEAST_ROWS:
             return 0.0, math.inf
-        p, q = self._foot(one)[rows], self._foot(other)[columns]
-        between = np.linalg.norm(p - q, axis=2)
-        apart = np.abs(between[:, 0] - between[:, 1])
-        ways = np.stack([p, q])
-        way2 = np.square(ways[:, :, 0] - ways[:, :, 1]).sum(axis=2).mean(axis=0)
-        kept = np.argsort(apart)[: math.ceil((1.0 - TRIMMED) * len(apart))]
-        way = float(way2[kept].mean())
-        if way < LEAST_WAY_M**2:
-            return 0.0, math.inf
-        return float(len(rows)) ** 2, float(np.square(apart[kept]).mean() / way)
-
-
-def _on_body(place: Leg, desired: Array) -> Array:
-    """(n, 3) m, the foot of a leg that sits there, in the body's frame."""
-    assert place.chain is not None
-    yaw = place.mount.yaw_rad
-    turn = np.array(
-        [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
-    )
-    in_leg = place.chain.foot(desired)
-    return np.asarray(in_leg @ turn.T + np.array(place.mount.xyz_m))
+        rho2 = rigidity(self._foot(one)[rows], self._foot(other)[columns])
+        return (float(len(rows)) ** 2 if math.isfinite(rho2) else 0.0), rho2
 
 
 def _standing(leg: Leg, rows: LegRows, lag: int, settle: int) -> NDArray[np.int64]:

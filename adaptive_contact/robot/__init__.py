@@ -21,8 +21,6 @@ from adaptive_contact.robot.kinematics import (
     Chain,
     axis_text,
     foot,
-    foot_point,
-    height_gradient,
     inverse,
     link_angles,
 )
@@ -45,8 +43,6 @@ __all__ = [
     "ServoLaw",
     "axis_text",
     "foot",
-    "foot_point",
-    "height_gradient",
     "inverse",
     "link_angles",
     "load_robot",

@@ -182,26 +182,11 @@ class Chain:
     def _axes(self) -> tuple[Vector, ...]:
         return tuple((a, b, c) for a, b, c in self.vectors.tolist())
 
-    def height_gradient(self, q: Sequence[float]) -> Array:
-        """How the foot rises with each joint, (J,) rad to (J,) m per rad.
+    def height_gradients(self, q: ArrayLike) -> Array:
+        """How the foot rises with each joint, (..., J) rad to (..., J) m per rad.
 
         The third row of the leg's Jacobian; 0 for a joint whose axis is upright.
         """
-        if not self.is_straight:
-            return self.height_gradients(q)
-        pitch, reach = 0.0, []
-        for angle, length, axis in zip(q, self._lengths, self.axes, strict=True):
-            pitch += angle if axis == "pitch" else 0.0
-            reach.append(length * math.cos(pitch))
-        beyond, rises = 0.0, [0.0] * len(reach)
-        for i in range(len(reach) - 1, -1, -1):
-            beyond += reach[i]
-            if self.axes[i] == "pitch":
-                rises[i] = beyond
-        return np.array(rises)
-
-    def height_gradients(self, q: ArrayLike) -> Array:
-        """:meth:`height_gradient` of many postures, (..., J) rad to (..., J) m per rad."""
         angles = np.asarray(q, dtype=np.float64)
         if not self.is_straight:
             points, axes = self.frames(angles)
@@ -264,20 +249,6 @@ def link_angles(q: ArrayLike, axes: Sequence[str | Vector]) -> Array:
 def foot(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str | Vector]) -> Array:
     """:meth:`Chain.foot` of a :func:`straight` chain, (..., J) rad to (..., 3) m."""
     return straight(lengths_m, axes).foot(q)
-
-
-def foot_point(
-    q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str | Vector]
-) -> Vector:
-    """:meth:`Chain.point` of a :func:`straight` chain, (J,) rad to x, y, z in m."""
-    return straight(lengths_m, axes).point(q)
-
-
-def height_gradient(
-    q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str | Vector]
-) -> Array:
-    """:meth:`Chain.height_gradient` of a :func:`straight` chain, (J,) rad to (J,) m per rad."""
-    return straight(lengths_m, axes).height_gradient(q)
 
 
 def _turned(vectors: Array, axis: Array, angles: Array) -> Array:

@@ -9,14 +9,9 @@ import msgspec
 from adaptive_contact.robot.description import Leg, Port, Robot, ServoBus
 
 
-def write_robot(robot: Robot, *, comments: bool = True) -> str:
-    """A description as TOML text.
-
-    Args:
-        robot: what to write.
-        comments: explain each line, and show what is still to be filled in.
-    """
-    say = _Commented(comments)
+def write_robot(robot: Robot) -> str:
+    """A description as TOML text; comments show what is still to be filled in."""
+    say = _Commented()
     say.line("[robot]")
     say.line(f"name = {_text(robot.name)}")
     say.line(f"period_s = {robot.period_s:g}", "control tick; 0.02 is 50 Hz")
@@ -46,18 +41,14 @@ def write_robot(robot: Robot, *, comments: bool = True) -> str:
 
 
 class _Commented:
-    def __init__(self, comments: bool) -> None:
-        self._comments = comments
+    def __init__(self) -> None:
         self._lines: list[str] = []
 
     def line(self, text: str, comment: str | None = None) -> None:
-        if comment is not None and self._comments:
-            text = f"{text:<28} # {comment}"
-        self._lines.append(text)
+        self._lines.append(text if comment is None else f"{text:<28} # {comment}")
 
     def note(self, text: str) -> None:
-        if self._comments:
-            self._lines.append(f"# {text}")
+        self._lines.append(f"# {text}")
 
     @property
     def text(self) -> str:

@@ -13,11 +13,12 @@ import contextlib
 import threading
 import time
 from collections import deque
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import structlog
 
 from adaptive_contact.errors import LinkError
+from adaptive_contact.service.link import Publisher
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.wire import Message
 
@@ -32,15 +33,8 @@ HELD_UP_NS: Final = 500_000_000
 _LATENCIES: Final = 4096
 
 
-class Publishes(Protocol):
-    """Where an event goes, as :class:`adaptive_contact.service.link.Publisher` is."""
-
-    def put(self, message: Message) -> None:
-        """Publish; may block."""
-
-
 class _Letter(NamedTuple):
-    publisher: Publishes
+    publisher: Publisher
     message: Message
     arrival_ns: int
 
@@ -99,7 +93,7 @@ class EventPublisher:
         if left:
             _log.warning("contact events lost", why="not sent by the end", times=left)
 
-    def post(self, publisher: Publishes, message: Message, arrival_ns: int) -> None:
+    def post(self, publisher: Publisher, message: Message, arrival_ns: int) -> None:
         """Send a message; waits for nothing once the thread runs.
 
         Args:

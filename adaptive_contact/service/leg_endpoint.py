@@ -12,14 +12,13 @@ passing.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import msgspec
 import structlog
 
 from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP, StreamGuard
 from adaptive_contact.service.event_publisher import EventPublisher
-from adaptive_contact.service.interfaces import Learner
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.logs import FaultLog, LogThrottle
 from adaptive_contact.service.settings import leg_token
@@ -35,6 +34,9 @@ from adaptive_contact.wire import (
     contact_key,
     learner_key,
 )
+
+if TYPE_CHECKING:
+    from adaptive_contact.leg_learner import ContactLearner
 
 T = TypeVar("T")
 
@@ -174,7 +176,7 @@ class LegEndpoint:
         self,
         link: Link,
         leg: str,
-        learner: Learner,
+        learner: ContactLearner,
         joints: int,
         now_ns: int,
         resumes: Position | None = None,

@@ -115,7 +115,7 @@ class ProcessRefitter:
                 _log.warning("refit given up", leg=leg, job=job.number, why=why)
                 self._end_process()
                 self.failures += 1
-                result = _failed(job)
+                result = result_of_lost(job)
             with self._changed:
                 if leg not in self._waiting:  # else it has been superseded
                     self._results[leg] = (job.number, result)
@@ -134,7 +134,7 @@ class ProcessRefitter:
         self.failures += 1
         if not self._ending:
             _log.warning("refit given up", leg=job.leg, job=job.number)
-        return _failed(job)
+        return result_of_lost(job)
 
     def _exchange(self, frame: bytes) -> bytes | None:
         """Send a job and read its result; None where the process died or took too long."""
@@ -185,7 +185,7 @@ class WaitingRefitter(ProcessRefitter):
         return super().collect(leg, number)
 
 
-def _failed(job: Job) -> object:
+def result_of_lost(job: Job) -> object:
     """What a learner gets for a job that cannot be done."""
     if isinstance(job, RefitJob):
         empty = np.zeros((job.fit.terms, job.fit.outputs))

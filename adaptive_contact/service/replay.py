@@ -20,7 +20,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Final, Protocol
+from typing import Final
 
 import msgpack
 import msgspec
@@ -55,16 +55,6 @@ MAX_KEY_BYTES: Final = 32_768
 # What a concrete key of Zenoh does not have.
 _NO_KEY: Final = re.compile(r"[*$?#]|^/|/$|//")
 _NS_PER_S: Final = 1_000_000_000
-
-
-class LegBank(Protocol):
-    """What takes one control tick of samples and gives the events it decides."""
-
-    def learner(self, leg: str, joints: int | None = None, /) -> object | None:
-        """The leg's learner, None where it gets none."""
-
-    def update(self, samples: Mapping[str, ServoSample], /) -> list[ContactEvent]:
-        """Take in at most one sample per leg."""
 
 
 @dataclasses.dataclass
@@ -146,7 +136,7 @@ def control_ticks(
 
 
 def replay_events(
-    records: Iterable[Record], bank: LegBank, counts: Counts
+    records: Iterable[Record], bank: LearnerBank | TraceBank, counts: Counts
 ) -> Iterator[ContactEvent]:
     """Events that the learners decide on a recording, in order.
 
@@ -467,7 +457,7 @@ def _touches(
             found.append(Touch(at_s, "miss" if table.counted[i] else "beyond", why))
             continue
         kind = "miss" if table.counted[i] else "beyond"
-        found.append(Touch(at_s, kind, f"{_why_missed(t_ns, ratio, onset, end, withheld)} ({of})"))
+        found.append(Touch(at_s, kind, f"{why_missed(t_ns, ratio, onset, end, withheld)} ({of})"))
     for alarms, where in ((outcome.alarms_ns, "swing"), (outcome.after_ns, "turn to stance")):
         for at_ns in alarms.tolist():
             score = scores.get(at_ns, np.nan)
@@ -478,7 +468,7 @@ def _touches(
     return sorted(found, key=lambda touch: touch.at_s)
 
 
-def _why_missed(
+def why_missed(
     t_ns: NDArray[np.int64], ratio: Floats, onset: int, end: int, withheld: list[int]
 ) -> str:
     """The largest test ratio while a touch could be found, and what that says."""

@@ -64,7 +64,7 @@ def shown_of_ros(finding: Finding) -> str:
     return finding.line.replace(REMEDY, remedy)
 
 
-class _Inbox:
+class Inbox:
     """Messages by topic; of each, the newest ones are kept."""
 
     def __init__(self, topics: tuple[str, ...]) -> None:
@@ -151,7 +151,7 @@ class Gateway:
         self._node = rmw.Node(settings.domain, ros.id, settings.node)
         self._legs = frozenset(robot.leg_ids)
         self._addresses: dict[str, rmw.Address | None] = {}
-        self._inbox = _Inbox(tuple(self._topics))
+        self._inbox = Inbox(tuple(self._topics))
         self._contacts: queue.SimpleQueue[Received | None] = queue.SimpleQueue()
         self._learners: dict[str, Received] = {}
         self._learner_s: float | None = None

@@ -17,13 +17,12 @@ import threading
 import time
 from collections import Counter, deque
 from importlib import metadata
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import structlog
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.event_publisher import HELD_UP_NS, EventPublisher
-from adaptive_contact.service.interfaces import Bank, Question
 from adaptive_contact.service.leg_endpoint import LegEndpoint
 from adaptive_contact.service.link import Link, Request
 from adaptive_contact.service.logs import LogThrottle
@@ -44,6 +43,9 @@ from adaptive_contact.wire import (
     model_key,
     trace_key,
 )
+
+if TYPE_CHECKING:
+    from adaptive_contact.bank import LearnerBank
 
 _log = structlog.get_logger()
 
@@ -118,7 +120,7 @@ class Service:
     def __init__(
         self,
         link: Link,
-        bank: Bank,
+        bank: LearnerBank,
         robot: Robot,
         *,
         baseline: str | None,
@@ -131,7 +133,7 @@ class Service:
         self._robot = robot
         self._baseline = baseline
         self._started_ns = now_ns
-        self._queue: SampleQueue[Question] = SampleQueue(robot.leg_ids)
+        self._queue: SampleQueue[Request] = SampleQueue(robot.leg_ids)
         self._endpoints: dict[str, LegEndpoint] = {}
         self._order: list[LegEndpoint] = []  # the same, to be visited one by one
         self._facts: dict[str, LegFacts] = {}
@@ -141,7 +143,7 @@ class Service:
         self._ticks_latency = Latency()
         self._unfinished: list[int] = []  # arrivals of samples that are not learned from yet
         self._event_latency = Latency()
-        self._asked: list[Question] = []
+        self._asked: list[Request] = []
         self._tracer = Tracer(robot)
         self._untraced: list[tuple[str, ServoSample]] = []  # samples that a page asks for
         self._refused: set[str] = set()  # legs whose sample in hand the learner refuses
@@ -209,7 +211,7 @@ class Service:
             if self._keeper is not None:
                 self._keeper.close()
 
-    def work(self, batch: Batch[Question], now_ns: int) -> None:
+    def work(self, batch: Batch[Request], now_ns: int) -> None:
         """Process one round, up to its events."""
         for leg, dropped in batch.overflow.items():
             self._overflow(leg, dropped, now_ns)
@@ -391,7 +393,7 @@ class Service:
         )
         self._untraced.clear()
 
-    def _answer(self, request: Question) -> None:
+    def _answer(self, request: Request) -> None:
         if request.key.endswith(_TRACE):
             legs = [leg for leg in self._endpoints if request.covers(trace_key(leg))]
             now_ns = time.monotonic_ns()

@@ -11,15 +11,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from itertools import takewhile
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.gait_phase import PhaseTracker
-from adaptive_contact.service.interfaces import Learner
 from adaptive_contact.service.link import Link
 from adaptive_contact.wire import LegTrace, Rejected, ServoSample, decode, leg_of_key, trace_key
+
+if TYPE_CHECKING:
+    from adaptive_contact.leg_learner import ContactLearner
 
 # Ticks are kept for so long after a question; a page asks ten times a second.
 LEASE_S: Final = 3.0
@@ -162,13 +164,9 @@ class Tracer:
         )
 
 
-def judged_tick(learner: Learner) -> Judged | None:
-    """How a learner judged the tick that it has just finished; None where it could not.
-
-    A stand-in for a learner, which judges nothing, gives None.
-    """
-    judge = getattr(learner, "judged", None)
-    tick = None if judge is None else judge()
+def judged_tick(learner: ContactLearner) -> Judged | None:
+    """How a learner judged the tick that it has just finished; None where it could not."""
+    tick = learner.judged()
     if tick is None:
         return None
     return Judged(tick.residual.tolist(), float(np.nanmax(tick.scores)))

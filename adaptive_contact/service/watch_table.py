@@ -64,7 +64,7 @@ def headline(view: View) -> Text:
     if service.stalls:
         line.append(f"  worker stood still {service.stalls} times", style="bold red")
     if service.rejects:
-        line.append(f"  refused: {_counts(service.rejects)}", style="yellow")
+        line.append(f"  refused: {counts_of(service.rejects)}", style="yellow")
     if service.callback_faults:
         line.append(f"  {service.callback_faults} callback faults", style="bold red")
     if service.note is not None:
@@ -159,7 +159,7 @@ def _drawn(
             "silent" if leg.stale else leg.status or "unknown" for leg in hidden
         )
         names = "leg" if len(hidden) == 1 else "legs"
-        below.append(Text(f"{len(hidden)} more {names}: {_counts(counts)}", style="bold yellow"))
+        below.append(Text(f"{len(hidden)} more {names}: {counts_of(counts)}", style="bold yellow"))
     if len(fits) < len(columns):
         left = ", ".join(column.name for column in columns if column not in fits)
         below.append(Text(f"not shown at {width} columns: {left}", style="dim"))
@@ -200,7 +200,7 @@ def _remarks(leg: LegView) -> list[Text]:
     if leg.note:
         lines.append(Text.assemble((f"{name}: ", "bold"), (printable(leg.note), "yellow")))
     if leg.rejects:
-        lines.append(Text.assemble((f"{name}: ", "bold"), f"refused: {_counts(leg.rejects)}"))
+        lines.append(Text.assemble((f"{name}: ", "bold"), f"refused: {counts_of(leg.rejects)}"))
     return lines
 
 
@@ -287,7 +287,7 @@ def _version(leg: LegView) -> Text:
     return Text("-" if leg.model_version is None else f"v{leg.model_version}")
 
 
-def _counts(counts: Mapping[str, int]) -> str:
+def counts_of(counts: Mapping[str, int]) -> str:
     """All reasons by number, the largest first: no loss is out of sight behind others."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     return ", ".join(f"{printable(reason)} {number}" for reason, number in ordered if number)

@@ -44,9 +44,12 @@ _CHUNK_BYTES: Final = 64 * 1024
 
 _PAGES: Final = {
     "/": ("index.html", "text/html; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
+    **{
+        f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
+        for name in ("page", "data", "dom", "look", "panel", "plots", "stream", "table", "theme")
+    },
 }
 
 

@@ -18,8 +18,6 @@ from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.truth import Change
 
-__all__ = ["LegArrays", "Onset", "Run", "contact_at", "record_arrays", "record_run"]
-
 Array = NDArray[np.float64]
 
 
@@ -199,16 +197,17 @@ def record_run(
 
 
 def _onset(sim: Simulation, change: Change) -> Onset:
-    touch = change.touch
+    # Physics step s ends tick (s - 1) // substeps's physics.
+    tick = max(change.step - 1, 0) // sim.plant.substeps
+    truth = sim.truth_of(change).message
     return Onset(
-        t_ns=sim.time_of_step(change.step),
-        # Physics step s ends tick (s - 1) // substeps's physics.
-        tick=max(change.step - 1, 0) // sim.plant.substeps,
-        force_n=change.force_n,
-        speed_m_s=None if touch is None else touch.speed_m_s,
-        part=None if touch is None else sim.layout.parts[touch.part],
-        surface=None if touch is None else sim.surface_of(touch.other),
-        grazing=touch is not None and touch.grazing,
+        t_ns=truth.t_ns,
+        tick=tick,
+        force_n=truth.force,
+        speed_m_s=truth.speed_m_s,
+        part=truth.part,
+        surface=truth.surface,
+        grazing=truth.grazing,
     )
 
 

@@ -18,8 +18,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift, DriftKind, DriftShape
 from adaptive_contact_sim.elements import HEXAPOD, Layout
 
-__all__ = ["KINDS", "DriftSchedule", "Injection", "Kind", "check"]
-
 Array = NDArray[np.float64]
 
 # A random walk takes a step this often, s.

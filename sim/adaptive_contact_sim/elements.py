@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["HEXAPOD", "JOINTS", "LEGS", "N_SERVOS", "PARTS", "Elements", "Layout"]
-
 IntArray = NDArray[np.intp]
 
 

@@ -19,8 +19,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import N_SERVOS
 from adaptive_contact_sim.servo import QUANTUM_RAD
 
-__all__ = ["Encoder", "EncoderSettings", "Reading"]
-
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 

@@ -13,8 +13,6 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DESCENT", "GAITS", "Gait", "GaitName", "Sway", "Swings", "quintic"]
-
 Array = NDArray[np.float64]
 GaitName = Literal["tripod", "ripple", "wave", "trot", "walk"]
 

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact_sim.servo import ServoBank
 
-__all__ = ["GearTrain"]
-
 Array = NDArray[np.float64]
 
 # Teeth: 1.5 N*m bends them by 0.6 degrees (assumed).  Link and rotor on this spring swing at

@@ -26,8 +26,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot, foot, inverse, shipped_robot
 from adaptive_contact_sim.elements import JOINTS, LEGS
 
-__all__ = ["ChainLegs", "Geometry", "LegGeometry"]
-
 Array = NDArray[np.float64]
 
 # How near to the rim of its reach a foot is ever sent, m.

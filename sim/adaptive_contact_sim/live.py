@@ -7,6 +7,7 @@ Callbacks only enqueue; one loop makes ticks, answers drifts between them, and k
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import time
 from collections.abc import Callable
@@ -28,12 +29,11 @@ from adaptive_contact.wire import (
     truth_key,
 )
 from adaptive_contact_sim.simulation import Simulation, Tick
+from adaptive_contact_sim.walk import WalkSettings
 
 if TYPE_CHECKING:
     from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.link import Link, Request
-
-__all__ = ["Outcome", "Pace", "run_live", "run_offline"]
 
 # Further behind than this, lost time is let go instead of caught up in a burst.
 _LET_GO_S = 0.5
@@ -98,76 +98,72 @@ class Outcome:
     late: int
 
 
-def run_offline(
-    sim: Simulation,
-    *,
-    seconds: float | None,
-    pace: Pace,
-    stop: Event,
-    on_tick: Callable[[Tick], None],
-) -> Outcome:
-    """Run without a network.
-
-    Args:
-        sim: what to run.
-        seconds: of simulated time, None for until stopped.
-        pace: how fast.
-        stop: ends the run when set.
-        on_tick: gets every tick.
-    """
-    while not _over(sim, seconds) and not stop.is_set():
-        on_tick(sim.tick())
-        if not pace.wait(stop):
-            break
-    return Outcome(sim.time_s, pace.elapsed_s, sim.ticks, pace.late)
-
-
 def run_live(
     sim: Simulation,
-    link: Link,
+    link: Link | None,
     *,
     seconds: float | None,
     pace: Pace,
     stop: Event,
-    listen: bool,
     on_tick: Callable[[Tick], None],
 ) -> Outcome:
-    """Run on an open link.
+    """Run at a pace, on an open link or without a network.
 
     Args:
-        sim: what to run.
+        sim: what to run; a gait that stops on the service's word gets its contact events.
         link: where to publish; stays open.
         seconds: of simulated time, None for until stopped.
         pace: how fast.
         stop: ends the run when set.
-        listen: pass the service's contact events on to the gait.
         on_tick: gets every tick, after it was published.
     """
-    servo = {leg: link.publisher(servo_key(leg)) for leg in sim.layout.legs}
-    truth = {
-        leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in sim.layout.legs
-    }
-    requests: queue.Queue[Request] = queue.Queue(_QUEUE)
-    events: queue.Queue[Received] = queue.Queue(_QUEUE)
-    declared = [link.queryable(SIM_DRIFT, lambda request: _offer(requests, request))]
-    if listen:
-        declared.append(link.subscribe(ALL_CONTACT, lambda sample: _offer(events, sample)))
-    try:
+    with contextlib.nullcontext() if link is None else contextlib.closing(_Wire(sim, link)) as wire:
         while not _over(sim, seconds) and not stop.is_set():
-            _answer(sim, requests)
-            _take_events(sim, events)
+            if wire is not None:
+                wire.take()
             tick = sim.tick()
-            for leg, sample in tick.samples.items():
-                servo[leg].put(sample)
-            for change in tick.truth:
-                truth[change.leg].put(change.message)
+            if wire is not None:
+                wire.publish(tick)
             on_tick(tick)
             if not pace.wait(stop):
                 break
-    finally:
-        for item in declared:
-            item.close()
     return Outcome(sim.time_s, pace.elapsed_s, sim.ticks, pace.late)
+
+
+class _Wire:
+    """A simulation's publishers, and what others ask of it between ticks."""
+
+    def __init__(self, sim: Simulation, link: Link) -> None:
+        self._sim = sim
+        legs, motion = sim.layout.legs, sim.settings.motion
+        self._servo = {leg: link.publisher(servo_key(leg)) for leg in legs}
+        self._truth = {
+            leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in legs
+        }
+        self._requests: queue.Queue[Request] = queue.Queue(_QUEUE)
+        self._events: queue.Queue[Received] = queue.Queue(_QUEUE)
+        self._declared = [link.queryable(SIM_DRIFT, lambda asked: _offer(self._requests, asked))]
+        if isinstance(motion, WalkSettings) and motion.stop_on == "service":
+            self._declared.append(
+                link.subscribe(ALL_CONTACT, lambda event: _offer(self._events, event))
+            )
+
+    def take(self) -> None:
+        """Answer requests, and pass contact events on."""
+        _answer(self._sim, self._requests)
+        _take_events(self._sim, self._events)
+
+    def publish(self, tick: Tick) -> None:
+        """Publish samples and changes of the truth."""
+        for leg, sample in tick.samples.items():
+            self._servo[leg].put(sample)
+        for change in tick.truth:
+            self._truth[change.leg].put(change.message)
+
+    def close(self) -> None:
+        """End what was declared; the link stays open."""
+        for declared in self._declared:
+            declared.close()
 
 
 def _over(sim: Simulation, seconds: float | None) -> bool:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.wire import Phase
 
-__all__ = ["Goal", "Motion", "World"]
-
 Array = NDArray[np.float64]
 
 

@@ -19,8 +19,6 @@ from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.scene import OBSTACLE_TOP_M, OBSTACLES, PARKED_M, expose, obstacle_name
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
 
-__all__ = ["Approach", "ObstacleCourse", "ObstacleSettings"]
-
 Array = NDArray[np.float64]
 
 Approach = Literal["descent", "slow", "forward", "graze"]

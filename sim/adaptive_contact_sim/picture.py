@@ -28,8 +28,6 @@ from adaptive_contact_sim.simulation import Simulation
 if TYPE_CHECKING:  # an extra, which a film asks for by name (_need_pillow)
     from PIL import ImageDraw
 
-__all__ = ["EnginePainter", "Film", "Moment", "Stage", "StickPainter", "painter"]
-
 Array = NDArray[np.float64]
 
 

@@ -19,8 +19,6 @@ from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
 from adaptive_contact_sim.gear import GearTrain
 from adaptive_contact_sim.servo import AX12A, ServoBank, ServoKind, ServoParameters
 
-__all__ = ["GRAZING_COSINE", "Plant", "Touch"]
-
 Array = NDArray[np.float64]
 
 # Faster than any part of the robot can be: five times a servo's no-load speed, and free fall

@@ -28,8 +28,6 @@ from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
 
-__all__ = ["WORKSPACES", "PoseMotion", "PoseSettings", "Space", "Workspace"]
-
 Array = NDArray[np.float64]
 
 
@@ -46,6 +44,16 @@ class Space:
         yaw, reach = rng.uniform(*self.yaw_rad), rng.uniform(*self.reach_m)
         height = rng.uniform(*self.height_m)
         return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
+
+    def holds(self, points_m: Array) -> NDArray[np.bool_]:
+        """(n,) which of (n, 3) m points lie in it, to the rounding of a grid."""
+        x, y, z = points_m.T
+        inside = np.ones(len(points_m), dtype=np.bool_)
+        ranges = (self.yaw_rad, self.reach_m, self.height_m)
+        values = (np.arctan2(y, x), np.hypot(x, y), z)
+        for value, (low, high) in zip(values, ranges, strict=True):
+            inside &= (value >= low - 1e-9) & (value <= high + 1e-9)
+        return inside
 
 
 # Lower and upper subspace, by name of the workspace.

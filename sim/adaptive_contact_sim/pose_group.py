@@ -19,8 +19,6 @@ from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 
-__all__ = ["TRIPODS", "PoseGroup", "PoseGroupSettings"]
-
 Array = NDArray[np.float64]
 
 # Legs that can be in the air together while the robot stands on the others.

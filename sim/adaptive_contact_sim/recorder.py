@@ -9,8 +9,6 @@ from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.wire import MSGPACK, SIM_DRIFT, servo_key, truth_key
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 
-__all__ = ["TickRecorder", "record_file"]
-
 
 class TickRecorder:
     """Writes every tick into an MCAP file; a context manager.

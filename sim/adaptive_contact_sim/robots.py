@@ -25,8 +25,6 @@ from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.servo import AX12A, STS3215, XM430_W210, ServoKind
 from adaptive_contact_sim.walk import WalkSettings
 
-__all__ = ["ROBOTS", "SimulatedRobot", "simulated_robot"]
-
 
 @dataclass(frozen=True)
 class SimulatedRobot:

@@ -30,15 +30,6 @@ from adaptive_contact_sim.gait import GAITS
 from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import MotionSettings, SimulationSettings
 
-__all__ = [
-    "Scenario",
-    "drift_from",
-    "load_scenario",
-    "parse_drift",
-    "parse_scenario",
-    "shipped_scenarios",
-]
-
 _EXAMPLE: Final = "friction:leg=rf,joint=femur,value=4@20s"
 _KEYS: Final = {
     "leg": str,

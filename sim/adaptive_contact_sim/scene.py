@@ -19,16 +19,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
 from adaptive_contact_sim.terrain import HARD_SOLREF, Terrain
 
-__all__ = [
-    "OBSTACLES",
-    "OBSTACLE_TOP_M",
-    "PARKED_M",
-    "build",
-    "expose",
-    "obstacle_name",
-    "robot_xml",
-]
-
 # Bits of contype and conaffinity: what collides with the ground, and with obstacles.
 _GROUND_BIT: Final = 1
 _OBSTACLE_BIT: Final = 2
@@ -121,6 +111,14 @@ def expose(model: mujoco.MjModel, elements: Elements, leg: str | None) -> None:
     for i, name in enumerate(elements.layout.legs):
         bits = _GROUND_BIT | (_OBSTACLE_BIT if name == leg else 0)
         model.geom_contype[elements.leg_geoms[i]] = bits
+
+
+def on_a_stand(height_m: float) -> mujoco.MjSpec:
+    """The hexapod with its body fixed so high over the origin; no ground."""
+    spec = mujoco.MjSpec.from_string(robot_xml())
+    spec.delete(spec.joint("body"))
+    spec.body("body").pos = [0.0, 0.0, height_m]
+    return spec
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:

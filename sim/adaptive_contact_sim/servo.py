@@ -41,20 +41,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact_sim.elements import N_SERVOS
 
-__all__ = [
-    "AX12A",
-    "CENTRE_STEPS",
-    "FULL_SCALE_STEPS",
-    "NOMINAL_SUPPLY_V",
-    "QUANTUM_RAD",
-    "STS3215",
-    "XM430_W210",
-    "ServoBank",
-    "ServoKind",
-    "ServoParameters",
-    "manufactured",
-]
-
 Array = NDArray[np.float64]
 
 FULL_SCALE_STEPS: Final = 1023

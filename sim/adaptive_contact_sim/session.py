@@ -15,7 +15,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.live import Outcome, Pace, run_live, run_offline
+from adaptive_contact_sim.live import Outcome, Pace, run_live
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
@@ -24,8 +24,6 @@ from adaptive_contact_sim.walk import WalkSettings
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
     from adaptive_contact.service.settings import Finding
-
-__all__ = ["Report", "RunPlan", "describe", "run"]
 
 Look = Callable[[Tick], None]
 
@@ -140,28 +138,18 @@ def run(
                 look(tick)
 
         period_s = 0.0 if plan.speed is None else settings.period_s / plan.speed
-        if plan.link is None:
-            if on_start is not None:
-                on_start(f"{describe(settings)}; no network")
-            outcome = run_offline(
-                sim, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick
-            )
-        else:
+        link = None
+        does = "no network"
+        if plan.link is not None:
             from adaptive_contact.service.link import Link
 
             link = stack.enter_context(Link.open(plan.link, on_wait=on_wait, stop=stop))
-            if on_start is not None:
-                on_start(f"{describe(settings)}; publishing robot/leg/*/servo and truth")
-            outcome = run_live(
-                sim,
-                link,
-                seconds=plan.seconds,
-                pace=Pace(period_s),
-                stop=stop,
-                listen=isinstance(settings.motion, WalkSettings)
-                and settings.motion.stop_on == "service",
-                on_tick=on_tick,
-            )
+            does = "publishing robot/leg/*/servo and truth"
+        if on_start is not None:
+            on_start(f"{describe(settings)}; {does}")
+        outcome = run_live(
+            sim, link, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick
+        )
     return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs}, note)
 
 

@@ -32,8 +32,6 @@ from adaptive_contact_sim.terrain import Terrain, TerrainSettings
 from adaptive_contact_sim.truth import Change, TruthTracker
 from adaptive_contact_sim.walk import WalkMotion, WalkSettings
 
-__all__ = ["Simulation", "SimulationSettings", "Tick", "Truth"]
-
 Array = NDArray[np.float64]
 MotionSettings: TypeAlias = PoseSettings | PoseGroupSettings | WalkSettings
 
@@ -317,7 +315,7 @@ class Simulation:
             )
             for i, leg in enumerate(self.layout.legs)
         }
-        return Tick(samples, [self._message(change) for change in self.changes])
+        return Tick(samples, [self.truth_of(change) for change in self.changes])
 
     def run(self, seconds: float) -> Iterator[Tick]:
         """Make the control ticks of some simulated time."""
@@ -380,20 +378,11 @@ class Simulation:
         plant.set_payload(values["mass"].max(axis=1))
         self.encoder.dropped[:] = values["dropout"].reshape(-1)
 
-    def _message(self, change: Change) -> Truth:
-        touch = change.touch
-        return Truth(
-            self.layout.legs[change.leg],
-            ContactTruth(
-                t_ns=self.time_of_step(change.step),
-                contact=change.contact,
-                force=change.force_n,
-                speed_m_s=None if touch is None else touch.speed_m_s,
-                surface=None if touch is None else self.surface_of(touch.other),
-                part=None if touch is None else self.layout.parts[touch.part],
-                grazing=touch is not None and touch.grazing,
-            ),
-        )
+    def truth_of(self, change: Change) -> Truth:
+        """A change as it is published."""
+        t_ns = self.time_of_step(change.step)
+        message = change.message(t_ns, self.layout.parts, self.surface_of)
+        return Truth(self.layout.legs[change.leg], message)
 
 
 def _obstacle_owners(motion: MotionSettings) -> tuple[str | None, ...]:

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["HARD_SOLREF", "Terrain", "TerrainKind", "TerrainSettings", "soft_contact"]
-
 Array = NDArray[np.float64]
 TerrainKind = Literal["flat", "steps", "rough", "soft", "holes"]
 
@@ -25,6 +23,7 @@ TerrainKind = Literal["flat", "steps", "rough", "soft", "holes"]
 HARD_SOLREF: Final = (0.004, 1.0)
 # Impedance of soft contacts: low enough that the contact's own compliance dominates.
 _SOFT_IMPEDANCE: Final = 0.5
+_SOFT_DAMPING_RATIO: Final = 0.5
 _FRICTION: Final = (0.9, 0.005, 0.0001)
 # Grid of the rough field.  Contacts with a height field cost by the cell they cover: 4 cm is
 # wider than a foot, and finer detail than that is the foot's own shape.
@@ -191,10 +190,8 @@ class Terrain:
             model.geom_solimp[geom] = solimp
 
 
-def soft_contact(
-    stiffness_n_m: float, inverse_mass: float, *, damping_ratio: float = 0.5
-) -> tuple[Array, Array]:
-    r"""Contact parameters of a spring of given stiffness.
+def soft_contact(stiffness_n_m: float, inverse_mass: float) -> tuple[Array, Array]:
+    r"""Contact parameters of a spring of given stiffness, damped at half of what is critical.
 
     With impedance :math:`d` the engine regularises a contact by :math:`R = (1-d)/d\,A`, where
     :math:`A` is the touching body's inverse mass; at rest the force is :math:`k r / R` for
@@ -203,7 +200,6 @@ def soft_contact(
     Args:
         stiffness_n_m: wanted, N/m.
         inverse_mass: ``body_invweight0`` (translation) of the touching body, 1/kg.
-        damping_ratio: of that body on the spring.
 
     Returns:
         ``solref`` (2,) in the direct format, ``solimp`` (5,).
@@ -215,7 +211,7 @@ def soft_contact(
     d = _SOFT_IMPEDANCE
     regularisation = (1.0 - d) / d * inverse_mass
     k = stiffness_n_m * regularisation
-    damping = 2.0 * damping_ratio * math.sqrt(stiffness_n_m / inverse_mass) * regularisation
+    damping = 2.0 * _SOFT_DAMPING_RATIO * math.sqrt(stiffness_n_m / inverse_mass) * regularisation
     solref = np.array([-k * d, -damping * d])
     solimp = np.array([d, d, 0.001, 0.5, 2.0])
     return solref, solimp

@@ -10,16 +10,15 @@ time stamp; who needs a touch at once (a gait that reacts to it) asks :meth:`Tru
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.plant import Touch
-
-__all__ = ["AIR_FORCE_N", "TOUCH_FORCE_N", "Change", "TruthTracker"]
 
 Array = NDArray[np.float64]
 
@@ -47,6 +46,27 @@ class Change(NamedTuple):
     contact: bool
     force_n: float
     touch: Touch | None
+
+    def message(
+        self, t_ns: int, parts: Sequence[str], surface: Callable[[int], str]
+    ) -> ContactTruth:
+        """As it is published.
+
+        Args:
+            t_ns: of the step.
+            parts: names of the legs' parts.
+            surface: what a touched geometry, by its id, is made of.
+        """
+        touch = self.touch
+        return ContactTruth(
+            t_ns=t_ns,
+            contact=self.contact,
+            force=self.force_n,
+            speed_m_s=None if touch is None else touch.speed_m_s,
+            surface=None if touch is None else surface(touch.other),
+            part=None if touch is None else parts[touch.part],
+            grazing=touch is not None and touch.grazing,
+        )
 
 
 class TruthTracker:

@@ -30,8 +30,6 @@ from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Sway, Swings
 from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 
-__all__ = ["PhaseOf", "StopOn", "WalkMotion", "WalkSettings"]
-
 Array = NDArray[np.float64]
 StopOn = Literal["truth", "service", "never"]
 PhaseOf = Literal["touch", "planned"]

@@ -24,17 +24,6 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 
-__all__ = [
-    "Arrays",
-    "Store",
-    "code_digest",
-    "name_of",
-    "plain",
-    "read_arrays",
-    "sources_digest",
-    "write_arrays",
-]
-
 Arrays = dict[str, NDArray[Any]]
 
 FORMAT: Final = 1

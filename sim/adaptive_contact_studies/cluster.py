@@ -21,8 +21,6 @@ import adaptive_contact_sim
 import adaptive_contact_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
-__all__ = ["cluster_pool", "same_here"]
-
 _CONNECT_S: Final = 10.0
 # Tries of a task whose worker died; with more, the task itself is at fault.
 _DEATHS: Final = 3

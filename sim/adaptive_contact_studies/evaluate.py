@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Protocol
+import itertools
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.leg_learner import ContactLearner
@@ -17,41 +16,17 @@ from adaptive_contact.score import (
     Events,
     LegOutcome,
     LegStream,
-    TruthChanges,
     find_swings,
     lift_by_height,
     match,
 )
 from adaptive_contact.wire import ContactEvent, ServoSample
-from adaptive_contact_sim.arrays import Run
 
-__all__ = ["LegRows", "Played", "Streams", "leg_stream", "play", "samples_of", "score_run"]
+if TYPE_CHECKING:
+    from adaptive_contact_sim.arrays import Run
+    from adaptive_contact_studies.scenarios.recording import Recording
 
 MakeLearner = Callable[[Robot, str, Baseline | None], ContactLearner]
-
-
-class LegRows(Protocol):
-    """One leg's stream and the truth about it, as a run or a file has it; rows are ticks."""
-
-    @property
-    def measured(self) -> NDArray[np.float64]: ...  # noqa: D102
-    @property
-    def desired(self) -> NDArray[np.float64]: ...  # noqa: D102
-    @property
-    def valid(self) -> NDArray[np.bool_]: ...  # noqa: D102
-    @property
-    def swing(self) -> NDArray[np.bool_]: ...  # noqa: D102
-    @property
-    def truth(self) -> TruthChanges: ...  # noqa: D102
-
-
-class Streams(Protocol):
-    """Legs that were recorded together."""
-
-    @property
-    def t_ns(self) -> NDArray[np.int64]: ...  # noqa: D102
-    @property
-    def legs(self) -> Mapping[str, LegRows]: ...  # noqa: D102
 
 
 class Played(NamedTuple):
@@ -60,15 +35,13 @@ class Played(NamedTuple):
     Attributes:
         events: by leg, in order.
         learners: as they are at the end.
-        seconds: spent in the learners, messages not counted.
     """
 
     events: dict[str, list[ContactEvent]]
     learners: dict[str, ContactLearner]
-    seconds: float
 
 
-def samples_of(run: Streams, leg: str) -> list[ServoSample]:
+def samples_of(run: Run | Recording, leg: str) -> list[ServoSample]:
     """A leg's stream as the messages that the simulator would have sent."""
     arrays = run.legs[leg]
     good: list[bool] = np.asarray(arrays.valid.all(axis=1)).tolist()
@@ -93,41 +66,38 @@ def samples_of(run: Streams, leg: str) -> list[ServoSample]:
     ]
 
 
-def play(
-    run: Run,
-    robot: Robot,
-    baseline: Baseline | None,
-    *,
-    legs: Sequence[str] | None = None,
-    make: MakeLearner = ContactLearner,
-) -> Played:
-    """Feed a run to new learners, all legs of a tick at once.
+def play(run: Run, robot: Robot, baseline: Baseline | None) -> Played:
+    """Feed a run to new learners, one for each leg that ever swings.
 
     Args:
         run: recorded.
         robot: its description.
         baseline: what the learners start from.
-        legs: which; those that ever swing where left out.
-        make: makes a leg's learner.
     """
-    if legs is None:
-        legs = [leg for leg, arrays in run.legs.items() if arrays.swing.any()]
-    learners = {leg: make(robot, leg, baseline) for leg in legs}
-    events: dict[str, list[ContactEvent]] = {leg: [] for leg in legs}
-    streams = [samples_of(run, leg) for leg in legs]
-    team = LegGroup(list(learners.values()))
-    spent = 0.0
-    for samples in zip(*streams, strict=True):
-        begin = time.perf_counter()
-        decided = team.advance(samples)
-        spent += time.perf_counter() - begin
-        for leg, event in zip(legs, decided, strict=True):
+    legs = [leg for leg, arrays in run.legs.items() if arrays.swing.any()]
+    learners = {leg: ContactLearner(robot, leg, baseline) for leg in legs}
+    events = feed(list(learners.values()), [samples_of(run, leg) for leg in legs])
+    return Played(dict(zip(legs, events, strict=True)), learners)
+
+
+def feed(
+    learners: Sequence[ContactLearner], streams: Sequence[Sequence[ServoSample]]
+) -> list[list[ContactEvent]]:
+    """Feed each learner its stream with the calls of the service; the events of each.
+
+    All of a tick are fed at once, which shares what a tick costs and does not change a number (a
+    test compares with one at a time).  Streams may end before others.
+    """
+    events: list[list[ContactEvent]] = [[] for _ in streams]
+    group = LegGroup(learners)
+    for samples in itertools.zip_longest(*streams):
+        for own, event in zip(events, group.advance(samples), strict=True):
             if event is not None:
-                events[leg].append(event)
-    return Played(events, learners, spent)
+                own.append(event)
+    return events
 
 
-def leg_stream(run: Streams, leg: str, robot: Robot) -> LegStream:
+def leg_stream(run: Run | Recording, leg: str, robot: Robot) -> LegStream:
     """A leg's run as the scoring takes it."""
     arrays, described = run.legs[leg], robot.leg(leg)
     assert described.chain is not None
@@ -143,7 +113,7 @@ def leg_stream(run: Streams, leg: str, robot: Robot) -> LegStream:
 
 
 def score_run(
-    run: Streams, robot: Robot, events: dict[str, list[ContactEvent]]
+    run: Run | Recording, robot: Robot, events: dict[str, list[ContactEvent]]
 ) -> list[LegOutcome]:
     """Judge every leg's events against the run's truth."""
     return [match(leg_stream(run, leg, robot), Events.of(e)) for leg, e in events.items()]

@@ -24,8 +24,6 @@ from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import play, score_run
 from adaptive_contact_studies.workers import completed
 
-__all__ = ["HEADLINE_RUNS", "HeadlineRun", "run_headline"]
-
 
 class HeadlineRun(NamedTuple):
     """One recording behind a row."""
@@ -70,7 +68,6 @@ def run_headline(
     robot: Robot,
     baseline: Baseline,
     *,
-    runs: tuple[HeadlineRun, ...] = HEADLINE_RUNS,
     processes: int = 2,
     progress: Callable[[HeadlineRun], None] = lambda _: None,
 ) -> dict[str, Summary]:
@@ -79,7 +76,6 @@ def run_headline(
     Args:
         robot: the simulated robot's description.
         baseline: of the default detector.
-        runs: what to simulate.
         processes: how many runs at a time; the result does not depend on it.
         progress: called with every run that is done.
 
@@ -87,11 +83,11 @@ def run_headline(
         The figures of every row.
     """
     done: dict[HeadlineRun, list[LegOutcome]] = {}
-    for spec, outcomes in completed(partial(_one, robot, baseline), runs, processes):
+    for spec, outcomes in completed(partial(_one, robot, baseline), HEADLINE_RUNS, processes):
         done[spec] = outcomes
         progress(spec)
     rows: dict[str, list[LegOutcome]] = {}
-    for spec in runs:
+    for spec in HEADLINE_RUNS:
         rows.setdefault(spec.row, []).extend(done[spec])
     return {row: summarise(outcomes) for row, outcomes in rows.items()}
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -20,28 +19,20 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.bank import LearnerBank
 from adaptive_contact.files import write_file
 from adaptive_contact.fit.recordings import LegGatherer
 from adaptive_contact.fit.train import Training, learn
-from adaptive_contact.model import Baseline
 from adaptive_contact.model.model_file import save_baseline
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.score import Row, Score, score_messages
+from adaptive_contact.score import Row, Score
 from adaptive_contact.wire import (
-    MSGPACK,
-    ContactEvent,
     ContactTruth,
     ServoSample,
-    encode,
-    servo_key,
-    truth_key,
 )
 from adaptive_contact_sim.truth import TruthTracker
+from adaptive_contact_sim.virtual.compare import play
 from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
 from adaptive_contact_studies.show.numbers import number, percent, share
-
-__all__ = ["SCENARIOS", "Recorded", "Scenario", "learn_quadruped", "play", "record"]
 
 Array = NDArray[np.float64]
 
@@ -252,29 +243,7 @@ def learn_quadruped(robot: Robot) -> Training:
     )
 
 
-def play(recorded: Recorded, robot: Robot, baseline: Baseline) -> Score:
-    """Let learners follow a recording, and score their events."""
-    bank = LearnerBank(robot, baseline)
-    events: list[ContactEvent] = []
-    for leg, sample in recorded.samples:
-        events += bank.update({leg: sample})
-    return score_messages(_messages(recorded), robot, events)
-
-
 # -- private -----------------------------------------------------------------------------------
-
-
-class _Message(NamedTuple):
-    key: str
-    payload: bytes
-    encoding: str = MSGPACK
-
-
-def _messages(recorded: Recorded) -> Iterator[_Message]:
-    for leg, sample in recorded.samples:
-        yield _Message(servo_key(leg), encode(sample))
-    for leg, truth in recorded.truth:
-        yield _Message(truth_key(leg), encode(truth))
 
 
 def _surface(scenario: Scenario) -> str:
@@ -347,7 +316,7 @@ def main(directory: Path) -> None:
         print(f"{leg}: {figures.rows} ticks, held-out {rms} deg", flush=True)
     scores = {}
     for scenario in SCENARIOS:
-        scores[scenario.name] = play(record(scenario), robot, training.baseline)
+        scores[scenario.name] = play(*record(scenario), robot, training.baseline)
         print(_table({scenario.name: scores[scenario.name]}), flush=True)
     write_file(directory / "scores.md", _HEAD + _table(scores))
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -34,7 +34,9 @@ from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import samples_of
 
-__all__ = ["Speed", "export_speed", "real_time_factor", "restore_speed", "tick_speed"]
+# Robots at once, for the most that a process can follow; restores of which the slowest counts.
+_ROBOTS: Final = 100
+_RESTORES: Final = 5
 
 
 @dataclass(frozen=True)
@@ -112,14 +114,13 @@ class _NoRefits:
         return None
 
 
-def tick_speed(run: Run, robot: Robot, baseline: Baseline, robots: int = 100) -> TickSpeed:
+def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
     """Measure :class:`~adaptive_contact.bank.LegGroup` over a run of all legs.
 
     Args:
         run: of the robot.
         robot: its description.
         baseline: its models.
-        robots: that many at once, for the last figure.
     """
     legs = list(run.legs)
     rounds = list(zip(*(samples_of(run, leg) for leg in legs), strict=True))
@@ -138,9 +139,8 @@ def tick_speed(run: Run, robot: Robot, baseline: Baseline, robots: int = 100) ->
             during.append(bool(refitter.open))
         total = time.process_time() - begun
     with threadpool_limits(1):
-        alone = [_median_ms(robot, leg, baseline, [r[k] for r in rounds]) for k, leg in
-                 enumerate(legs[:1])]  # fmt: skip
-        many = _many(robot, legs, baseline, rounds, robots)
+        alone_ms = _median_ms(robot, legs[0], baseline, [samples[0] for samples in rounds])
+        many = _many(robot, legs, baseline, rounds)
     took, refitting = np.array(spent) * 1e3, np.array(during)
     median, p99 = np.percentile(took, (50, 99))
     return TickSpeed(
@@ -154,8 +154,8 @@ def tick_speed(run: Run, robot: Robot, baseline: Baseline, robots: int = 100) ->
         leg_ticks_per_s=len(spent) * len(legs) / total,
         arithmetic_ms=1e3 * sum(compiled) / len(spent),
         over_arithmetic=sum(spent) / sum(compiled),
-        alone_ms=alone[0],
-        many_legs=robots * len(legs),
+        alone_ms=alone_ms,
+        many_legs=_ROBOTS * len(legs),
         many_leg_ticks_per_s=many,
     )
 
@@ -202,22 +202,20 @@ def _median_ms(robot: Robot, leg: str, baseline: Baseline, samples: list[ServoSa
     return 1e3 * float(np.median(spent))
 
 
-def _many(
-    robot: Robot, legs: list[str], baseline: Baseline, rounds: list[Any], robots: int
-) -> float:
+def _many(robot: Robot, legs: list[str], baseline: Baseline, rounds: list[Any]) -> float:
     """Leg-ticks per second of this process's time, of many robots that walk alike."""
+    no_refits = _NoRefits()
     group = LegGroup(
-        [ContactLearner(robot, leg, baseline, refitter=_NoRefits()) for _ in range(robots)
-         for leg in legs]
-    )  # fmt: skip
-    rounds = rounds[: max(100, 50_000 // robots)]
+        [ContactLearner(robot, leg, baseline, refitter=no_refits) for leg in legs * _ROBOTS]
+    )
+    rounds = rounds[: max(100, 50_000 // _ROBOTS)]
     begun = time.process_time()
     for samples in rounds:
-        group.advance(samples * robots)
-    return len(rounds) * robots * len(legs) / (time.process_time() - begun)
+        group.advance(samples * _ROBOTS)
+    return len(rounds) * _ROBOTS * len(legs) / (time.process_time() - begun)
 
 
-def restore_speed(run: Run, robot: Robot, baseline: Baseline, repeat: int = 5) -> RestoreSpeed:
+def restore_speed(run: Run, robot: Robot, baseline: Baseline) -> RestoreSpeed:
     """Measure how fast the learners of a run go on from what they have saved of it.
 
     Raises:
@@ -251,7 +249,7 @@ def restore_speed(run: Run, robot: Robot, baseline: Baseline, repeat: int = 5) -
         store.close()
         kilobytes = sum(path.stat().st_size for path in Path(folder).rglob("*.state")) / 1e3
         took = []
-        for _ in range(repeat):
+        for _ in range(_RESTORES):
             fresh = bank()
             start = time.perf_counter()
             store = StateStore.open(Path(folder), robot.name)
@@ -278,28 +276,19 @@ class Speed:
     engine: float
 
 
-def real_time_factor(
-    settings: SimulationSettings | None = None,
-    *,
-    seconds: float = 10.0,
-    engine_seconds: float = 2.0,
-) -> Speed:
-    """Measure the simulator on this machine, this process's CPU time being what counts.
+def real_time_factor(*, seconds: float, engine_seconds: float = 2.0) -> Speed:
+    """Measure the simulator on this machine, by the CPU time of this process.
+
+    What runs is the tripod gait on the rough field.
 
     Args:
-        settings: what to run; the tripod gait on the rough field by default.
         seconds: simulated time measured.
         engine_seconds: simulated time the bare engine is measured for.
-
-    Returns:
-        The speeds.
     """
     import mujoco
 
-    sim = Simulation(
-        settings
-        or SimulationSettings(motion=WalkSettings(), terrain=TerrainSettings(kind="rough"), seed=1)
-    )
+    rough = TerrainSettings(kind="rough")
+    sim = Simulation(SimulationSettings(motion=WalkSettings(), terrain=rough, seed=1))
     for _ in sim.run(2.0):  # into the walk
         pass
     start = time.process_time()

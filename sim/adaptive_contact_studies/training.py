@@ -26,8 +26,6 @@ from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.workers import completed
 
-__all__ = ["TRAINING_RUNS", "TrainingRun", "learn_shipped", "stretch_of"]
-
 
 class TrainingRun(NamedTuple):
     """One run to learn from."""

@@ -18,8 +18,6 @@ from threadpoolctl import threadpool_limits
 
 from adaptive_contact.service.refit_process import ONE_BLAS_THREAD
 
-__all__ = ["alone", "completed", "on_cluster", "worker_pool"]
-
 T = TypeVar("T")
 R = TypeVar("R")
 

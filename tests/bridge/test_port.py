@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
+import os
 import subprocess
 import sys
 import time
@@ -94,8 +96,13 @@ def test_an_open_port_is_closed_to_others(rig: Callable, monkeypatch: pytest.Mon
     monkeypatch.setattr("adaptive_contact.bridge.port.is_pseudo", lambda _: False)
 
     def closed_to_others() -> bool:
-        flag = bytearray(4)
-        fcntl.ioctl(r.ports[0]._slave, 0x80045440, flag)  # TIOCGEXCL
+        try:
+            other = os.open(r.ports[0].path, os.O_RDWR | os.O_NOCTTY)
+        except OSError as error:
+            return error.errno == errno.EBUSY
+        flag = bytearray(4)  # the superuser gets in
+        fcntl.ioctl(other, 0x80045440, flag)  # TIOCGEXCL
+        os.close(other)
         return flag[0] == 1
 
     bus = opened(r)

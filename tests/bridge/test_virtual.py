@@ -21,13 +21,14 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_ports
+from adaptive_contact_sim.virtual.compare import play
 from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend, order
 from adaptive_contact_sim.virtual.physics import GaitedBackend, LocalSource
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.quadruped import QuadrupedBackend, QuadrupedPlant, quadruped_order
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
-from adaptive_contact_studies.quadruped_trials import SCENARIOS, play, record
+from adaptive_contact_studies.quadruped_trials import SCENARIOS, record
 
 
 def horns(robot: str = "hexapod") -> Horns:
@@ -311,7 +312,7 @@ def test_the_shipped_quadruped_baseline_detects() -> None:
     baseline = shipped_baseline(robot.name)
     assert baseline is not None
     recorded = record(dataclasses.replace(SCENARIOS[1], seconds=25.0))
-    counted = play(recorded, robot, baseline).total.counted
+    counted = play(*recorded, robot, baseline).total.counted
     assert counted.touches >= 20
     assert counted.recall >= 0.9
 

@@ -112,8 +112,8 @@ def test_a_servo_that_was_silent_and_has_held_its_goal_goes_on_from_it(
     r.catcher.wait(feed(lambda c: c.statuses and c.statuses[-1].servos.get("2", SPEAKS).silent))
     # On a computer that is too busy it is named some looks later.
     r.catcher.wait(feed(lambda c: any("servo 2 (l0 j1): no answer" in line for line in c.lines)))
-    r.rig.backend._angle[1] -= 0.1  # it sags under a load, and drives all it has
-    r.rig.backend._driven[1] = False
+    r.rig.backend.place(1, r.rig.backend.angle(1) - 0.1)  # it sags under a load, and
+    r.rig.backend.set_torque(1, False)  # drives all it has
     goal, written = servo.value("goal_position"), goals_written(servo)
     r.rig.fault()
     r.catcher.wait(feed(lambda c: len(written) >= 10))

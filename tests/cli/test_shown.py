@@ -163,7 +163,7 @@ def test_doctor_sends_nothing_of_the_wire(text: str, capsys: pytest.CaptureFixtu
             for payload in (_sample(1), _sample(1, v=text), text.encode()):
                 heard.take(Received(key, payload, encoding, 0, None))
     diagnosis = diagnose(heard, 3.0, alive=False)
-    doctor._print(diagnosis)
+    doctor.print_diagnosis(diagnosis)
     said = capsys.readouterr().out
     assert "no service" in said
     assert not UNSAFE.search(said), repr(said)

@@ -23,7 +23,8 @@ def test_it_installs_our_packages_and_nothing_else(wheel: Path, installed: Any) 
     tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(OURS)
     page = {path.name for path in (installed.site / "adaptive_contact/web/static").iterdir()}
-    assert page == {"index.html", "page.js", "page.css", "icon.svg"}
+    scripts = ("page", "data", "dom", "look", "panel", "plots", "stream", "table", "theme")
+    assert page == {"index.html", "page.css", "icon.svg", *(f"{name}.js" for name in scripts)}
     found = {path.name for path in installed.site.iterdir() if path.is_dir()}
     assert {name for name in found if not name.endswith(".dist-info")} == set(OURS)
     assert (installed.site.parents[2] / "bin" / "adaptive-contact").is_file()

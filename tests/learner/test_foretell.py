@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptive_contact.model import Baseline, LegModel, leg_library
 from adaptive_contact.model.leg_model import rollout
-from adaptive_contact.robot import Robot, foot_point
+from adaptive_contact.robot import Robot, foot
 from adaptive_contact.wire import MAX_ANGLE_RAD
 
 from .conftest import FakeLeg
@@ -49,7 +49,7 @@ def test_a_way_that_is_not_foretold_to_its_end_counts_for_nothing(robot: Robot) 
     leg["asked_n"], leg["path_n"], leg["path_last"], leg["moved"] = 8, 8, 7, 0.03
     at = robot.leg("rf")
     assert at.lengths_m is not None
-    batch.start[0] = foot_point([0.0, 0.3, -0.9], at.lengths_m, at.joint_axes)
+    batch.start[0] = foot([0.0, 0.3, -0.9], at.lengths_m, at.joint_axes)
     near = np.array([0.0, 0.45, -0.9])
     assert watch.judge.judge_travel(lambda path: [near] * len(path)) is False
     assert watch.judge.judge_travel(lambda path: [near] * (len(path) - 1)) is True

@@ -22,7 +22,7 @@ from adaptive_contact.service.replay import (
     TracedRecords,
     replay_events,
 )
-from adaptive_contact.service.replay import _why_missed as why_missed
+from adaptive_contact.service.replay import why_missed as why_missed
 from adaptive_contact.wire import MSGPACK, ContactTruth, ServoSample, encode
 
 MS = 1_000_000

@@ -14,8 +14,6 @@ from adaptive_contact.robot import (
     Chain,
     Leg,
     foot,
-    foot_point,
-    height_gradient,
     inverse,
     link_angles,
 )
@@ -86,7 +84,8 @@ def test_the_place_of_one_posture_is_that_of_many(axes: tuple[str, ...]) -> None
     lengths = rng.uniform(0.02, 0.2, size=len(axes))
     angles = rng.uniform(-3.0, 3.0, size=(50, len(axes)))
     expected = foot(angles, lengths, axes)
-    found = [foot_point(q, lengths.tolist(), axes) for q in angles.tolist()]
+    chain = straight(lengths.tolist(), axes)
+    found = [chain.point(q) for q in angles.tolist()]
     np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
@@ -106,7 +105,8 @@ def test_the_height_s_gradient_is_its_slope(axes: tuple[str, ...]) -> None:
     step = 1e-6 * np.eye(len(axes))
     for q in rng.uniform(-3.0, 3.0, size=(50, len(axes))):
         slopes = (foot(q + step, lengths, axes) - foot(q - step, lengths, axes))[:, 2] / 2e-6
-        np.testing.assert_allclose(height_gradient(q.tolist(), lengths, axes), slopes, atol=1e-9)
+        rises = straight(lengths, axes).height_gradients(q)
+        np.testing.assert_allclose(rises, slopes, atol=1e-9)
 
 
 def by_matrices(q: list[float], chain: Chain) -> np.ndarray:
@@ -171,7 +171,6 @@ def test_the_gradient_of_any_chain_is_the_slope_of_its_matrices(
     slopes = [
         (by_matrices(q + by, chain) - by_matrices(q - by, chain))[-1, 2] / 2e-5 for by in step
     ]
-    np.testing.assert_allclose(chain.height_gradient(q), slopes, atol=1e-8)
     np.testing.assert_allclose(chain.height_gradients([q])[0], slopes, atol=1e-8)
     compiled = np.zeros(len(q))
     swing.height_gradient(np.array(q), *swing.tabulate(chain), compiled)

@@ -65,6 +65,9 @@ class FakeLearner:
         self.guard.restore(snapshot.get("stream"))
         return None
 
+    def judged(self) -> None:
+        """There is no residual."""
+
     def count(self, reason: Reject, times: int = 1) -> None:
         self.rejects[reason] += times
 

@@ -61,7 +61,7 @@ def test_the_learner_does_what_is_told_of_each_sample(
     learner = ContactLearner(parse_robot(ROBOT, source="test"), "rf")
     if resumes is not None:  # as from the snapshot that was saved with the position
         runs = {"run": resumes.run, "old_runs": list(resumes.superseded)}
-        learner._guard.restore({"begun": True, **runs})
+        assert learner.restore({**learner.snapshot(), "stream": {"begun": True, **runs}}) is None
     for one in stream:
         before = learner.status
         refused = admission.judge(one)

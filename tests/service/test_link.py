@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import socket
 import threading
 import time
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 from adaptive_contact.errors import ConfigurationError, LinkError
 from adaptive_contact.service.link import (
@@ -136,11 +138,14 @@ def test_queries_are_answered_refused_or_left_alone(router: Link, join: Join) ->
     assert client.query("robot/leg/rf/nothing") == []
 
 
-def test_a_query_with_megabytes_is_refused_before_it_is_kept(router: Link, join: Join) -> None:
+def test_a_query_with_megabytes_is_refused_before_it_is_kept(router: Link) -> None:
     seen = []
     router.queryable(KEY, seen.append)
-    session = join(router.endpoints[0])._session
-    (reply,) = session.get(KEY, payload=bytes(4_000_000), timeout=5.0)
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps(router.endpoints))
+    with zenoh.open(config) as session:
+        (reply,) = session.get(KEY, payload=bytes(4_000_000), timeout=5.0)
     assert reply.err.payload.to_string() == "4000000 bytes, at most 262144"
     assert not seen
 
@@ -351,4 +356,5 @@ def test_a_configuration_file_is_obeyed_where_we_say_nothing(tmp_path: Path, rou
 
 
 def join_ids(router: Link) -> tuple[str, ...]:
-    return (str(router._session.zid()),)
+    with Link.open(client_settings([router.endpoints[0]], wait=False)) as other:
+        return other.routers()

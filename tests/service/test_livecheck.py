@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
-from adaptive_contact.cli._robot_check import _report_lines
+from adaptive_contact.cli._robot_check import report_lines
 from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
@@ -181,7 +181,7 @@ def test_a_chain_that_no_motion_confirms_is_said_to_be_checked_by_hand() -> None
     assert found.open == found.by_hand == ["lf"]
     assert found.confirmed == []
     assert [joint.axis for joint in found.legs[0].joints] == ["roll", "(0, 1, 0)", "(0, 1, 0)"]
-    [line] = [line for line in _report_lines(found) if "by hand" in line]
+    [line] = [line for line in report_lines(found) if "by hand" in line]
     assert line.startswith("signs, order and zeros of leg lf: not confirmed by the motion")
     place = hanging().leg("lf").chain.foot(poses[-1])  # type: ignore[union-attr]
     assert found.legs[0].forward_m == pytest.approx(0.2 + place[0])
@@ -215,7 +215,7 @@ def test_a_leg_at_rest_says_whether_it_hangs_or_stands() -> None:
     (view,) = report(sagging).legs
     assert view.above_m == pytest.approx(hangs - told)
     assert view.above_m < 0
-    lines = _report_lines(report(sagging))
+    lines = report_lines(report(sagging))
     assert any(f"{1e3 * (told - hangs):.0f} mm below their commands" in line for line in lines)
     assert not any("above their commands" in line for line in lines)
     (moving,) = report(sagging[:5]).legs

@@ -12,7 +12,7 @@ from adaptive_contact.learn.candidate import REFIT_DUE_TICKS, Candidate, first_r
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import LegModel, Library
 from adaptive_contact.model.labelled_swing import ROW, Rows
-from adaptive_contact.service.refits import _failed
+from adaptive_contact.service.refits import result_of_lost
 
 WHY = "the process that fits died or took too long"
 
@@ -26,7 +26,7 @@ class Giving:
 
     def submit(self, job: Job) -> None:
         """Fail at once."""
-        result = _failed(job)
+        result = result_of_lost(job)
         assert isinstance(result, RefitResult)
         assert result.status is FitStatus.LOST
         self._result = dataclasses.replace(result, status=self._status)

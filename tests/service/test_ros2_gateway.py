@@ -26,7 +26,7 @@ from adaptive_contact.ros2 import rmw
 from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.ros2 import WAITING, _Inbox
+from adaptive_contact.service.ros2 import WAITING, Inbox
 
 pytestmark = pytest.mark.e2e
 
@@ -367,7 +367,7 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(serve, gateway, join, 
 
 
 def test_a_topic_that_floods_drops_its_own_oldest() -> None:
-    inbox = _Inbox(("/a", "/b"))
+    inbox = Inbox(("/a", "/b"))
     messages = [Received(str(i), b"", "", i, None) for i in range(WAITING + 36)]
     inbox.put("/b", messages[0])
     for message in messages:

@@ -19,9 +19,10 @@ import pytest
 from typer.testing import CliRunner
 
 import adaptive_contact_models
-from adaptive_contact.cli.serve import _load
+from adaptive_contact.cli._options import learned_of
 from adaptive_contact.cli.state import app
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.state.format import FORMAT
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
@@ -253,7 +254,7 @@ def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(
     baseline = tmp_path / os.fsdecode(b"base\xff.json")
     source = Path(adaptive_contact_models.__file__).parent / "hexapod" / "baseline.json"
     baseline.write_bytes(source.read_bytes())
-    _, _, origin = _load(None, baseline)
+    _, origin = learned_of(shipped_robot(), None, baseline)
     assert origin == str(tmp_path / "base\N{REPLACEMENT CHARACTER}.json")
 
 

@@ -11,7 +11,7 @@ from views import S, drawn, event, service, status, truth
 
 from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.watch import LegView, View, Watch
-from adaptive_contact.service.watch_table import _counts, headline, table
+from adaptive_contact.service.watch_table import counts_of, headline, table
 from adaptive_contact.wire import (
     DriftLevel,
 )
@@ -158,5 +158,5 @@ def test_what_the_service_says_of_itself_is_over_the_table() -> None:
 
 def test_no_reason_is_out_of_sight_behind_larger_ones() -> None:
     counts = {"time_backwards": 9, "overflow": 650, "not_finite": 4000, "too_large": 2000, "x": 1}
-    shown = _counts(counts)
+    shown = counts_of(counts)
     assert shown == "not_finite 4000, too_large 2000, overflow 650, time_backwards 9, x 1"

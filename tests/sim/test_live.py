@@ -91,7 +91,6 @@ def run_fake(
         seconds=seconds,
         pace=Pace(0.0),
         stop=threading.Event(),
-        listen=True,
         on_tick=lambda tick: on_tick(link, tick),
     )
     assert outcome.ticks == sim.ticks == round(seconds / 0.02)
@@ -186,9 +185,7 @@ def test_a_stop_ends_the_run() -> None:
             stop.set()
 
     sim = Simulation(SimulationSettings())
-    run_live(
-        sim, FakeLink(), seconds=None, pace=Pace(0.0), stop=stop, listen=False, on_tick=on_tick
-    )
+    run_live(sim, FakeLink(), seconds=None, pace=Pace(0.0), stop=stop, on_tick=on_tick)
     assert len(seen) == 5
 
 

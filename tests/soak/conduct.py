@@ -194,8 +194,8 @@ class _Run:
             self._memory_s = now_s
             after_s = now_s - self._service_began_s
             pid = self.service.pid
-            workers_mb = sum(_resident_mb(child) for child in _children(pid))
-            self.resident.append(Resident(self._life, after_s, _resident_mb(pid), workers_mb))
+            workers_mb = sum(resident_mb(child) for child in children_of(pid))
+            self.resident.append(Resident(self._life, after_s, resident_mb(pid), workers_mb))
             self._watch_orphans(now_s)
 
     def do(self, fault: Fault) -> None:
@@ -209,8 +209,8 @@ class _Run:
             self._router.stdout.readline()
         else:
             dead = self.service
-            children = [(pid, _born(pid)) for pid in _children(dead.pid)]
-            _crash(dead)
+            children = [(pid, born(pid)) for pid in children_of(dead.pid)]
+            crash_service(dead)
             # Its output stays open as long as its children do: it is read to the end at ours.
             self._stack.callback(dead.end)
             now_s = time.monotonic()
@@ -233,7 +233,7 @@ class _Run:
 
     def _watch_orphans(self, now_s: float) -> None:
         """See that the children of a killed service end, and end those that do not."""
-        self._orphans = [one for one in self._orphans if _born(one.pid) == one.born]
+        self._orphans = [one for one in self._orphans if born(one.pid) == one.born]
         late = [one for one in self._orphans if now_s - one.killed_s > _ORPHAN_S]
         self.left_behind += len(late)
         self._orphans = [one for one in self._orphans if one not in late]
@@ -299,7 +299,7 @@ def _start_router(endpoint: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
-def _crash(service: Child) -> None:
+def crash_service(service: Child) -> None:
     """Kill a service as a crash would: nothing is saved, nobody is told.
 
     Raises:
@@ -314,7 +314,7 @@ def _crash(service: Child) -> None:
 
 
 def _kill(orphan: _Orphan) -> None:
-    if _born(orphan.pid) == orphan.born:
+    if born(orphan.pid) == orphan.born:
         with contextlib.suppress(OSError):  # it has just ended
             os.kill(orphan.pid, signal.SIGKILL)
 
@@ -326,7 +326,7 @@ def _end(process: subprocess.Popen[str]) -> None:
         process.stdout.close()
 
 
-def _born(pid: int) -> str:
+def born(pid: int) -> str:
     """When a process started, as the kernel tells it; empty where there is none that runs."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
@@ -335,17 +335,17 @@ def _born(pid: int) -> str:
     return "" if fields[0] == "Z" else fields[19]
 
 
-def _resident_mb(pid: int) -> float:
+def resident_mb(pid: int) -> float:
     try:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE / 1e6
     except (OSError, IndexError):  # it is just ending
         return float("nan")
 
 
-def _children(pid: int) -> list[int]:
+def children_of(pid: int) -> list[int]:
     """Processes that a process has started, and theirs."""
     found = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):  # the thread is just ending
             found += [int(child) for child in task.read_text().split()]
-    return found + [one for child in found for one in _children(child)]
+    return found + [one for child in found for one in children_of(child)]

@@ -18,7 +18,7 @@ pytest.importorskip("mujoco")
 from adaptive_contact.cli.demo.child import Child
 from adaptive_contact_sim.scenario import parse_drift
 
-from .conduct import _born, _children, _crash, _resident_mb
+from .conduct import born, children_of, crash_service, resident_mb
 from .plan import SoakPlan
 
 
@@ -27,11 +27,11 @@ def test_a_service_is_killed_as_by_a_crash(tmp_path: Path) -> None:
     """It used to be asked to end, and saved everything before it did."""
     listen = ("--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path), "--log-level", "warning")
     with Child("the service", ("serve", *listen)) as child:
-        assert _born(child.pid)
-        _crash(child)
+        assert born(child.pid)
+        crash_service(child)
         assert not child.running
         assert "exit code -9" in str(child.failure())
-        assert _born(child.pid) == ""
+        assert born(child.pid) == ""
 
 
 def test_a_program_that_compiles_is_waited_for(
@@ -55,8 +55,8 @@ def test_a_program_that_compiles_is_waited_for(
 
 
 def test_a_process_is_told_from_a_later_one_of_its_id() -> None:
-    assert _born(os.getpid()).isdigit()
-    assert _born(2**22 + 1) == "", "beyond any id"
+    assert born(os.getpid()).isdigit()
+    assert born(2**22 + 1) == "", "beyond any id"
 
 
 def test_children_of_a_process_are_found() -> None:
@@ -65,10 +65,10 @@ def test_children_of_a_process_are_found() -> None:
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as process:
         until = time.monotonic() + 20
-        while not (found := _children(process.pid)):
+        while not (found := children_of(process.pid)):
             assert time.monotonic() < until
             time.sleep(0.01)
-        assert all(_resident_mb(pid) > 0.1 for pid in found)
+        assert all(resident_mb(pid) > 0.1 for pid in found)
         process.communicate(b"\n", timeout=20)
 
 

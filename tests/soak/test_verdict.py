@@ -70,7 +70,7 @@ SOUND = verdict.Verdict(
 
 
 def failures(**changes: Any) -> list[str]:
-    return verdict._failures(dataclasses.replace(SOUND, **changes), ROBOT, PLAN)
+    return verdict.failures_of(dataclasses.replace(SOUND, **changes), ROBOT, PLAN)
 
 
 def test_a_sound_soak_passes() -> None:

@@ -265,10 +265,10 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         p99_ms=None if latency is None else latency.p99,
         failures=[],
     )
-    return dataclasses.replace(judged, failures=_failures(judged, robot, plan))
+    return dataclasses.replace(judged, failures=failures_of(judged, robot, plan))
 
 
-def _failures(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
+def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
     lines = [
         *_detection_failures(found),
         *_memory_failures(found, plan),

@@ -9,6 +9,7 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.robot import parse_robot, shipped_robot
 from adaptive_contact.service.state import StateKeeper, StateStore, settings_digest
+from adaptive_contact.service.state.store import NEWEST
 
 from .conftest import Desk, Folder, Learner, S
 
@@ -27,8 +28,7 @@ def test_nothing_there_is_nothing_to_say(folder: Folder) -> None:
 def test_a_flipped_byte_falls_back_to_the_one_before_in_one_line(folder: Folder) -> None:
     folder.save(1)
     folder.save(2)
-    assert folder.keeper is not None
-    newest = folder.store.path(next(iter(folder.keeper._identities.values())))
+    (newest,) = folder.path.rglob(f"*{NEWEST}")
     data = bytearray(newest.read_bytes())
     data[len(data) // 2] ^= 1
     folder.close()
@@ -156,10 +156,11 @@ def test_settings_are_told_apart() -> None:
 
 
 def test_robots_of_one_kind_are_told_apart_by_their_namespaces(tmp_path: Path) -> None:
-    from adaptive_contact.cli.serve import _keeper
+    from adaptive_contact.cli.serve import keeper_of
 
     robot = shipped_robot()
-    keepers = [_keeper(tmp_path, robot, None, name) for name in (None, "hexapod1", "lab/hexapod2")]
+    names = (None, "hexapod1", "lab/hexapod2")
+    keepers = [keeper_of(tmp_path, robot, None, name) for name in names]
     assert [keeper.facts.error for keeper in keepers] == [None] * 3, "no two share a folder"
     assert len({keeper.facts.folder for keeper in keepers}) == 3
     for keeper in keepers:

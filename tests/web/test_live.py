@@ -35,6 +35,14 @@ pytestmark = pytest.mark.e2e
 LEGS = ["lf", "lm", "lr", "rf", "rm", "rr"]
 
 
+# What the page's modules keep and do, by the names that they give it.
+_MODULES = """
+Promise.all(['data', 'stream', 'theme'].map((name) => import(`/${name}.js`))).then(
+  ([data, stream, theme]) => { Object.assign(globalThis, { ...data, stream, theme }); },
+)
+"""
+
+
 class Running:
     """A command as a process; its lines are kept."""
 
@@ -119,6 +127,8 @@ def tab(robot: Robot, browser: Chromium) -> Iterator[Tab]:
     one = browser.page()
     one.size(1280, 860)
     one.go(robot.url)
+    one.wait("document.readyState === 'complete'")
+    one.value(_MODULES)
     one.wait("document.querySelectorAll('.leg').length === 6 && state.now > 0")
     yield one
     one.close()
@@ -196,7 +206,7 @@ _HAS_COLOUR = """(name) => {
   const pen = canvas.getContext('2d');
   const data = pen.getImageData(0, 0, canvas.width, canvas.height).data;
   const probe = document.createElement('canvas').getContext('2d');
-  probe.fillStyle = colour[name];
+  probe.fillStyle = theme.colour[name];
   probe.fillRect(0, 0, 1, 1);
   const [r, g, b] = probe.getImageData(0, 0, 1, 1).data;
   for (let i = 0; i < data.length; i += 4) {
@@ -238,10 +248,10 @@ def test_it_fits_a_phone(tab: Tab, width: int) -> None:
     tab.size(width, 844, phone=width < 500)
     tab.wait(f"innerWidth === {width}")
     assert tab.value("document.documentElement.scrollWidth") <= width
-    tab.value("openPanel('rf')")
+    tab.value("state.legs.get('rf').card.root.click()")
     tab.wait("document.querySelectorAll('.equation').length === 3")
     assert tab.value("document.documentElement.scrollWidth") <= width
-    tab.value("closePanel()")
+    tab.value("document.getElementById('detail-close').click()")
 
 
 def test_text_of_the_wire_is_text(robot: Robot, tab: Tab) -> None:
@@ -279,7 +289,7 @@ def test_text_of_the_wire_is_text(robot: Robot, tab: Tab) -> None:
 
 def test_its_memory_is_flat(tab: Tab) -> None:
     """Two hours of frames, as fast as they go: what is kept after half an hour stays as it is."""
-    tab.value("source.close(); state.over = 'test'; forget()")
+    tab.value("stream.source.close(); state.over = 'test'; forget()")
     tab.value(_FEED)
     sizes = []
     for half_hour in range(4):

@@ -43,7 +43,13 @@ def guarded() -> Iterator[Running]:
 # -- what is served ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", ["/", "/page.js", "/page.css", "/icon.svg"])
+SCRIPTS = [
+    f"/{name}.js"
+    for name in ("page", "data", "dom", "look", "panel", "plots", "stream", "table", "theme")
+]
+
+
+@pytest.mark.parametrize("path", ["/", *SCRIPTS, "/page.css", "/icon.svg"])
 def test_a_page_comes_with_a_policy_that_lets_nothing_else_in(shared: Running, path: str) -> None:
     status, headers, body = shared.get(path)
     assert status == 200
@@ -61,14 +67,14 @@ def test_a_page_comes_with_a_policy_that_lets_nothing_else_in(shared: Running, p
 
 
 def test_the_page_asks_for_nothing_from_elsewhere(shared: Running) -> None:
-    texts = {path: shared.get(path)[2].decode() for path in ("/", "/page.js", "/page.css")}
+    texts = {path: shared.get(path)[2].decode() for path in ("/", *SCRIPTS, "/page.css")}
     for path, text in texts.items():
         for address in re.findall(r"(?:https?:)?//[\w.]+\.\w+", text):
             pytest.fail(f"{path} names {address}")
     html = texts["/"]
     assert not re.search(r"<script(?![^>]*src=)|\son\w+=|style=|<style", html), "nothing inline"
     for way in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval("):
-        assert way not in texts["/page.js"]
+        assert not [path for path, text in texts.items() if way in text]
 
 
 def test_a_model_is_asked_for_by_the_id_of_a_leg_only(shared: Running) -> None:

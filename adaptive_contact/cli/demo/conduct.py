@@ -1,9 +1,8 @@
-"""What is seen while the demo runs: a live table, or plain lines where there is no terminal.
-
-The running part of the demo: service and simulator as two processes, a third that injects.
+"""The running part of the demo: service and simulator as two processes, a third that injects.
 
 This process only watches and records; what it ends up with is a recording of everything that went
-over the wire, and the moment of the drift.
+over the wire, and the moment of the drift.  It shows a live table, or plain lines where there is no
+terminal.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -39,27 +38,9 @@ if TYPE_CHECKING:
 _LINE_EVERY_S: Final = 5.0
 
 
-class Display(Protocol):
-    """Shows a run; a context manager."""
-
-    def __enter__(self) -> Self:
-        """Begin."""
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the last picture standing."""
-
-    def show(self, view: View, walked_s: float, *, drifted: bool) -> None:
-        """Show what is known after so many seconds of walking."""
-
-    def say(self, line: str) -> None:
-        """Print a line that stays."""
-
-
 def display(console: Console, settings: DemoSettings) -> Display:
     """The display for a console."""
-    if console.is_terminal:
-        return _LiveTable(console, settings)
-    return _PlainLines(console, settings)
+    return (_LiveTable if console.is_terminal else _PlainLines)(console, settings)
 
 
 class _LiveTable:
@@ -118,6 +99,9 @@ class _PlainLines:
         """Print a line."""
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
         self._console.file.flush()
+
+
+Display = _LiveTable | _PlainLines
 
 
 def _headline(settings: DemoSettings, walked_s: float, *, drifted: bool) -> str:

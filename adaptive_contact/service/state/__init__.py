@@ -16,7 +16,7 @@ from adaptive_contact.service.state.format import (
     settings_digest,
     unpack,
 )
-from adaptive_contact.service.state.keeper import Keepable, StateFacts, StateKeeper
+from adaptive_contact.service.state.keeper import StateFacts, StateKeeper
 from adaptive_contact.service.state.store import (
     StateStore,
     Stored,
@@ -29,7 +29,6 @@ from adaptive_contact.service.state.store import (
 __all__ = [
     "FORMAT",
     "Identity",
-    "Keepable",
     "Record",
     "Refused",
     "StateFacts",

@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import structlog
@@ -19,6 +19,10 @@ import structlog
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.state.format import Identity, Record, Refused
 from adaptive_contact.service.state.store import StateStore
+
+if TYPE_CHECKING:
+    from adaptive_contact.leg_learner import ContactLearner
+    from adaptive_contact.service.leg_endpoint import LegEndpoint
 
 _log = structlog.get_logger()
 
@@ -32,20 +36,6 @@ _END_S: Final = 4.0
 _MOST: Final = 4
 _LINE: Final = 160
 _ERROR_LINE: Final = 320
-
-
-@runtime_checkable
-class Keepable(Protocol):
-    """A learner whose state can be kept, as ``ContactLearner`` is."""
-
-    def snapshot(self) -> dict[str, Any] | None:
-        """What was learned: numbers, strings, bytes, lists and maps; None for nothing yet."""
-
-    def restore(self, saved: dict[str, Any], /) -> str | None:
-        """Go on from a snapshot; None when it is used, otherwise why it is refused.
-
-        A learner that refuses stays as it was.
-        """
 
 
 class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,19 +74,6 @@ class Position(NamedTuple):
     seq: int
     missed_down: int = 0
     superseded: tuple[int | None, ...] = ()
-
-
-class Kept(Protocol):
-    """What the keeper asks of a leg's endpoint."""
-
-    leg: str
-    model_version: int
-    received_samples: int
-    position: Position | None
-
-    @property
-    def learner(self) -> object:
-        """The leg's; its state is kept if it is :class:`Keepable`."""
 
 
 class _Last(NamedTuple):
@@ -166,7 +143,9 @@ class StateKeeper:
             exposed=None if self._store.exposed is None else self._store.exposed[:_ERROR_LINE],
         )
 
-    def restore(self, leg: str, learner: object, library: str, now_ns: int) -> Position | None:
+    def restore(
+        self, leg: str, learner: ContactLearner, library: str, now_ns: int
+    ) -> Position | None:
         """Let a new learner go on from where it was, if there is a sound state of it.
 
         Args:
@@ -183,8 +162,6 @@ class StateKeeper:
         # Staggered, so that no two legs are saved in one tick.
         share = (len(self._identities) % 7 + 1) / 8
         self._last[leg] = _Last(now_ns + int(self._period_ns * share), 0, None)
-        if not isinstance(learner, Keepable):
-            return None
         for path, found in self._store.candidates(identity):
             why = found.why if isinstance(found, Refused) else learner.restore(found.body)
             if why is None and isinstance(found, Record):
@@ -211,7 +188,7 @@ class StateKeeper:
             )
         return None
 
-    def due(self, endpoint: Kept, now_ns: int) -> bool:
+    def due(self, endpoint: LegEndpoint, now_ns: int) -> bool:
         """Return whether a leg should be saved: a new model, or 10 s of samples since the last."""
         last = self._last.get(endpoint.leg)
         if last is None:
@@ -222,21 +199,17 @@ class StateKeeper:
             return False
         return endpoint.model_version != last.model_version or now_ns >= last.due_ns
 
-    def take(self, endpoint: Kept, now_ns: int) -> None:
+    def take(self, endpoint: LegEndpoint, now_ns: int) -> None:
         """Snapshot a leg, and leave the rest to the thread; nothing where there is no folder."""
         if self._store.trouble is not None:
             return
         self._last[endpoint.leg] = _Last(
             now_ns + self._period_ns, endpoint.received_samples, endpoint.model_version
         )
-        if not isinstance(endpoint.learner, Keepable):
-            return
         try:
             body = endpoint.learner.snapshot()
         except Exception as error:  # a fault in one leg's learning must not end the others' service
             self._fail(endpoint.leg, error)
-            return
-        if body is None:
             return
         position = endpoint.position
         record = Record(

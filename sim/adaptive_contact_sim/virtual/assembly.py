@@ -29,8 +29,6 @@ from adaptive_contact_sim.virtual.faults import FaultSchedule, FaultSpec
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.servo import VirtualServo
 
-__all__ = ["VirtualServer", "VirtualSettings", "assemble", "check_faults", "with_ports"]
-
 
 class VirtualServer:
     """Serves virtual ports in real time.

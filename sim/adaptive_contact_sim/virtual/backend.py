@@ -8,8 +8,6 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Backend", "KinematicBackend"]
-
 Array = NDArray[np.float64]
 
 

@@ -31,8 +31,6 @@ from adaptive_contact.wire import (
     truth_key,
 )
 
-__all__ = ["Comparison", "compare"]
-
 # Truth of touches this long before the first sample still matters to it.
 _BEFORE_NS = 1_000_000_000
 
@@ -59,7 +57,9 @@ class _Message(NamedTuple):
     encoding: str = MSGPACK
 
 
-_Samples = list[tuple[str, ServoSample]]
+# Each with its leg.
+Samples = Sequence[tuple[str, ServoSample]]
+Truth = Sequence[tuple[str, ContactTruth]]
 
 
 def compare(
@@ -82,15 +82,8 @@ def compare(
     last = max(sample.t_ns for _, sample in received.samples)
     truth = [(leg, t) for leg, t in own.truth if first - _BEFORE_NS <= t.t_ns <= last]
 
-    def within(samples: _Samples) -> _Samples:
+    def within(samples: Samples) -> Samples:
         return [(leg, s) for leg, s in samples if first <= s.t_ns <= last]
-
-    def play(samples: _Samples) -> Score:
-        bank = LearnerBank(robot, baseline)
-        events: list[ContactEvent] = []
-        for leg, sample in samples:
-            events += bank.update({leg: sample})
-        return score_messages(_messages(samples, truth), robot, events)
 
     mine, theirs = within(own.samples), within(received.samples)
     no_phase = [(leg, msgspec.structs.replace(s, phase=None)) for leg, s in mine]
@@ -98,11 +91,25 @@ def compare(
     if received.events:
         events = [event for event in received.events if event.t_ns >= first]
         live = score_messages(_messages(theirs, truth), robot, events)
-    return Comparison(play(mine), play(no_phase), play(theirs), live)
+    return Comparison(
+        direct=play(mine, truth, robot, baseline),
+        direct_no_phase=play(no_phase, truth, robot, baseline),
+        bridged=play(theirs, truth, robot, baseline),
+        live=live,
+    )
+
+
+def play(samples: Samples, truth: Truth, robot: Robot, baseline: Baseline) -> Score:
+    """Let learners follow samples in the order of their time, and score their events."""
+    bank = LearnerBank(robot, baseline)
+    events: list[ContactEvent] = []
+    for leg, sample in samples:
+        events += bank.update({leg: sample})
+    return score_messages(_messages(samples, truth), robot, events)
 
 
 class _Received(NamedTuple):
-    samples: _Samples
+    samples: list[tuple[str, ServoSample]]
     truth: list[tuple[str, ContactTruth]]
     events: list[ContactEvent]
 
@@ -130,9 +137,7 @@ def _read(path: Path) -> _Received:
     return received
 
 
-def _messages(
-    samples: Sequence[tuple[str, ServoSample]], truth: Sequence[tuple[str, ContactTruth]]
-) -> list[_Message]:
+def _messages(samples: Samples, truth: Truth) -> list[_Message]:
     return [_Message(servo_key(leg), encode(s)) for leg, s in samples] + [
         _Message(truth_key(leg), encode(t)) for leg, t in truth
     ]

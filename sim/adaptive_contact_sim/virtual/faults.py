@@ -27,8 +27,6 @@ from adaptive_contact.bridge.packets import ERROR_BITS
 from adaptive_contact.bridge.tables import MODELS, ServoModel
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["FaultKind", "FaultSchedule", "FaultSpec", "parse_fault"]
-
 FaultKind = Literal["silent", "late", "flip", "stale", "error", "hangup"]
 _KINDS: Final = get_args(FaultKind)
 _FORM: Final = re.compile(

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["STEP_S", "Horns", "OnStand"]
-
 Array = NDArray[np.float64]
 
 STEP_S: Final = 0.001

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.elements import JOINTS, LEGS, N_SERVOS, PARTS
 from adaptive_contact_sim.plant import Plant
-from adaptive_contact_sim.scene import robot_xml
+from adaptive_contact_sim.scene import on_a_stand
 from adaptive_contact_sim.servo import QUANTUM_RAD, manufactured
 from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
-
-__all__ = ["HUNG_M", "PassiveBackend"]
 
 Array = NDArray[np.float64]
 OnTruth = Callable[[str, ContactTruth], None]
@@ -40,7 +38,6 @@ class PassiveBackend(OnStand):
         horns: how the servos are mounted.
         height_m: of the body over the floor.
         robot_seed: which robot of its kind.
-        start_rad: (18,) joint angles at first; legs stretched out level where left out.
         epoch_ns: wall clock of the start, for the truth's time stamps.
         on_truth: gets changes of contact.
     """
@@ -51,14 +48,12 @@ class PassiveBackend(OnStand):
         *,
         height_m: float = HUNG_M,
         robot_seed: int = 0,
-        start_rad: Array | None = None,
         epoch_ns: int = 0,
         on_truth: OnTruth = lambda *_: None,
     ) -> None:
-        start = np.zeros(N_SERVOS) if start_rad is None else np.array(start_rad, dtype=np.float64)
-        super().__init__(horns, start, epoch_ns)
+        super().__init__(horns, np.zeros(N_SERVOS), epoch_ns)  # legs stretched out level
         self.plant = Plant(_on_a_stand(height_m), manufactured(robot_seed), period_s=STEP_S)
-        self.plant.joint_angles[:] = start
+        self.plant.joint_angles[:] = 0.0
         mujoco.mj_forward(self.plant.model, self.plant.data)
         self._written: Array | None = None
         self._truth = TruthTracker(STEP_S, _BATCH)
@@ -98,19 +93,8 @@ class PassiveBackend(OnStand):
             changes = self._truth.start(self._forces.mean(axis=0), plant.steps - _BATCH)
         changes += self._truth.update(self._forces, plant.touches, plant.steps)
         for change in changes:
-            touch = change.touch
-            self._on_truth(
-                LEGS[change.leg],
-                ContactTruth(
-                    t_ns=self._epoch_ns + change.step * round(STEP_S * 1e9),
-                    contact=change.contact,
-                    force=change.force_n,
-                    speed_m_s=None if touch is None else touch.speed_m_s,
-                    surface=None if touch is None else "hard",
-                    part=None if touch is None else PARTS[touch.part],
-                    grazing=touch is not None and touch.grazing,
-                ),
-            )
+            t_ns = self._epoch_ns + change.step * round(STEP_S * 1e9)
+            self._on_truth(LEGS[change.leg], change.message(t_ns, PARTS, lambda _: "hard"))
 
 
 def order() -> list[tuple[str, str]]:
@@ -120,9 +104,7 @@ def order() -> list[tuple[str, str]]:
 
 def _on_a_stand(height_m: float) -> mujoco.MjModel:
     """The robot with its body fixed over a hard floor."""
-    spec = mujoco.MjSpec.from_string(robot_xml())
-    spec.delete(spec.joint("body"))
-    spec.body("body").pos = [0.0, 0.0, height_m]
+    spec = on_a_stand(height_m)
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,

@@ -31,12 +31,10 @@ from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.wire import truth_key
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
-from adaptive_contact_sim.virtual.horns import Horns
+from adaptive_contact_sim.virtual.horns import STEP_S, Horns
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
-
-__all__ = ["GaitedBackend", "LocalSource", "ProcessSource"]
 
 Array = NDArray[np.float64]
 
@@ -230,15 +228,12 @@ class GaitedBackend:
         source: of the simulation's ticks.
         horns: how the servos are mounted.
         period_s: control tick.
-        step_s: physics step.
     """
 
-    def __init__(
-        self, source: Source, horns: Horns, *, period_s: float = 0.02, step_s: float = 0.001
-    ) -> None:
+    def __init__(self, source: Source, horns: Horns, *, period_s: float = 0.02) -> None:
         self._source = source
         self._horns = horns
-        self._period_s, self._step_s = period_s, step_s
+        self._period_s = period_s
         self._made: MadeTick | None = None
         self._at = 0
         self._start_s, self._epoch_ns = 0.0, 0
@@ -260,7 +255,7 @@ class GaitedBackend:
             self._tick += 1
             start += self._period_s
             self._source.begin(self._epoch_ns)
-        self._at = min(int((now_s - start) / self._step_s), len(self._made.angles) - 1)
+        self._at = min(int((now_s - start) / STEP_S), len(self._made.angles) - 1)
         return start + self._period_s
 
     def angle(self, index: int) -> float:

@@ -30,8 +30,6 @@ from adaptive_contact.bridge.tables import BAUDS
 from adaptive_contact_sim.virtual.faults import FaultSchedule
 from adaptive_contact_sim.virtual.servo import RANGE2, Refusal, VirtualServo
 
-__all__ = ["VirtualPort"]
-
 _ALERT: Final = 0x80
 _INSTRUCTION_ERROR: Final = {1: 0x40, 2: 0x02}
 # What protocol 2.0's factory reset leaves as it is, by its parameter.

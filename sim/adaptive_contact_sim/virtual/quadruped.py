@@ -29,14 +29,6 @@ from adaptive_contact_sim.plant import Touch
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
 from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
 
-__all__ = [
-    "JOINTS",
-    "LEGS",
-    "QuadrupedBackend",
-    "QuadrupedPlant",
-    "quadruped_order",
-]
-
 Array = NDArray[np.float64]
 
 LEGS: Final = ("fl", "fr", "rl", "rr")

@@ -23,8 +23,6 @@ from adaptive_contact.bridge.modes import LAW_REGISTERS, DriveMode, slope_rad
 from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
 from adaptive_contact_sim.virtual.backend import Backend
 
-__all__ = ["Refusal", "VirtualServo"]
-
 # Errors of protocol 1.0 (bits) and 2.0 (numbers) for the same refusals.
 RANGE1, ANGLE1, INSTRUCTION1 = 0x08, 0x02, 0x40
 FAIL2, RANGE2, LENGTH2, LIMIT2, ACCESS2 = 0x01, 0x04, 0x05, 0x06, 0x07

@@ -33,8 +33,6 @@ from adaptive_contact_sim.virtual.physics import GaitedBackend, ProcessSource
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
 
-__all__ = ["VirtualPlan", "run"]
-
 _LOCK: Final = ".in-use"
 
 

@@ -28,8 +28,6 @@ from adaptive_contact_sim.arrays import LegArrays, Onset, Run, contact_at
 from adaptive_contact_sim.servo import ServoBank, ServoKind, ServoParameters
 from adaptive_contact_sim.truth import TruthTracker
 
-__all__ = ["LEG", "DrawnLeg", "Motion", "draw_leg", "record"]
-
 Array = NDArray[np.float64]
 Motion = Literal["pose", "gait"]
 

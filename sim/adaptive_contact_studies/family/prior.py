@@ -32,8 +32,6 @@ from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.workers import worker_pool
 
-__all__ = ["SEEDS", "JointRows", "learn_family", "maximise", "save_family"]
-
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 

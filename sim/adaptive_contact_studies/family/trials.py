@@ -38,8 +38,6 @@ from adaptive_contact_studies.scenarios.replay import learner_fingerprint
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.workers import completed
 
-__all__ = ["KINDS", "LegTrial", "table", "trials"]
-
 # What is tried, and how many runs; of a hexapod's walk six legs each, in pose three, of a
 # quadruped's four.
 KINDS: Final = {

@@ -31,8 +31,6 @@ from adaptive_contact_sim.elements import JOINTS
 from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.servo import FULL_SCALE_STEPS, QUANTUM_RAD, ServoParameters, duty
 
-__all__ = ["Gains", "NominalLeg", "predict", "tune_gains"]
-
 Array = NDArray[np.float64]
 
 # Physics steps per control tick, and rounds of the friction solver: the pitch joints are coupled.
@@ -79,7 +77,7 @@ class NominalLeg:
     gravity: float
 
     @classmethod
-    def of(cls, leg: str = "rf", *, servo: ServoParameters | None = None) -> NominalLeg:
+    def of(cls, leg: str = "rf") -> NominalLeg:
         """Read the constants; legs are equal, and so are nominal servos."""
         model = mujoco.MjSpec.from_string(robot_xml()).compile()
         bodies = [model.body(f"{leg}_{joint}").id for joint in JOINTS]
@@ -88,13 +86,13 @@ class NominalLeg:
             centre_m=model.body_ipos[bodies][:, [0, 2]].copy(),
             inertia=model.body_inertia[bodies].copy(),
             offset_m=np.array([0.0, *model.body_pos[bodies[1:]][:, 0]]),
-            servo=servo or ServoParameters(),
+            servo=ServoParameters(),
             step_s=float(model.opt.timestep),
             gravity=float(-model.opt.gravity[2]),
         )
 
 
-class _Dynamics:
+class Dynamics:
     """Advances many copies of the leg at once, state (3, s): joints first, which is faster."""
 
     def __init__(self, leg: NominalLeg) -> None:
@@ -241,7 +239,7 @@ def predict(leg: NominalLeg, streams: list[tuple[Array, Array]], gains: Gains) -
     measured = np.stack([streams[w][0][r].T for (w, _), r in zip(parts, rows, strict=True)], -1)
     desired = np.stack([streams[w][1][r].T for (w, _), r in zip(parts, rows, strict=True)], -1)
     measured, desired = measured.transpose(1, 0, 2), desired.transpose(1, 0, 2)
-    predicted = _observe(_Dynamics(leg), measured, desired, gains)
+    predicted = _observe(Dynamics(leg), measured, desired, gains)
     out = [np.full_like(m, np.nan) for m, _ in streams]
     for column, (which, start) in enumerate(parts):
         stop = min(start + chunk, len(out[which]))
@@ -251,7 +249,7 @@ def predict(leg: NominalLeg, streams: list[tuple[Array, Array]], gains: Gains) -
     return out
 
 
-def _observe(dynamics: _Dynamics, measured: Array, desired: Array, gains: Gains) -> Array:
+def _observe(dynamics: Dynamics, measured: Array, desired: Array, gains: Gains) -> Array:
     """(ticks, 3, s) readings predicted, the first repeating the reading."""
     predicted = np.empty_like(measured)
     predicted[0] = measured[0]

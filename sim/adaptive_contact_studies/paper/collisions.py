@@ -36,11 +36,9 @@ from adaptive_contact_studies.paper.comparison_rules import (
     paper_rule,
 )
 from adaptive_contact_studies.paper.data import Stream
-from adaptive_contact_studies.paper.identification import fitted, predictions
+from adaptive_contact_studies.paper.identification import fitted
 from adaptive_contact_studies.paper.recording import simulation_of
-from adaptive_contact_studies.paper.rows import PAPER_WINDOW
-
-__all__ = ["ten_collisions"]
+from adaptive_contact_studies.paper.rows import PAPER_WINDOW, predictions
 
 Array = NDArray[np.float64]
 
@@ -134,7 +132,7 @@ def ten_collisions(
     progress(0.2)
     model, status = fitted(robot, train, "paper", PAPER_WINDOW, _THRESHOLD)
     predicted = predictions(model, measured, desired)
-    difference = paper_rule(Prediction(measured - predicted, np.zeros_like(measured)))
+    difference = paper_rule(Prediction.of(measured, predicted))
     limit = _found_threshold(model, test)
     progress(0.3)
     judged = swing_ticks(swing) > JUDGED_AFTER_TICKS
@@ -188,7 +186,7 @@ def ten_collisions(
 def _found_threshold(model: LegModel | None, test: Stream) -> Array:
     """(3,) the largest change of the absolute error on judged free ticks; NaN without a model."""
     predicted = predictions(model, test.measured, test.desired)
-    change = paper_rule(Prediction(test.measured - predicted, np.zeros_like(predicted)))
+    change = paper_rule(Prediction.of(test.measured, predicted))
     judged = swing_ticks(test.swing) > JUDGED_AFTER_TICKS
     known = change[judged]
     known = known[np.isfinite(known).all(axis=1)]

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,20 +41,7 @@ from adaptive_contact.detect.contact import CALM_SCORE, CALM_TICKS, REARM_TICKS
 from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.noise import WINDOWS, NoiseModel, context, fit_noise, lagged
 from adaptive_contact.model.tail import Tail, fit_tail
-
-__all__ = [
-    "JUDGED_AFTER_TICKS",
-    "Calibration",
-    "Motion",
-    "Prediction",
-    "alarm_ticks",
-    "calibrate",
-    "learn_noise",
-    "likelihood_ratio",
-    "paper_rule",
-    "position_difference",
-    "tracking_error",
-]
+from adaptive_contact.score import Events
 
 Ints = NDArray[np.int64]
 
@@ -94,6 +81,18 @@ def alarm_ticks(
         rearmed = _rearmed(score, swing, tick, n, calm_below)
         position = int(np.searchsorted(above, rearmed, side="left"))
     return np.array(found, dtype=np.int64)
+
+
+def alarms(
+    t_ns: Ints,
+    score: NDArray[np.float64],
+    swing: Ints,
+    threshold: float,
+    descending: NDArray[np.bool_],
+) -> Events:
+    """:func:`alarm_ticks` as the events of a stream with times ``t_ns``."""
+    when = t_ns[alarm_ticks(score, swing, threshold, descending)]
+    return Events(when, np.ones(len(when), dtype=bool), when)
 
 
 def _freed(
@@ -170,6 +169,13 @@ class Prediction(NamedTuple):
 
     residual: Array
     increment: Array
+
+    @classmethod
+    def of(cls, measured: Array, predicted: Array) -> Self:
+        """From (n, J) rad, readings and what was predicted of them one tick before."""
+        increment = np.full_like(measured, np.nan)
+        increment[1:] = predicted[1:] - measured[:-1]
+        return cls(measured - predicted, increment)
 
 
 def position_difference(motion: Motion) -> Array:

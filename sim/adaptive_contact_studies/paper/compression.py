@@ -34,8 +34,6 @@ from adaptive_contact_studies.paper.data import Stream, join, load, record_all
 from adaptive_contact_studies.paper.plan import FULL
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, free_rows, residual_unit
 
-__all__ = ["RIDGE", "compare", "compare_all", "compare_full", "paper_fit"]
-
 Array = NDArray[np.float64]
 
 # PySINDy's default ridge term, which the paper does not mention changing.
@@ -167,7 +165,7 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
         return factor
 
     factor, factor_s = _timed(build, repeats)
-    unit: Array = np.array(residual_unit(factor))
+    unit: Array = np.array(residual_unit(fit_sparse(factor, FitSettings())))
     settings = FitSettings(threshold=threshold, unit=tuple(unit.tolist()))
     fit, compressed_s = _timed(lambda: fit_sparse(factor, settings), repeats)
     scale = factor.scale()

@@ -29,8 +29,6 @@ from adaptive_contact_studies.paper.recording import (
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.workers import alone, completed
 
-__all__ = ["Stream", "join", "load", "parallel", "record_all"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 T = TypeVar("T")
@@ -121,7 +119,7 @@ def record_all(
         shared = isinstance(piece.settings, GantrySettings)
         key = repr((piece.settings, piece.seconds)) if shared else repr(piece)
         jobs.setdefault(key, []).append((piece, path))
-    for _, seconds in parallel(_record, list(jobs.values()), workers):
+    for _, seconds in parallel(record_piece, list(jobs.values()), workers):
         progress(seconds)
 
 
@@ -130,20 +128,12 @@ def load(store: Store, piece: Piece) -> Stream:
     path = piece_path(store, piece)
     arrays = read_arrays(path)
     if arrays is None:
-        _record([(piece, path)])
+        record_piece([(piece, path)])
         arrays = read_arrays(path)
         assert arrays is not None
     steps = arrays["steps"].astype(np.float64) * QUANTUM_RAD
-    columns = zip(
-        arrays["onset_ns"].tolist(),
-        arrays["onset_tick"].tolist(),
-        arrays["onset_force_n"].tolist(),
-        arrays["onset_speed_m_s"].tolist(),
-        arrays["onset_part"].tolist(),
-        arrays["onset_soft"].tolist(),
-        arrays["onset_grazing"].tolist(),
-        strict=True,
-    )
+    names = ("ns", "tick", "force_n", "speed_m_s", "part", "soft", "grazing")
+    columns = (arrays[f"onset_{name}"].tolist() for name in names)
     onsets = tuple(
         Onset(
             t_ns=t,
@@ -154,7 +144,7 @@ def load(store: Store, piece: Piece) -> Stream:
             surface="soft" if soft else "hard",
             grazing=grazing,
         )
-        for t, tick, force, speed, part, soft, grazing in columns
+        for t, tick, force, speed, part, soft, grazing in zip(*columns, strict=True)
     )
     n = len(steps)
     leg = LegArrays(
@@ -185,14 +175,9 @@ def join(streams: Sequence[Stream]) -> Stream:
     starts = np.cumsum([0, *(len(s.swing) for s in streams[:-1])]).tolist()
     assert all(not s.swing[:SEAM_TICKS].any() for s in streams)
     parts = [s.arrays for s in streams]
+    rows = ("measured", "desired", "valid", "swing", "contact", "force_n", "angle")
     arrays = LegArrays(
-        measured=np.concatenate([a.measured for a in parts]),
-        desired=np.concatenate([a.desired for a in parts]),
-        valid=np.concatenate([a.valid for a in parts]),
-        swing=np.concatenate([a.swing for a in parts]),
-        contact=np.concatenate([a.contact for a in parts]),
-        force_n=np.concatenate([a.force_n for a in parts]),
-        angle=np.concatenate([a.angle for a in parts]),
+        **{name: np.concatenate([getattr(a, name) for a in parts]) for name in rows},
         onsets=tuple(
             replace(o, t_ns=o.t_ns + start * TICK_NS, tick=o.tick + start)
             for start, a in zip(starts, parts, strict=True)
@@ -229,7 +214,8 @@ def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterat
     yield from completed(work, items, workers, finish=True)
 
 
-def _record(job: _Job) -> float:
+def record_piece(job: _Job) -> float:
+    """Simulate what pieces have in common, and write each; simulated time, s."""
     piece, _ = job[0]
     if isinstance(piece.settings, GantrySettings):
         legs = record_gantry(piece.settings, piece.seconds)

@@ -49,12 +49,10 @@ from adaptive_contact_studies.paper.touched import (
     what_alarms_are,
 )
 
-__all__ = ["detection"]
-
 Array = NDArray[np.float64]
 
 _SPEED_EDGES_M_S: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5)
-_FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
+FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
 
 
 def detection(
@@ -94,8 +92,8 @@ def detection(
         "learned": {k: v for k, v in known.figures.items() if k != "legs"},
         "leg_runs": len(plan.leg_runs),
         "legs": known.figures["legs"],
-        "limits": _limits(robot),
-        "edges": {"speed_m_s": _SPEED_EDGES_M_S, "force_n": _FORCE_EDGES_N},
+        "limits": limits_of(robot),
+        "edges": {"speed_m_s": _SPEED_EDGES_M_S, "force_n": FORCE_EDGES_N},
         "aim_per_hour": known.bench.aim_per_hour,
     }
 
@@ -159,15 +157,15 @@ def _figures(
     alarms = {}
     for role, total in quiet.items():
         count = total["online"][name] if name in ONLINE else total["alarms"][name][AIM]
-        alarms[role] = _rate(int(count), total["ticks"])
+        alarms[role] = rate_of(int(count), total["ticks"])
     counts = [alarms[role]["count"] for role in quiet]
-    alarms["all"] = _rate(
+    alarms["all"] = rate_of(
         -1 if min(counts) < 0 else sum(counts), sum(t["ticks"] for t in quiet.values())
     )
-    alarms["touch"] = _rate(summary.false_alarms, summary.judged_ticks)
+    alarms["touch"] = rate_of(summary.false_alarms, summary.judged_ticks)
     kinds = by_kind(touched, outcomes)
     for figures in kinds.values():
-        figures["alarms"] = _rate(figures.pop("false_alarms"), figures.pop("judged_ticks"))
+        figures["alarms"] = rate_of(figures.pop("false_alarms"), figures.pop("judged_ticks"))
     found: dict[str, Any] = {
         "summary": {
             "rows": rows_of(touched, outcomes),
@@ -184,21 +182,21 @@ def _figures(
         "by_speed": binned(
             touched, outcomes, "speed_m_s", _SPEED_EDGES_M_S, (Row.SOFT, Row.GRAZING)
         ),
-        "by_force": binned(touched, outcomes, "force_n", _FORCE_EDGES_N, (Row.GRAZING,)),
+        "by_force": binned(touched, outcomes, "force_n", FORCE_EDGES_N, (Row.GRAZING,)),
         "mid": late_events(outcomes, Row.MID),
     }
     if name == DEFAULT:
         found["free_kinds"] = {
-            role: {k: _rate(v["alarms"], v["ticks"]) for k, v in total["kinds"].items()}
+            role: {k: rate_of(v["alarms"], v["ticks"]) for k, v in total["kinds"].items()}
             for role, total in quiet.items()
         }
-        found["roc"] = _aims(touched, quiet)
+        found["roc"] = curve_of_aims(touched, quiet)
     elif name not in ONLINE:
-        found["roc"] = _roc(name, touched, quiet)
+        found["roc"] = curve_of(name, touched, quiet)
     return found
 
 
-def _rate(count: int, ticks: int) -> dict[str, Any]:
+def rate_of(count: int, ticks: int) -> dict[str, Any]:
     """Alarms per robot-hour; a count of -1 means a threshold too low to be counted."""
     hours = ticks / ROBOT_HOUR_TICKS
     low, high = poisson_mean(count) if count >= 0 else (float("nan"), float("nan"))
@@ -222,7 +220,7 @@ def _point(touched: Sequence[Touched], name: str, factor: float, rate: Any) -> d
     }
 
 
-def _roc(
+def curve_of(
     name: str, touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Headline recall against false alarms per robot-hour, over the swept thresholds."""
@@ -232,12 +230,14 @@ def _roc(
     for i, factor in enumerate(FACTORS):
         counts = [int(total["alarms"][name][i]) for total in quiet.values()]
         if min(counts) >= 0:
-            point = _point(fast, name, float(factor), _rate(sum(counts), ticks))
+            point = _point(fast, name, float(factor), rate_of(sum(counts), ticks))
             points.append({"factor": float(factor), **point})
     return points
 
 
-def _aims(touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+def curve_of_aims(
+    touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]
+) -> list[dict[str, Any]]:
     """The same of the default, played at several target rates."""
     fast = headline_streams(touched)
     points = []
@@ -245,7 +245,7 @@ def _aims(touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]) -> list[
         name = aim_name(aim)
         count = sum(total["online"][name] for total in quiet.values())
         ticks = sum(total["online_ticks"][name] for total in quiet.values())
-        points.append({"aim": aim, **_point(fast, name, 1.0, _rate(count, ticks))})
+        points.append({"aim": aim, **_point(fast, name, 1.0, rate_of(count, ticks))})
     return points
 
 
@@ -304,7 +304,7 @@ def _rms_deg(squares: Any, rows: int) -> list[float]:
     return [float(v) for v in np.degrees(np.sqrt(squares / max(rows, 1)) * np.ones(3))]
 
 
-def _limits(robot: Robot) -> dict[str, Any]:
+def limits_of(robot: Robot) -> dict[str, Any]:
     """What one step of a servo is at the foot of a stretched leg.
 
     A step of a joint moves the foot by the step times the length beyond that joint; against the

@@ -15,14 +15,13 @@ from adaptive_contact_studies.show.figures import (
     RED,
     SKY,
     YELLOW,
+    legend_below,
     new_figure,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["limits_figure", "roc_figure", "tails_figure"]
 
 _STYLES: Final = {
     "default": ("black", "-", 2.2),
@@ -67,8 +66,7 @@ def roc_figure(data: Any) -> Figure:
     _words(upper, 0.36 / hours, 91.0, "no false alarm seen", rotation=90)
     _words(upper, _GOAL_PER_HOUR, 90.2, f" goal: {_GOAL_PER_HOUR:g} per hour", ha="left")
     _words(upper, 1.0, _GOAL_RECALL, f"goal: {_GOAL_RECALL:g} %", x_axes=True, ha="right")
-    handles, labels = whole.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    legend_below(figure, whole, 2)
     return figure
 
 
@@ -149,8 +147,7 @@ def tails_figure(data: Any) -> Figure:
         ylabel="share of free ticks above; over 1: highest at touches",
     )
     axes.set_yticks([1e-6, 1e-4, 1e-2, 1.0])
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    legend_below(figure, axes, 2)
     return figure
 
 
@@ -194,6 +191,5 @@ def limits_figure(data: Any) -> Figure:
     )  # fmt: skip
     right.set_xlim(0.8 * min(forces), None)
     left.set_ylabel("recall (%)")
-    handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    legend_below(figure, left, 2)
     return figure

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.fit.train import swing_ticks
-from adaptive_contact.model import LegModel, stack
+from adaptive_contact.model import LegModel
 from adaptive_contact.model.noise import NoiseModel
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 from adaptive_contact.robot.gait_phase import directions
-from adaptive_contact.score import Events, LegOutcome, find_swings, match, summarise
+from adaptive_contact.score import find_swings, match, summarise
 from adaptive_contact_studies.evaluate import leg_stream
 from adaptive_contact_studies.paper.analytical import Gains, NominalLeg, predict
 from adaptive_contact_studies.paper.comparison_rules import (
     Calibration,
     Motion,
     Prediction,
-    alarm_ticks,
+    alarms,
     calibrate,
     learn_noise,
     likelihood_ratio,
@@ -36,8 +36,7 @@ from adaptive_contact_studies.paper.comparison_rules import (
     tracking_error,
 )
 from adaptive_contact_studies.paper.data import Stream
-
-__all__ = ["DETECTORS", "Bench", "Evidence", "LegModels", "evidence_of", "tune_bench"]
+from adaptive_contact_studies.paper.rows import predictions
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -93,9 +92,9 @@ def evidence_of(
         models: by leg-run's name.
         gains: of the analytical observer.
     """
-    predicted = predict(NominalLeg.of(), [(s.measured, s.desired) for s in streams], gains)
+    observed = predict(NominalLeg.of(), [(s.measured, s.desired) for s in streams], gains)
     found = []
-    for stream, rollout in zip(streams, predicted, strict=True):
+    for stream, rollout in zip(streams, observed, strict=True):
         leg = robot.leg(stream.leg)
         fitted = models[stream.piece.leg_run.name]
         found.append(
@@ -108,32 +107,17 @@ def evidence_of(
                     directions(stream.desired, leg),
                 ),
                 {
-                    "servo": _predict(fitted.servo, stream),
-                    "paper": _predict(fitted.paper, stream),
-                    "analytical": _against(stream.measured, rollout),
+                    name: Prediction.of(stream.measured, predicted)
+                    for name, predicted in (
+                        ("servo", predictions(fitted.servo, stream.measured, stream.desired)),
+                        ("paper", predictions(fitted.paper, stream.measured, stream.desired)),
+                        ("analytical", rollout),
+                    )
                 },
                 find_swings(stream.run.t_ns, stream.swing).of_tick,
             )
         )
     return found
-
-
-def _predict(model: LegModel, stream: Stream) -> Prediction:
-    cut = stack(stream.measured, stream.desired, model.library.window)
-    predicted = np.full_like(stream.measured, np.nan)
-    # Block by block: Θ of the paper's library takes 2.4 kB a row.
-    for start in range(0, len(cut.tick), 20_000):
-        part = slice(start, start + 20_000)
-        predicted[cut.tick[part] + 1] = cut.measured[part, 0] + model.increment(
-            cut.measured[part], cut.desired[part], cut.preview[part]
-        )
-    return _against(stream.measured, predicted)
-
-
-def _against(measured: Array, predicted: Array) -> Prediction:
-    increment = np.full_like(measured, np.nan)
-    increment[1:] = predicted[1:] - measured[:-1]
-    return Prediction(measured - predicted, increment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +233,10 @@ def tune_bench(
         for channels in subsets:
             bench.calibrations[name] = whole.using(channels)
             outcomes = [
-                match(truth, events_at(e, bench.score(name, e)))
+                match(
+                    truth,
+                    alarms(truth.t_ns, bench.score(name, e), e.swing_of_tick, 1.0, e.descending),
+                )
                 for truth, e in zip(truths, touch, strict=True)
             ]
             recall = summarise(outcomes).counted.recall or 0.0
@@ -260,35 +247,15 @@ def tune_bench(
     return bench
 
 
-def events_at(evidence: Evidence, score: Array, threshold: float = 1.0) -> Events:
-    """A stream's events at a threshold on its scores."""
-    ticks = alarm_ticks(score, evidence.swing_of_tick, threshold, evidence.descending)
-    t_ns = evidence.stream.run.t_ns[ticks]
-    return Events(t_ns, np.ones(len(ticks), dtype=bool), t_ns)
-
-
-def outcome_of(robot: Robot, evidence: Evidence, events: Events) -> LegOutcome:
-    """A stream's events against its truth."""
-    stream = leg_stream(evidence.stream.run, evidence.stream.leg, robot)
-    return match(stream, events)
-
-
 def _joined_noise(parts: Sequence[Evidence], model: str, quantum_rad: float) -> NoiseModel:
     """Noise of one leg-run over several streams, put end to end.
 
     Streams end in a hold, which is stance: no window reaches over a joint.
     """
-    motion = Motion(
-        *(np.concatenate([getattr(p.motion, f) for p in parts]) for f in Motion._fields)
-    )
-    prediction = Prediction(
-        *(
-            np.concatenate([getattr(p.predictions[model], f) for p in parts])
-            for f in Prediction._fields
-        )
-    )
+    motion = Motion(*map(np.concatenate, zip(*(p.motion for p in parts), strict=True)))
+    residuals = zip(*(p.predictions[model] for p in parts), strict=True)
     free = np.concatenate([p.free for p in parts])
-    return learn_noise(motion, prediction, free, quantum_rad)
+    return learn_noise(motion, Prediction(*map(np.concatenate, residuals)), free, quantum_rad)
 
 
 def _rms(parts: Sequence[Array]) -> float:

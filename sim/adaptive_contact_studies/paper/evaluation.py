@@ -15,7 +15,6 @@ truth.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -24,70 +23,49 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.bank import LegGroup
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Events
-from adaptive_contact.wire import ContactEvent, ServoSample
 from adaptive_contact_studies.cache import Store, plain
-from adaptive_contact_studies.evaluate import samples_of
+from adaptive_contact_studies.evaluate import feed, samples_of
 from adaptive_contact_studies.paper.comparison_rules import alarm_ticks
 from adaptive_contact_studies.paper.data import Stream, load
 from adaptive_contact_studies.paper.detectors import DETECTORS, Evidence, evidence_of
 from adaptive_contact_studies.paper.models import Learned, learned, models_key
 from adaptive_contact_studies.paper.plan import GantrySettings, Piece, Plan
 
-__all__ = [
-    "AIM",
-    "AIMS",
-    "DEFAULT",
-    "FACTORS",
-    "MODELS",
-    "NEAR_TURN_TICKS",
-    "ONLINE",
-    "TOP_SCORE",
-    "UNGATED",
-    "aim_name",
-    "at_other_aims",
-    "evaluate",
-    "jobs_of",
-    "online_events",
-    "play_at",
-    "play_streams",
-    "play_ungated",
-    "read_job",
-]
-
 
 def play_streams(
-    robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]
+    robot: Robot,
+    baselines: Mapping[int, Baseline],
+    streams: Sequence[Stream],
+    *,
+    per_hour: float | None = None,
+    mode: LearnerMode = LearnerMode.FULL,
 ) -> list[Events]:
     """Feed every stream to a learner of its own.
-
-    The same calls as in the service; streams side by side share the evaluation of their
-    libraries, which does not change a number (a test compares with one at a time).
 
     Args:
         robot: its description.
         baselines: what the learners start from, by seed of the robot.
         streams: of any length.
+        per_hour: false alarms per robot-hour that thresholds are for, the robot's own if None.
+        mode: of the learners.
 
     Returns:
         The events of each.
     """
+    if per_hour is not None:
+        detector = msgspec.structs.replace(robot.detector, false_alarms_per_hour=per_hour)
+        robot = msgspec.structs.replace(robot, detector=detector)
     learners = [
-        ContactLearner(robot, s.leg, baselines[s.piece.leg_run.robot_seed]) for s in streams
+        ContactLearner(robot, s.leg, baselines[s.piece.leg_run.robot_seed], mode=mode)
+        for s in streams
     ]
-    samples: list[list[ServoSample]] = [samples_of(s.run, s.leg) for s in streams]
-    events: list[list[ContactEvent]] = [[] for _ in streams]
-    team = LegGroup(learners)
-    for tick in itertools.zip_longest(*samples):
-        for own, event in zip(events, team.advance(tick), strict=True):
-            if event is not None:
-                own.append(event)
-    return [Events.of(own) for own in events]
+    samples = [samples_of(s.run, s.leg) for s in streams]
+    return [Events.of(own) for own in feed(learners, samples)]
 
 
 # False alarms per robot-hour beside the product's own target of one: the default's curve.
@@ -106,31 +84,6 @@ def at_other_aims(plan: Plan, piece: Piece) -> bool:
     that of the first robot: three more plays of everything would take longer than all the rest.
     """
     return piece.role == "touch" or piece.leg_run.robot_seed == plan.robots[0]
-
-
-def play_at(
-    per_hour: float, robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]
-) -> list[Events]:
-    """Play as :func:`play_streams`, with thresholds of ``per_hour`` false alarms per robot-hour."""
-    detector = msgspec.structs.replace(robot.detector, false_alarms_per_hour=per_hour)
-    return play_streams(msgspec.structs.replace(robot, detector=detector), baselines, streams)
-
-
-def play_ungated(
-    robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]
-) -> list[Events]:
-    """Play as :func:`play_streams`, one after the other, every tick taken for free motion."""
-    found = []
-    for stream in streams:
-        learner = ContactLearner(
-            robot,
-            stream.leg,
-            baselines[stream.piece.leg_run.robot_seed],
-            mode=LearnerMode.UNGATED,
-        )
-        reported = [learner.update(sample) for sample in samples_of(stream.run, stream.leg)]
-        found.append(Events.of([event for event in reported if event is not None]))
-    return found
 
 
 # Swept thresholds, over those of the aim, 15 to a decade.  Far below it: a heavy tail sets an aim's
@@ -220,7 +173,7 @@ def _evaluate(store: Store, job: Job) -> dict[str, NDArray[Any]]:
             score = known.bench.score(detector, own)
             if free:
                 out[f"{prefix}alarms/{detector}"] = _sweep(own, score)
-                out |= {f"{prefix}{k}/{detector}": v for k, v in _tail(own, score).items()}
+                out |= {f"{prefix}{k}/{detector}": v for k, v in tail_of(own, score).items()}
             else:
                 out[f"{prefix}score/{detector}"] = score.astype(np.float32)
     return out
@@ -232,11 +185,13 @@ def _online(
     """Events of the learners: at the product's target rate, ungated, and at others if asked."""
     played = {
         DEFAULT: play_streams(robot, known.baselines, streams),
-        UNGATED: play_ungated(robot, known.baselines, streams),
+        UNGATED: play_streams(robot, known.baselines, streams, mode=LearnerMode.UNGATED),
     }
     if all(at_other_aims(plan, stream.piece) for stream in streams):
         for per_hour in AIMS:
-            played[aim_name(per_hour)] = play_at(per_hour, robot, known.baselines, streams)
+            played[aim_name(per_hour)] = play_streams(
+                robot, known.baselines, streams, per_hour=per_hour
+            )
     return {
         f"{index}/online/{name}/{field}": getattr(of_stream, field)
         for name, events in played.items()
@@ -245,7 +200,7 @@ def _online(
     }
 
 
-def _tail(own: Evidence, score: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+def tail_of(own: Evidence, score: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
     """How high free ticks score: how many, above every threshold, the top ones after the turn."""
     known = own.free & np.isfinite(score)
     ordered = np.sort(score[known])

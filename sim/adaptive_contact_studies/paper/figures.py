@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import LegGeometry
-from adaptive_contact_sim.pose import WORKSPACES, Space
+from adaptive_contact_sim.pose import WORKSPACES
 from adaptive_contact_studies.paper.detection_figures import (
     limits_figure,
     roc_figure,
@@ -26,6 +26,7 @@ from adaptive_contact_studies.show.figures import (
     PURPLE,
     RED,
     YELLOW,
+    legend_below,
     new_figure,
     save,
     styled,
@@ -34,8 +35,6 @@ from adaptive_contact_studies.show.figures import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["draw_all"]
 
 # Shown at about the size they are drawn at: no smaller than 9 points.
 _STYLE: Final = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
@@ -110,14 +109,14 @@ def _workspace(data: Any) -> Figure:
         (upper, heights[1], YELLOW, "upper subspace", 7.0),
         (lower, heights[0], BLUE, "lower subspace", 3.5),
     ):
-        inside = _inside(space, points)
+        inside = space.holds(points)
         side.plot(points[inside, 0], points[inside, 2], "s", color=colour, ms=4, label=label)
         flat = np.concatenate([level, np.full((len(level), 1), height)], axis=1)
         flat = flat[geometry.reachable(flat)]
         turned = flat @ geometry.rotations[index].T + geometry.mounts_m[index]
         if space is upper:
             top.plot(turned[:, 0], turned[:, 1], ".", color="black", ms=1.8)
-        inside = _inside(space, flat)
+        inside = space.holds(flat)
         top.plot(turned[inside, 0], turned[inside, 1], "s", color=colour, ms=size)
     side.plot([_STAND_M[0]], [_STAND_M[2]], "o", color=GREEN, label="feet of the others")
     side.set(
@@ -143,16 +142,6 @@ def _workspace(data: Any) -> Figure:
     return figure
 
 
-def _inside(space: Space, points: Any) -> Any:
-    """Mask of points of the leg's frame that lie in a subspace."""
-    yaw = np.arctan2(points[:, 1], points[:, 0])
-    reach = np.hypot(points[:, 0], points[:, 1])
-    inside = (yaw >= space.yaw_rad[0]) & (yaw <= space.yaw_rad[1])
-    inside &= (reach >= space.reach_m[0] - 1e-9) & (reach <= space.reach_m[1] + 1e-9)
-    low, high = space.height_m
-    return inside & (points[:, 2] >= low - 1e-9) & (points[:, 2] <= high + 1e-9)
-
-
 def _responses(data: Any) -> Figure:
     """Figure 2: femur response, command and prediction."""
     figure = new_figure(8.0, 5.0)
@@ -176,8 +165,7 @@ def _responses(data: Any) -> Figure:
     for axes in (upper, lower):
         for k in np.flatnonzero(~np.array(data["swing"])):
             axes.axvspan(t[k], t[k] + 0.02, color="black", alpha=0.06, lw=0)
-    handles, labels = upper.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    legend_below(figure, upper, 2)
     return figure
 
 

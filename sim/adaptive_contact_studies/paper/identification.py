@@ -12,13 +12,14 @@ Figure 2: several responses of one joint to its command, with what models predic
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.fit import Fit, FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import (
     Factor,
     LegModel,
@@ -26,11 +27,10 @@ from adaptive_contact.model import (
     LibraryName,
     Window,
     leg_library,
-    stack,
 )
 from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import Leg, Robot
-from adaptive_contact_studies.paper.compression import RIDGE, paper_fit
+from adaptive_contact_studies.paper.compression import RIDGE, PaperFit, paper_fit
 from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.rows import (
     NO_MODEL,
@@ -40,12 +40,12 @@ from adaptive_contact_studies.paper.rows import (
     factor_of,
     free_rows,
     noise_floor,
+    over_floor,
     pick,
+    predictions,
     residual_unit,
     rms_deg,
 )
-
-__all__ = ["LAMBDAS", "fitted", "identification", "predictions", "responses"]
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ CONVENTIONS: Final = (
 )
 _STEP_RAD: Final = 1e-3
 _SELECTED: Final[tuple[LibraryName, ...]] = ("paper", "servo")
-_WINDOWS: Final = (
+_WINDOWS: Final[tuple[tuple[LibraryName, tuple[int, int, int]], ...]] = (
     ("linear", (1, 1, 0)),
     ("linear", (3, 3, 0)),
     ("paper", (0, 0, 1)),
@@ -142,12 +142,14 @@ def _sweep(
     fitted = _in_unit(train.windows, factor_of_unit)
     tried = _in_unit(test.windows, factor_of_unit)
     factor = factor_of(library, fitted, _next_state(fitted))
-    folds = _fold_factors(library, fitted, train.swing)
+    position = fitted.measured[:, 0] + fitted.increment
+    folds = _fold_factors(library, FreeRows(fitted, train.swing), position)
     r, _ = factor.system
     points: list[dict[str, Any]] = []
     joints = len(library.joints)
     for threshold in (0.0, *LAMBDAS):
-        fit = paper_fit(factor, threshold, normalised=normalised)
+        fit_of = partial(paper_fit, threshold=threshold, normalised=normalised)
+        fit = fit_of(factor)
         predicted = blockwise(library, tried, fit.coefficients) / factor_of_unit
         scores = _scores(test.windows, predicted[:, :joints], states=predicted)
         on_train = blockwise(library, fitted, fit.coefficients) / factor_of_unit
@@ -158,7 +160,7 @@ def _sweep(
                 "terms": fit.terms,
                 "train": _scores(train.windows, on_train[:, :joints], states=on_train),
                 "test": scores,
-                "held_out_rms": _held_out(folds, threshold, normalised, factor_of_unit),
+                "held_out_rms": _held_out(folds, fit_of, [FitStatus.OK], factor_of_unit),
                 "sensitivity": _sensitivity(library, tried, fit.coefficients[:, :joints]),
                 "condition": _support_condition(r, fit.coefficients[:, :joints]),
                 "largest": float(np.abs(fit.coefficients).max()),
@@ -166,8 +168,6 @@ def _sweep(
         )
         if fit.status is FitStatus.EMPTIED and threshold >= PAPER_LAMBDA:
             break
-    usable = [p for p in points if p["status"] == "ok" and p["held_out_rms"] is not None]
-    picked = _sparsest(usable)
     emptied = [p["lambda"] for p in points if p["status"] == "emptied"]
     return {
         "unit": unit,
@@ -178,16 +178,17 @@ def _sweep(
         "condition": shown_condition(_condition(r)),
         "points": points,
         "emptied_at": emptied[0] if emptied else None,
-        "picked": picked,
+        "picked": sparsest_of(points),
     }
 
 
-def _sparsest(points: Sequence[dict[str, Any]]) -> float | None:
+def sparsest_of(points: Iterable[dict[str, Any]]) -> float | None:
     """The largest λ at which every joint's held-out error is near its best.
 
     A mean over joints would let one of them pay for the others' sparsity.  The smallest λ where the
     joints' best lie apart; None where no fit keeps all joints.
     """
+    points = [p for p in points if p["status"] == "ok" and p["held_out_rms"] is not None]
     if not points:
         return None
     errors = np.array([p["held_out_rms"] for p in points], dtype=np.float64)
@@ -197,13 +198,8 @@ def _sparsest(points: Sequence[dict[str, Any]]) -> float | None:
 
 
 def _in_unit(windows: Rows, factor: float) -> Rows:
-    return Rows(
-        windows.measured * factor,
-        windows.desired * factor,
-        windows.preview * factor,
-        windows.increment * factor,
-        windows.tick,
-    )
+    angles = {name: factor * getattr(windows, name) for name in Rows._fields if name != "tick"}
+    return windows._replace(**angles)
 
 
 def _next_state(windows: Rows) -> Array:
@@ -228,7 +224,7 @@ def _scores(windows: Rows, position: Array, states: Array | None) -> dict[str, A
         "position": _r2(position, actual),
         "velocity": _r2(position - now, windows.increment),
         "rms_deg": rms_deg(actual - position),
-        "over_floor": [v / float(np.degrees(noise_floor())) for v in rms_deg(actual - position)],
+        "over_floor": over_floor(actual - position),
     }
     if windows.measured.shape[1] > 1:
         before = windows.measured[:, 1]
@@ -292,23 +288,26 @@ def _condition(matrix: Array) -> float:
     return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")
 
 
-def _fold_factors(library: Library, windows: Rows, swing: NDArray[np.int64]) -> list[Factor]:
+def _fold_factors(library: Library, rows: FreeRows, target: Array) -> list[Factor]:
     """One factor per fold of swings, ten neighbours together."""
-    target = windows.measured[:, 0] + windows.increment
-    fold = swing // 10 % FOLDS
-    return [factor_of(library, pick(windows, fold == f), target[fold == f]) for f in range(FOLDS)]
+    fold = rows.swing // 10 % FOLDS
+    parts = [fold == f for f in range(FOLDS)]
+    return [factor_of(library, pick(rows.windows, part), target[part]) for part in parts]
 
 
 def _held_out(
-    folds: Sequence[Factor], threshold: float, normalised: bool, unit: float
+    folds: Sequence[Factor],
+    fit_of: Callable[[Factor], PaperFit | Fit],
+    ends: Collection[FitStatus],
+    unit: float = 1.0,
 ) -> list[float] | None:
-    """(J,) degrees on swings a fit has not seen; None where a fit loses a joint."""
+    """(J,) degrees on swings a fit has not seen; None where one has no rows, or ends otherwise."""
     terms, outputs = folds[0].terms, folds[0].outputs
     squares, count = np.zeros(outputs), 0.0
     for f, inside in enumerate(folds):
         others = Factor.merged((o for i, o in enumerate(folds) if i != f), terms, outputs)
-        fit = paper_fit(others, threshold, normalised=normalised)
-        if fit.status is not FitStatus.OK or inside.rows <= 0:
+        fit = fit_of(others)
+        if fit.status not in ends or inside.rows <= 0:
             return None
         squares += np.square(inside.rms(fit.coefficients)) * inside.rows
         count += inside.rows
@@ -322,59 +321,39 @@ def _selection(
     window = PAPER_WINDOW if name == "paper" else Window()
     library = leg_library(robot, leg, name, window)
     rows, held = free_rows(train, library), free_rows(test, library)
-    target = rows.windows.increment
-    fold = rows.swing // 10 % FOLDS
-    folds = [
-        factor_of(library, pick(rows.windows, fold == f), target[fold == f]) for f in range(FOLDS)
-    ]
-    whole = Factor.merged(folds, library.size, target.shape[1])
-    unit = residual_unit(whole)
+    folds = _fold_factors(library, rows, rows.windows.increment)
+    whole = Factor.merged(folds, library.size, len(library.joints))
+    unit = residual_unit(fit_sparse(whole, FitSettings()))
     points = []
     for threshold in OUR_LAMBDAS:
-        settings = FitSettings(threshold=threshold, unit=unit)
-        fit = fit_sparse(whole, settings)
+        fit_of = partial(fit_sparse, settings=FitSettings(threshold=threshold, unit=unit))
+        fit = fit_of(whole)
         residual = held.windows.increment - blockwise(library, held.windows, fit.coefficients)
         points.append(
             {
                 "lambda": threshold,
                 "status": fit.status.value,
                 "terms": [int(n) for n in fit.support.sum(axis=0)],
-                "held_out_rms": _ours_held_out(folds, settings),
+                "held_out_rms": _held_out(folds, fit_of, [FitStatus.OK, FitStatus.EMPTIED]),
                 "test_rms_deg": rms_deg(residual),
-                "over_floor": [v / float(np.degrees(noise_floor())) for v in rms_deg(residual)],
+                "over_floor": over_floor(residual),
                 "sensitivity": _sensitivity(library, held.windows, fit.coefficients),
             }
         )
-    picked = _sparsest([p for p in points if p["status"] == "ok" and p["held_out_rms"] is not None])
     return {
         "library": name,
         "window": dataclasses.asdict(window),
         "size": library.size,
         "points": points,
-        "picked": picked,
+        "picked": sparsest_of(points),
     }
 
 
-def _ours_held_out(folds: Sequence[Factor], settings: FitSettings) -> list[float] | None:
-    """(J,) degrees on swings a fit has not seen; None where some fit has no rows to stand on."""
-    terms, outputs = folds[0].terms, folds[0].outputs
-    squares, count = np.zeros(outputs), 0.0
-    for f, inside in enumerate(folds):
-        others = Factor.merged((o for i, o in enumerate(folds) if i != f), terms, outputs)
-        fit = fit_sparse(others, settings)
-        if fit.status not in (FitStatus.OK, FitStatus.EMPTIED) or inside.rows <= 0:
-            return None
-        squares += np.square(inside.rms(fit.coefficients)) * inside.rows
-        count += inside.rows
-    return [float(v) for v in np.degrees(np.sqrt(squares / count))]
-
-
 def _window_row(
-    robot: Robot, leg: Leg, name: str, window: Window, train: Stream, test: Stream
+    robot: Robot, leg: Leg, name: LibraryName, window: Window, train: Stream, test: Stream
 ) -> dict[str, Any]:
     """One line of the study of N, N' and M: plain least squares, error on the test set."""
-    libraries: dict[str, LibraryName] = {"linear": "linear", "paper": "paper", "servo": "servo"}
-    library = leg_library(robot, leg, libraries[name], window)
+    library = leg_library(robot, leg, name, window)
     rows, held = free_rows(train, library), free_rows(test, library)
     factor = factor_of(library, rows.windows, rows.windows.increment)
     fit = fit_sparse(factor, FitSettings())
@@ -386,7 +365,7 @@ def _window_row(
         "status": fit.status.value,
         "condition": shown_condition(fit.condition),
         "test_rms_deg": rms_deg(residual),
-        "over_floor": [v / float(np.degrees(noise_floor())) for v in rms_deg(residual)],
+        "over_floor": over_floor(residual),
     }
 
 
@@ -415,23 +394,11 @@ def fitted(
     library = leg_library(robot, robot.leg(stream.piece.leg_run.leg), name, window)
     rows = free_rows(stream, library)
     factor = factor_of(library, rows.windows, rows.windows.increment)
-    fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=residual_unit(factor)))
+    unit = residual_unit(fit_sparse(factor, FitSettings()))
+    fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=unit))
     return Fitted(
         None if fit.status in NO_MODEL else LegModel(library, fit.coefficients), fit.status
     )
-
-
-def predictions(model: LegModel | None, measured: Array, desired: Array) -> Array:
-    """(n, J) rad, the positions predicted one tick before; NaN where nothing predicts them.
-
-    That is without a model, and where the window was not full.
-    """
-    out = np.full_like(measured, np.nan)
-    if model is None:
-        return out
-    cut = stack(measured, desired, model.library.window)
-    out[cut.tick + 1] = cut.measured[:, 0] + model.increment(cut.measured, cut.desired, cut.preview)
-    return out
 
 
 def responses(

@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import RecordingError
 
-__all__ = ["LogSet", "Recording", "load_logs"]
-
 Array = NDArray[np.float64]
 
 PERIOD_S: Final = 0.02

@@ -33,9 +33,14 @@ from adaptive_contact_studies.paper.comparison_rules import (
     likelihood_ratio,
 )
 from adaptive_contact_studies.paper.log_files import PERIOD_S, Recording, load_logs
-from adaptive_contact_studies.paper.rows import NO_MODEL, blockwise, factor_of, worst
-
-__all__ = ["run_logs"]
+from adaptive_contact_studies.paper.rows import (
+    NO_MODEL,
+    blockwise,
+    factor_of,
+    residual_unit,
+    rms_deg,
+    worst,
+)
 
 Array = NDArray[np.float64]
 
@@ -127,7 +132,7 @@ def _fit(factor: Factor, tuning: Factor | None = None) -> tuple[FitStatus, Array
     plain = fit_sparse(factor, FitSettings())
     if plain.status is not FitStatus.OK or tuning is None:
         return plain.status, plain.coefficients
-    unit = tuple(np.maximum(plain.rms, 1e-9).tolist())
+    unit = residual_unit(plain)
     best, error = plain.coefficients, float((tuning.rms(plain.coefficients) / unit).mean())
     for threshold in _THRESHOLDS[1:]:
         fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=unit))
@@ -142,11 +147,6 @@ def _residual(library: Library, coefficients: Array, recording: Recording) -> Ar
     return np.asarray(windows.increment - blockwise(library, windows, coefficients))
 
 
-def _rms_deg(parts: Sequence[Array]) -> list[float]:
-    joined = np.concatenate(parts)
-    return [float(v) for v in np.degrees(np.sqrt(np.square(joined).mean(axis=0)))]
-
-
 def _arm(recordings: list[Recording], done: Callable[[], None]) -> dict[str, Any]:
     """One-step errors of every library, and false alarms of the servo law's."""
     joints = recordings[0].measured.shape[1]
@@ -156,7 +156,7 @@ def _arm(recordings: list[Recording], done: Callable[[], None]) -> dict[str, Any
         "motions": [r.name for r in recordings],
         "rows": int(sum(len(r.measured) for r in recordings)),
         "slope_rad": slope,
-        "naive_deg": _rms_deg([np.diff(r.measured, axis=0) for r in recordings]),
+        "naive_deg": rms_deg(np.concatenate([np.diff(r.measured, axis=0) for r in recordings])),
     }
     blocks = [block for r in recordings for block in _blocks(r)]
     for name, parts in (("unseen motions", recordings), ("unseen moments", blocks)):
@@ -213,7 +213,7 @@ def _folded(
                     reason = str(error)
         status = worst(ended)
         out["status"][name] = status.value
-        out["rms_deg"][name] = None if status in NO_MODEL else _rms_deg(held)
+        out["rms_deg"][name] = None if status in NO_MODEL else rms_deg(np.concatenate(held))
         out["terms"][name] = {"size": library.size, "kept": np.mean(terms, axis=0).tolist()}
         if name == "servo":
             out["false_alarms"] = {
@@ -270,8 +270,8 @@ def _alarms(
     """
     motions = [_motion(r) for r in tuned]
     predicted = [_prediction(library, coefficients, r) for r in tuned]
-    joined = Motion(*(np.concatenate(p) for p in zip(*motions, strict=True)))
-    pooled = Prediction(*(np.concatenate(p) for p in zip(*predicted, strict=True)))
+    joined = Motion(*map(np.concatenate, zip(*motions, strict=True)))
+    pooled = Prediction(*map(np.concatenate, zip(*predicted, strict=True)))
     noise = learn_noise(joined, pooled, joined.judged, _QUANTUM_RAD)
     calibration = calibrate(
         [
@@ -309,7 +309,9 @@ def _pendulum(recordings: list[Recording], done: Callable[[], None]) -> dict[str
         "slope_rad": slope,
     }
     out["naive_deg"] = {
-        f"{g:g}": _rms_deg([np.diff(r.measured, axis=0) for r in recordings if r.gain == g])[0]
+        f"{g:g}": rms_deg(
+            np.concatenate([np.diff(r.measured, axis=0) for r in recordings if r.gain == g])
+        )[0]
         for g in gains
     }
     libraries: dict[str, Any] = {}
@@ -335,7 +337,8 @@ def _pendulum(recordings: list[Recording], done: Callable[[], None]) -> dict[str
             known = {g: worst(ended[g]) for g in gains}
             status[f"{gain:g}"] = {f"{g:g}": known[g].value for g in gains}
             rms[f"{gain:g}"] = {
-                f"{g:g}": None if known[g] in NO_MODEL else _rms_deg(held[g])[0] for g in gains
+                f"{g:g}": None if known[g] in NO_MODEL else rms_deg(np.concatenate(held[g]))[0]
+                for g in gains
             }
         libraries[name] = {"rms_deg": rms, "status": status, "size": library.size}
         done()
@@ -349,7 +352,7 @@ def _chosen(library: Library, factors: Sequence[Factor]) -> tuple[FitStatus, Arr
     plain = fit_sparse(whole, FitSettings())
     if plain.status is not FitStatus.OK or len(factors) < 2:
         return plain.status, plain.coefficients
-    unit = tuple(np.maximum(plain.rms, 1e-9).tolist())
+    unit = residual_unit(plain)
     errors = []
     for threshold in _THRESHOLDS:
         settings = FitSettings(threshold=threshold, unit=unit)

@@ -33,8 +33,6 @@ from adaptive_contact_studies.paper.plan import LegRun, Piece, Plan
 from adaptive_contact_studies.paper.recording import physics_fingerprint, source_fingerprint
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, rms_deg
 
-__all__ = ["Learned", "learn_robot", "learned", "models_key"]
-
 # Streams on which the observer's gains are chosen: enough to distinguish gains.
 _GAIN_STREAMS: Final = 6
 # λ of the paper's library, in units of the residual: on the plateau of the identification study,

@@ -15,17 +15,6 @@ from adaptive_contact_sim.obstacles import Approach, ObstacleSettings
 from adaptive_contact_sim.pose import PERIOD_S, PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 
-__all__ = [
-    "FULL",
-    "QUICK",
-    "STIFFNESS_N_M",
-    "GantrySettings",
-    "LegRun",
-    "Piece",
-    "Plan",
-    "Role",
-]
-
 # What a stretch is for: learning, choosing settings, false alarms (``free`` hung up by the body,
 # ``stand`` as in the paper), collisions.
 Role = Literal["train", "tune", "free", "stand", "touch"]

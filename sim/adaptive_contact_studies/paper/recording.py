@@ -42,21 +42,12 @@ from adaptive_contact_sim.motion import World
 from adaptive_contact_sim.obstacles import ObstacleCourse, ObstacleSettings
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.pose import PERIOD_S, PoseMotion, PoseSettings
-from adaptive_contact_sim.scene import robot_xml
+from adaptive_contact_sim.scene import on_a_stand
 from adaptive_contact_sim.servo import manufactured
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_studies import evaluate, training
 from adaptive_contact_studies.cache import sources_digest
 from adaptive_contact_studies.paper.plan import GantrySettings
-
-__all__ = [
-    "physics_fingerprint",
-    "record_gantry",
-    "record_leg",
-    "require_unchanged_source",
-    "simulation_of",
-    "source_fingerprint",
-]
 
 Array = NDArray[np.float64]
 
@@ -138,7 +129,7 @@ def record_gantry(settings: GantrySettings, seconds: float) -> dict[str, LegArra
         SimulationDivergedError: the physics blew up.
     """
     plant = Plant(
-        _hung_up(),
+        on_a_stand(_HEIGHT_M).compile(),
         manufactured(settings.robot_seed),
         period_s=PERIOD_S,
         supply_resistance_ohm=settings.supply_resistance_ohm,
@@ -199,14 +190,6 @@ def record_gantry(settings: GantrySettings, seconds: float) -> dict[str, LegArra
     }
 
 
-def _hung_up() -> mujoco.MjModel:
-    """The robot's model with its body fixed in the air; no ground."""
-    spec = mujoco.MjSpec.from_string(robot_xml())
-    spec.delete(spec.joint("body"))
-    spec.body("body").pos = [0.0, 0.0, _HEIGHT_M]
-    return spec.compile()
-
-
 class _NoObstacles(ObstacleCourse):
     """A course with nothing on it, which needs no scene."""
 
@@ -229,17 +212,9 @@ _EVALUATING: Final = ("model", "fit", "detect", "learn", "score", "robot")
 # Of the experiments, what only counts and shows what was evaluated: a new table is no reason to
 # evaluate ten robot-hours again.
 _SHOWING: Final = frozenset(
-    {
-        "detection.py",
-        "figures.py",
-        "report.py",
-        "tables.py",
-        "tables_detection.py",
-        "tables_identification.py",
-        "touched.py",
-        "verdicts.py",
-    }
-)
+    f"{name}.py"
+    for name in ("detection", "detection_figures", "figures", "report", "tables", "touched")
+) | {"verdicts.py"}
 # What turns recordings into samples, rows and truth.
 _MATCHING: Final = [Path(str(m.__file__)) for m in (evaluate, training, arrays, truth)]
 

@@ -12,8 +12,6 @@ from adaptive_contact_studies.paper.tables import markdown
 from adaptive_contact_studies.paper.verdicts import headline
 from adaptive_contact_studies.show.pages import read_sections, render, unwrapped, write_page
 
-__all__ = ["write_document", "write_report"]
-
 _TITLE: Final = "Leg contact detection from positions: the paper, and what it leaves out"
 _ADVICE: Final = "give another folder with --out"
 

@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
-from adaptive_contact.model import Factor, Library, Rows, Window, stack
+from adaptive_contact.fit import Fit, FitStatus
+from adaptive_contact.model import Factor, LegModel, Library, Rows, Window, stack
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_studies.paper.data import Stream
-
-__all__ = [
-    "NO_MODEL",
-    "PAPER_WINDOW",
-    "FreeRows",
-    "blockwise",
-    "factor_of",
-    "free_rows",
-    "noise_floor",
-    "pick",
-    "residual_unit",
-    "rms_deg",
-    "worst",
-]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -69,60 +55,51 @@ def free_rows(stream: Stream, library: Library) -> FreeRows:
     """
     cut = stack(stream.measured, stream.desired, library.window)
     use = stream.swing & stream.stretch.free
-    rows = np.flatnonzero(use[cut.tick] & use[cut.tick + 1] & _finite(cut))
+    usable = use[cut.tick] & use[cut.tick + 1]
+    for part in cut[:4]:
+        usable &= np.isfinite(part).all(axis=tuple(range(1, part.ndim)))
+    rows = np.flatnonzero(usable)
     number = np.cumsum(np.diff(stream.swing.astype(int), prepend=0) == 1)
     return FreeRows(pick(cut, rows), number[cut.tick[rows]])
 
 
-def _finite(windows: Rows) -> NDArray[np.bool_]:
-    """Mask of windows without a value that is not finite."""
-    parts = (windows.measured, windows.desired, windows.preview, windows.increment)
-    finite = np.ones(len(windows.tick), dtype=np.bool_)
-    for part in parts:
-        finite &= np.isfinite(part).all(axis=tuple(range(1, part.ndim)))
-    return finite
-
-
 def pick(windows: Rows, which: NDArray[Any]) -> Rows:
     """Some of the windows, by indices or a mask."""
-    return Rows(
-        windows.measured[which],
-        windows.desired[which],
-        windows.preview[which],
-        windows.increment[which],
-        windows.tick[which],
-    )
+    return Rows(*(part[which] for part in windows))
+
+
+def thetas(library: Library, windows: Rows) -> Iterator[tuple[slice, Array]]:
+    """Θ of some rows at a time, and which, so that it never stands whole in memory."""
+    for start in range(0, len(windows.tick), BLOCK):
+        part = slice(start, start + BLOCK)
+        yield part, library.evaluate(*(values[part] for values in windows[:3]))
 
 
 def blockwise(library: Library, windows: Rows, coefficients: Array) -> Array:
-    """Predict movements block by block, so that Θ never stands whole in memory.
-
-    Args:
-        library: the terms.
-        windows: n of them.
-        coefficients: (p, q).
-
-    Returns:
-        (n, q).
-    """
+    """(n, q) movements that (p, q) coefficients predict for n windows."""
     out = np.empty((len(windows.tick), coefficients.shape[1]))
-    for start in range(0, len(out), BLOCK):
-        part = slice(start, start + BLOCK)
-        theta = library.evaluate(
-            windows.measured[part], windows.desired[part], windows.preview[part]
-        )
+    for part, theta in thetas(library, windows):
         out[part] = theta @ coefficients
+    return out
+
+
+def predictions(model: LegModel | None, measured: Array, desired: Array) -> Array:
+    """(n, J) rad, the positions predicted one tick before; NaN where nothing predicts them.
+
+    That is without a model, and where the window was not full.
+    """
+    out = np.full_like(measured, np.nan)
+    if model is not None:
+        cut = stack(measured, desired, model.library.window)
+        moved = blockwise(model.library, cut, model.coefficients)
+        out[cut.tick + 1] = cut.measured[:, 0] + moved
     return out
 
 
 def factor_of(library: Library, windows: Rows, target: Array) -> Factor:
     """The compressed regression of windows on a target, (n, q)."""
     factor = Factor(library.size, target.shape[1])
-    for start in range(0, len(target), BLOCK):
-        part = slice(start, start + BLOCK)
-        theta = library.evaluate(
-            windows.measured[part], windows.desired[part], windows.preview[part]
-        )
+    for part, theta in thetas(library, windows):
         factor.add(theta, target[part])
     return factor
 
@@ -132,20 +109,19 @@ def worst(statuses: Iterable[FitStatus]) -> FitStatus:
     return max(statuses, key=_SEVERITY.index, default=FitStatus.OK)
 
 
-def residual_unit(factor: Factor) -> tuple[float, ...]:
+def residual_unit(least_squares: Fit) -> tuple[float, ...]:
     """(J,) the least-squares residual that λ is measured in, where there is one."""
-    return tuple(np.maximum(fit_sparse(factor, FitSettings()).rms, _LEAST).tolist())
+    return tuple(np.maximum(least_squares.rms, _LEAST).tolist())
 
 
-def noise_floor(encoder: EncoderSettings | None = None) -> float:
+def noise_floor() -> float:
     r"""Standard deviation of a reading about the true angle, rad.
 
     Noise of :math:`\sigma` steps before rounding, and rounding itself, uniform over a step:
     :math:`q\sqrt{\sigma^2 + 1/12}`.  What is to be predicted is a reading, so that no model's
     residual is smaller.
     """
-    settings = encoder or EncoderSettings()
-    return QUANTUM_RAD * math.sqrt(settings.noise_steps**2 + 1.0 / 12.0)
+    return QUANTUM_RAD * math.sqrt(EncoderSettings().noise_steps ** 2 + 1.0 / 12.0)
 
 
 def rms_deg(residual: Array) -> list[float]:
@@ -153,3 +129,9 @@ def rms_deg(residual: Array) -> list[float]:
     if not len(residual):
         return [float("nan")] * residual.shape[1]
     return [float(v) for v in np.degrees(np.sqrt(np.square(residual).mean(axis=0)))]
+
+
+def over_floor(residual: Array) -> list[float]:
+    """:func:`rms_deg` over the noise floor."""
+    floor = float(np.degrees(noise_floor()))
+    return [v / floor for v in rms_deg(residual)]

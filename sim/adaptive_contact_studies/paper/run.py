@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -38,8 +38,6 @@ from adaptive_contact_studies.paper.workspace import (
     workspace_pieces,
 )
 from adaptive_contact_studies.show.progress import Advance, progress
-
-__all__ = ["STAGES", "run_paper"]
 
 STAGES: Final = (
     "dataset",
@@ -83,7 +81,7 @@ def run_paper(
         SimulationDivergedError: the physics blew up.
     """
     console = console or Console()
-    runner = _Runner(out, plan, workers or os.cpu_count() or 1, logs, console)
+    runner = Runner(out, plan, workers or os.cpu_count() or 1, logs, console)
     results: dict[str, Any] = {
         "v": 1,
         "plan": plain(plan),
@@ -105,7 +103,7 @@ def run_paper(
     return dict(tree)
 
 
-class _Runner:
+class Runner:
     """The stages of one run."""
 
     def __init__(
@@ -135,43 +133,38 @@ class _Runner:
     def identification(self) -> Any:
         """Section 4.2."""
         train, test = self._paper_streams()
-        key = [self._paper_key(), source_fingerprint()]
-        with self._bar("identification: sweeps of λ, windows, libraries", 1.0) as add:
-            return self.store.tree(
-                "identification", key, lambda: identification(self.robot, train, test, add)
-            )
+        return self._kept(
+            "identification",
+            "identification: sweeps of λ, windows, libraries",
+            lambda add: identification(self.robot, train, test, add),
+        )
 
     def responses(self, identified: Any) -> Any:
         """Figure 2, with the λ that the held-out selection picked."""
         picked = {s["library"]: s["picked"] or 0.0 for s in identified["selection"]}
         train, test = self._paper_streams()
-        return self.store.tree(
-            "responses",
-            [self._paper_key(), source_fingerprint(), picked],
-            lambda: responses(self.robot, train, test, picked),
-        )
+        key = [*self._paper_key(), picked]
+        return self.store.tree("responses", key, lambda: responses(self.robot, train, test, picked))
 
     def compression(self) -> Any:
         """The compressed fit against PySINDy's own."""
         train, _ = self._paper_streams()
-        key = [self._paper_key(), source_fingerprint()]
-        with self._bar("compressed regression against raw rows", 1.0) as add:
-            return self.store.tree(
-                "compression",
-                key,
-                lambda: compare_all(self.robot, train, add),
-            )
+        return self._kept(
+            "compression",
+            "compressed regression against raw rows",
+            lambda add: compare_all(self.robot, train, add),
+        )
 
     def collisions(self) -> Any:
         """Section 4.3, the ten collisions."""
         train, test = self._paper_streams()
-        key = [self._paper_key(), source_fingerprint(), self.plan.collisions]
-        with self._bar("ten collisions", 1.0) as add:
-            return self.store.tree(
-                "collisions",
-                key,
-                lambda: ten_collisions(self.robot, train, test, self.plan.collisions, add),
-            )
+        count = self.plan.collisions
+        return self._kept(
+            "collisions",
+            "ten collisions",
+            lambda add: ten_collisions(self.robot, train, test, count, add),
+            count,
+        )
 
     def detection(self) -> Any:
         """What ten trials cannot show."""
@@ -243,7 +236,12 @@ class _Runner:
 
     def _paper_key(self) -> list[Any]:
         pieces = [plain(self.plan.paper_pieces(role)) for role in _PAPER_ROLES]
-        return [physics_fingerprint(), pieces]
+        return [[physics_fingerprint(), pieces], source_fingerprint()]
+
+    def _kept(self, stage: str, what: str, make: Callable[[Advance], Any], *key: object) -> Any:
+        """A stage on the paper's dataset, made with a bar unless it is there."""
+        with self._bar(what, 1.0) as add:
+            return self.store.tree(stage, [*self._paper_key(), *key], lambda: make(add))
 
     def _paper_parts(self) -> list[list[Stream]]:
         pieces = [self.plan.paper_pieces(role) for role in _PAPER_ROLES]

@@ -18,8 +18,6 @@ from adaptive_contact_studies.paper.verdicts import HALF, losses, span
 from adaptive_contact_studies.show.numbers import general, number, per_joint
 from adaptive_contact_studies.show.pages import Section, read_sections, render, unwrapped
 
-__all__ = ["markdown", "part", "sections"]
-
 Tree = Mapping[str, Any]
 
 # Stages with a template, in the order of the page.

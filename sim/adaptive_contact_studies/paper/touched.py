@@ -33,7 +33,7 @@ from adaptive_contact.score import (
 )
 from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.evaluate import leg_stream
-from adaptive_contact_studies.paper.comparison_rules import alarm_ticks
+from adaptive_contact_studies.paper.comparison_rules import alarms
 from adaptive_contact_studies.paper.data import load
 from adaptive_contact_studies.paper.detectors import DETECTORS
 from adaptive_contact_studies.paper.evaluation import (
@@ -46,25 +46,6 @@ from adaptive_contact_studies.paper.evaluation import (
     read_job,
 )
 from adaptive_contact_studies.paper.plan import Piece, Plan
-
-__all__ = [
-    "BOTH",
-    "SLIP_MS",
-    "SLOW_FAST",
-    "SLOW_KINDS",
-    "Touched",
-    "binned",
-    "by_kind",
-    "headline_streams",
-    "late_events",
-    "misses",
-    "outcome_of",
-    "peaks",
-    "rows_of",
-    "slips",
-    "touched_streams",
-    "what_alarms_are",
-]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -129,15 +110,15 @@ def outcome_of(touched: Touched, name: str, factor: float = 1.0) -> LegOutcome:
     """A detector's events against the truth.
 
     Args:
-        touched: a stream.
-        name: a learner, at the product's target rate or another, or a compared detector.
-        factor: on the compared detector's threshold.
+        touched: the stream.
+        name: of the detector.
+        factor: on the threshold of a compared one.
     """
-    if name in touched.events:
-        return match(touched.truth, touched.events[name])
-    ticks = alarm_ticks(touched.scores[name], touched.swing, factor, touched.descending)
-    t_ns = touched.truth.t_ns[ticks]
-    return match(touched.truth, Events(t_ns, np.ones(len(t_ns), dtype=bool), t_ns))
+    events = touched.events.get(name)
+    if events is None:
+        truth, score = touched.truth, touched.scores[name]
+        events = alarms(truth.t_ns, score, touched.swing, factor, touched.descending)
+    return match(touched.truth, events)
 
 
 def headline_streams(touched: Sequence[Touched]) -> list[Touched]:
@@ -296,7 +277,7 @@ def slips(touched: Sequence[Touched]) -> dict[str, int]:
     """Fast touches in slow approaches, and those soon after another contact ended: of a slip."""
     total = soon = 0
     for t in touched:
-        table = match(t.truth, _nothing()).touches
+        table = match(t.truth, Events.of(())).touches
         for onset, row in zip(table.onset_ns, table.row, strict=True):
             if t.piece.kind in SLOW_KINDS and row == ROWS.index(Row.HEADLINE):
                 after = _after_release(t.truth, int(onset))
@@ -350,15 +331,10 @@ def peaks(touched: Sequence[Touched], name: str) -> list[float] | None:
     headline = ROWS.index(Row.HEADLINE)
     highest = []
     for t in headline_streams(touched):
-        table = match(t.truth, _nothing()).touches
+        table = match(t.truth, Events.of(())).touches
         for onset, row in zip(table.onset_ns, table.row, strict=True):
             after = t.truth.t_ns - onset
             own = t.scores[name][(after > 0) & (after <= _WINDOW_NS)]
             if row == headline and np.isfinite(own).any():
                 highest.append(float(np.nanmax(own)))
     return [float(q) for q in np.quantile(highest, (0.05, 0.5, 0.95))] if highest else None
-
-
-def _nothing() -> Events:
-    none = np.zeros(0, dtype=np.int64)
-    return Events(none, none.astype(bool), none)

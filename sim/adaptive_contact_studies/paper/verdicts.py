@@ -23,8 +23,6 @@ from adaptive_contact_studies.show.numbers import (
     thousands,
 )
 
-__all__ = ["HALF", "Headline", "Loss", "headline", "losses", "span"]
-
 DEFAULT: Final = "default"
 # Rows of 5,000 segments, on which the speed is asked for.
 _ASKED_ROWS: Final = 45_000
@@ -68,7 +66,7 @@ def losses(data: Mapping[str, Any]) -> list[Loss]:
     figures = data["figures"]
     ours = figures[DEFAULT]
     found = [
-        _shares(data, "headline", "headline recall", lambda f: f["summary"]["rows"]["headline"]),
+        _shares(data, "headline", "headline recall", _headline),
         _lower(data, "median latency", lambda f: _headline(f)["median_ms"], " ms"),
         _lower(data, "p95 latency", lambda f: _headline(f)["p95_ms"], " ms"),
         _lower(data, "p99 latency", lambda f: _headline(f)["p99_ms"], " ms"),
@@ -83,13 +81,15 @@ def losses(data: Mapping[str, Any]) -> list[Loss]:
     ]
     for row in ours["summary"]["rows"]:
         if row != "headline":
-            found.append(_shares(data, "rows", f"recall, row `{row}`", partial(_row, row)))
+            of = partial(_part, ("summary", "rows", row))
+            found.append(_shares(data, "rows", f"recall, row `{row}`", of))
     for kind in ours["kinds"]:
-        found.append(_shares(data, "kinds", f"recall, streams `{kind}`", partial(_kind, kind)))
+        of = partial(_part, ("kinds", kind))
+        found.append(_shares(data, "kinds", f"recall, streams `{kind}`", of))
     for section, field, unit in (("speed", "by_speed", "m/s"), ("force", "by_force", "N")):
         for i, own in enumerate(ours[field]):
             what = f"recall, {span(own)} {unit}"
-            found.append(_shares(data, section, what, partial(_bin, field, i)))
+            found.append(_shares(data, section, what, partial(_part, (field, i))))
     return [loss for loss in found if loss is not None]
 
 
@@ -110,16 +110,11 @@ def _precision(figures: Mapping[str, Any]) -> Any:
     return {"recall": own["precision"], "interval": own["precision_interval"]}
 
 
-def _row(row: str, figures: Mapping[str, Any]) -> Any:
-    return figures["summary"]["rows"].get(row) or {}
-
-
-def _kind(kind: str, figures: Mapping[str, Any]) -> Any:
-    return figures["kinds"].get(kind) or {}
-
-
-def _bin(field: str, i: int, figures: Mapping[str, Any]) -> Any:
-    return figures[field][i]
+def _part(path: Sequence[Any], figures: Any) -> Any:
+    """What stands under some names, one below the other; empty where one is not there."""
+    for name in path:
+        figures = figures[name] if isinstance(figures, list) else figures.get(name) or {}
+    return figures
 
 
 def _headline(figures: Mapping[str, Any]) -> Any:

@@ -13,6 +13,7 @@ lies.  Of the leg of the paper's own dataset also the model of its two subspaces
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -31,7 +32,6 @@ from adaptive_contact_studies.paper.identification import shown_condition
 from adaptive_contact_studies.paper.plan import LegRun, Piece, Plan, Role
 from adaptive_contact_studies.paper.recording import physics_fingerprint, source_fingerprint
 from adaptive_contact_studies.paper.rows import (
-    BLOCK,
     NO_MODEL,
     PAPER_WINDOW,
     blockwise,
@@ -39,23 +39,16 @@ from adaptive_contact_studies.paper.rows import (
     free_rows,
     noise_floor,
     pick,
+    residual_unit,
     rms_deg,
+    thetas,
     worst,
 )
-
-__all__ = [
-    "compare_regions",
-    "map_extent",
-    "residual_map",
-    "study_leg_run",
-    "workspace",
-    "workspace_pieces",
-]
 
 Array = NDArray[np.float64]
 
 # Grid of the maps, m, over reach and height of the foot.
-_CELL_M: Final = 0.015
+CELL_M: Final = 0.015
 _REACH_M: Final = (0.08, 0.26)
 _HEIGHT_M: Final = (-0.145, 0.13)
 # Windows in a cell that make a figure.
@@ -104,23 +97,14 @@ def where_it_fails(
 
 def _leverage(library: Library, domain: Domain, windows: Rows) -> Array:
     """(n,) how far each window's regressors lie from those of a fit."""
-    out = np.empty(len(windows.tick))
-    for start in range(0, len(out), BLOCK):
-        part = slice(start, start + BLOCK)
-        theta = library.evaluate(
-            windows.measured[part], windows.desired[part], windows.preview[part]
-        )
-        out[part] = domain.leverage(theta)
-    return out
+    parts = [domain.leverage(theta) for _, theta in thetas(library, windows)]
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def paper_column(point: Array) -> NDArray[np.bool_]:
     """Mask of feet within the paper's subspaces, or between them, where its segments pass."""
     low, high = WORKSPACES["paper"]
-    yaw, reach, height = cylinder(point).T
-    inside = (yaw >= low.yaw_rad[0]) & (yaw <= low.yaw_rad[1])
-    inside &= (reach >= low.reach_m[0]) & (reach <= low.reach_m[1])
-    return np.asarray(inside & (height >= low.height_m[0]) & (height <= high.height_m[1]))
+    return replace(low, height_m=(low.height_m[0], high.height_m[1])).holds(point)
 
 
 def norm_deg(residual: Array) -> float | None:
@@ -128,29 +112,29 @@ def norm_deg(residual: Array) -> float | None:
     return float(np.degrees(np.sqrt(np.square(residual).mean()))) if len(residual) else None
 
 
-def _edges(span: tuple[float, float]) -> Array:
+def edges_of(span: tuple[float, float]) -> Array:
     """Lower edges of the cells that cover a span; the last may reach beyond it."""
-    cells = int(np.ceil((span[1] - span[0]) / _CELL_M - 1e-9))
-    return np.asarray(span[0] + _CELL_M * np.arange(cells))
+    cells = int(np.ceil((span[1] - span[0]) / CELL_M - 1e-9))
+    return np.asarray(span[0] + CELL_M * np.arange(cells))
 
 
 def map_extent() -> list[float]:
     """Reach and height of the maps' outer edges, m: whole cells, not the spans asked for."""
-    ends = [(edges[0], edges[-1] + _CELL_M) for edges in map(_edges, (_REACH_M, _HEIGHT_M))]
+    ends = [(edges[0], edges[-1] + CELL_M) for edges in map(edges_of, (_REACH_M, _HEIGHT_M))]
     return [float(v) for pair in ends for v in pair]
 
 
 def residual_map(point: Array, residual: Array) -> list[list[float | None]]:
     """Root mean square over the floor, by height (rows) and reach (columns)."""
     reach = np.hypot(point[:, 0], point[:, 1])
-    columns, lines = _edges(_REACH_M), _edges(_HEIGHT_M)
+    columns, lines = edges_of(_REACH_M), edges_of(_HEIGHT_M)
     square = np.square(residual).mean(axis=1)
     grid: list[list[float | None]] = []
     for low in lines:
         line: list[float | None] = []
         for left in columns:
-            inside = (reach >= left) & (reach < left + _CELL_M)
-            inside &= (point[:, 2] >= low) & (point[:, 2] < low + _CELL_M)
+            inside = (reach >= left) & (reach < left + CELL_M)
+            inside &= (point[:, 2] >= low) & (point[:, 2] < low + CELL_M)
             enough = np.count_nonzero(inside) >= _MIN_CELL
             line.append(float(np.sqrt(square[inside].mean()) / noise_floor()) if enough else None)
         grid.append(line)
@@ -241,7 +225,7 @@ def workspace(studies: Mapping[str, Any]) -> dict[str, Any]:
                 for m in models
             },
             "difference": {
-                what: _difference([(s["rms_deg"][a], s["rms_deg"][b]) for s in own.values()])
+                what: difference_of([(s["rms_deg"][a], s["rms_deg"][b]) for s in own.values()])
                 for what, (a, b) in _DIFFERENCES.items()
             },
             "before": None if mapped is None else own[mapped]["before"],
@@ -391,7 +375,7 @@ def _mean(values: Sequence[Sequence[float] | None]) -> list[float] | None:
     return [float(v) for v in np.mean(known, axis=0)] if known else None
 
 
-def _difference(
+def difference_of(
     pairs: Sequence[tuple[Sequence[float] | None, Sequence[float] | None]],
 ) -> dict[str, Any]:
     """By how much the first of each pair is above the second, with Student's 95 % interval.
@@ -419,13 +403,7 @@ def _difference(
 
 def _joined(streams: Sequence[Stream], library: Library) -> Rows:
     parts = [free_rows(s, library).windows for s in streams]
-    return Rows(
-        np.concatenate([p.measured for p in parts]),
-        np.concatenate([p.desired for p in parts]),
-        np.concatenate([p.preview for p in parts]),
-        np.concatenate([p.increment for p in parts]),
-        np.concatenate([p.tick for p in parts]),
-    )
+    return Rows(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _region(point: Array, edges: Array) -> Ints:
@@ -438,7 +416,7 @@ def _fit(factor: Factor) -> _Model:
     whole = fit_sparse(factor, FitSettings())
     if whole.status in NO_MODEL:
         return _Model(whole.status, whole.coefficients, whole.condition)
-    unit = tuple(np.maximum(whole.rms, 1e-9).tolist())
-    sparse = fit_sparse(factor, FitSettings(threshold=_THRESHOLD, unit=unit))
+    settings = FitSettings(threshold=_THRESHOLD, unit=residual_unit(whole))
+    sparse = fit_sparse(factor, settings)
     fit = sparse if sparse.status is FitStatus.OK else whole
     return _Model(fit.status, fit.coefficients, fit.condition)

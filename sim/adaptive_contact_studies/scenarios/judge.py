@@ -47,21 +47,6 @@ from adaptive_contact_studies.scenarios.spec import (
     Variant,
 )
 
-__all__ = [
-    "NOTHING",
-    "SETTLED",
-    "Judged",
-    "Judgement",
-    "Recovery",
-    "figures",
-    "judge",
-    "judge_scenario",
-    "longest_lock_out",
-    "quantile",
-    "swings_until_valid",
-    "within",
-]
-
 _VALID: Final = STATUSES.index("valid")
 _AMBIGUOUS: Final = STATUSES.index("ambiguous")
 # The phase in which a foot is caught, and the swings after which that can be detected: it is caught

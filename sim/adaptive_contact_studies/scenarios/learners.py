@@ -13,8 +13,6 @@ from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_studies.scenarios.spec import BaselineChoice, Variant
 
-__all__ = ["OPPOSITE", "baseline_for", "learner", "reference_baseline", "robot"]
-
 HEXAPOD: Final = "hexapod"
 # The leg diagonally opposite: of the other side, and of the other end.
 OPPOSITE: Final = {"lf": "rr", "lm": "rm", "lr": "rf", "rf": "lr", "rm": "lm", "rr": "lf"}

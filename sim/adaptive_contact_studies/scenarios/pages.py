@@ -28,8 +28,6 @@ from adaptive_contact_studies.scenarios.runner import Folders
 from adaptive_contact_studies.scenarios.spec import Expect, Scenario, Variant
 from adaptive_contact_studies.show.figures import INK, new_figure, save, styled
 
-__all__ = ["draw_page", "draw_summary"]
-
 COLOURS: Final = {
     Variant.FROZEN: "#8c8c8c",
     Variant.UNGATED: "#d1495b",

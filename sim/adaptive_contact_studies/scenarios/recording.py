@@ -38,17 +38,6 @@ from adaptive_contact_studies.scenarios import staging
 from adaptive_contact_studies.scenarios.spec import RecordingSpec
 from adaptive_contact_studies.scenarios.staging import stagehand
 
-__all__ = [
-    "LegRecord",
-    "Recording",
-    "file_of",
-    "load",
-    "made",
-    "record",
-    "save",
-    "simulator_fingerprint",
-]
-
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 Flags = NDArray[np.bool_]

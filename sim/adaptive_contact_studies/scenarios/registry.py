@@ -55,8 +55,6 @@ from adaptive_contact_studies.scenarios.spec import (
     Variant,
 )
 
-__all__ = ["contacts", "named", "scenarios", "starts", "steady", "steps", "trouble"]
-
 # Steps of every kind that the simulator knows.  The first four walk, too;
 # values are at the far end of what is seen in the field, docs/simulator.md.
 STEPS: Final = {

@@ -36,18 +36,6 @@ from adaptive_contact_studies.scenarios.learners import learner, reference_basel
 from adaptive_contact_studies.scenarios.recording import Recording, key_of
 from adaptive_contact_studies.scenarios.spec import ReplaySpec, Variant
 
-__all__ = [
-    "STATUSES",
-    "LegReplay",
-    "SwingLog",
-    "Trace",
-    "learner_fingerprint",
-    "load_replay",
-    "replay",
-    "replay_file",
-    "save_replay",
-]
-
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 

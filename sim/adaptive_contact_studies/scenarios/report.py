@@ -21,17 +21,6 @@ from adaptive_contact_studies.scenarios.spec import Variant
 from adaptive_contact_studies.show.numbers import general, interval, number, percent, share
 from adaptive_contact_studies.show.pages import render, write_page
 
-__all__ = [
-    "SUMMARY",
-    "alarms",
-    "leg_runs",
-    "rate",
-    "report_text",
-    "results_table",
-    "swings",
-    "write_report",
-]
-
 Tree = dict[str, Any]
 
 # Stands where there is no number.

@@ -25,20 +25,6 @@ from adaptive_contact_studies.scenarios.runner import FULL, RESULTS
 from adaptive_contact_studies.scenarios.runs import Sizes
 from adaptive_contact_studies.scenarios.spec import Expect, Scenario, Variant
 
-__all__ = [
-    "Goal",
-    "belongs",
-    "best_form",
-    "form_of",
-    "goals",
-    "merge",
-    "pooled",
-    "read_results",
-    "refuse_to_lose",
-    "results",
-    "write_results",
-]
-
 Tree = dict[str, Any]
 
 RECOVERY_MEDIAN: Final = 10.0

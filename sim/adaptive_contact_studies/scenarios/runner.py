@@ -25,8 +25,6 @@ from adaptive_contact_studies.scenarios.replay import (
 from adaptive_contact_studies.scenarios.spec import RecordingSpec, ReplaySpec, Scenario
 from adaptive_contact_studies.workers import completed
 
-__all__ = ["FULL", "RESULTS", "Done", "Folders", "Job", "jobs", "run"]
-
 # The form that is published, and how the figures of a form are called.
 FULL: Final = "full"
 RESULTS: Final = "results-{form}.json"

@@ -26,31 +26,6 @@ from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.scenarios.spec import Phase, RecordingSpec, Staging
 
-__all__ = [
-    "BRIEF_SIZES",
-    "FULL_SIZES",
-    "POSE_SWING_S",
-    "QUICK_SIZES",
-    "WALK_SWING_S",
-    "Sizes",
-    "What",
-    "all_touch",
-    "around",
-    "drifting",
-    "lone_runs",
-    "minutes",
-    "of_robot_0",
-    "pose_run",
-    "pose_runs",
-    "turn_runs",
-    "walk_run",
-    "walk_runs",
-    "walks_without_change",
-    "without_drift",
-    "without_faults",
-    "without_staging",
-]
-
 # A trial in pose: 10 ticks up, 10 down, 3 of hold.  A cycle of the tripod at its mean speed.
 POSE_SWING_S: Final = 0.46
 WALK_SWING_S: Final = 0.64 / 0.46

@@ -14,21 +14,6 @@ from typing import Final, Literal, NamedTuple
 
 from adaptive_contact_sim.simulation import SimulationSettings
 
-__all__ = [
-    "ALL_VARIANTS",
-    "GOALS_VARIANTS",
-    "BaselineChoice",
-    "Expect",
-    "LegRun",
-    "Mark",
-    "Phase",
-    "RecordingSpec",
-    "ReplaySpec",
-    "Scenario",
-    "Staging",
-    "Variant",
-]
-
 
 class Variant(enum.StrEnum):
     """How much of the learner is switched on; the values are those of ``LearnerMode``."""

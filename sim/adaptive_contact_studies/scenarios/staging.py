@@ -33,8 +33,6 @@ from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation
 from adaptive_contact_studies.scenarios.spec import Staging
 
-__all__ = ["Stagehand", "stagehand"]
-
 Array = NDArray[np.float64]
 
 SPRING_N_M: Final = 3000.0

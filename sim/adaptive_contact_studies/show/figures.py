@@ -13,6 +13,7 @@ from adaptive_contact.errors import MissingExtraError
 from adaptive_contact.files import write_file
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Okabe and Ito's colours, which all readers can distinguish; the paper's own where it names one.
@@ -66,6 +67,12 @@ def new_figure(width: float, height: float, **options: Any) -> Figure:
 
     chosen: dict[str, Any] = {"dpi": 100, "layout": "constrained"} | options
     return Figure((width, height), **chosen)
+
+
+def legend_below(figure: Figure, axes: Axes, columns: int) -> None:
+    """Name the curves of axes below all of a figure."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 def png(figure: Figure, colours: int | None = None) -> bytes:

@@ -8,19 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-__all__ = [
-    "FILTERS",
-    "general",
-    "interval",
-    "number",
-    "per_joint",
-    "percent",
-    "scientific",
-    "share",
-    "signed",
-    "thousands",
-]
-
 # Stands where there is no number; a page may have its own.
 NONE: Final = "-"
 

@@ -12,15 +12,6 @@ from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.files import cannot_write, write_file
 from adaptive_contact_studies.show.numbers import FILTERS
 
-__all__ = [
-    "Section",
-    "Table",
-    "read_sections",
-    "render",
-    "unwrapped",
-    "write_page",
-]
-
 _TEMPLATES: Final = Path(__file__).with_name("templates")
 _PICTURE: Final = re.compile(r"!\[(.*)\]\((.*)\)")
 

@@ -10,8 +10,6 @@ from typing import Final, Protocol
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-__all__ = ["Advance", "progress"]
-
 # Between two lines where there is no terminal.
 _LINE_S: Final = 20.0
 

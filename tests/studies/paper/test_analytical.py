@@ -6,7 +6,7 @@ import numpy as np
 
 from adaptive_contact_sim import PoseSettings, SimulationSettings
 from adaptive_contact_sim.simulation import Simulation
-from adaptive_contact_studies.paper.analytical import Gains, NominalLeg, _Dynamics, predict
+from adaptive_contact_studies.paper.analytical import Dynamics, Gains, NominalLeg, predict
 from adaptive_contact_studies.paper.data import Stream
 
 
@@ -17,7 +17,7 @@ def test_one_tick_from_the_true_state_is_the_simulators() -> None:
             motion=PoseSettings(), seed=3, servo_spread=0.0, supply_resistance_ohm=0.0
         )
     )
-    dynamics = _Dynamics(NominalLeg.of())
+    dynamics = Dynamics(NominalLeg.of())
     own = slice(9, 12)
     errors, moved = [], []
     for k in range(300):

@@ -22,11 +22,9 @@ from adaptive_contact_studies.paper.evaluation import (
     AIM,
     AIMS,
     FACTORS,
-    _tail,
     at_other_aims,
-    play_at,
     play_streams,
-    play_ungated,
+    tail_of,
 )
 from adaptive_contact_studies.paper.plan import FULL, LegRun, Piece
 from adaptive_contact_studies.paper.tables import part
@@ -157,7 +155,7 @@ def test_curves_are_of_the_headlines_touches(streams: list[Touched]) -> None:
             "online_ticks": dict.fromkeys((f"aim {a:g}" for a in AIMS), 270_000),
         }
     }
-    curve = study._roc("servo ratio", streams, quiet)
+    curve = study.curve_of("servo ratio", streams, quiet)
     assert len(curve) == len(FACTORS) - 5  # thresholds too low to be counted have no point
     assert {p["touches"] for p in curve} == {3}
     at_aim = next(p for p in curve if abs(p["factor"] - 1.0) < 1e-6)
@@ -167,7 +165,7 @@ def test_curves_are_of_the_headlines_touches(streams: list[Touched]) -> None:
     assert curve[-1]["factor"] == pytest.approx(10.0)
     assert curve[-1]["recall"] == 0.0
     played = [t._replace(events={f"aim {a:g}": t.events["default"] for a in AIMS}) for t in streams]
-    points = study._aims(played, quiet)
+    points = study.curve_of_aims(played, quiet)
     assert [p["aim"] for p in points] == list(AIMS)
     assert {(p["touches"], p["recall"], p["per_hour"]) for p in points} == {(3, 1.0, 4.0)}
 
@@ -196,7 +194,7 @@ def test_touches_told_after_their_time_are_counted() -> None:
 
 def test_the_hardest_touches_are_in_the_last_bin() -> None:
     strong = touched("hard", [0.5], [[TOUCH]], force_n=150.0)
-    bins = binned([strong], [outcome_of(strong, "default")], "force_n", study._FORCE_EDGES_N, ())
+    bins = binned([strong], [outcome_of(strong, "default")], "force_n", study.FORCE_EDGES_N, ())
     assert bins[-1]["touches"] == 1
     assert plain(bins[-1])["high"] is None
 
@@ -221,7 +219,7 @@ def test_a_tail_counts_free_ticks_above_every_threshold() -> None:
 
     own: Any = Own()
     own.free, own.descending = free, descending
-    told = _tail(own, score)
+    told = tail_of(own, score)
     assert int(told["known"]) == free.sum()
     expected = [(score[free] > factor).sum() for factor in FACTORS]
     np.testing.assert_array_equal(told["above"], expected)
@@ -233,7 +231,7 @@ def test_a_tail_counts_free_ticks_above_every_threshold() -> None:
 
 def test_a_step_at_the_foot_is_read_off_the_robots_description(robot: Robot) -> None:
     """52, 66 and 138 mm, 0.29° a step: from each joint to a stretched leg's foot."""
-    limits = study._limits(robot)
+    limits = study.limits_of(robot)
     step = np.radians(300.0 / 1023.0)
     assert limits["step_m"]["tibia"] == pytest.approx(0.138 * step, rel=2e-3)
     assert limits["step_m"]["femur"] == pytest.approx(0.204 * step, rel=2e-3)
@@ -296,7 +294,7 @@ def test_the_limits_say_how_late_the_missed_ones_come(robot: Robot) -> None:
     data: dict[str, Any] = {
         "figures": {name: figures() for name in names},
         "detectors": {name: name for name in names},
-        "limits": plain(study._limits(robot)),
+        "limits": plain(study.limits_of(robot)),
     }
     (section,) = read_sections(part("limits", data))
     assert "1.31 mm of the coxa, 1.04 mm of the femur, 0.71 mm of the tibia" in section.text
@@ -317,7 +315,7 @@ def test_the_ungated_learner_is_the_products_own(robot: Robot, touched_stream: S
     baseline = shipped_baseline(robot.name)
     if baseline is None:
         pytest.skip("no shipped baseline: run `make baseline`")
-    (told,) = play_ungated(robot, {0: baseline}, [touched_stream])
+    (told,) = play_streams(robot, {0: baseline}, [touched_stream], mode=LearnerMode.UNGATED)
     learner = ContactLearner(robot, "rf", baseline, mode=LearnerMode.UNGATED)
     expected = Events.of(
         [
@@ -338,8 +336,9 @@ def test_an_aim_of_many_alarms_tells_more(robot: Robot, touched_stream: Stream) 
         pytest.skip("no shipped baseline: run `make baseline`")
     known = {0: baseline}
     (own,) = play_streams(robot, known, [touched_stream])
-    (same,) = play_at(robot.detector.false_alarms_per_hour, robot, known, [touched_stream])
-    (many,) = play_at(1e4, robot, known, [touched_stream])
+    aim = robot.detector.false_alarms_per_hour
+    (same,) = play_streams(robot, known, [touched_stream], per_hour=aim)
+    (many,) = play_streams(robot, known, [touched_stream], per_hour=1e4)
     np.testing.assert_array_equal(own.t_ns, same.t_ns)
     assert np.count_nonzero(many.contact) > np.count_nonzero(own.contact)
 

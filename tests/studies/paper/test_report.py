@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from adaptive_contact_studies.cache import plain
-from adaptive_contact_studies.paper.detection import _rate
+from adaptive_contact_studies.paper.detection import rate_of
 from adaptive_contact_studies.paper.identification import (
     SINGULAR,
-    _sparsest,
     shown_condition,
+    sparsest_of,
 )
 from adaptive_contact_studies.paper.tables import part
 from adaptive_contact_studies.paper.verdicts import headline
@@ -36,7 +36,7 @@ def found(
     }
     default = {
         "summary": {"rows": {"headline": row}},
-        "false_alarms": {"all": _rate(alarms, round(hours * 540_000))},
+        "false_alarms": {"all": rate_of(alarms, round(hours * 540_000))},
     }
     tree = {
         "figures": {"default": default},
@@ -100,10 +100,10 @@ def test_the_speed_has_a_verdict_on_5000_segments(
 
 
 def test_what_was_not_counted_has_no_rate() -> None:
-    assert plain(_rate(-1, 540_000)) == {
+    assert plain(rate_of(-1, 540_000)) == {
         "count": -1, "hours": 1.0, "per_hour": None, "interval": [None, None]
     }  # fmt: skip
-    assert _rate(0, 0)["per_hour"] is None
+    assert rate_of(0, 0)["per_hour"] is None
 
 
 def test_the_residual_is_labelled_as_what_it_is() -> None:
@@ -115,7 +115,7 @@ def test_the_residual_is_labelled_as_what_it_is() -> None:
 
 
 def test_no_alarm_in_few_hours_only_bounds_the_rate() -> None:
-    alarms = {"free": _rate(10, 540_000 * 10), "stand": _rate(0, 324_000)}
+    alarms = {"free": rate_of(10, 540_000 * 10), "stand": rate_of(0, 324_000)}
     told = part("free", {"figures": {"default": {"false_alarms": plain(alarms)}}})
     assert "10 and 0 false alarms" in told
     # 95 % of nothing seen: 3.69 over 0.6 h.
@@ -132,13 +132,17 @@ def test_what_has_no_model_and_what_is_singular_are_no_dashes() -> None:
 def test_every_joint_has_a_say_in_the_sparsest_model() -> None:
     """A mean would pick 0.3: the first joint gains there what the second loses."""
     points = [
-        {"lambda": 0.1, "held_out_rms": [0.200, 0.200]},
-        {"lambda": 0.3, "held_out_rms": [0.198, 0.203]},
-        {"lambda": 1.0, "held_out_rms": [0.300, 0.300]},
+        {"status": "ok", "lambda": 0.1, "held_out_rms": [0.200, 0.200]},
+        {"status": "ok", "lambda": 0.3, "held_out_rms": [0.198, 0.203]},
+        {"status": "ok", "lambda": 1.0, "held_out_rms": [0.300, 0.300]},
     ]
-    assert _sparsest(points[:1] + points[2:]) == 0.1
-    assert _sparsest([]) is None
+    assert sparsest_of(points[:1] + points[2:]) == 0.1
+    assert sparsest_of([]) is None
     # Their best lie apart: the smallest.
-    assert _sparsest(points) == 0.1
-    near = [*points[:1], {"lambda": 0.3, "held_out_rms": [0.2005, 0.2009]}, points[2]]
-    assert _sparsest(near) == 0.3
+    assert sparsest_of(points) == 0.1
+    near = [
+        *points[:1],
+        {"status": "ok", "lambda": 0.3, "held_out_rms": [0.2005, 0.2009]},
+        points[2],
+    ]
+    assert sparsest_of(near) == 0.3

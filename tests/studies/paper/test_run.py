@@ -91,7 +91,7 @@ def test_the_report_tells_the_whole_command(
         threads.extend(pool["num_threads"] for pool in threadpool_info())
         return {"skipped_stage": "for a test"}
 
-    monkeypatch.setattr(run._Runner, "logs", told)
+    monkeypatch.setattr(run.Runner, "logs", told)
     app = typer.Typer()
     app.command()(paper)
     document = tmp_path / "a page.md"

@@ -71,7 +71,7 @@ def test_an_interrupted_run_goes_on_and_ends_the_same(
     pieces = [p for role in ("free", "stand", "touch") for p in SMALL.pieces(role)]
     whole, broken = Store(tmp_path / "whole"), Store(tmp_path / "broken")
     data.record_all(whole, pieces, 1, lambda _: None)
-    calls, record = [], data._record
+    calls, record = [], data.record_piece
 
     def interrupted(job: object) -> float:
         if len(calls) == 2:
@@ -79,10 +79,10 @@ def test_an_interrupted_run_goes_on_and_ends_the_same(
         calls.append(job)
         return record(job)
 
-    monkeypatch.setattr(data, "_record", interrupted)
+    monkeypatch.setattr(data, "record_piece", interrupted)
     with pytest.raises(KeyboardInterrupt):
         data.record_all(broken, pieces, 1, lambda _: None)
-    monkeypatch.setattr(data, "_record", record)
+    monkeypatch.setattr(data, "record_piece", record)
     done = [p for p in pieces if data.piece_path(broken, p).exists()]
     assert 0 < len(done) < len(pieces)
     told: list[float] = []

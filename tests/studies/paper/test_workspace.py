@@ -8,9 +8,9 @@ import pytest
 from adaptive_contact_studies.cache import plain
 from adaptive_contact_studies.paper.tables import sections
 from adaptive_contact_studies.paper.workspace import (
-    _CELL_M,
-    _difference,
-    _edges,
+    CELL_M,
+    difference_of,
+    edges_of,
     map_extent,
     nearest_regions,
     residual_map,
@@ -38,25 +38,25 @@ def test_the_maps_extent_is_that_of_its_cells() -> None:
     place = np.array([0.2, 0.0, 0.131])  # above the span asked for, within the last cell
     grid = np.array(residual_map(np.tile(place, (20, 1)), np.full((20, 3), 0.01)), dtype=np.float64)
     lines, columns = grid.shape
-    assert right - left == pytest.approx(columns * _CELL_M)
-    assert top - bottom == pytest.approx(lines * _CELL_M)
+    assert right - left == pytest.approx(columns * CELL_M)
+    assert top - bottom == pytest.approx(lines * CELL_M)
     (line,), (column,) = np.nonzero(np.isfinite(grid))
-    assert left + column * _CELL_M <= place[0] < left + (column + 1) * _CELL_M
-    assert bottom + line * _CELL_M <= place[2] < bottom + (line + 1) * _CELL_M
-    assert len(_edges((0.0, 0.045))) == 3
+    assert left + column * CELL_M <= place[0] < left + (column + 1) * CELL_M
+    assert bottom + line * CELL_M <= place[2] < bottom + (line + 1) * CELL_M
+    assert len(edges_of((0.0, 0.045))) == 3
 
 
 def test_the_difference_has_students_interval() -> None:
     pairs = [([0.9, 0.9], [1.0, 1.0]), ([0.98, 0.98], [1.0, 1.0]), ([1.01, 1.01], [1.0, 1.0])]
-    found = _difference([*pairs, (None, [1.0, 1.0])])
+    found = difference_of([*pairs, (None, [1.0, 1.0])])
     ratio = np.array([-0.1, -0.02, 0.01])
     assert found["leg_runs"] == 3
     assert found["smaller_in"] == 2
     assert found["mean"] == pytest.approx(ratio.mean())
     half = 4.302653 * ratio.std(ddof=1) / np.sqrt(3)  # t of two degrees of freedom
     assert found["interval"] == pytest.approx([ratio.mean() - half, ratio.mean() + half])
-    assert plain(_difference(pairs[:1]))["interval"] == [None, None]
-    assert _difference([])["mean"] is None
+    assert plain(difference_of(pairs[:1]))["interval"] == [None, None]
+    assert difference_of([])["mean"] is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,46 @@
+"""The link of a command that runs until Ctrl-C: how it is opened, and how it is left."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from adaptive_contact.cli._output import say_waiting
+from adaptive_contact.errors import LinkError
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.link import Link
+    from adaptive_contact.service.settings import Finding, LinkSettings
+
+
+def open_link(
+    settings: LinkSettings,
+    stop: threading.Event,
+    *,
+    on_wait: Callable[[Finding], None] = say_waiting,
+    patience_s: float = math.inf,
+) -> Link | None:
+    """Join a router, or listen as one; None where ``stop`` was set while there was none to join.
+
+    Raises:
+        LinkError: it cannot be.
+    """
+    from adaptive_contact.service.link import Link
+
+    try:
+        return Link.open(settings, on_wait=on_wait, stop=stop, patience_s=patience_s)
+    except LinkError:
+        if stop.is_set():
+            return None
+        raise
+
+
+def leave(*, closed: bool) -> None:
+    """End where another program hangs on to the session: the interpreter's own exit would wait."""
+    if not closed:
+        sys.stdout.flush()
+        os._exit(0)
