@@ -124,8 +124,7 @@ class LegGroup:
             for learner in taking_over:
                 self._step(learner, learner.take_up_model)
             self._open.clear()
-            if taking_over:
-                self._regroup()
+        self._regroup()
 
     def _step(self, learner: ContactLearner, step: Callable[..., T], *given: object) -> T | None:
         """Make one leg's step; reset that leg if it raises, so that the others go on.
