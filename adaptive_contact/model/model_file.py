@@ -7,6 +7,7 @@ the library depends on; what does not fit is refused in one line.
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import math
 from importlib import resources
@@ -247,7 +248,8 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         BaselineError: see :func:`load_baseline`.
     """
     try:
-        table = msgspec.json.decode(data)
+        # Editors of Windows begin a file with a mark.
+        table = msgspec.json.decode(data.removeprefix(codecs.BOM_UTF8))
         found = table.get("format") if isinstance(table, dict) else None
         if found != FORMAT:
             raise BaselineError(

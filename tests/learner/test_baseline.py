@@ -21,8 +21,10 @@ def tree(baseline: Baseline) -> dict[str, Any]:
     return found
 
 
-def test_what_was_written_is_read_back(tree: dict[str, Any], robot: Robot) -> None:
-    again = parse_baseline(json.dumps(tree).encode(), source="here")
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+def test_what_was_written_is_read_back(tree: dict[str, Any], robot: Robot, mark: bytes) -> None:
+    """Also with the mark that an editor put before it."""
+    again = parse_baseline(mark + json.dumps(tree).encode(), source="here")
     assert json.loads(dump_baseline(again)) == tree
     assert ContactLearner(robot, "rf", again).status.status == "valid"
 
