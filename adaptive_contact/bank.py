@@ -98,6 +98,7 @@ class LegGroup:
         if not here:
             return events
         self._open.update(here)
+        # Every batch is judged before the first event is made.
         for batch, members in [pair for pair in self._batches if pair[0].judge() & EVENTS]:
             for i, flags in zip(members, batch.flags, strict=True):
                 learner = self.learners[i]

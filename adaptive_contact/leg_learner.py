@@ -51,7 +51,8 @@ from adaptive_contact.wire import ContactEvent, LearnerStatus, ModelReport, Reje
 
 __all__ = ["EVENTS", "ContactLearner", "check_sample"]
 
-# Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
+# Confirmed rows learned per tick, at most (a valid leg learns one): a swing's dozen are spread over
+# the stance that follows.
 ROWS_PER_TICK: Final = 3
 # Flags of a tick that make an event; few ticks have one.
 EVENTS: Final = DECIDED | RELEASE_PENDING
@@ -74,7 +75,7 @@ def check_sample(sample: object) -> None:
 
 
 class JudgedTick(NamedTuple):
-    """Holds how a tick was judged.
+    """Holds how a tick was judged: as in a swing, before leverage.
 
     Attributes:
         residual: (J,) rad.
@@ -330,10 +331,10 @@ class ContactLearner:
         moved = adapter.tick(ROWS_PER_TICK)
         if assessed:
             if adapter.monitor.unfit and self.place.leg["ticks"]:
+                # Taken up behind the tick: its command is then the first of the next model's past.
                 lifecycle.forget()
                 self._let_go()
-                self._begin()
-                return False
+                return True
             self._report.publish_withholding()
         else:
             if moved:
@@ -398,8 +399,6 @@ class ContactLearner:
             self._swing.restart()
             if adapter is not None:
                 adapter.new_source()
-        if flags & RESOLVED:
-            self._learn(self._labels.resolve())
         if not self._assessed:
             self._assess(flags)
         if flags & TOUCHED:
@@ -410,7 +409,9 @@ class ContactLearner:
             self._retract()
 
     def _assess(self, flags: int) -> None:
-        """Label a swing that begins or a lift past its top; once per tick."""
+        """Label the swing that ended, one that begins, or a lift past its top; once per tick."""
+        if flags & RESOLVED:
+            self._learn(self._labels.resolve())
         self._learn(self._labels.assess(flags))
         self._assessed = True
 

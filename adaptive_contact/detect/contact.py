@@ -274,7 +274,7 @@ def enter_row(
     elif leg.rising and not leg.topped:
         if not (free or leg.ticks >= FREE_LIFT_TICKS):
             return
-    elif leg.closed or (leg.from_prior and leg.after):
+    elif leg.closed:
         leg.topped = True
         return
     at = leg.row_n if leg.gated else 0  # ungated, each is learned at once

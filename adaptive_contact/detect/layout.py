@@ -105,7 +105,7 @@ LEG: Final = np.dtype(
         ("has_valid", b1),  # it says which readings are valid
         # Of free motion; `FREE` writes these.
         ("variance_scale", f8),  # in force
-        ("changed", b1),  # the leg has changed since its model was fitted
+        ("changed", b1),  # the leg may differ from its model
         ("inflated", b1),  # the covariance is
         ("from_prior", b1),  # the model goes on from a prior
         ("sure", b1),  # the leg is judged by a model that fits it
@@ -249,7 +249,7 @@ LEG: Final = np.dtype(
         ("hole_ns", i8),  # -1 for none
         ("has_domain", b1),  # a training domain is known
         # What this tick found.
-        ("found", i8),  # flags, see `detector.py`
+        ("found", i8),  # flags, see the top of this file
         ("score", f8),  # test ratio at the decision
         ("onset_ns", i8),  # estimated begin or end of the contact
         ("distance", f8),  # squared length of the whitened residual

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -287,12 +286,6 @@ class LegPlace:
             ahead = sample.preview or ()
             count = self.leg["preview_n"] = min(len(ahead), batch.preview)
             batch.preview_in[row, :count] = ahead[:count] if count else 0.0
-
-    def sample(self, taken: ServoSample) -> ServoSample:
-        """Return the sample that was taken, with its angles in one turn."""
-        measured = self.batch.measured[self.row].tolist()
-        desired = self.batch.desired[self.row].tolist()
-        return msgspec.structs.replace(taken, measured=measured, desired=desired)
 
     def drop_tick(self) -> None:
         """Drop the present tick."""

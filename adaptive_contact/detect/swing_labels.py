@@ -45,7 +45,7 @@ TOUCH_TICKS: Final = 3
 LET_GO_RATIO: Final = 10.0
 # Ticks before an estimated onset that are not taken for free: estimates are late by up to two.
 GUARD_TICKS: Final = 3
-# Nearer than this nothing is.
+# Nearer than this nothing is learned, whatever it is.
 TOUCHING_TICKS: Final = 1
 # In between, ticks that the model misses (a NIS above this)...
 MISSED_NIS: Final = 1.0
@@ -54,7 +54,7 @@ PUSHED_SIGMA: Final = 1.0
 # A touch that began before a hole in the readings is reported after it, with an onset up to so many
 # ticks behind its end: the statistic's windows begin again.
 HOLE_TICKS: Final = 8
-# And at the end of a swing without an alarm.
+# Last ticks of a descent without an alarm that are not taken for free.
 LAST_TICKS: Final = 6
 # Of a leg that is known from a prior only, a touch may long pass for free motion: so many ticks
 # before its estimate, or before the turn, are never learned.  Touches of walks that were learned

@@ -179,10 +179,11 @@ class Sweep:
     Attributes:
         manner: of the fits.
         threshold: λ that was chosen.
-        errors: λ to (J,) held-out root mean square, over what could be known there.
-        residual: (n, J) held out, at the λ that was chosen, over what could be known there.
-        certain: (n, J) the same, over what may be expected there of a motion that is new.
-        lone: ticks in which that is ten times the noise and more, as no other motion is like them.
+        errors: λ to (J,) root mean square of ``residual``.
+        residual: (n, J) held out, at the λ that was chosen, over √(1 + h), h the leverage on the
+            other folds.
+        certain: (n, J) the same with h inflated; noise and tail are fitted to it.
+        lone: ticks in which that root is ten and more, as no other motion is like them.
     """
 
     manner: Manner

@@ -77,7 +77,7 @@ class Adapter:
 
     Args:
         leg: its id.
-        known: the baseline.
+        known: the baseline, or the prior.
         noise_tracker: covariances and thresholds, which it keeps up to date.
         mode: what it may do.
         refitter: does the sparse refits.
@@ -132,7 +132,7 @@ class Adapter:
 
     @property
     def changed(self) -> bool:
-        """Whether the leg has changed since the model in force was fitted, by its lifts."""
+        """Whether the leg may differ from its model: begun with a prior, or by its lifts."""
         return self._active.inflated or self.variance_in_force > 1.0
 
     @property

@@ -130,7 +130,7 @@ class Candidate:
         plausible: whether coefficients can be a leg's; others are refused untried.
 
     Attributes:
-        domain: and the leg's, by the newest fit to it as it is.
+        domain: where the leg has been: the baseline's, widened by the newest refit.
         contacts: that a candidate must find as well as the model in force does.
     """
 

@@ -51,6 +51,7 @@ SETTLED_LEVEL: Final = 2.5
 # leg (two and a half times the noise), called ambiguous.
 PATIENCE_SWINGS: Final = 20
 WORN_LEVEL: Final = 6.25
+# Lifts between two inflations; and worn lifts in a row that are a change.
 LOOSEN_EVERY: Final = 5
 # A foot that does not rise in so many swings in a row is held by something.
 OBSTRUCTED_SWINGS: Final = 2
@@ -79,8 +80,8 @@ class LiftAssessment(NamedTuple):
 
     Attributes:
         rows: to learn from now; none where the lift is suspected.
-        changed: the leg has changed, and the covariance is to be inflated.
-        first: that was not known before.
+        changed: the covariance is to be inflated: for a first change, or for one that lasts.
+        first: the leg was not known to have changed.
     """
 
     rows: Rows
@@ -220,7 +221,7 @@ class DriftMonitor:
         self._drop_suspicions()
 
     def mark_unchanged(self) -> None:
-        """Mark the leg as what it was before any change."""
+        """Drop variance scale, time and kind of a change; the status settles by lifts."""
         self.variance_scale, self._since_ns, self.kind = 1.0, None, None
 
     @property
@@ -255,7 +256,7 @@ class DriftMonitor:
         A foot that is caught and a leg that has lost its strength look alike; neither is learned.
 
         Args:
-            obstructed: whether it did.
+            obstructed: whether it did not.
             travel_ratio: share of its command's way that it went.
         """
         if not obstructed:

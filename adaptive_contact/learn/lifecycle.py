@@ -88,7 +88,7 @@ class Lifecycle:
 
     @property
     def library(self) -> Library:
-        """Library of the model, or of the first one that a leg without will get."""
+        """Library of the model, or the one that a leg without a model would get."""
         if self.adapter is not None:
             return self.adapter.model.library
         plain = leg_library(self._robot, self._leg)

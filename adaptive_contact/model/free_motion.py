@@ -41,7 +41,7 @@ class FreeMotion(NamedTuple):
         variance_scale: of the residuals, over the baseline's; 1 for a leg as it was first known.
         covariance: of the coefficients while it is inflated, else None.
         from_prior: the model goes on from a prior; less of a swing's end is learned.
-        changed: the leg has changed since the model in force was fitted.
+        changed: the leg may differ from its model, which is of before a change, or of a prior.
         sure: it has not, and its status is valid.
         whiten: (contexts, windows, J, J) of sums of residuals.
         thresholds: (windows,) of the statistic.

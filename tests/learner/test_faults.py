@@ -276,7 +276,7 @@ def test_a_fault_in_one_legs_learning_ends_no_other_leg(
         def fail(*_: object) -> None:
             raise np.linalg.LinAlgError("not positive definite")
 
-        monkeypatch.setattr(faulty, "_watch", fail)
+        monkeypatch.setattr(faulty, "finish", fail)
         if on_fault is None:
             with pytest.raises(np.linalg.LinAlgError):
                 bank.update({"rf": stream[40], "lf": stream[40]})
