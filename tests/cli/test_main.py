@@ -80,6 +80,7 @@ def test_a_stop_leaves_no_part_of_a_file(tmp_path: Path, number: signal.Signals)
         "import pathlib, signal, sys\n"
         "import adaptive_contact.cli.main as cli\n"
         "from adaptive_contact.files import whole_file\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # the tests may run under nohup
         "def writes(**_):\n"
         "    with whole_file(pathlib.Path(sys.argv[1])) as file:\n"
         "        file.write(b'half')\n"

@@ -97,7 +97,7 @@ FAULTS: Final = (
     ),
     Fault(
         "segment that a buffer gives up", "learn/replay_buffer.py",
-        "Counter(cells).most_common(1)[0][0]", "cells[-1]", "pose-obstacles",
+        "self._cells[s.cell] == most", "self._cells[s.cell] <= most", "pose-obstacles",
     ),
     Fault(
         "reason of a refusal", "detect/stream.py",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Judged, Tracer, judged_tick
+from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Judged, Tracer
 from adaptive_contact.wire import Phase, ServoSample
 
 S = 1_000_000_000
@@ -134,7 +134,3 @@ def test_a_sample_of_other_joints_is_kept_as_it_is() -> None:
     (trace,) = tracer.answer(("rf",), None, 0)
     assert trace.predicted == [None]
     assert trace.swing == [None]
-
-
-def test_a_stand_in_for_a_learner_judges_nothing() -> None:
-    assert judged_tick(object()) is None
