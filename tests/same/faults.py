@@ -101,8 +101,8 @@ FAULTS: Final = (
     ),
     Fault(
         "reason of a refusal", "detect/stream.py",
-        "return self._refuse(sample, now, Reject.DUPLICATE_SEQ)",
-        "return self._refuse(sample, now, Reject.TIME_BACKWARDS)", "bad-samples",
+        "return self._refuse(sample, Reject.DUPLICATE_SEQ)",
+        "return self._refuse(sample, Reject.TIME_BACKWARDS)", "bad-samples",
     ),
     Fault(
         "samples until a publisher takes back", "detect/stream.py",
@@ -126,7 +126,7 @@ FAULTS: Final = (
     ),
     Fault(
         "tail that follows", "learn/noise_tracker.py",
-        "if not row.value > level:", "if not row.value > 1.1 * level:", "pose-free",
+        "if not value > level:", "if not value > 1.1 * level:", "pose-free",
     ),
     Fault(
         "swings until a leg is known", "learn/active_model.py",
