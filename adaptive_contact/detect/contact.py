@@ -235,7 +235,7 @@ def break_off(leg):
 
 
 @compiled
-def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient, z):
+def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient):
     """Split a residual into a push from the ground and the rest."""
     joints = len(residual)
     length = along = 0.0
@@ -302,9 +302,7 @@ def enter_row(
     thetas[at] = theta
     if leg.changed and not leg.rising and leg.has_lengths and leg.has_measured:
         height_gradient(last_measured, links, turns, gradient)
-        push_from_ground(
-            leg, row, asides[at], history[0, 0], target, whiten, unit, gradient, target
-        )
+        push_from_ground(leg, row, asides[at], history[0, 0], target, whiten, unit, gradient)
     if not leg.gated:
         row.lift = leg.rising
         return

@@ -46,7 +46,7 @@ LET_GO_RATIO: Final = 10.0
 # Ticks before an estimated onset that are not taken for free: estimates are late by up to two.
 GUARD_TICKS: Final = 3
 # Nearer than this nothing is learned, whatever it is.
-TOUCHING_TICKS: Final = 1
+NEAR_TICKS: Final = 1
 # In between, ticks that the model misses (a NIS above this)...
 MISSED_NIS: Final = 1.0
 # ...up to the first in which the foot is pushed up by more deviations than this.
@@ -277,7 +277,7 @@ def confirmed_before(
     Returns:
         Which rows of the lift stay, and the rows of the descent that are confirmed.
     """
-    near_ns = onset_ns - TOUCHING_TICKS * period_ns
+    near_ns = onset_ns - NEAR_TICKS * period_ns
     if hole_ns is not None:
         after_ns = next((t_ns for t_ns in descent.t_ns.tolist() if t_ns > hole_ns), onset_ns)
         if onset_ns - after_ns <= HOLE_TICKS * period_ns:

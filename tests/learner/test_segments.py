@@ -12,7 +12,7 @@ from adaptive_contact.detect.swing_labels import (
     LAST_TICKS,
     MISSED_NIS,
     PUSHED_SIGMA,
-    TOUCHING_TICKS,
+    NEAR_TICKS,
     _Regions,
 )
 from adaptive_contact.learn.replay_buffer import MOST_ROWS, ReplayBuffer
@@ -107,7 +107,7 @@ def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too(
     book = descent(robot, levels={17: 0.9 * MISSED_NIS}, pushes={})
     found = book.alarm(19 * PERIOD, PERIOD)
     assert ticks(found) == [*range(11, 19 - GUARD_TICKS + 1), 18]
-    assert ticks(found)[-1] == 19 - TOUCHING_TICKS
+    assert ticks(found)[-1] == 19 - NEAR_TICKS
     guarded = found.t_ns > (19 - GUARD_TICKS) * PERIOD
     np.testing.assert_array_equal(found.target == ASIDE, guarded[:, None])
 
@@ -137,7 +137,7 @@ def test_after_a_hole_the_guard_counts_from_what_came_before_it(
     if after <= HOLE_TICKS:
         assert found == list(range(11, 16 - GUARD_TICKS + 1))
     else:
-        assert found == [*range(11, 17), *range(first, first + after - TOUCHING_TICKS + 1)]
+        assert found == [*range(11, 17), *range(first, first + after - NEAR_TICKS + 1)]
 
 
 def test_what_rises_in_a_descent_is_no_lift(robot: Robot) -> None:
