@@ -11,8 +11,8 @@ from adaptive_contact.detect.swing_labels import (
     HOLE_TICKS,
     LAST_TICKS,
     MISSED_NIS,
-    PUSHED_SIGMA,
     NEAR_TICKS,
+    PUSHED_SIGMA,
     _Regions,
 )
 from adaptive_contact.learn.replay_buffer import MOST_ROWS, ReplayBuffer
