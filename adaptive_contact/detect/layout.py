@@ -261,7 +261,8 @@ LEG: Final = np.dtype(
 # Write the first scalars of a leg in one call each; one by one they take four times as long.
 SAMPLE: Final = struct.Struct("3qi3?")
 FREE: Final = struct.Struct("d4?")
-FREE_AT: Final[int] = LEG.fields["variance_scale"][1]  # type: ignore[index]  # a dtype has some
+assert LEG.fields is not None
+FREE_AT: Final[int] = LEG.fields["variance_scale"][1]
 
 
 def vectors(

@@ -163,6 +163,6 @@ class ReplayBuffer:
         self._bound()
 
     def _count(self) -> None:
-        """Count rows and cells anew."""
+        """Count rows and cells from the segments."""
         self._held = sum(len(segment.target) for segment in self._segments)
         self._cells = Counter(segment.cell for segment in self._segments)

@@ -42,7 +42,7 @@ class FreeMotion(NamedTuple):
         covariance: of the coefficients while it is inflated, else None.
         from_prior: the model goes on from a prior; less of a swing's end is learned.
         changed: the leg may differ from its model, which is of before a change, or of a prior.
-        sure: it has not, and its status is valid.
+        sure: it does not, and its status is valid.
         whiten: (contexts, windows, J, J) of sums of residuals.
         thresholds: (windows,) of the statistic.
         awaited: the same for ticks after the turn to stance, in which a touch is expected.

@@ -36,14 +36,14 @@ def lift(level: float, rng: np.random.Generator | None = None, ticks: int = 6) -
     )
 
 
-def hear(monitor: DriftMonitor, level: float, swing: int, **more: object) -> LiftAssessment:
+def assess(monitor: DriftMonitor, level: float, swing: int, **more: object) -> LiftAssessment:
     monitor.begin_swing()
     return monitor.assess_lift(lift(level, **more), swing * SWING_NS)  # type: ignore[arg-type]
 
 
 def calm(monitor: DriftMonitor, swings: int = 30) -> None:
     for k in range(swings):
-        assert not hear(monitor, 1.0, k).changed
+        assert not assess(monitor, 1.0, k).changed
 
 
 def calmed() -> DriftMonitor:
@@ -56,7 +56,7 @@ def calmed() -> DriftMonitor:
 def test_a_good_model_is_hardly_ever_doubted() -> None:
     rng = np.random.default_rng(0)
     monitor = DriftMonitor(3)
-    changed = sum(hear(monitor, 1.0, k, rng=rng).changed for k in range(5000))
+    changed = sum(assess(monitor, 1.0, k, rng=rng).changed for k in range(5000))
     assert changed == 0
     assert monitor.status == "valid"
     assert monitor.variance_scale == pytest.approx(1.0, abs=0.35)
@@ -64,8 +64,8 @@ def test_a_good_model_is_hardly_ever_doubted() -> None:
 
 def test_one_lift_that_stands_out_is_doubted_and_not_learned() -> None:
     monitor = calmed()
-    heard = hear(monitor, 20.0, 30)
-    assert heard == LiftAssessment(NO_ROWS)
+    assessed = assess(monitor, 20.0, 30)
+    assert assessed == LiftAssessment(NO_ROWS)
     assert monitor.variance_in_force == 20.0, "this swing is judged by what its lift shows"
     assert monitor.status == "valid"
     monitor.begin_swing()
@@ -74,27 +74,27 @@ def test_one_lift_that_stands_out_is_doubted_and_not_learned() -> None:
 
 def test_a_doubt_that_the_ticks_after_it_belie_is_taken_back() -> None:
     monitor = calmed()
-    hear(monitor, 20.0, 30)
+    assess(monitor, 20.0, 30)
     for _ in range(3):
         monitor.look(1.0)
     assert monitor.variance_in_force == pytest.approx(1.0)
-    hear(monitor, 20.0, 31)
+    assess(monitor, 20.0, 31)
     assert monitor.status == "valid", "it counts as the first again"
 
 
 def test_two_in_a_row_are_a_change_and_calm_lifts_end_it() -> None:
     monitor = calmed()
-    hear(monitor, 20.0, 30)
-    heard = hear(monitor, 20.0, 31)
-    assert heard.changed
-    assert heard.first
-    assert len(heard.rows) == 12, "what the doubt held back is handed on"
+    assess(monitor, 20.0, 30)
+    assessed = assess(monitor, 20.0, 31)
+    assert assessed.changed
+    assert assessed.first
+    assert len(assessed.rows) == 12, "what the doubt held back is handed on"
     assert monitor.status == "adapting"
     assert monitor.drift.since_ns == 30 * SWING_NS, "onset: the first doubted lift"
     assert monitor.drift.level > 4.0, "size"
     for k in range(SETTLED_SWINGS):
         assert monitor.status == "adapting", "hysteresis: one calm lift is not enough"
-        hear(monitor, 1.0, 32 + k)
+        assess(monitor, 1.0, 32 + k)
     assert monitor.status == "valid"
     assert monitor.drift.since_ns == 30 * SWING_NS, "the newest change is still known"
     assert monitor.variance_scale < 2.0
@@ -107,7 +107,7 @@ def test_a_leg_that_will_not_fit_is_let_loose_now_and_then_and_ends_ambiguous() 
     statuses, loose = [], []
     for k in range(3 * PATIENCE_SWINGS):
         # Now and then further off than the level that follows it.
-        loose.append(hear(monitor, 90.0 if k % 8 < 2 else 12.0, 30 + k).changed)
+        loose.append(assess(monitor, 90.0 if k % 8 < 2 else 12.0, 30 + k).changed)
         statuses.append(monitor.status)
     assert statuses[1] == "adapting"
     assert loose[1]
@@ -124,11 +124,11 @@ def test_a_lasting_level_is_never_called_valid() -> None:
     """A level that stays is followed and doubted no more; it is no good model's all the same."""
     monitor = calmed()
     for k in range(200):
-        hear(monitor, 30.0, 30 + k)
+        assess(monitor, 30.0, 30 + k)
     assert monitor.status == "ambiguous"
     assert monitor.drift.since_ns == 30 * SWING_NS
     for k in range(SETTLED_SWINGS):
-        hear(monitor, 1.0, 230 + k)
+        assess(monitor, 1.0, 230 + k)
     assert monitor.status == "valid"
     assert monitor.note is None
 
@@ -136,25 +136,25 @@ def test_a_lasting_level_is_never_called_valid() -> None:
 def test_a_leg_that_is_a_little_noisier_is_valid_again_after_a_while() -> None:
     monitor = calmed()
     for k in range(2):
-        hear(monitor, 30.0, 30 + k)
+        assess(monitor, 30.0, 30 + k)
     for k in range(PATIENCE_SWINGS + 1):
-        hear(monitor, 4.0, 32 + k)
+        assess(monitor, 4.0, 32 + k)
     assert monitor.status == "valid"
     assert monitor.variance_scale == pytest.approx(4.0, rel=0.1)
 
 
 def test_what_creeps_up_lift_by_lift_is_a_change_too() -> None:
     monitor = calmed()
-    level, heard = 1.0, []
+    level, assessed = 1.0, []
     for k in range(200):
         level *= 1.02
-        heard.append(hear(monitor, level, 30 + k))
-        if heard[-1].changed:
+        assessed.append(assess(monitor, level, 30 + k))
+        if assessed[-1].changed:
             break
-    assert heard[-1].first
+    assert assessed[-1].first
     assert monitor.status == "adapting"
     assert level < 2.0 * WORN_LEVEL
-    assert all(h.rows for h in heard), "nothing stood out on the way"
+    assert all(h.rows for h in assessed), "nothing stood out on the way"
 
 
 def test_a_foot_that_does_not_rise_is_ambiguous_until_it_does() -> None:
@@ -175,7 +175,7 @@ def test_a_foot_that_does_not_rise_is_ambiguous_until_it_does() -> None:
 def test_a_change_goes_on_when_the_foot_comes_free() -> None:
     monitor = calmed()
     for k in range(2):
-        hear(monitor, 20.0, 30 + k)
+        assess(monitor, 20.0, 30 + k)
     for _ in range(OBSTRUCTED_SWINGS):
         monitor.note_travel(obstructed=True, travel_ratio=0.4)
     for k in range(RELEASE_SWINGS):
@@ -193,10 +193,10 @@ def rises(monitor: DriftMonitor, level: float, swing: int) -> LiftAssessment:
 def test_a_foot_on_a_leash_is_ambiguous_and_nothing_of_it_is_learned() -> None:
     """It comes with its command, and is pulled as no drift pulls it; now and then it is not."""
     monitor = calmed()
-    heard = [
+    assessed = [
         rises(monitor, 120.0 if k % 4 < 2 else 20.0, 30 + k) for k in range(2 * PATIENCE_SWINGS + 2)
     ]
-    assert not any(h.rows or h.changed for h in heard)
+    assert not any(h.rows or h.changed for h in assessed)
     assert monitor.status == "ambiguous"
     assert "caught, or no strength" in (monitor.note or "")
     free = [rises(monitor, 1.0, 100 + k) for k in range(RELEASE_SWINGS)]
@@ -208,23 +208,23 @@ def test_a_foot_on_a_leash_is_ambiguous_and_nothing_of_it_is_learned() -> None:
 def test_a_leg_that_stays_as_far_off_is_followed_in_the_end() -> None:
     """A horn that slipped: ambiguous as long as a foot may be caught, not for ever."""
     monitor = calmed()
-    heard = [rises(monitor, 200.0, 30 + k) for k in range(PATIENCE_SWINGS)]
-    assert not any(h.changed for h in heard[:-1])
-    assert heard[-1].changed
-    assert heard[-1].rows
+    assessed = [rises(monitor, 200.0, 30 + k) for k in range(PATIENCE_SWINGS)]
+    assert not any(h.changed for h in assessed[:-1])
+    assert assessed[-1].changed
+    assert assessed[-1].rows
     assert monitor.trusted
 
 
 def test_a_swing_whose_lift_is_doubted_is_not_trusted() -> None:
     monitor = calmed()
-    hear(monitor, 20.0, 30)
+    assess(monitor, 20.0, 30)
     assert not monitor.trusted
     for _ in range(TAKE_BACK_TICKS):
         monitor.look(1.0)
     assert monitor.trusted, "the ticks after the lift belied it"
-    hear(monitor, 20.0, 31)
+    assess(monitor, 20.0, 31)
     assert not monitor.trusted
-    hear(monitor, 20.0, 32)
+    assess(monitor, 20.0, 32)
     assert monitor.trusted, "the leg has changed, and is learned anew"
 
 
@@ -232,24 +232,24 @@ def test_a_baseline_that_never_fitted_is_unfit_and_one_that_did_is_not() -> None
     monitor = DriftMonitor(3)
     for k in range(UNFIT_LIFTS):
         assert not monitor.unfit
-        hear(monitor, 100.0, k)
+        assess(monitor, 100.0, k)
     assert monitor.unfit
     later = DriftMonitor(3)
-    hear(later, 1.0, 0)
+    assess(later, 1.0, 0)
     for k in range(10):
-        hear(later, 100.0, 1 + k)
+        assess(later, 100.0, 1 + k)
     assert not later.unfit, "it fitted once: the leg may have changed"
     for k in range(PATIENCE_SWINGS - 11):
         assert not later.unfit
-        hear(later, 30.0, 11 + k)
+        assess(later, 30.0, 11 + k)
     assert later.unfit, "it fitted by chance: nothing that is learned brings it any nearer"
 
 
 def test_a_leg_that_changed_early_keeps_the_baseline_that_it_is_followed_from() -> None:
     monitor = DriftMonitor(3)
-    hear(monitor, 1.0, 0)
+    assess(monitor, 1.0, 0)
     for k in range(PATIENCE_SWINGS):
-        hear(monitor, 30.0 if k < 6 else 2.0, 1 + k)
+        assess(monitor, 30.0 if k < 6 else 2.0, 1 + k)
         assert not monitor.unfit
 
 
@@ -266,7 +266,7 @@ def test_a_restart_does_not_make_a_wrong_baseline_right(at: int) -> None:
                 lifts_assessed=before.lifts_assessed,
             )
         assert not monitor.unfit
-        hear(monitor, 99.0, k)
+        assess(monitor, 99.0, k)
     assert monitor.unfit
 
 
@@ -274,38 +274,38 @@ def test_a_foot_on_a_leash_from_the_start_says_nothing_of_the_baseline() -> None
     """Its lifts are as far off as another leg's: for as long as nobody can tell, none is thrown."""
     monitor = DriftMonitor(3)
     for k in range(PATIENCE_SWINGS - 1):
-        hear(monitor, 120.0, k)
+        assess(monitor, 120.0, k)
         assert not monitor.unfit
         assert k < 1 or monitor.status == "ambiguous"
     leashed, another = copy.deepcopy(monitor), monitor
     for k in range(RELEASE_SWINGS + 1):
-        hear(leashed, 1.0, PATIENCE_SWINGS + k)
+        assess(leashed, 1.0, PATIENCE_SWINGS + k)
     assert leashed.status == "valid"
     assert not leashed.unfit
-    hear(another, 120.0, PATIENCE_SWINGS)
+    assess(another, 120.0, PATIENCE_SWINGS)
     assert another.unfit, "no foot is caught in the same way for so long and comes all its way"
 
 
 def test_a_doubt_of_before_a_hold_is_no_first_sign_of_a_change_after_it() -> None:
     monitor = calmed()
-    hear(monitor, 60.0, 30)
+    assess(monitor, 60.0, 30)
     for k in range(10):
-        hear(monitor, 150.0, 31 + k)
+        assess(monitor, 150.0, 31 + k)
     assert monitor.obstructed
     for k in range(RELEASE_SWINGS):
-        hear(monitor, 1.0, 41 + k)
+        assess(monitor, 1.0, 41 + k)
     assert not monitor.obstructed
-    assert not hear(monitor, 15.0, 50).changed
-    heard = hear(monitor, 15.0, 51)
-    assert heard.changed
-    assert len(heard.rows) == 2 * len(lift(15.0)), "of the two lifts that were doubted"
+    assert not assess(monitor, 15.0, 50).changed
+    assessed = assess(monitor, 15.0, 51)
+    assert assessed.changed
+    assert len(assessed.rows) == 2 * len(lift(15.0)), "of the two lifts that were doubted"
 
 
 def test_a_saved_status_goes_on() -> None:
     monitor = DriftMonitor(3)
     monitor.resume(9.0, "ambiguous")
-    hear(monitor, 9.0, 0)
+    assess(monitor, 9.0, 0)
     assert monitor.status == "ambiguous"
     for k in range(SETTLED_SWINGS):
-        hear(monitor, 1.0, 1 + k)
+        assess(monitor, 1.0, 1 + k)
     assert monitor.status == "valid"

@@ -208,11 +208,11 @@ def learner(**fields: Any) -> LearnerStatus:
     )
 
 
-def hear(*messages: tuple[str, bytes], encoding: str = MSGPACK) -> Examination:
-    heard = Examination()
+def receive(*messages: tuple[str, bytes], encoding: str = MSGPACK) -> Examination:
+    received = Examination()
     for key, payload in messages:
-        heard.take(Received(key, payload, encoding, 0, None))
-    return heard
+        received.take(Received(key, payload, encoding, 0, None))
+    return received
 
 
 def good() -> list[tuple[str, bytes]]:
@@ -228,7 +228,7 @@ def whats(diagnosis: Diagnosis) -> list[str]:
 
 
 def test_all_is_well() -> None:
-    diagnosis = diagnose(hear(*good()), 3.0, alive=True)
+    diagnosis = diagnose(receive(*good()), 3.0, alive=True)
     assert (diagnosis.findings, diagnosis.exit_code) == ([], 0)
     (traffic,) = [key for key in diagnosis.keys if key.key == servo_key("rf")]
     assert traffic.rate_hz == 50.0
@@ -239,19 +239,19 @@ def test_all_is_well() -> None:
 def test_a_stranger_that_published_once_is_a_note() -> None:
     """The service keeps a learner of it until it ends, whose status is `silent`."""
     facts = {"rf": FACTS, "RF": LegFacts(joints=FACTS.joints, lengths=False, described=False)}
-    heard = hear(
+    received = receive(
         *good(),
         (SERVICE_STATUS, encode(service(legs=facts))),
         (learner_key("RF"), encode(learner(leg="RF", status="silent"))),
     )
-    diagnosis = diagnose(heard, 3.0, alive=True)
+    diagnosis = diagnose(received, 3.0, alive=True)
     assert diagnosis.exit_code == 0, diagnosis.findings
     (note,) = diagnosis.findings
     assert (note.level, note.cause, note.legs) == ("note", "silent", ["RF"])
 
 
 def test_no_service() -> None:
-    diagnosis = diagnose(hear(*good()), 3.0, alive=False)
+    diagnosis = diagnose(receive(*good()), 3.0, alive=False)
     assert whats(diagnosis) == [
         "error: a router is there, but no service",
         "note: there is no robot.toml to compare with: samples come every 20.0 ms (50.0 Hz)",
@@ -260,7 +260,7 @@ def test_no_service() -> None:
 
 
 def test_a_service_that_says_nothing() -> None:
-    diagnosis = diagnose(hear(*good()[1:]), 3.0, alive=True)
+    diagnosis = diagnose(receive(*good()[1:]), 3.0, alive=True)
     assert "warning: a service is alive, but did not say how it is" in whats(diagnosis)
 
 
@@ -276,12 +276,12 @@ def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
     def whole(n: int) -> tuple[str, bytes]:
         return SERVICE_STATUS, encode(service(rejects={"unknown_leg": n}))
 
-    old = diagnose(hear(*good(), whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
+    old = diagnose(receive(*good(), whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
     assert old.exit_code == 1, "the first status had no refusals"
-    old = diagnose(hear(*good()[2:], whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
+    old = diagnose(receive(*good()[2:], whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
     assert old.exit_code == 0
     assert len(old.findings) == 2
-    new = diagnose(hear(*good()[2:], whole(3), whole(4), status(2), status(9)), 3.0, alive=True)
+    new = diagnose(receive(*good()[2:], whole(3), whole(4), status(2), status(9)), 3.0, alive=True)
     assert [finding.level for finding in new.findings] == ["warning", "warning"]
 
 
@@ -295,8 +295,8 @@ def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
 )
 def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> None:
     told = learner(status=status, note="the foot came 40 % of its command's way")
-    heard = hear(*good(), *2 * [(learner_key("rf"), encode(told))])
-    finding = only(diagnose(heard, 3.0, alive=True).findings)
+    received = receive(*good(), *2 * [(learner_key("rf"), encode(told))])
+    finding = only(diagnose(received, 3.0, alive=True).findings)
     assert finding.what.startswith(f"{status}: ")
     assert finding.what.endswith(": the foot came 40 % of its command's way")
     assert remedy in finding.remedy
@@ -318,20 +318,20 @@ def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> N
     ],
 )
 def test_strays(key: str, what: str, remedy: str) -> None:
-    diagnosis = diagnose(hear(*good(), (key, b"")), 3.0, alive=True)
+    diagnosis = diagnose(receive(*good(), (key, b"")), 3.0, alive=True)
     assert what in only(diagnosis.findings).what
     assert remedy in diagnosis.findings[0].remedy
 
 
 def test_keys_of_others_are_left_alone() -> None:
-    diagnosis = diagnose(hear(*good(), ("weather/today", b"sun")), 3.0, alive=True)
+    diagnosis = diagnose(receive(*good(), ("weather/today", b"sun")), 3.0, alive=True)
     assert diagnosis.findings == []
 
 
 def test_an_odd_encoding_is_a_note_while_its_payloads_are_read() -> None:
-    heard = hear(*good())
-    heard.take(Received(servo_key("rf"), encode(stream(151)[-1]), "zenoh/bytes", 0, None))
-    finding = only(diagnose(heard, 3.0, alive=True).findings)
+    received = receive(*good())
+    received.take(Received(servo_key("rf"), encode(stream(151)[-1]), "zenoh/bytes", 0, None))
+    finding = only(diagnose(received, 3.0, alive=True).findings)
     assert "the encoding zenoh/bytes is taken for msgpack" in finding.what
     assert finding.level == "note", "what it holds can be read"
 
@@ -339,25 +339,25 @@ def test_an_odd_encoding_is_a_note_while_its_payloads_are_read() -> None:
 @pytest.mark.parametrize("encoding", ["text/json", "zenoh/bytes", "zenoh/string", ""])
 def test_json_is_understood_whatever_is_declared(encoding: str) -> None:
     """With a mark of byte order, or white space before it, too."""
-    heard = Examination()
+    received = Examination()
     for k, sample in enumerate(stream(151)):
         begin = (b"", b"\xef\xbb\xbf", b" \r\n\t", b"\xef\xbb\xbf ")[k % 4]
-        heard.take(Received(servo_key("rf"), begin + encode(sample, JSON), encoding, 0, None))
-    assert not heard.refused
-    found = diagnose(heard, 3.0, alive=False).findings
+        received.take(Received(servo_key("rf"), begin + encode(sample, JSON), encoding, 0, None))
+    assert not received.refused
+    found = diagnose(received, 3.0, alive=False).findings
     assert {finding.cause for finding in found if finding.level != "note"} == {"no_service"}
 
 
 def test_legs_misspelt_in_one_way_are_one_entry() -> None:
-    heard = hear(*((f"robot/legs/{leg}/servo", b"") for leg in ("lf", "lm", "rf")))
-    entry = only([f for f in diagnose(heard, 3.0, alive=True).findings if f.cause == "key"])
+    received = receive(*((f"robot/legs/{leg}/servo", b"") for leg in ("lf", "lm", "rf")))
+    entry = only([f for f in diagnose(received, 3.0, alive=True).findings if f.cause == "key"])
     assert entry.legs == ["lf", "lm", "rf"]
 
 
 def test_a_flood_of_keys_is_bounded() -> None:
-    heard = hear(*((f"x/{n}", b"") for n in range(1000)))
-    assert len(heard.meters) == 400
-    assert heard.uncounted_keys == 600
+    received = receive(*((f"x/{n}", b"") for n in range(1000)))
+    assert len(received.meters) == 400
+    assert received.uncounted_keys == 600
 
 
 @pytest.mark.e2e
@@ -401,7 +401,7 @@ def test_the_command(
 def test_what_the_service_says_of_itself_is_found() -> None:
     told = service(note="state: disk full", events_lost=3, slow_puts=2, stalls=1)
     messages = [(SERVICE_STATUS, encode(told)), *good()[1:]]
-    assert whats(diagnose(hear(*messages), 3.0, alive=True)) == [
+    assert whats(diagnose(receive(*messages), 3.0, alive=True)) == [
         "error: the service says: state: disk full",
         "error: 3 contact events were lost to a subscriber that hung",
         "warning: 1 times the service stood still for a second or more",

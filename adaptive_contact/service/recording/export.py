@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import importlib
 import io
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -423,7 +424,9 @@ def _write_tables(
     make = _CsvTable if to is ExportFormat.CSV else _ParquetTable
     if to is ExportFormat.PARQUET:
         try:
-            import pyarrow  # noqa: F401 - tried before anything is written; a broken one counts, too
+            importlib.import_module(
+                "pyarrow"
+            )  # before anything is written; a broken one counts, too
         except ImportError as error:
             raise MissingExtraError("export --to parquet", "export") from error
     columns: dict[type[Message], _Columns] = {}
