@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.cli._output import protect_output, say
+from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.errors import AdaptiveContactError, LinkError
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, LinkSettings
@@ -81,9 +81,7 @@ def work(
     """
     protect_output()
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, lambda *_: stop.set())
+    on_signals(lambda *_: stop.set())
     # Before Zenoh makes its threads: a publication waits for their locks, and would otherwise
     # wait for as long as an ordinary thread that holds one is not let run.
     refused = take_priority() if realtime else None

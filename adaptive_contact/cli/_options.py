@@ -19,6 +19,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from adaptive_contact.cli._output import say_note
+from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import why_not_writable
@@ -319,7 +320,7 @@ RealtimeOption = Annotated[
 def stoppable() -> threading.Event:
     """An event that signals to end set; a second one ends the process at once.
 
-    A terminal that is closed sends SIGHUP, often twice; under ``nohup`` it is ignored.
+    But for SIGHUP, which a terminal that is closed often sends twice.
     """
     stop = threading.Event()
 
@@ -328,9 +329,7 @@ def stoppable() -> threading.Event:
             os._exit(1)
         stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, on_signal)
+    on_signals(on_signal)
     return stop
 
 

@@ -25,6 +25,7 @@ from adaptive_contact.cli._output import (
     say,
     say_note,
 )
+from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.errors import AdaptiveContactError
 
 app = Commands(
@@ -114,9 +115,7 @@ def main() -> None:
     (``| head``).
     """
     protect_output()
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:  # under `nohup` it is ignored
-            signal.signal(number, _end)
+    on_signals(_end, (signal.SIGTERM, signal.SIGHUP))
     try:
         code = run()
         sys.stdout.flush()
