@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.fit.prior import STRENGTHS, fit_prior, inflated_domain
+from adaptive_contact.fit.prior import STRENGTHS, fit_prior, posterior_domain
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, Prior, fit_sparse
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.leg_prior import in_family
@@ -79,7 +79,7 @@ class Manner:
         if self.strength is None:
             return Domain.of(factor, factor.scale())
         prior = self._prior(factor, self.strength)
-        return inflated_domain(factor, self.library, prior, self.inflation)
+        return posterior_domain(factor, self.library, prior, self.inflation)
 
     def holding(self, held: HeldOut, strength: float) -> Manner:
         """Return the manner that holds on to what is known of any leg.
@@ -256,6 +256,7 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
     gains: dict[float, float] = {}
     for strength in STRENGTHS:
         manner = dataclasses.replace(plain.manner, strength=strength)
+        # By the prior alone: λ is chosen when it is known whether it is used.
         with_it = held.residual(manner, 0.0, still)
         if without is not None and with_it is not None:
             gains[strength] = held.gain(without, with_it, rounding)

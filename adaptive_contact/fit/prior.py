@@ -31,7 +31,7 @@ from adaptive_contact.model.leg_prior import columns_of, leg_prior
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import BEYOND_DEVIATIONS, Domain
 
-__all__ = ["STRENGTHS", "fit_prior", "inflated_domain"]
+__all__ = ["STRENGTHS", "fit_prior", "posterior_domain"]
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def fit_prior(factor: Factor, library: Library, quantum_rad: float, strength: fl
     return prior if strength == 1.0 else _of_alike_joints(factor, library, prior)
 
 
-def inflated_domain(factor: Factor, library: Library, prior: Prior, inflation: float) -> Domain:
+def posterior_domain(factor: Factor, library: Library, prior: Prior, inflation: float) -> Domain:
     """Make the domain of a fit that holds on to a prior.
 
     Args:
