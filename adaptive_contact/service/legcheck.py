@@ -339,7 +339,8 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
     backwards = sum(b.t_ns <= a.t_ns and b.seq > a.seq for a, b in pairs)
     repeated = sum(b.seq == a.seq for a, b in pairs)
     back = [(a.seq, b.seq) for a, b in pairs if b.seq < a.seq]
-    lost = sum(max(0, b.seq - a.seq - 1) for a, b in pairs)
+    usual = _usual_step(pairs)
+    lost = sum(max(0, round((b.seq - a.seq) / usual) - 1) for a, b in pairs)
     if backwards:
         yield Fault(
             "error",
@@ -358,6 +359,16 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
             "count seq up by one per control tick; look for two publishers of this leg",
             f"{repeated} of {len(pairs)}",
             repeated,
+        )
+    if usual > 1:
+        yield Fault(
+            "error",
+            Cause.SEQ,
+            f"seq goes up by {usual} from sample to sample: {usual - 1} of {usual} count as lost",
+            "count each leg's samples by one: no counter that legs share, no time; publish every "
+            "tick",
+            size=len(pairs),
+            key="step",
         )
     if back:
         yield Fault(
@@ -378,7 +389,7 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
             f"{lost} ({lost / (lost + len(samples)):.1%})",
             lost,
         )
-    steps = _steps_s(pairs)
+    steps = _steps_s(pairs, usual)
     if steps is None:
         return
     mean_s, middle_s = steps
@@ -394,19 +405,29 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
         min(_off(mean_s, period_s), _off(middle_s, period_s)) > _RATE_TOLERANCE
     ):
         yield _rate(middle_s, period_s)
-    elif not backwards and not back:
+    elif not backwards and not back and usual == 1:
         yield from _jitter(samples, mean_s if period_s is None else period_s)
 
 
-def _steps_s(pairs: Sequence[tuple[ServoSample, ServoSample]]) -> tuple[float, float] | None:
-    """Mean and median time from tick to tick, s; None of too few."""
+def _usual_step(pairs: Sequence[tuple[ServoSample, ServoSample]]) -> int:
+    """What seq grows by from a sample to the next, where more than half say so; else 1."""
+    steps = [b.seq - a.seq for a, b in pairs if b.seq > a.seq]
+    usual = round(float(np.median(steps))) if steps else 1
+    alike = sum(abs(step - usual) <= usual / 4 for step in steps)
+    return usual if len(steps) >= _FEWEST and alike > len(steps) / 2 else 1
+
+
+def _steps_s(
+    pairs: Sequence[tuple[ServoSample, ServoSample]], usual: int = 1
+) -> tuple[float, float] | None:
+    """Mean and median time that seq takes to grow by the usual step, s; None of too few."""
     ahead = [(a, b) for a, b in pairs if b.seq > a.seq and b.t_ns > a.t_ns]
     if len(ahead) < _FEWEST:
         return None
     ticks = sum(b.seq - a.seq for a, b in ahead)
-    mean_s = sum(b.t_ns - a.t_ns for a, b in ahead) / ticks / 1e9
-    middle_s = float(np.median([(b.t_ns - a.t_ns) / (b.seq - a.seq) for a, b in ahead])) / 1e9
-    return mean_s, middle_s
+    mean_ns = sum(b.t_ns - a.t_ns for a, b in ahead) / ticks
+    middle_ns = float(np.median([(b.t_ns - a.t_ns) / (b.seq - a.seq) for a, b in ahead]))
+    return mean_ns * usual / 1e9, middle_ns * usual / 1e9
 
 
 def _undeclared(samples: Sequence[ServoSample], usable: Sequence[ServoSample]) -> Iterator[Fault]:

@@ -26,10 +26,13 @@ _SHOWN: Final = 3
 # Faults of what was sent, not of how the robot moves: sure, and the reason why samples are refused.
 _OF_FORM: Final = frozenset(
     {Cause.UNREADABLE, Cause.TIME_TYPE, Cause.TIME_UNIT, Cause.TIME_BACKWARDS, Cause.JOINTS}
-    | {Cause.NOT_FINITE, Cause.UNITS, Cause.PERIOD}
+    | {Cause.NOT_FINITE, Cause.UNITS, Cause.PERIOD, Cause.SEQ}
 )
 # Of these, the ones that leave no tick to judge an event by.
 _SPOILS: Final = frozenset({Cause.UNITS, Cause.TIME_UNIT, Cause.TIME_TYPE, Cause.TIME_BACKWARDS})
+# Counted in samples: these spoil a leg where they are in nearly half of them, or more.
+_MANY: Final = 0.4
+_COUNTED: Final = frozenset({Cause.TIME_TYPE, Cause.TIME_BACKWARDS, Cause.SEQ})
 
 
 class OneRobot:
@@ -128,17 +131,12 @@ class OneRobot:
             robot: whose legs were recorded.
             by_rate: nor at another rate than the robot's, as in a learner.
         """
-        causes = _SPOILS | {Cause.PERIOD} if by_rate else _SPOILS
+        causes = _SPOILS | {Cause.PERIOD, Cause.SEQ} if by_rate else _SPOILS
         legs = [leg for leg in self._samples if leg in robot.leg_ids]
         spoilt = {
             leg
             for leg, fault in self._faults(robot)
-            # What is counted in samples spoils a leg where it is in most of them.
-            if fault.cause in causes
-            and (
-                fault.cause not in {Cause.TIME_BACKWARDS, Cause.TIME_TYPE}
-                or 2 * fault.size > len(self._samples[leg or ""])
-            )
+            if fault.cause in causes and (fault.cause not in _COUNTED or self._in_many(leg, fault))
         }
         return bool(legs) and spoilt.issuperset(legs)
 
@@ -154,5 +152,11 @@ class OneRobot:
                 facts=facts,
             )
             for fault in faults:
-                if fault.cause in _OF_FORM:
+                # A number that is there twice, once, is not why a recording cannot be used.
+                if fault.cause in _OF_FORM and (
+                    fault.cause is not Cause.SEQ or self._in_many(leg, fault)
+                ):
                     yield leg, fault
+
+    def _in_many(self, leg: str | None, fault: Fault) -> bool:
+        return fault.size > _MANY * len(self._samples[leg or ""])

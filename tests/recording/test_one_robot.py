@@ -183,6 +183,30 @@ def test_the_reason_is_the_one_that_doctor_gives(
     assert "legs lf rf: " in named[0]
 
 
+@pytest.mark.parametrize("command", ["replay", "fit"])
+@pytest.mark.parametrize(
+    ("count", "why"),
+    [
+        (lambda k: 6 * k + 3, "seq goes up by 6 from sample to sample: 5 of 6 count as lost"),
+        (lambda k: 20 * k + (k % 4 == 0), "seq goes up by 20 from sample to sample"),
+        (lambda k: 2 * k + (k > 100) + (k > 300), "seq goes up by 2 from sample to sample"),
+        (lambda k: 7, "samples repeat the seq before them: 399 of 399"),
+        (lambda k: k // 2, "samples repeat the seq before them: 200 of 399"),
+    ],
+    ids=["one of six legs", "milliseconds", "every second", "none", "twice"],
+)
+def test_numbers_that_count_no_ticks_are_named(
+    command: str, count: Any, why: str, run: Any, tmp_path: Path
+) -> None:
+    code, out, said = run(
+        command, _write(tmp_path / "a.mcap", lambda f: f | {"seq": count(f["seq"])})
+    )
+    assert (code, out) == (2, "")
+    assert why in said, said
+    assert "period_s" not in said
+    assert "are lost" not in said
+
+
 @pytest.mark.parametrize("command", ["replay", "score"])
 def test_one_leg_in_degrees_does_not_spoil_the_other(
     command: str, run: Any, tmp_path: Path

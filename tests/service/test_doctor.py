@@ -148,6 +148,21 @@ def joint(j: int, value: Callable[[float, int], float]) -> Callable[[ServoSample
             "error",
         ),
         (
+            change(stream(), seq=lambda s: 4 * s.seq + 1),
+            "seq goes up by 4 from sample to sample: 3 of 4 count as lost",
+            "error",
+        ),
+        (
+            change(stream()[:70] + stream()[75:], seq=lambda s: 4 * s.seq),
+            "samples are lost, by gaps in seq: 5 (3.3%)",
+            "warning",
+        ),
+        (
+            change(stream(), seq=lambda s: 4 * s.seq, t_ns=lambda s: s.seq * 25_000_000),
+            "found 25.0 ms (40.0 Hz)",
+            "error",
+        ),
+        (
             change(stream(), valid=lambda s: [True, s.seq % 4 > 0, True]),
             "readings marked invalid: 25% of them",
             "warning",
