@@ -36,16 +36,11 @@ KNEE_RAD_S: Final = 1.0
 
 
 class _Shapes(NamedTuple):
-    """What changes add to one joint's movement.
+    """What changes add to one joint's movement."""
 
-    Attributes:
-        linear: (p, s) shapes that are linear in the regressors; friction's, which is not, stands
-            before them.
-        of: kind -> its columns, friction's counted.
-    """
-
+    # (p, s) shapes that are linear in the regressors; friction's, which is not, stands before them
     linear: Array
-    of: dict[str, list[int]]
+    of: dict[str, list[int]]  # kind -> its columns, friction's counted
 
 
 class ChangeClassifier:

@@ -16,18 +16,15 @@ Array = NDArray[np.float64]
 
 
 class KeptSamples(NamedTuple):
-    """Holds copies of n samples in a row.
+    """Holds copies of n samples in a row."""
 
-    Attributes:
-        t_ns, seq: (n,) of each.
-        measured, desired: (n, J) rad.
-        swing: (n,) whether the leg was in a swing, by its source; None where that is silent.
-    """
-
+    # t_ns, seq: (n,) of each
     t_ns: NDArray[np.int64]
     seq: NDArray[np.int64]
+    # measured, desired: (n, J) rad
     measured: Array
     desired: Array
+    # (n,) whether the leg was in a swing, by its source; None where that is silent
     swing: NDArray[np.bool_] | None
 
     @classmethod

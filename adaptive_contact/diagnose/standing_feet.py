@@ -30,18 +30,13 @@ MOST_LEGS: Final = 6
 
 @dataclasses.dataclass(frozen=True)
 class LegRows:
-    """Holds one leg's samples in order, in the frame of its description.
+    """Holds one leg's samples in order, in the frame of its description."""
 
-    Attributes:
-        seq: (n,) numbers of the control ticks, counted alike in all legs.
-        measured, desired: (n, J) rad.
-        swing: (n,) as the source reports; None where it does not.
-    """
-
-    seq: NDArray[np.int64]
+    seq: NDArray[np.int64]  # (n,) numbers of the control ticks, counted alike in all legs
+    # measured, desired: (n, J) rad
     measured: Array
     desired: Array
-    swing: Mask | None
+    swing: Mask | None  # (n,) as the source reports; None where it does not
 
 
 def standing_feet(

@@ -45,21 +45,14 @@ LONE_SPREAD: Final = 10.0
 
 @dataclasses.dataclass(frozen=True)
 class Manner:
-    """Describes how a leg is fitted.
+    """Describes how a leg is fitted."""
 
-    Attributes:
-        library: the terms to choose from.
-        quantum_rad: position step.
-        unit: (J,) rad, of λ.
-        strength: how firmly it holds on to what is known of any leg; None for not at all.
-        inflation: factor on the leverage of a motion, beyond that of a position.
-    """
-
-    library: Library
-    quantum_rad: float
-    unit: tuple[float, ...]
+    library: Library  # the terms to choose from
+    quantum_rad: float  # position step
+    unit: tuple[float, ...]  # (J,) rad, of λ
+    # how firmly it holds on to what is known of any leg; None for not at all
     strength: float | None = None
-    inflation: float = 1.0
+    inflation: float = 1.0  # factor on the leverage of a motion, beyond that of a position
 
     def fit(self, factor: Factor, threshold: float) -> Fit:
         """Fit some rows.
@@ -174,24 +167,15 @@ class HeldOut:
 
 @dataclasses.dataclass(frozen=True)
 class Sweep:
-    """Holds what came of fits with several λ.
+    """Holds what came of fits with several λ."""
 
-    Attributes:
-        manner: of the fits.
-        threshold: λ that was chosen.
-        errors: λ to (J,) root mean square of ``residual``.
-        residual: (n, J) held out, at the λ that was chosen, over √(1 + h), h the leverage on the
-            other folds.
-        certain: (n, J) the same with h inflated; noise and tail are fitted to it.
-        lone: ticks in which that root is ten and more, as no other motion is like them.
-    """
-
-    manner: Manner
-    threshold: float
-    errors: dict[float, Array]
+    manner: Manner  # of the fits
+    threshold: float  # λ that was chosen
+    errors: dict[float, Array]  # λ to (J,) root mean square of `residual`
+    # (n, J) held out, at the λ that was chosen, over √(1 + h), h the leverage on the other folds
     residual: Array
-    certain: Array
-    lone: int = 0
+    certain: Array  # (n, J) the same with h inflated; noise and tail are fitted to it
+    lone: int = 0  # ticks in which that root is ten and more, as no other motion is like them
 
 
 def swept(

@@ -85,15 +85,10 @@ def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
 
 
 class Untouched(NamedTuple):
-    """Holds which rows to learn from, where it is not known whether the leg touched.
+    """Holds which rows to learn from, where it is not known whether the leg touched."""
 
-    Attributes:
-        keep: (n,) False for what is left out.
-        touched: swings in which something is no noise.
-    """
-
-    keep: Mask
-    touched: int
+    keep: Mask  # (n,) False for what is left out
+    touched: int  # swings in which something is no noise
 
 
 def untouched(

@@ -278,15 +278,10 @@ def _exclude(mask: Mask, t_ns: NDArray[np.int64], onset: int, release: int, peri
 
 @dataclasses.dataclass
 class _Run:
-    """From one start of the source to the next.
+    """From one start of the source to the next."""
 
-    Attributes:
-        t_ns: of all samples accepted, used or not.
-        stretches: those used, cut where one is missing.
-    """
-
-    t_ns: list[int]
-    stretches: list[list[ServoSample]]
+    t_ns: list[int]  # of all samples accepted, used or not
+    stretches: list[list[ServoSample]]  # those used, cut where one is missing
 
     def near(self, t_ns: int, came: int) -> bool:
         """Whether a time is near this run's when ``came`` of its samples had come."""
@@ -334,17 +329,11 @@ def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
 
 
 class _Received(NamedTuple):
-    """Holds a change of contact, and when it was received.
+    """Holds a change of contact, and when it was received."""
 
-    Attributes:
-        change: it.
-        run: number of the run in force, -1 before any sample.
-        came: samples of that run by then.
-    """
-
-    change: ContactTruth
-    run: int
-    came: int
+    change: ContactTruth  # it
+    run: int  # number of the run in force, -1 before any sample
+    came: int  # samples of that run by then
 
 
 class _Truth(NamedTuple):

@@ -28,39 +28,25 @@ FOREVER_NS: Final = np.iinfo(np.int64).max
 
 
 class TruthChanges(NamedTuple):
-    """One leg's truth stream as arrays, (m,) each.
+    """One leg's truth stream as arrays, (m,) each."""
 
-    Attributes:
-        t_ns: when the state changed.
-        contact: the state from then on.
-        speed_m_s: at touch, NaN where it was not given.
-        soft: whether the surface is soft; unknown counts as hard.
-        grazing: whether the motion was nearly tangent to the surface.
-        force_n: mean over 20 ms, N.
-    """
-
-    t_ns: Times
-    contact: Flags
-    speed_m_s: Floats
-    soft: Flags
-    grazing: Flags
-    force_n: Floats
+    t_ns: Times  # when the state changed
+    contact: Flags  # the state from then on
+    speed_m_s: Floats  # at touch, NaN where it was not given
+    soft: Flags  # whether the surface is soft; unknown counts as hard
+    grazing: Flags  # whether the motion was nearly tangent to the surface
+    force_n: Floats  # mean over 20 ms, N
 
 
 class Contacts(NamedTuple):
-    """One leg's contacts in order of time, (c,) each; they do not overlap.
+    """One leg's contacts in order of time, (c,) each; they do not overlap."""
 
-    Attributes:
-        onset_ns: when it began.
-        release_ns: when it ended, :data:`FOREVER_NS` where it did not.
-        touch: whether the leg was seen in the air for 60 ms before; False only for a contact that
-            the stream begins with.
-        speed_m_s, soft, grazing, force_n: as given at the onset.
-    """
-
-    onset_ns: Times
-    release_ns: Times
+    onset_ns: Times  # when it began
+    release_ns: Times  # when it ended, `FOREVER_NS` where it did not
+    # whether the leg was seen in the air for 60 ms before; False only for a contact that the stream
+    # begins with
     touch: Flags
+    # speed_m_s, soft, grazing, force_n: as given at the onset
     speed_m_s: Floats
     soft: Flags
     grazing: Flags
@@ -144,19 +130,12 @@ AFTER_TICKS: Final = 16
 
 
 class Swings(NamedTuple):
-    """Swings in order of time.
+    """Swings in order of time."""
 
-    Attributes:
-        start: (s,) index of the first swing sample.
-        stop: (s,) index after the last one.
-        of_tick: (n,) which swing a sample belongs to, -1 in stance.
-        after_tick: (n,) which swing a sample follows, up to 16 ticks after its turn to stance; -1
-            elsewhere.
-    """
-
-    start: Index
-    stop: Index
-    of_tick: Index
+    start: Index  # (s,) index of the first swing sample
+    stop: Index  # (s,) index after the last one
+    of_tick: Index  # (n,) which swing a sample belongs to, -1 in stance
+    # (n,) which swing a sample follows, up to 16 ticks after its turn to stance; -1 elsewhere
     after_tick: Index
 
 

@@ -51,17 +51,11 @@ class Outcome(enum.StrEnum):
 
 
 class Events(NamedTuple):
-    """One leg's contact events, (e,) each, in any order.
+    """One leg's contact events, (e,) each, in any order."""
 
-    Attributes:
-        t_ns: of the deciding sample.
-        contact: the reported state.
-        onset_ns: the estimated first touch.
-    """
-
-    t_ns: Times
-    contact: Flags
-    onset_ns: Times
+    t_ns: Times  # of the deciding sample
+    contact: Flags  # the reported state
+    onset_ns: Times  # the estimated first touch
 
     @classmethod
     def of(cls, messages: Iterable[ContactEvent]) -> Events:
@@ -77,47 +71,30 @@ class Events(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegStream:
-    """What happened to one leg; every detector's events are scored against the same one.
-
-    Attributes:
-        t_ns: (n,) strictly increasing sample times.
-        swing: (n,) whether the tick is commanded swing.
-        truth: changes of the true state.
-        lift: (n,) which swing ticks are lift; None takes the first half of every swing.
-    """
+    """What happened to one leg; every detector's events are scored against the same one."""
 
     leg: str
-    t_ns: Times
-    swing: Flags
-    truth: TruthChanges
+    t_ns: Times  # (n,) strictly increasing sample times
+    swing: Flags  # (n,) whether the tick is commanded swing
+    truth: TruthChanges  # changes of the true state
+    # (n,) which swing ticks are lift; None takes the first half of every swing
     lift: Flags | None = None
 
 
 class TouchTable(NamedTuple):
-    """Touches in swings and soon after them, in order of time, (c,) each.
+    """Touches in swings and soon after them, in order of time, (c,) each."""
 
-    Attributes:
-        onset_ns: true onset.
-        swing: which swing it lies in, or follows.
-        row: position in :data:`ROWS`.
-        window_ns: how long a detection may take.
-        found: whether it was detected.
-        latency_ns: deciding sample minus onset, -1 where it was not detected.
-        onset_error_ns: estimated minus true onset, 0 where it was not detected.
-        speed_m_s, force_n: as the truth gave them.
-        after_turn: whether the swing had turned to stance before.
-    """
-
-    onset_ns: Times
-    swing: Index
-    row: Index
-    window_ns: Times
-    found: Flags
-    latency_ns: Times
-    onset_error_ns: Times
+    onset_ns: Times  # true onset
+    swing: Index  # which swing it lies in, or follows
+    row: Index  # position in `ROWS`
+    window_ns: Times  # how long a detection may take
+    found: Flags  # whether it was detected
+    latency_ns: Times  # deciding sample minus onset, -1 where it was not detected
+    onset_error_ns: Times  # estimated minus true onset, 0 where it was not detected
+    # speed_m_s, force_n: as the truth gave them
     speed_m_s: Floats
     force_n: Floats
-    after_turn: Flags
+    after_turn: Flags  # whether the swing had turned to stance before
 
     @property
     def counted(self) -> Flags:
@@ -127,32 +104,21 @@ class TouchTable(NamedTuple):
 
 
 class SwingTable(NamedTuple):
-    """Swings in order of time, (s,) each.
+    """Swings in order of time, (s,) each."""
 
-    Attributes:
-        start_ns, end_ns: first and last swing sample.
-        ticks: swing samples.
-        judged: those of them on which the foot was not still loaded from before.
-        touches: touches of counted rows, those soon after the turn to stance included.
-        hits: touches of any row that were detected.
-        misses: touches of counted rows that were not.
-        false_alarms: ``contact: true`` in the swing that belong to no touch.
-        neutral: ``contact: true`` while the foot was still loaded from before.
-        judged_after: ticks after the turn to stance, up to 16, on which the foot had not touched.
-        alarms_after: ``contact: true`` on those that belong to no touch.
-    """
-
+    # start_ns, end_ns: first and last swing sample
     start_ns: Times
     end_ns: Times
-    ticks: Index
-    judged: Index
-    touches: Index
-    hits: Index
-    misses: Index
-    false_alarms: Index
-    neutral: Index
+    ticks: Index  # swing samples
+    judged: Index  # those of them on which the foot was not still loaded from before
+    touches: Index  # touches of counted rows, those soon after the turn to stance included
+    hits: Index  # touches of any row that were detected
+    misses: Index  # touches of counted rows that were not
+    false_alarms: Index  # `contact: true` in the swing that belong to no touch
+    neutral: Index  # `contact: true` while the foot was still loaded from before
+    # ticks after the turn to stance, up to 16, on which the foot had not touched
     judged_after: Index
-    alarms_after: Index
+    alarms_after: Index  # `contact: true` on those that belong to no touch
 
     @property
     def errors(self) -> Index:
@@ -170,28 +136,18 @@ class SwingTable(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegOutcome:
-    """One leg, judged.
-
-    Attributes:
-        alarms_ns: (a,) deciding samples of the false alarms in swings.
-        alarm_swing: (a,) the swings they lie in.
-        after_ns: (b,) deciding samples of the false alarms after a turn to stance.
-        after_swing: (b,) the swings that they follow.
-        outside_ns: deciding samples of each ``contact: true`` that is not judged: in stance.
-        unjudged_ns: onsets of touches that are not judged: in stance.
-        span_ns: first and last sample.
-    """
+    """One leg, judged."""
 
     leg: str
     swings: SwingTable
     touches: TouchTable
-    alarms_ns: Times
-    alarm_swing: Index
-    after_ns: Times
-    after_swing: Index
-    outside_ns: Times
-    unjudged_ns: Times
-    span_ns: tuple[int, int]
+    alarms_ns: Times  # (a,) deciding samples of the false alarms in swings
+    alarm_swing: Index  # (a,) the swings they lie in
+    after_ns: Times  # (b,) deciding samples of the false alarms after a turn to stance
+    after_swing: Index  # (b,) the swings that they follow
+    outside_ns: Times  # deciding samples of each `contact: true` that is not judged: in stance
+    unjudged_ns: Times  # onsets of touches that are not judged: in stance
+    span_ns: tuple[int, int]  # first and last sample
 
     def between(self, from_ns: int, to_ns: int) -> LegOutcome:
         """The swings that begin in [``from_ns``, ``to_ns``), and what lies in them.

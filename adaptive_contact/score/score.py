@@ -24,21 +24,13 @@ _NS_PER_S = 1_000_000_000
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Score:
-    """A scored recording.
+    """A scored recording."""
 
-    Attributes:
-        outcomes: every judged leg, in order of appearance.
-        total: all legs together.
-        legs: each leg alone.
-        rejects: messages that could not be used, by reason.
-        notes: what a reader of the figures should know, one line each.
-    """
-
-    outcomes: tuple[LegOutcome, ...]
-    total: Summary
-    legs: dict[str, Summary]
-    rejects: dict[str, int]
-    notes: tuple[str, ...]
+    outcomes: tuple[LegOutcome, ...]  # every judged leg, in order of appearance
+    total: Summary  # all legs together
+    legs: dict[str, Summary]  # each leg alone
+    rejects: dict[str, int]  # messages that could not be used, by reason
+    notes: tuple[str, ...]  # what a reader of the figures should know, one line each
 
 
 def score_messages(

@@ -169,41 +169,26 @@ SPOILS: Final = frozenset(
 
 
 class Fault(NamedTuple):
-    """One thing that is wrong with one leg, as a check found it.
-
-    Attributes:
-        cause: faults of one cause become one entry.
-        what: what was found and expected, the same for every leg of one entry.
-        remedy: what to do.
-        detail: this leg's figures, None where ``what`` has them all.
-        size: how bad it is against others of this cause: the largest are shown.
-        key: parts entries of one cause that need different remedies.
-    """
+    """One thing that is wrong with one leg, as a check found it."""
 
     level: Level
-    cause: Cause
-    what: str
-    remedy: str
-    detail: str | None = None
-    size: float = 0.0
-    key: str = ""
+    cause: Cause  # faults of one cause become one entry
+    what: str  # what was found and expected, the same for every leg of one entry
+    remedy: str  # what to do
+    detail: str | None = None  # this leg's figures, None where `what` has them all
+    size: float = 0.0  # how bad it is against others of this cause: the largest are shown
+    key: str = ""  # parts entries of one cause that need different remedies
 
 
 class Finding(NamedTuple):
-    """One entry: what is wrong, and what to do.  A ``note`` is worth knowing and no fault.
-
-    Attributes:
-        leg: the only leg that it is of; None for several, and for the whole robot.
-        cause: a :class:`Cause`.
-        legs: all legs that it is of.
-    """
+    """One entry: what is wrong, and what to do.  A ``note`` is worth knowing and no fault."""
 
     level: Level
-    leg: str | None
+    leg: str | None  # the only leg that it is of; None for several, and for the whole robot
     what: str
     remedy: str
-    cause: str = ""
-    legs: Sequence[str] = ()
+    cause: str = ""  # a `Cause`
+    legs: Sequence[str] = ()  # all legs that it is of
 
 
 def of_legs(legs: Iterable[str]) -> str:

@@ -46,27 +46,21 @@ _LEAST_FEET: Final = 4
 
 
 class JointView(msgspec.Struct, frozen=True, kw_only=True):
-    """One joint, in the description's angles.
-
-    Attributes:
-        axis: ``yaw``, ``pitch``, ``roll``, or a direction such as ``(0, 1, 0)``.
-        angle_rad, goal_rad: of the newest sample.
-        low_rad, high_rad: least and largest reading.
-        limits_rad: of robot.toml.
-        direction, offset_rad: from the wire's angles, by ``[leg.angles]``.
-        wire_rad: the newest reading as the source sends it.
-    """
+    """One joint, in the description's angles."""
 
     joint: str
-    axis: str
+    axis: str  # `yaw`, `pitch`, `roll`, or a direction such as `(0, 1, 0)`
+    # angle_rad, goal_rad: of the newest sample
     angle_rad: float
     goal_rad: float
+    # low_rad, high_rad: least and largest reading
     low_rad: float
     high_rad: float
-    limits_rad: tuple[float, float] | None
+    limits_rad: tuple[float, float] | None  # of robot.toml
+    # direction, offset_rad: from the wire's angles, by `[leg.angles]`
     direction: int
     offset_rad: float
-    wire_rad: float
+    wire_rad: float  # the newest reading as the source sends it
 
     @property
     def outside(self) -> bool:
@@ -76,63 +70,45 @@ class JointView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
-    """One leg as it is now.
-
-    Attributes:
-        samples: taken in so far.
-        rate_hz: by the source's stamps; None for too few.
-        height_m, reach_m: of the foot over the first axis, and away from it; None without lengths.
-        forward_m, left_m: of the foot from the middle of the body.
-        above_m: by how much the foot is above its command, of a leg at rest; a leg that hangs gives
-            way to gravity, one that stands to the ground.
-    """
+    """One leg as it is now."""
 
     leg: str
-    samples: int
-    rate_hz: float | None
+    samples: int  # taken in so far
+    rate_hz: float | None  # by the source's stamps; None for too few
     joints: list[JointView]
+    # height_m, reach_m: of the foot over the first axis, and away from it; None without lengths
     height_m: float | None = None
     reach_m: float | None = None
+    # forward_m, left_m: of the foot from the middle of the body
     forward_m: float | None = None
     left_m: float | None = None
+    # by how much the foot is above its command, of a leg at rest; a leg that hangs gives way to
+    # gravity, one that stands to the ground
     above_m: float | None = None
 
 
 class Flatness(msgspec.Struct, frozen=True, kw_only=True):
-    """How flat the feet lie, for a robot that stands on a level floor.
+    """How flat the feet lie, for a robot that stands on a level floor."""
 
-    Attributes:
-        leg: whose foot is furthest from the plane of the others; None with four legs, which do not
-            show whose it is.
-        off_m: by how much it is above that plane.
-    """
-
+    # whose foot is furthest from the plane of the others; None with four legs, which do not show
+    # whose it is
     leg: str | None
-    off_m: float
+    off_m: float  # by how much it is above that plane
 
 
 class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found.
-
-    Attributes:
-        legs: those of the description that send samples.
-        moves: joints that were moved and came to rest, one line each.
-        confirmed: legs whose signs, and those not ``by_hand`` whose order and zeros, the motion
-            confirms.
-        open: legs of which the motion shows nothing.
-        by_hand: legs whose order and zeros no motion confirms, as their chain is not straight.
-        flatness: of the feet, where all legs rest.
-        findings: what is wrong, the worst first.
-    """
+    """What was found."""
 
     seconds: float
-    legs: list[LegView]
-    moves: list[str]
+    legs: list[LegView]  # those of the description that send samples
+    moves: list[str]  # joints that were moved and came to rest, one line each
+    # legs whose signs, and those not `by_hand` whose order and zeros, the motion confirms
     confirmed: list[str]
-    open: list[str]
+    open: list[str]  # legs of which the motion shows nothing
+    # legs whose order and zeros no motion confirms, as their chain is not straight
     by_hand: list[str]
-    flatness: Flatness | None
-    findings: list[Finding]
+    flatness: Flatness | None  # of the feet, where all legs rest
+    findings: list[Finding]  # what is wrong, the worst first
 
     @property
     def exit_code(self) -> int:

@@ -59,21 +59,15 @@ _NS_PER_S: Final = 1_000_000_000
 
 @dataclasses.dataclass
 class Counts:
-    """What a replay met.
+    """What a replay met."""
 
-    Attributes:
-        messages: of any key.
-        samples: servo samples handed on.
-        ticks: control ticks they came in.
-        first_ns, last_ns: log time of the first and last message handed on.
-        rejects: servo messages that could not be used, by reason.
-    """
-
-    messages: int = 0
-    samples: int = 0
-    ticks: int = 0
+    messages: int = 0  # of any key
+    samples: int = 0  # servo samples handed on
+    ticks: int = 0  # control ticks they came in
+    # first_ns, last_ns: log time of the first and last message handed on
     first_ns: int | None = None
     last_ns: int | None = None
+    # servo messages that could not be used, by reason
     rejects: collections.Counter[Reject] = dataclasses.field(default_factory=collections.Counter)
 
     @property
@@ -263,42 +257,27 @@ Spans = list[tuple[float, float]]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Touch:
-    """A touch that the truth has, or a contact that is reported without one.
+    """A touch that the truth has, or a contact that is reported without one."""
 
-    Attributes:
-        at_s: its onset, or the deciding sample of a false one.
-        kind: ``hit``, ``miss``, ``beyond`` (missed, but of a row that may be beyond any detector)
-            or ``false``.
-        why: one line for a person.
-    """
-
-    at_s: float
+    at_s: float  # its onset, or the deciding sample of a false one
+    # `hit`, `miss`, `beyond` (missed, but of a row that may be beyond any detector) or
+    # `false`
     kind: str
-    why: str
+    why: str  # one line for a person
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegTrace:
-    """One leg over a recording, times in s since its first sample.
-
-    Attributes:
-        t_s: (n,) of its samples.
-        ratio: (n,) test ratio, NaN where the tick could not be judged.
-        stance: spans of commanded stance.
-        contact: spans of reported contact.
-        truth: spans of true contact; None where the recording has no truth.
-        touches: what is to be looked at, in order of time.
-        note: why touches were not judged, where they were not.
-    """
+    """One leg over a recording, times in s since its first sample."""
 
     leg: str
-    t_s: Floats
-    ratio: Floats
-    stance: Spans
-    contact: Spans
-    truth: Spans | None
-    touches: tuple[Touch, ...]
-    note: str | None = None
+    t_s: Floats  # (n,) of its samples
+    ratio: Floats  # (n,) test ratio, NaN where the tick could not be judged
+    stance: Spans  # spans of commanded stance
+    contact: Spans  # spans of reported contact
+    truth: Spans | None  # spans of true contact; None where the recording has no truth
+    touches: tuple[Touch, ...]  # what is to be looked at, in order of time
+    note: str | None = None  # why touches were not judged, where they were not
 
 
 class TraceBank:

@@ -34,15 +34,10 @@ _ASK_S: Final = 0.5
 
 
 class Judged(NamedTuple):
-    """How the learner judged its last tick.
+    """How the learner judged its last tick."""
 
-    Attributes:
-        residual: (J,) rad, measured minus predicted, in the description's angles.
-        test_ratio: statistic over threshold, the largest of its windows.
-    """
-
-    residual: list[float]
-    test_ratio: float
+    residual: list[float]  # (J,) rad, measured minus predicted, in the description's angles
+    test_ratio: float  # statistic over threshold, the largest of its windows
 
 
 class _Tick(NamedTuple):

@@ -85,16 +85,12 @@ _WHOLE: Final = re.compile(r"(?s)(Invalid configuration): \{.*")
 
 
 class Facts(NamedTuple):
-    """What a configuration ended up with.
+    """What a configuration ended up with."""
 
-    Attributes:
-        listen, connect: endpoints.
-        max_sessions: that it takes at once.
-    """
-
+    # listen, connect: endpoints
     listen: tuple[str, ...]
     connect: tuple[str, ...]
-    max_sessions: int
+    max_sessions: int  # that it takes at once
 
 
 def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:

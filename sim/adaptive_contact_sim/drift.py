@@ -25,21 +25,15 @@ _WALK_STEP_S: Final = 0.1
 
 
 class Kind(NamedTuple):
-    """One kind of drift.
+    """One kind of drift."""
 
-    Attributes:
-        unit: of its value.
-        nominal, low, high: the value without drift, and what is accepted.
-        usual: the range seen or assumed in the field, docs/simulator.md.
-        meaning: one line.
-    """
-
-    unit: str
+    unit: str  # of its value
+    # nominal, low, high: the value without drift, and what is accepted
     nominal: float
     low: float
     high: float
-    usual: str
-    meaning: str
+    usual: str  # the range seen or assumed in the field, docs/simulator.md
+    meaning: str  # one line
 
 
 KINDS: Final[dict[DriftKind, Kind]] = {

@@ -124,21 +124,15 @@ def _mounts(robot: Robot) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class LegGeometry(_Mounted):
-    """Geometry of the hexapod's six equal legs.
+    """Geometry of the hexapod's six equal legs."""
 
-    Attributes:
-        lengths_m: coxa, femur, tibia.
-        mounts_m: (6, 3) of the coxa axes in the body's frame.
-        rotations: (6, 3, 3) from a leg's frame to the body's.
-        lower_rad, upper_rad: (3,) joint limits.
-        nearest_m, farthest_m: foot from femur axis, as the tibia's limit and length allow.
-    """
-
-    lengths_m: tuple[float, float, float]
-    mounts_m: Array
-    rotations: Array
+    lengths_m: tuple[float, float, float]  # coxa, femur, tibia
+    mounts_m: Array  # (6, 3) of the coxa axes in the body's frame
+    rotations: Array  # (6, 3, 3) from a leg's frame to the body's
+    # lower_rad, upper_rad: (3,) joint limits
     lower_rad: Array
     upper_rad: Array
+    # nearest_m, farthest_m: foot from femur axis, as the tibia's limit and length allow
     nearest_m: float
     farthest_m: float
 

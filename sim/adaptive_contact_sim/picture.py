@@ -32,20 +32,14 @@ Array = NDArray[np.float64]
 
 
 class Moment(NamedTuple):
-    """What a picture shows.
+    """What a picture shows."""
 
-    Attributes:
-        configuration: of the engine's joints, ``qpos``.
-        mocap_m, mocap_quaternion: places of the movable obstacles.
-        touching: (L,) whether each leg touches.
-        caption: lines for the corner.
-    """
-
-    configuration: Array
+    configuration: Array  # of the engine's joints, `qpos`
+    # mocap_m, mocap_quaternion: places of the movable obstacles
     mocap_m: Array
     mocap_quaternion: Array
-    touching: NDArray[np.bool_]
-    caption: tuple[str, ...]
+    touching: NDArray[np.bool_]  # (L,) whether each leg touches
+    caption: tuple[str, ...]  # lines for the corner
 
     @classmethod
     def of(cls, sim: Simulation) -> Moment:

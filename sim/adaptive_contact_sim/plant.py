@@ -34,21 +34,13 @@ _TOUCHES_KEPT: Final = 64
 
 
 class Touch(NamedTuple):
-    """A part of a leg coming into contact.
+    """A part of a leg coming into contact."""
 
-    Attributes:
-        step: physics step at which the contact appeared.
-        part: index into :data:`~adaptive_contact_sim.elements.PARTS`.
-        speed_m_s: of the touching point, just before.
-        grazing: the motion was nearly tangent to the surface.
-        other: id of the geom that was touched.
-    """
-
-    step: int
-    part: int
-    speed_m_s: float
-    grazing: bool
-    other: int
+    step: int  # physics step at which the contact appeared
+    part: int  # index into `PARTS`
+    speed_m_s: float  # of the touching point, just before
+    grazing: bool  # the motion was nearly tangent to the surface
+    other: int  # id of the geom that was touched
 
 
 class Plant:

@@ -27,12 +27,9 @@ TRIPODS: Final = (("lf", "lr", "rm"), ("lm", "rf", "rr"))
 
 @dataclass(frozen=True)
 class PoseGroupSettings:
-    """Which legs move together, and how each does.
+    """Which legs move together, and how each does."""
 
-    Attributes:
-        poses: of one leg each, all of them of one tripod: the robot stands on the other.
-    """
-
+    # of one leg each, all of them of one tripod: the robot stands on the other
     poses: tuple[PoseSettings, ...]
 
     def __post_init__(self) -> None:

@@ -167,18 +167,13 @@ _TOP = ("about", "mode", "robot", "seconds", "seed", "robot_seed", "drift", *_TA
 
 @dataclass(frozen=True)
 class Scenario:
-    """A described run.
+    """A described run."""
 
-    Attributes:
-        name, about: what it is called, and one line on what it is for.
-        seconds: how long it runs, None for until stopped.
-        settings: what to simulate.
-    """
-
+    # name, about: what it is called, and one line on what it is for
     name: str
     about: str
-    seconds: float | None
-    settings: SimulationSettings
+    seconds: float | None  # how long it runs, None for until stopped
+    settings: SimulationSettings  # what to simulate
 
 
 def shipped_scenarios() -> dict[str, Scenario]:

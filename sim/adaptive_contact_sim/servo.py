@@ -86,21 +86,13 @@ class ServoParameters:
 
 
 class ServoKind(NamedTuple):
-    """One model of servo.
+    """One model of servo."""
 
-    Attributes:
-        name: of the maker.
-        quantum_rad: a step of position and goal.
-        full_scale_steps: largest value of the goal register.
-        centre_steps: the register's value at joint angle zero.
-        nominal: servo constants, (1,) each.
-    """
-
-    name: str
-    quantum_rad: float
-    full_scale_steps: int
-    centre_steps: int
-    nominal: ServoParameters
+    name: str  # of the maker
+    quantum_rad: float  # a step of position and goal
+    full_scale_steps: int  # largest value of the goal register
+    centre_steps: int  # the register's value at joint angle zero
+    nominal: ServoParameters  # servo constants, (1,) each
 
     def of(self, servos: int) -> ServoParameters:
         """So many of them, all alike."""

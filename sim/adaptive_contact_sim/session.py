@@ -72,17 +72,11 @@ class RunPlan:
 
 @dataclass(frozen=True)
 class Report:
-    """How a run went.
+    """How a run went."""
 
-    Attributes:
-        outcome: times and ticks.
-        touches: contacts begun per leg, standing at the start left out.
-        note: what a person should know, such as a film that had to be drawn.
-    """
-
-    outcome: Outcome
-    touches: dict[str, int]
-    note: str | None
+    outcome: Outcome  # times and ticks
+    touches: dict[str, int]  # contacts begun per leg, standing at the start left out
+    note: str | None  # what a person should know, such as a film that had to be drawn
 
 
 def run(

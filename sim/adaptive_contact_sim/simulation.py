@@ -45,37 +45,23 @@ _STREAMS: Final = ("encoder", "motion", "obstacles", "drift")
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """Everything that decides a run.
+    """Everything that decides a run."""
 
-    Attributes:
-        motion: pose, of one leg or a group, or walk; and how.
-        seed: of the run: motion, obstacles, noise, faults.
-        robot_seed: which robot of its kind, see :func:`~adaptive_contact_sim.servo.manufactured`.
-        servo_spread: relative half-width of the differences between servos.
-        terrain: ground of a walk; a pose stands on flat ground.
-        encoder: reading noise and faults.
-        drift: what changes during the run.
-        preview_ticks: goals to come that every sample carries.
-        epoch_ns: time stamp of tick 0.
-        run: the ``run`` of the samples.
-        supply_resistance_ohm: of battery and wiring.
-        period_s: control tick.
-        robot: which of :data:`~adaptive_contact_sim.robots.ROBOTS`; :meth:`of` has its defaults.
-    """
-
+    # pose, of one leg or a group, or walk; and how
     motion: MotionSettings = field(default_factory=PoseSettings)
-    seed: int = 0
-    robot_seed: int = 0
-    servo_spread: float = 0.12
+    seed: int = 0  # of the run: motion, obstacles, noise, faults
+    robot_seed: int = 0  # which robot of its kind, see `manufactured`
+    servo_spread: float = 0.12  # relative half-width of the differences between servos
+    # ground of a walk; a pose stands on flat ground
     terrain: TerrainSettings = field(default_factory=lambda: TerrainSettings(kind="flat"))
-    encoder: EncoderSettings = field(default_factory=EncoderSettings)
-    drift: tuple[Injection, ...] = ()
-    preview_ticks: int = 0
-    epoch_ns: int = 0
-    run: int | None = None
-    supply_resistance_ohm: float = 0.1
-    period_s: float = 0.02
-    robot: str = "hexapod"
+    encoder: EncoderSettings = field(default_factory=EncoderSettings)  # reading noise and faults
+    drift: tuple[Injection, ...] = ()  # what changes during the run
+    preview_ticks: int = 0  # goals to come that every sample carries
+    epoch_ns: int = 0  # time stamp of tick 0
+    run: int | None = None  # the `run` of the samples
+    supply_resistance_ohm: float = 0.1  # of battery and wiring
+    period_s: float = 0.02  # control tick
+    robot: str = "hexapod"  # which of `ROBOTS`; `of` has its defaults
 
     def __post_init__(self) -> None:
         robot = simulated_robot(self.robot)

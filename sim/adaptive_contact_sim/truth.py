@@ -31,21 +31,13 @@ _TOUCH_SEARCH_S: Final = 0.030
 
 
 class Change(NamedTuple):
-    """A leg's contact began or ended.
+    """A leg's contact began or ended."""
 
-    Attributes:
-        leg: index.
-        step: physics step of the change.
-        contact: began, or ended.
-        force_n: mean over the 20 ms from the step on, 0 at an end.
-        touch: what touched, where that is known.
-    """
-
-    leg: int
-    step: int
-    contact: bool
-    force_n: float
-    touch: Touch | None
+    leg: int  # index
+    step: int  # physics step of the change
+    contact: bool  # began, or ended
+    force_n: float  # mean over the 20 ms from the step on, 0 at an end
+    touch: Touch | None  # what touched, where that is known
 
     def message(
         self, t_ns: int, parts: Sequence[str], surface: Callable[[int], str]

@@ -30,15 +30,10 @@ MakeLearner = Callable[[Robot, str, Baseline | None], ContactLearner]
 
 
 class Played(NamedTuple):
-    """What the learners made of a run.
+    """What the learners made of a run."""
 
-    Attributes:
-        events: by leg, in order.
-        learners: as they are at the end.
-    """
-
-    events: dict[str, list[ContactEvent]]
-    learners: dict[str, ContactLearner]
+    events: dict[str, list[ContactEvent]]  # by leg, in order
+    learners: dict[str, ContactLearner]  # as they are at the end
 
 
 def samples_of(run: Run | Recording, leg: str) -> list[ServoSample]:

@@ -70,23 +70,17 @@ _TRACKED: Final = 6
 
 @dataclass(frozen=True)
 class Scenario:
-    """A run of the quadruped; names and seeds are permanent.
-
-    Attributes:
-        plates: share of descents onto a plate.
-        soft_n_m: lowest and highest stiffness of the plates, None for hard ones.
-        friction: factor of the gears' friction.
-        supply_v: of 5 V.
-    """
+    """A run of the quadruped; names and seeds are permanent."""
 
     name: str
     about: str
     seed: int
     seconds: float
-    plates: float = 0.0
+    plates: float = 0.0  # share of descents onto a plate
+    # lowest and highest stiffness of the plates, None for hard ones
     soft_n_m: tuple[float, float] | None = None
-    friction: float = 1.0
-    supply_v: float = 5.0
+    friction: float = 1.0  # factor of the gears' friction
+    supply_v: float = 5.0  # of 5 V
 
 
 SCENARIOS: Final = (

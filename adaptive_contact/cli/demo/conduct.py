@@ -144,19 +144,13 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True)
 class Take:
-    """What a run left.
+    """What a run left."""
 
-    Attributes:
-        drift_ns: moment of the drift, by the samples' clock.
-        holds: what drifts from then on, ``{kind: {leg: {joint: value}}}``.
-        service: the service's own last word.
-        simulator: the simulator's last word.
-    """
-
-    drift_ns: int
+    drift_ns: int  # moment of the drift, by the samples' clock
+    # what drifts from then on, `{kind: {leg: {joint: value}}}`
     holds: dict[str, dict[str, dict[str, float]]]
-    service: ServiceStatus | None
-    simulator: str
+    service: ServiceStatus | None  # the service's own last word
+    simulator: str  # the simulator's last word
 
 
 def conduct(

@@ -48,38 +48,27 @@ _LEAST_TICKS: Final = 4
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Level:
-    """How well a model predicts a leg, one value per swing, on the ticks that touched nothing.
+    """How well a model predicts a leg, one value per swing, on the ticks that touched nothing."""
 
-    Attributes:
-        t_ns: (s,) beginning of the swing.
-        over_floor: (s,) RMS of the one-step error of its worst joint, over the noise floor.
-    """
-
-    t_ns: Times
-    over_floor: Floats
+    t_ns: Times  # (s,) beginning of the swing
+    over_floor: Floats  # (s,) RMS of the one-step error of its worst joint, over the noise floor
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Judged:
-    """One detector.
+    """One detector."""
 
-    Attributes:
-        whole, before, after: figures of all swings, of those that were over before the drift, and
-            of the others.
-        outcomes: every touch and false alarm, per leg.
-        level: per leg.
-        recovery: swings of the drifted leg from the drift on until ten in a row hold at most one
-            error; 0 where nothing was lost, None where it did not happen.
-        swings_after: of the drifted leg, that began after the drift.
-    """
-
+    # whole, before, after: figures of all swings, of those that were over before the drift, and of
+    # the others
     whole: Score
     before: Score
     after: Score
-    outcomes: tuple[LegOutcome, ...]
-    level: dict[str, Level]
+    outcomes: tuple[LegOutcome, ...]  # every touch and false alarm, per leg
+    level: dict[str, Level]  # per leg
+    # swings of the drifted leg from the drift on until ten in a row hold at most one error; 0 where
+    # nothing was lost, None where it did not happen
     recovery: int | None
-    swings_after: int
+    swings_after: int  # of the drifted leg, that began after the drift
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -91,26 +80,17 @@ class LegTruth:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the recording shows.
+    """What the recording shows."""
 
-    Attributes:
-        start_ns, end_ns: of the samples.
-        drift_ns: moment of the drift.
-        drift_leg: the leg it befell.
-        service: the events that the service published.
-        frozen: those of the model it started with, on the same samples.
-        truth: per leg.
-        versions: newest model version of each leg that the service reported.
-    """
-
+    # start_ns, end_ns: of the samples
     start_ns: int
     end_ns: int
-    drift_ns: int
-    drift_leg: str
-    service: Judged
-    frozen: Judged
-    truth: dict[str, LegTruth]
-    versions: dict[str, int]
+    drift_ns: int  # moment of the drift
+    drift_leg: str  # the leg it befell
+    service: Judged  # the events that the service published
+    frozen: Judged  # those of the model it started with, on the same samples
+    truth: dict[str, LegTruth]  # per leg
+    versions: dict[str, int]  # newest model version of each leg that the service reported
 
 
 def judge(path: Path, robot: Robot, drift_ns: int, drift_leg: str) -> Verdict:
@@ -182,16 +162,11 @@ _END: Final = int(np.iinfo(np.int64).max)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Replayed:
-    """Events of learners on a recording, and their residuals.
-
-    Attributes:
-        residual: (n, J) rad of each sample, NaN where there was no prediction.
-        floor: (J,) rad, the level of the model at the start.
-    """
+    """Events of learners on a recording, and their residuals."""
 
     events: list[ContactEvent]
-    residual: dict[str, Floats]
-    floor: dict[str, Floats]
+    residual: dict[str, Floats]  # (n, J) rad of each sample, NaN where there was no prediction
+    floor: dict[str, Floats]  # (J,) rad, the level of the model at the start
 
 
 def _replay(

@@ -63,36 +63,22 @@ _SETTLE_S: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class DrawnLeg:
-    """One leg of a robot.
+    """One leg of a robot."""
 
-    Attributes:
-        robot: its description; the slope in it is off by some 8 %, as a register's is.
-        axes: a word per joint.
-        origins_m: (J, 3).
-        masses_kg: (J,) of the links.
-        rest_rad: (J,) rad, a posture in the middle of what it does.
-        servo: its servos.
-        parameters: their constants.
-        cascade: proportional gains of position and speed, 1/s and of full torque per rad/s, of the
-            second generator's law; None for the first's.
-        noise_steps: of a reading, before rounding.
-        latency_ticks: from a command to its servo.
-        swing_s: up and down again.
-        profile: of a joint's way from one point to the next.
-    """
-
-    robot: Robot
-    axes: tuple[str, ...]
-    origins_m: Array
-    masses_kg: Array
-    rest_rad: Array
-    servo: ServoKind
-    parameters: ServoParameters
+    robot: Robot  # its description; the slope in it is off by some 8 %, as a register's is
+    axes: tuple[str, ...]  # a word per joint
+    origins_m: Array  # (J, 3)
+    masses_kg: Array  # (J,) of the links
+    rest_rad: Array  # (J,) rad, a posture in the middle of what it does
+    servo: ServoKind  # its servos
+    parameters: ServoParameters  # their constants
+    # proportional gains of position and speed, 1/s and of full torque per rad/s, of the second
+    # generator's law; None for the first's
     cascade: tuple[float, float] | None
-    noise_steps: float
-    latency_ticks: int
-    swing_s: float
-    profile: str
+    noise_steps: float  # of a reading, before rounding
+    latency_ticks: int  # from a command to its servo
+    swing_s: float  # up and down again
+    profile: str  # of a joint's way from one point to the next
 
     @property
     def reach_m(self) -> float:

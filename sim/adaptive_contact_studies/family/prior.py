@@ -45,34 +45,23 @@ _FEW: Final = 1e-8  # added to a covariance, so that it can be inverted
 
 @dataclass(eq=False)
 class JointRows:
-    """Holds one joint's rows, in units of the slope.
+    """Holds one joint's rows, in units of the slope."""
 
-    Attributes:
-        r, q: (p, p) and (p,) of the own, common and other columns.
-        rest: sum of squares that no coefficient explains.
-        ticks: rows.
-        own, common: how many columns.
-        kind: (r,) of other joints' columns, see
-            :class:`~adaptive_contact.model.leg_prior.OwnColumns`.
-        z: (5,) covariates.
-        quantum: over the slope.
-        size: (q,) root mean square of the own columns.
-        sums: variance of sums of 2 and 3 residuals of plain least squares, over that of one.
-        variance: of the noise, as it is known so far.
-    """
-
+    # r, q: (p, p) and (p,) of the own, common and other columns
     r: Array
     q: Array
-    rest: float
-    ticks: int
+    rest: float  # sum of squares that no coefficient explains
+    ticks: int  # rows
+    # own, common: how many columns
     own: int
     common: int
-    kind: Ints
-    z: Array
-    quantum: float
-    size: Array
+    kind: Ints  # (r,) of other joints' columns, see `OwnColumns`
+    z: Array  # (5,) covariates
+    quantum: float  # over the slope
+    size: Array  # (q,) root mean square of the own columns
+    # variance of sums of 2 and 3 residuals of plain least squares, over that of one
     sums: tuple[float, float]
-    variance: float
+    variance: float  # of the noise, as it is known so far
 
 
 def learn_family(

@@ -56,25 +56,15 @@ class Gains:
 
 @dataclass(frozen=True, eq=False)
 class NominalLeg:
-    """The leg's nominal constants, from the model file and the servo's data sheet.
+    """The leg's nominal constants, from the model file and the servo's data sheet."""
 
-    Attributes:
-        mass_kg: (3,) coxa, femur, tibia.
-        centre_m: (3, 2) along and above each link.
-        inertia: (3, 3) principal, kg m², link frame.
-        offset_m: (3,) where each link begins along the one before.
-        servo: nominal servo constants.
-        step_s: physics step.
-        gravity: m/s².
-    """
-
-    mass_kg: Array
-    centre_m: Array
-    inertia: Array
-    offset_m: Array
-    servo: ServoParameters
-    step_s: float
-    gravity: float
+    mass_kg: Array  # (3,) coxa, femur, tibia
+    centre_m: Array  # (3, 2) along and above each link
+    inertia: Array  # (3, 3) principal, kg m², link frame
+    offset_m: Array  # (3,) where each link begins along the one before
+    servo: ServoParameters  # nominal servo constants
+    step_s: float  # physics step
+    gravity: float  # m/s²
 
     @classmethod
     def of(cls, leg: str = "rf") -> NominalLeg:

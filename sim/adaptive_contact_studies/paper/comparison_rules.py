@@ -139,19 +139,12 @@ JUDGED_AFTER_TICKS: Final = 5
 
 
 class Motion(NamedTuple):
-    """What every detector sees of one leg, row k being control tick k.
+    """What every detector sees of one leg, row k being control tick k."""
 
-    Attributes:
-        measured: (n, J) rad, read at the start of tick k.
-        desired: (n, J) rad, written right after.
-        swing_tick: (n,) ticks of the swing so far, 1 at its first, 0 in stance.
-        direction: (n,) 0 where the command rises, 1 where it falls.
-    """
-
-    measured: Array
-    desired: Array
-    swing_tick: Ints
-    direction: Ints
+    measured: Array  # (n, J) rad, read at the start of tick k
+    desired: Array  # (n, J) rad, written right after
+    swing_tick: Ints  # (n,) ticks of the swing so far, 1 at its first, 0 in stance
+    direction: Ints  # (n,) 0 where the command rises, 1 where it falls
 
     @property
     def judged(self) -> Mask:
@@ -160,15 +153,10 @@ class Motion(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """A model's one-step predictions for a stream, NaN where it made none.
+    """A model's one-step predictions for a stream, NaN where it made none."""
 
-    Attributes:
-        residual: (n, J) rad, reading k minus what was predicted at k - 1.
-        increment: (n, J) rad, the movement predicted from k - 1 to k.
-    """
-
-    residual: Array
-    increment: Array
+    residual: Array  # (n, J) rad, reading k minus what was predicted at k - 1
+    increment: Array  # (n, J) rad, the movement predicted from k - 1 to k
 
     @classmethod
     def of(cls, measured: Array, predicted: Array) -> Self:
@@ -232,15 +220,10 @@ def likelihood_ratio(
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """Thresholds of a statistic's channels.
+    """Thresholds of a statistic's channels."""
 
-    Attributes:
-        tails: of every channel on free ticks.
-        channels: those that are used.
-    """
-
-    tails: tuple[Tail, ...]
-    channels: tuple[int, ...]
+    tails: tuple[Tail, ...]  # of every channel on free ticks
+    channels: tuple[int, ...]  # those that are used
 
     def thresholds(self, per_tick: float) -> Array:
         """(used channels,) thresholds that together are exceeded at most so often.

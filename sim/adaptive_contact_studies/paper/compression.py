@@ -42,15 +42,11 @@ RIDGE: Final = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class PaperFit:
-    """A fit as the paper makes it.
+    """A fit as the paper makes it."""
 
-    Attributes:
-        status: ``ok``, ``emptied`` where some state has no terms left, or why there is none.
-        coefficients: (p, states), zero where there is no fit.
-    """
-
+    # `ok`, `emptied` where some state has no terms left, or why there is none
     status: FitStatus
-    coefficients: Array
+    coefficients: Array  # (p, states), zero where there is no fit
 
     @property
     def terms(self) -> list[int]:
@@ -116,32 +112,21 @@ R = TypeVar("R")
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """One library, one λ.
+    """One library, one λ."""
 
-    Attributes:
-        library, terms, rows, threshold: what was fitted.
-        kept: (J,) terms left to each joint.
-        raw_s: PySINDy's STLSQ on the raw rows, Θ given.
-        compressed_s: the same fit with the factor held.
-        factor_s: building the factor from Θ.
-        library_s: evaluating Θ, which both need.
-        speed_up: ``raw_s`` over ``compressed_s``.
-        same_support: whether both keep the same terms.
-        difference: largest difference of a coefficient, raw units.
-    """
-
+    # library, terms, rows, threshold: what was fitted
     library: str
     terms: int
     rows: int
     threshold: float
-    kept: list[int]
-    raw_s: float
-    compressed_s: float
-    factor_s: float
-    library_s: float
-    speed_up: float
-    same_support: bool
-    difference: float
+    kept: list[int]  # (J,) terms left to each joint
+    raw_s: float  # PySINDy's STLSQ on the raw rows, Θ given
+    compressed_s: float  # the same fit with the factor held
+    factor_s: float  # building the factor from Θ
+    library_s: float  # evaluating Θ, which both need
+    speed_up: float  # `raw_s` over `compressed_s`
+    same_support: bool  # whether both keep the same terms
+    difference: float  # largest difference of a coefficient, raw units
 
 
 def compare(stream: Stream, library: Library, threshold: float, *, repeats: int = 3) -> Comparison:

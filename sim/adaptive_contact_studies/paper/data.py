@@ -43,15 +43,10 @@ SEAM_TICKS = 10
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """One leg's stream with its truth, row k being control tick k.
+    """One leg's stream with its truth, row k being control tick k."""
 
-    Attributes:
-        piece: what was simulated.
-        arrays: the leg's samples and truth.
-    """
-
-    piece: Piece
-    arrays: LegArrays
+    piece: Piece  # what was simulated
+    arrays: LegArrays  # the leg's samples and truth
 
     @property
     def leg(self) -> str:

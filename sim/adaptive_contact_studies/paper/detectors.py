@@ -55,19 +55,12 @@ class LegModels(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One stream with every model's predictions.
+    """One stream with every model's predictions."""
 
-    Attributes:
-        stream: what was recorded.
-        motion: what detectors see.
-        predictions: by model, ``servo``, ``paper``, ``analytical``.
-        swing_of_tick: (n,) number of the swing, -1 in stance.
-    """
-
-    stream: Stream
-    motion: Motion
-    predictions: dict[str, Prediction]
-    swing_of_tick: Ints
+    stream: Stream  # what was recorded
+    motion: Motion  # what detectors see
+    predictions: dict[str, Prediction]  # by model, `servo`, `paper`, `analytical`
+    swing_of_tick: Ints  # (n,) number of the swing, -1 in stance
 
     @property
     def descending(self) -> NDArray[np.bool_]:
@@ -122,22 +115,14 @@ def evidence_of(
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """All that the compared detectors learned besides their models.
+    """All that the compared detectors learned besides their models."""
 
-    Attributes:
-        lag: of the tracking error, ticks.
-        noise: by model, then by leg-run's name.
-        calibrations: by detector.
-        quantum_rad: position step.
-        aim_per_hour: false alarms per robot-hour, the target rate of thresholds.
-        tuned: what tuning found, for the report: recall on the tuning collisions by detector.
-    """
-
-    lag: int
-    noise: dict[str, dict[str, NoiseModel]]
-    calibrations: dict[str, Calibration]
-    quantum_rad: float
-    aim_per_hour: float
+    lag: int  # of the tracking error, ticks
+    noise: dict[str, dict[str, NoiseModel]]  # by model, then by leg-run's name
+    calibrations: dict[str, Calibration]  # by detector
+    quantum_rad: float  # position step
+    aim_per_hour: float  # false alarms per robot-hour, the target rate of thresholds
+    # what tuning found, for the report: recall on the tuning collisions by detector
     tuned: dict[str, float]
 
     def statistic(self, detector: str, evidence: Evidence) -> Array:
@@ -154,17 +139,11 @@ class Bench:
 
 @dataclass(frozen=True)
 class Detector:
-    """One detector that is compared.
+    """One detector that is compared."""
 
-    Attributes:
-        title: for tables.
-        statistic: of a stream, (n, channels).
-        joints: whether channels are joints, of which a rule may use some.
-    """
-
-    title: str
-    statistic: Callable[[Bench, Evidence], Array]
-    joints: bool
+    title: str  # for tables
+    statistic: Callable[[Bench, Evidence], Array]  # of a stream, (n, channels)
+    joints: bool  # whether channels are joints, of which a rule may use some
 
 
 def _ratio(model: str) -> Callable[[Bench, Evidence], Array]:

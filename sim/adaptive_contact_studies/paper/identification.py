@@ -376,15 +376,10 @@ _DRAWN: Final = 70
 
 
 class Fitted(NamedTuple):
-    """A model, and how its fit ended.
+    """A model, and how its fit ended."""
 
-    Attributes:
-        model: None where the fit left nothing, so that no prediction uses zeros.
-        status: of the fit.
-    """
-
-    model: LegModel | None
-    status: FitStatus
+    model: LegModel | None  # None where the fit left nothing, so that no prediction uses zeros
+    status: FitStatus  # of the fit
 
 
 def fitted(

@@ -35,15 +35,10 @@ _SEVERITY: Final = (
 
 
 class FreeRows(NamedTuple):
-    """Windows of free swing ticks.
+    """Windows of free swing ticks."""
 
-    Attributes:
-        windows: (n, ...) the windows with what came next.
-        swing: (n,) number of the swing each lies in, for folds.
-    """
-
-    windows: Rows
-    swing: Ints
+    windows: Rows  # (n, ...) the windows with what came next
+    swing: Ints  # (n,) number of the swing each lies in, for folds
 
 
 def free_rows(stream: Stream, library: Library) -> FreeRows:

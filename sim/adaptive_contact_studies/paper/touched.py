@@ -64,23 +64,15 @@ _LONG_WINDOW_NS: Final = 500_000_000
 
 
 class Touched(NamedTuple):
-    """A stream with contacts, and what every detector says of it.
+    """A stream with contacts, and what every detector says of it."""
 
-    Attributes:
-        piece: what was simulated.
-        truth: as the score takes it.
-        swing: (n,) number of the swing.
-        descending: (n,) the command in force is past the lift.
-        scores: by compared detector, (n,) statistic over the threshold of the target rate.
-        events: by learner, at the product's target rate and at others.
-    """
-
-    piece: Piece
-    truth: LegStream
-    swing: NDArray[np.int64]
-    descending: Mask
+    piece: Piece  # what was simulated
+    truth: LegStream  # as the score takes it
+    swing: NDArray[np.int64]  # (n,) number of the swing
+    descending: Mask  # (n,) the command in force is past the lift
+    # by compared detector, (n,) statistic over the threshold of the target rate
     scores: dict[str, Array]
-    events: dict[str, Events]
+    events: dict[str, Events]  # by learner, at the product's target rate and at others
 
 
 def touched_streams(store: Store, root: Path, plan: Plan) -> list[Touched]:

@@ -48,34 +48,21 @@ _TRUTH: Final = TruthChanges._fields
 
 @dataclass(frozen=True, eq=False)
 class LegRecord:
-    """One leg's stream, row k being control tick k.
+    """One leg's stream, row k being control tick k."""
 
-    Attributes:
-        measured: (n, J) rad, read at the start of tick k.
-        desired: (n, J) rad, written right after.
-        valid: (n, J) readings known to be good.
-        swing: (n,) the phase of tick k.
-        truth: changes of its true contact.
-    """
-
-    measured: Array
-    desired: Array
-    valid: Flags
-    swing: Flags
-    truth: TruthChanges
+    measured: Array  # (n, J) rad, read at the start of tick k
+    desired: Array  # (n, J) rad, written right after
+    valid: Flags  # (n, J) readings known to be good
+    swing: Flags  # (n,) the phase of tick k
+    truth: TruthChanges  # changes of its true contact
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The kept legs of a run.
+    """The kept legs of a run."""
 
-    Attributes:
-        t_ns: (n,) time stamps of the ticks.
-        legs: by name.
-    """
-
-    t_ns: Times
-    legs: dict[str, LegRecord]
+    t_ns: Times  # (n,) time stamps of the ticks
+    legs: dict[str, LegRecord]  # by name
 
     def touching(self, leg: str) -> Flags:
         """(n,) whether the leg touched anything between the sample before and this one."""

@@ -46,68 +46,44 @@ _LEARNING: Final = ("model", "fit", "detect", "learn", "diagnose", "robot")
 
 
 class SwingLog(NamedTuple):
-    """How a learner was at the first sample after each swing, (s,) each.
+    """How a learner was at the first sample after each swing, (s,) each."""
 
-    Attributes:
-        t_ns: of that sample.
-        status: position in :data:`STATUSES`.
-        version: of the model.
-        level: drift level.
-        kind: of the change that is reported, position in ``KINDS``; -1 for none.
-        residual_rad: root mean square of recent free residuals, mean over joints.
-        swings, ticks: in the buffer.
-        promoted, refused, rolled_back: refits so far.
-    """
-
-    t_ns: Times
-    status: Times
-    version: Times
-    level: Array
-    kind: Times
-    residual_rad: Array
+    t_ns: Times  # of that sample
+    status: Times  # position in `STATUSES`
+    version: Times  # of the model
+    level: Array  # drift level
+    kind: Times  # of the change that is reported, position in `KINDS`; -1 for none
+    residual_rad: Array  # root mean square of recent free residuals, mean over joints
+    # swings, ticks: in the buffer
     swings: Times
     ticks: Times
+    # promoted, refused, rolled_back: refits so far
     promoted: Times
     refused: Times
     rolled_back: Times
 
 
 class Trace(NamedTuple):
-    """Everything a plot needs of one learner.
+    """Everything a plot needs of one learner."""
 
-    Attributes:
-        residual_rad: (n, J), NaN where nothing was predicted.
-        score: (n,) statistic over threshold, NaN where the tick was not judged.
-        threshold: (n,) of a tick's squared distance, in the baseline's noise, NaN likewise: with
-            level, tail and the model's own uncertainty in it.
-        coefficients: (s, p, J) after each swing, of the terms in ``names``.
-        names: (p,) terms.
-    """
-
-    residual_rad: Array
-    score: Array
+    residual_rad: Array  # (n, J), NaN where nothing was predicted
+    score: Array  # (n,) statistic over threshold, NaN where the tick was not judged
+    # (n,) of a tick's squared distance, in the baseline's noise, NaN likewise: with level, tail and
+    # the model's own uncertainty in it
     threshold: Array
-    coefficients: Array
-    names: NDArray[np.str_]
+    coefficients: Array  # (s, p, J) after each swing, of the terms in `names`
+    names: NDArray[np.str_]  # (p,) terms
 
 
 @dataclass(frozen=True, eq=False)
 class LegReplay:
-    """What one learner made of one leg.
+    """What one learner made of one leg."""
 
-    Attributes:
-        events: in order.
-        log: swing by swing.
-        confirmed: ticks it took for free.
-        touched_ns: those of them on which the leg touched something.
-        trace: of the first leg of the traced recording.
-    """
-
-    events: Events
-    log: SwingLog
-    confirmed: int
-    touched_ns: Times
-    trace: Trace | None = None
+    events: Events  # in order
+    log: SwingLog  # swing by swing
+    confirmed: int  # ticks it took for free
+    touched_ns: Times  # those of them on which the leg touched something
+    trace: Trace | None = None  # of the first leg of the traced recording
 
 
 Replayed = dict[str, dict[Variant, LegReplay]]

@@ -39,16 +39,11 @@ CAUGHT_UNTOLD: Final = 0.1
 
 @dataclass(frozen=True)
 class Goal:
-    """A figure, and what it should be at most.
+    """A figure, and what it should be at most."""
 
-    Attributes:
-        what: of the full learner, with its unit.
-        limit: that it should not exceed.
-        measured: None for one that is not finite: a leg that never recovered, for instance.
-    """
-
-    what: str
-    limit: float
+    what: str  # of the full learner, with its unit
+    limit: float  # that it should not exceed
+    # None for one that is not finite: a leg that never recovered, for instance
     measured: float | None
 
     @property

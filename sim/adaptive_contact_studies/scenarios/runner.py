@@ -31,18 +31,13 @@ RESULTS: Final = "results-{form}.json"
 
 
 class Folders(NamedTuple):
-    """Where things are kept.
+    """Where things are kept."""
 
-    Attributes:
-        recordings, replays: files named by hashes.
-        pages: pictures of one form.
-        results: its figures.
-    """
-
+    # recordings, replays: files named by hashes
     recordings: Path
     replays: Path
-    pages: Path
-    results: Path
+    pages: Path  # pictures of one form
+    results: Path  # its figures
 
     @classmethod
     def of(cls, out: Path, form: str = FULL) -> Folders:
