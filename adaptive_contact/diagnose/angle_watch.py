@@ -51,9 +51,6 @@ class ConventionJob:
 class MotionTrack:
     """Follows what the motion of one leg shows of its description.
 
-    Args:
-        place: its arrays.
-
     Attributes:
         finding: what is wrong with its description; None as long as nothing is known to be.
         settled: the motion has confirmed the description.

@@ -75,11 +75,6 @@ class Owner(NamedTuple):
 def judge_fit(robot: Robot, baseline: Baseline, rows: Mapping[str, LegRows]) -> dict[str, Owner]:
     """Compare every leg's residuals under its own and the others' baselines.
 
-    Args:
-        robot: its description.
-        baseline: what is known of its legs.
-        rows: by leg.
-
     Returns:
         By the name of the samples, the leg that they are of, where the models distinguish legs;
         the same name where the models show that it is right.
@@ -162,11 +157,6 @@ def judge_ids(
 ) -> dict[str, Owner]:
     """Find legs whose samples are another leg's.
 
-    Args:
-        robot: its description.
-        baseline: what is known of its legs, if anything is.
-        rows: by leg.
-
     Returns:
         By the name that samples come under: the leg that they are of.
     """
@@ -225,10 +215,6 @@ class IdJob:
 class IdTrack:
     """Follows whose samples come under one leg's name.
 
-    Args:
-        place: its arrays.
-        period_ns: control tick.
-
     Attributes:
         owner: the leg whose samples these are; None as long as they seem to be the leg's own.
     """
@@ -276,13 +262,7 @@ def judge_recorded_ids(
 
 
 class IdWatch:
-    """Judges, when it is time, whose samples come under each leg's name.
-
-    Args:
-        robot: its description.
-        baseline: what is known of its legs, if anything is.
-        refitter: makes the judgements.
-    """
+    """Judges, when it is time, whose samples come under each leg's name."""
 
     def __init__(self, robot: Robot, baseline: Baseline | None, refitter: Refitter) -> None:
         self._robot, self._baseline, self._refitter = robot, baseline, refitter

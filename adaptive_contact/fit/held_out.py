@@ -55,12 +55,7 @@ class Manner:
     inflation: float = 1.0  # factor on the leverage of a motion, beyond that of a position
 
     def fit(self, factor: Factor, threshold: float) -> Fit:
-        """Fit some rows.
-
-        Args:
-            factor: of the rows.
-            threshold: λ.
-        """
+        """Fit some rows."""
         prior = None if self.strength is None else self._prior(factor, self.strength)
         return fit_sparse(factor, FitSettings(threshold=threshold, unit=self.unit, prior=prior))
 
@@ -182,13 +177,6 @@ def swept(
     held: HeldOut, manner: Manner, lambdas: Sequence[float], still: Mask, rounding: float
 ) -> Sweep | None:
     """Choose λ by held-out error.
-
-    Args:
-        held: the rows.
-        manner: of the fits.
-        lambdas: to choose from.
-        still: (J,) joints that stand.
-        rounding: rad, deviation of a reading.
 
     Returns:
         What came of it; None where every λ empties a joint that moves.

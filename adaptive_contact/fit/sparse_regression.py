@@ -95,10 +95,6 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
     Columns are scaled to unit root mean square and rows to unit weight, so that neither λ nor
     the ridge term depends on units or on the number of rows.
 
-    Args:
-        factor: the data.
-        settings: λ and the like.
-
     Returns:
         The model with its status; never raises for bad data.
     """

@@ -132,9 +132,6 @@ def learn(
         threshold: λ, in units of the residual; chosen on held-out swings where absent.
         progress: called with each leg as it begins.
 
-    Returns:
-        The baseline with its figures.
-
     Raises:
         IdentificationError: no leg has enough to learn from.
     """

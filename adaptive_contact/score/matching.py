@@ -54,9 +54,6 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
     Args:
         stream: samples and truth.
         events: of one detector; repeats of a ``contact: true`` at one sample count once.
-
-    Returns:
-        Every touch, swing and false alarm.
     """
     t_ns = stream.t_ns
     swings = find_swings(t_ns, stream.swing)

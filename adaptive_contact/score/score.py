@@ -50,9 +50,6 @@ def score_messages(
         from_s: judge the swings that begin this long after the first sample, s, or later.
         to_s: and before this.
 
-    Returns:
-        The score.
-
     Raises:
         RecordingError: samples, truth or events are missing, or runs overlap in time.
         ConfigurationError: swings cannot be found (see :meth:`Gatherer.stream`).

@@ -270,10 +270,6 @@ def _counted(values: NDArray[np.int64] | NDArray[np.bool_]) -> NDArray[np.int64]
 def is_harmful(drifted: list[LegOutcome], twin: list[LegOutcome]) -> bool:
     """Return whether a drift counts as one to recover from.
 
-    Args:
-        drifted: the frozen detector on the recording with the drift, from the drift on.
-        twin: the same detector on the same recording without it, over the same time.
-
     Returns:
         Whether it lost 5 points of recall on the counted rows, or raised ten times the false
         alarms per judged tick; a twin without any is taken to have had one.

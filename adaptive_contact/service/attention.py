@@ -113,13 +113,7 @@ class Attention:
         self._grown_ns: dict[str, int] = {}
 
     def look(self, view: View, statuses: Mapping[str, LearnerStatus], now_ns: int) -> list[Finding]:
-        """What needs a person, the worst first.
-
-        Args:
-            view: what is known.
-            statuses: last one of each leg.
-            now_ns: monotonic.
-        """
+        """What needs a person, the worst first."""
         if not view.connected:
             remedy = (
                 "This page goes on by itself when `adaptive-contact serve`, or the router, is back."

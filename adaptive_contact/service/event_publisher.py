@@ -94,13 +94,7 @@ class EventPublisher:
             _log.warning("contact events lost", why="not sent by the end", times=left)
 
     def post(self, publisher: Publisher, message: Message, arrival_ns: int) -> None:
-        """Send a message; waits for nothing once the thread runs.
-
-        Args:
-            publisher: where to.
-            message: what.
-            arrival_ns: monotonic, of the sample that decided it.
-        """
+        """Send a message; waits for nothing once the thread runs."""
         letter = _Letter(publisher, message, arrival_ns)
         if self._thread is None:
             self._put(letter)

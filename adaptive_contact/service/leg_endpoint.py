@@ -103,11 +103,7 @@ _REPORTED_AFTER_NS: Final = 500_000_000
 
 
 class JointAvailability:
-    """Follows ``valid`` of one leg's samples.
-
-    Args:
-        joints: J, of every sample.
-    """
+    """Follows ``valid`` of one leg's samples."""
 
     def __init__(self, joints: int) -> None:
         self._mute_since_ns: list[int | None] = [None] * joints

@@ -118,9 +118,6 @@ def check_recording(
         robot: that they are taken for.
         samples: by leg, in the recording's order; a leg without any is not judged.
         refused: why payloads of a leg could not be read.
-
-    Returns:
-        One finding a cause, the worst first.
     """
     faults = [
         (leg, fault)

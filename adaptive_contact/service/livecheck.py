@@ -119,9 +119,6 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
 class LiveCheck:
     """Takes in what is on the wire, and judges it against a robot's description.
 
-    Args:
-        robot: its description.
-
     Attributes:
         moves: joints that were moved and came to rest, one line each.
     """

@@ -33,9 +33,6 @@ _REMEMBERED: Final = 8
 class PeerServices:
     """Listens for other services.
 
-    Args:
-        link: open.
-
     Attributes:
         instance: our own mark, for our own status.
     """
@@ -82,9 +79,6 @@ class UnreadKeys:
     """Looks for misspelt keys while a described leg has no samples, and only then.
 
     A leg that has samples needs no help, and a second subscription to all of them would cost.
-
-    Args:
-        link: open.
     """
 
     def __init__(self, link: Link) -> None:
@@ -94,12 +88,7 @@ class UnreadKeys:
         self._throttle = LogThrottle()
 
     def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
-        """Return each key without a reader, with what was probably meant.
-
-        Args:
-            lonely: a described leg has had no samples yet.
-            now_ns: monotonic.
-        """
+        """Return each key without a reader, with what was probably meant."""
         if lonely and not self._listening:
             self._listening = [self._link.subscribe(key, self._receive) for key in _LIKE_SERVO]
         elif not lonely and self._listening:
@@ -126,10 +115,6 @@ class UnreadKeys:
 
 class NetworkHealth:
     """Watches them, and logs what changes.
-
-    Args:
-        link: open.
-        now_ns: monotonic.
 
     Attributes:
         note: one line on what is wrong, None when all is well.

@@ -35,9 +35,6 @@ _SPOILS: Final = frozenset({Cause.UNITS, Cause.TIME_UNIT, Cause.TIME_TYPE, Cause
 class OneRobot:
     """Goes through records once and gives them with the keys of the contract.
 
-    Args:
-        records: of a recording.
-
     Attributes:
         namespace: that of the first leg's key; messages under others are left out and counted.
     """

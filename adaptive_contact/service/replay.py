@@ -132,13 +132,7 @@ def control_ticks(
 def replay_events(
     records: Iterable[Record], bank: LearnerBank | TraceBank, counts: Counts
 ) -> Iterator[ContactEvent]:
-    """Events that the learners decide on a recording, in order.
-
-    Args:
-        records: of the recording.
-        bank: the learners; they are advanced.
-        counts: filled on the way.
-    """
+    """Events that the learners decide on a recording, in order."""
     for tick in control_ticks(
         records, lambda leg, joints: bank.learner(leg, joints) is not None, counts
     ):
@@ -281,11 +275,7 @@ class LegTrace:
 
 
 class TraceBank:
-    """Learners whose test ratio is kept for each tick; a drop-in for the bank of a replay.
-
-    Args:
-        bank: the learners; they are advanced.
-    """
+    """Learners whose test ratio is kept for each tick; a drop-in for the bank of a replay."""
 
     def __init__(self, bank: LearnerBank) -> None:
         self._bank = bank
@@ -321,11 +311,7 @@ class TraceBank:
         return -1 if learner is None else int(learner.place.leg["t_ns"])
 
     def traces(self, recorded: TracedRecords) -> list[LegTrace]:
-        """Put together what was decided with what the recording says.
-
-        Args:
-            recorded: the same replay's records, gone through.
-        """
+        """Put together what was decided with what the recording says."""
         gathered = recorded.gathered
         gathered.replace_events(self._events)
         legs = [leg for leg in gathered.legs if leg in self._t_ns]
@@ -373,12 +359,7 @@ class TraceBank:
 
 
 class TracedRecords:
-    """Passes records on, and keeps of them what the score needs.
-
-    Args:
-        records: with the keys of the contract.
-        robot: whose geometry shows swings.
-    """
+    """Passes records on, and keeps of them what the score needs."""
 
     def __init__(self, records: Iterable[Record], robot: Robot) -> None:
         self.gathered = Gatherer(robot)

@@ -80,11 +80,7 @@ class _Leg:
 
 
 class Tracer:
-    """Keeps ticks while they are asked for; all calls from the worker.
-
-    Args:
-        robot: description of the legs.
-    """
+    """Keeps ticks while they are asked for; all calls from the worker."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -168,11 +164,7 @@ def judged_tick(learner: ContactLearner) -> Judged | None:
 
 
 class TraceReader:
-    """Asks a service for the ticks since the question before.
-
-    Args:
-        link: to the service's router.
-    """
+    """Asks a service for the ticks since the question before."""
 
     def __init__(self, link: Link) -> None:
         self._link = link

@@ -331,9 +331,6 @@ def keys_of(text: str) -> frozenset[str]:
 
     Zenoh has checked the file before: what cannot be read has no keys and is not reported.
 
-    Args:
-        text: whose outermost value is an object.
-
     Returns:
         Paths as ``scouting/multicast/enabled``, those of objects included; empty for what is no
         JSON5 object.

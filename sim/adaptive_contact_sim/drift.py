@@ -125,13 +125,7 @@ class _Course:
 
 
 class DriftSchedule:
-    """All drifts of a run: those to come, those under way, what holds.
-
-    Args:
-        injections: known from the start.
-        dropout: probability of dropped readings that the run has anyway.
-        layout: of the robot.
-    """
+    """All drifts of a run: those to come, those under way, what holds."""
 
     def __init__(
         self,

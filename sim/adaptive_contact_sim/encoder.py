@@ -60,12 +60,6 @@ class Encoder:
 
     Every tick draws the same amount of randomness, so that a fault's probability changes
     nothing but the faults.
-
-    Args:
-        settings: noise and faults.
-        rng: source of both.
-        servos: how many.
-        quantum_rad: their step.
     """
 
     def __init__(

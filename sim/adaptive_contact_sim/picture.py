@@ -60,11 +60,7 @@ class Moment(NamedTuple):
 
 
 class Stage:
-    """The scene of a simulation, on which moments are set up.
-
-    Args:
-        sim: whose scene.
-    """
+    """The scene of a simulation, on which moments are set up."""
 
     def __init__(self, sim: Simulation) -> None:
         self.model = sim.scene(looks=True)  # the simulation's own may be without
@@ -119,12 +115,7 @@ _OVERSAMPLE: Final = 2
 
 
 class StickPainter:
-    """Draws the robot as limbs.
-
-    Args:
-        stage: whose robot to draw.
-        width, height: of the picture.
-    """
+    """Draws the robot as limbs."""
 
     def __init__(self, stage: Stage, width: int, height: int) -> None:
         self._size = (width, height)
@@ -281,10 +272,6 @@ class EnginePainter:
     EGL is asked for by itself, not through ``MUJOCO_GL``, which is read once when mujoco is
     imported and would have to be set before.
 
-    Args:
-        stage: the scene to paint.
-        width, height: of the picture.
-
     Raises:
         ConfigurationError: EGL is missing or does not work.
     """
@@ -358,10 +345,6 @@ _LONGEST_S: Final = 300.0
 
 class Film:
     """A picture or film of a run; a context manager.
-
-    Args:
-        path: where to; its ending says what.
-        sim: what to film.
 
     Raises:
         ConfigurationError: the ending is none of those known, or the folder does not exist.

@@ -171,15 +171,7 @@ class _Plan:
 
 
 class PoseMotion:
-    """Goals of the pose set-up.
-
-    Args:
-        settings: what to do.
-        geometry: the legs.
-        course: obstacles.
-        rng: of the points.
-        legs: all of the robot's.
-    """
+    """Goals of the pose set-up."""
 
     def __init__(
         self,

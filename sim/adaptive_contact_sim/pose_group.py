@@ -54,11 +54,7 @@ class PoseGroupSettings:
 
 
 class PoseGroup:
-    """Goals of several legs in pose; the others stand.
-
-    Args:
-        members: one per leg that moves.
-    """
+    """Goals of several legs in pose; the others stand."""
 
     def __init__(self, members: Sequence[PoseMotion]) -> None:
         self.members = tuple(members)

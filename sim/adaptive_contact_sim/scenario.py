@@ -44,10 +44,6 @@ _KEYS: Final = {
 def parse_drift(text: str, layout: Layout = HEXAPOD) -> Injection:
     """Read one drift from its short form.
 
-    Args:
-        text: ``KIND:KEY=VALUE,...@TIME``.
-        layout: of the robot.
-
     Returns:
         The drift and when it begins.
 

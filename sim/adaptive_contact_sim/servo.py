@@ -333,11 +333,7 @@ class ServoBank:
         np.add(work, self._sliding, self._friction)
 
     def sag(self, resistance_ohm: float) -> None:
-        """Let the supply sag with the current drawn now; called once a control tick.
-
-        Args:
-            resistance_ohm: of battery and wiring.
-        """
+        """Let the supply sag with the current drawn now; called once a control tick."""
         if resistance_ohm == 0.0:
             return
         p = self.parameters

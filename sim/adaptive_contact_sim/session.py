@@ -88,12 +88,6 @@ def run(
 ) -> Report:
     """Run a plan to its end.
 
-    Args:
-        plan: what, and where to.
-        stop: ends the run when set.
-        on_wait: called with what stands in the way of the network.
-        on_start: called with one line when the run begins.
-
     Raises:
         AdaptiveContactError: in one line, what is wrong.
     """

@@ -123,11 +123,6 @@ class Tick(NamedTuple):
 class Simulation:
     """A running simulation.
 
-    Args:
-        settings: what to simulate.
-        parameters: the robot's servos; drawn from ``robot_seed`` where left out.
-        looks: the engine's own viewer will look on; pictures are made of a :meth:`scene` apart.
-
     Raises:
         ConfigurationError: the settings do not fit together.
     """
@@ -221,11 +216,7 @@ class Simulation:
         return self.ticks * self.settings.period_s
 
     def scene(self, *, looks: bool) -> mujoco.MjModel:
-        """Compile the robot, its ground and its obstacles, as they are before the run.
-
-        Args:
-            looks: with what is only there to be seen.
-        """
+        """Compile the robot, its ground and its obstacles, as they are before the run."""
         owners = _obstacle_owners(self.settings.motion)
         return build(
             self.terrain,

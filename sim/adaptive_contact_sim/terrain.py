@@ -69,11 +69,7 @@ class TerrainSettings:
 
 
 class Terrain:
-    """Heights of one ground, and its geoms.
-
-    Args:
-        settings: what to draw.
-    """
+    """Heights of one ground, and its geoms."""
 
     def __init__(self, settings: TerrainSettings) -> None:
         self.settings = settings

@@ -62,13 +62,7 @@ class Change(NamedTuple):
 
 
 class TruthTracker:
-    """Follows the legs' forces, a control tick at a time.
-
-    Args:
-        step_s: physics step.
-        substeps: physics steps per tick.
-        legs: how many.
-    """
+    """Follows the legs' forces, a control tick at a time."""
 
     def __init__(self, step_s: float, substeps: int, legs: int = len(LEGS)) -> None:
         self._mean_steps = round(_MEAN_S / step_s)

@@ -138,15 +138,7 @@ class _Ground(NamedTuple):
 
 
 class WalkMotion:
-    """Goals of a walk.
-
-    Args:
-        settings: how to walk.
-        geometry: the legs.
-        rng: of the variability and the way.
-        field_m: edge of the square to stay on.
-        period_s: control tick.
-    """
+    """Goals of a walk."""
 
     def __init__(
         self,

@@ -62,13 +62,7 @@ def samples_of(run: Run | Recording, leg: str) -> list[ServoSample]:
 
 
 def play(run: Run, robot: Robot, baseline: Baseline | None) -> Played:
-    """Feed a run to new learners, one for each leg that ever swings.
-
-    Args:
-        run: recorded.
-        robot: its description.
-        baseline: what the learners start from.
-    """
+    """Feed a run to new learners, one for each leg that ever swings."""
     legs = [leg for leg, arrays in run.legs.items() if arrays.swing.any()]
     learners = {leg: ContactLearner(robot, leg, baseline) for leg in legs}
     events = feed(list(learners.values()), [samples_of(run, leg) for leg in legs])

@@ -98,13 +98,7 @@ class _NoRefits:
 
 
 def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
-    """Measure :class:`~adaptive_contact.bank.LegGroup` over a run of all legs.
-
-    Args:
-        run: of the robot.
-        robot: its description.
-        baseline: its models.
-    """
+    """Measure :class:`~adaptive_contact.bank.LegGroup` over a run of all legs."""
     legs = list(run.legs)
     rounds = list(zip(*(samples_of(run, leg) for leg in legs), strict=True))
     compile_ahead()
@@ -258,10 +252,6 @@ def real_time_factor(*, seconds: float, engine_seconds: float = 2.0) -> Speed:
     """Measure the simulator on this machine, by the CPU time of this process.
 
     What runs is the tripod gait on the rough field.
-
-    Args:
-        seconds: simulated time measured.
-        engine_seconds: simulated time the bare engine is measured for.
     """
     import mujoco
 
@@ -283,10 +273,6 @@ def real_time_factor(*, seconds: float, engine_seconds: float = 2.0) -> Speed:
 
 def export_speed(settings: SimulationSettings, seconds: float = 60.0) -> dict[str, float]:
     """Measure how fast a recording is exported, reading and writing included, imports apart.
-
-    Args:
-        settings: what is recorded.
-        seconds: simulated time.
 
     Returns:
         Recorded seconds per second, by format; without those whose library is not installed.

@@ -162,13 +162,6 @@ def conduct(
 ) -> Take:
     """Run service and simulator, inject the drift half way, record everything.
 
-    Args:
-        settings: of the run; its folder must exist.
-        robot: that walks.
-        show: where it is seen.
-        stop: ends the run early when set.
-        page: that shows it in a browser, too.
-
     Raises:
         StoppedError: ``stop`` was set.
         AdaptiveContactError: a process failed; in one line, with its last words.

@@ -96,12 +96,6 @@ class Verdict:
 def judge(path: Path, robot: Robot, drift_ns: int, drift_leg: str) -> Verdict:
     """Judge a recording of the demo.
 
-    Args:
-        path: of the recording.
-        robot: that walked.
-        drift_ns: moment of the drift, by the samples' clock.
-        drift_leg: which leg drifted.
-
     Raises:
         RecordingError: the recording cannot be read, or holds two runs.
     """

@@ -171,10 +171,6 @@ class Recording:
 def read_recording(path: str | Path, robot: Robot | None = None) -> Recording:
     """Open a recording for reading.
 
-    Args:
-        path: an MCAP file, or a bag of ROS 2: a folder, an MCAP or a db3 file.
-        robot: whose ``[ros2]`` says what a bag holds.
-
     Returns:
         An iterable of :class:`Record`, with ``truncated`` and ``damage`` after a pass over it.
 

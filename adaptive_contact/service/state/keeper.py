@@ -135,12 +135,6 @@ class StateKeeper:
     ) -> Position | None:
         """Let a new learner go on from where it was, if there is a sound state of it.
 
-        Args:
-            leg: its id.
-            learner: just made.
-            library: name of its candidate library.
-            now_ns: monotonic.
-
         Returns:
             Where its source was; None without a state.
         """

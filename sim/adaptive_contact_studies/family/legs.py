@@ -87,12 +87,7 @@ class DrawnLeg:
 
 
 def draw_leg(seed: int, *, second: bool = False) -> DrawnLeg:
-    """Draw a leg.
-
-    Args:
-        seed: which.
-        second: of the second generator.
-    """
+    """Draw a leg."""
     rng = np.random.default_rng([seed, 0x1E6, int(second)])
 
     def log_uniform(low: float, high: float) -> float:

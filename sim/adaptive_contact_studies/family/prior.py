@@ -70,13 +70,7 @@ def learn_family(
     processes: int = 2,
     progress: Callable[[str], None] = lambda _: None,
 ) -> FamilyFile:
-    """Record the legs and learn the family.
-
-    Args:
-        seeds: of legs of the first generator.
-        processes: to record in; the result does not depend on it.
-        progress: called with what is being done.
-    """
+    """Record the legs and learn the family."""
     found: dict[int, list[JointRows]] = {}
     with worker_pool(processes) as pool:
         waiting = {pool.submit(_joints_of, seed): seed for seed in seeds}

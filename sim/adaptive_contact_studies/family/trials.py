@@ -95,13 +95,6 @@ def trials(
 ) -> list[LegTrial]:
     """Try every kind.
 
-    Args:
-        folder: holds what each run gave; a run that is there is not made again.
-        kinds: of :data:`KINDS`.
-        runs: of each; as many as :data:`KINDS` says where None.
-        processes: to work in; the result does not depend on it.
-        progress: called with what is done.
-
     Raises:
         ConfigurationError: the folder cannot be written to.
     """

@@ -89,13 +89,6 @@ def ten_collisions(
 ) -> dict[str, Any]:
     """Record collisions within the paper's subspaces, and detect them.
 
-    Args:
-        robot: whose leg it is.
-        train: the paper's training segments of the same leg.
-        test: its test segments.
-        count: how many.
-        progress: called with the share of the whole that each step adds.
-
     Returns:
         A table of collisions, the traces of one of them, and how each detector's fit ended: one
         that has nothing to go by finds nothing, and says why.

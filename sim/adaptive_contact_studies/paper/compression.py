@@ -181,13 +181,7 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
 def compare_all(
     robot: Robot, stream: Stream, progress: Callable[[float], None] = lambda _: None
 ) -> list[Comparison]:
-    """Both libraries, at a λ that keeps nearly every term and at one that leaves the sparse model.
-
-    Args:
-        robot: whose leg it is.
-        stream: the paper's training segments.
-        progress: called with the share of the whole that each comparison adds.
-    """
+    """Both libraries, at a λ that keeps nearly every term and at one that leaves the sparse model."""
     leg = robot.leg(stream.leg)
     found = []
     for name, window, threshold in _COMPARED:
@@ -199,14 +193,7 @@ def compare_all(
 def compare_full(
     root: Path, robot: Robot, workers: int, progress: Callable[[float], None] = lambda _: None
 ) -> list[Comparison]:
-    """The same on the full plan's 5,000 training segments, simulated unless they are there.
-
-    Args:
-        root: folder of what later calls reuse.
-        robot: whose leg it is.
-        workers: processes that simulate.
-        progress: called with the share of the segments that each process adds.
-    """
+    """The same on the full plan's 5,000 training segments, simulated unless they are there."""
     store = Store(root)
     pieces = FULL.paper_pieces("train")
     seconds = sum(piece.seconds for piece in pieces)

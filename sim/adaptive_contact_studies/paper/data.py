@@ -95,12 +95,6 @@ def record_all(
 ) -> None:
     """Simulate the pieces that are not there yet.
 
-    Args:
-        store: where they go.
-        pieces: which.
-        workers: processes.
-        progress: called with the seconds of every piece as it is done.
-
     Raises:
         SimulationDivergedError: the physics of one blew up.
     """
@@ -162,9 +156,6 @@ def join(streams: Sequence[Stream]) -> Stream:
 
     Every part begins with the leg standing, so that no window of swing ticks reaches back over a
     seam.
-
-    Args:
-        streams: at least one.
     """
     first = streams[0]
     starts = np.cumsum([0, *(len(s.swing) for s in streams[:-1])]).tolist()

@@ -58,16 +58,7 @@ FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
 def detection(
     root: Path, plan: Plan, progress: Callable[[float], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Gather the evaluated streams into figures.
-
-    Args:
-        root: the store's folder; streams not evaluated yet are evaluated now.
-        plan: what was simulated.
-        progress: called with every detector that is scored.
-
-    Returns:
-        A tree of figures.
-    """
+    """Gather the evaluated streams into figures."""
     store = Store(root)
     known = learned(store, plan)
     quiet = {role: _quiet(root, plan, role) for role in ("free", "stand")}

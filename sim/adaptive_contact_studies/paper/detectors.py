@@ -77,14 +77,7 @@ class Evidence:
 def evidence_of(
     robot: Robot, streams: Sequence[Stream], models: Mapping[str, LegModels], gains: Gains
 ) -> list[Evidence]:
-    """Predict whole streams with every model.
-
-    Args:
-        robot: whose legs they are.
-        streams: any.
-        models: by leg-run's name.
-        gains: of the analytical observer.
-    """
+    """Predict whole streams with every model."""
     observed = predict(NominalLeg.of(), [(s.measured, s.desired) for s in streams], gains)
     found = []
     for stream, rollout in zip(streams, observed, strict=True):

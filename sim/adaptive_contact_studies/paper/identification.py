@@ -94,12 +94,6 @@ def identification(
 ) -> dict[str, Any]:
     """All of section 4.2 on one training and one test stream.
 
-    Args:
-        robot: whose leg it is.
-        train: the paper's training segments.
-        test: its test segments.
-        progress: called with the share of the whole that each step adds.
-
     Returns:
         A tree of figures, see the keys.
     """

@@ -63,10 +63,6 @@ _QUANTUM_RAD: Final = 0.001534  # 4096 steps a turn, both servos
 def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
     """Fit and test on all recordings of a path.
 
-    Args:
-        path: a file, or a folder.
-        progress: called with the share of the whole that each step adds.
-
     Returns:
         A tree of figures, with what was skipped and why.
 

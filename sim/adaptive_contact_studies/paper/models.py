@@ -58,11 +58,7 @@ def models_key(plan: Plan) -> list[Any]:
 
 
 def learn_robot(item: tuple[Path, Plan, int]) -> int:
-    """Learn the legs of one robot, unless it was done: a work item for a process.
-
-    Args:
-        item: the store's folder, the plan, and the seed of the robot.
-    """
+    """Learn the legs of one robot, unless it was done: a work item for a process."""
     root, plan, robot_seed = item
     _robot_tree(Store(root), plan, robot_seed)
     return robot_seed

@@ -82,11 +82,7 @@ class PatientGeometry(LegGeometry):
 
 
 def simulation_of(settings: SimulationSettings) -> Simulation:
-    """A simulation whose leg never waits for a way out of a pocket.
-
-    Args:
-        settings: with a pose motion.
-    """
+    """A simulation whose leg never waits for a way out of a pocket."""
     motion = settings.motion
     assert isinstance(motion, PoseSettings)
     # Its own motion is made, and thrown away: over the paper's subspaces that always succeeds.
@@ -100,11 +96,6 @@ def simulation_of(settings: SimulationSettings) -> Simulation:
 def record_leg(settings: SimulationSettings, leg: str, seconds: float) -> LegArrays:
     """Simulate, and keep one leg.
 
-    Args:
-        settings: with a pose motion.
-        leg: which.
-        seconds: simulated time.
-
     Raises:
         SimulationDivergedError: the physics blew up.
     """
@@ -117,10 +108,6 @@ _SETTLE_TICKS: Final = 50
 
 def record_gantry(settings: GantrySettings, seconds: float) -> dict[str, LegArrays]:
     """Simulate all six legs in free air.
-
-    Args:
-        settings: robot, motion, seed.
-        seconds: simulated time.
 
     Returns:
         Every leg's stream; no leg ever touches anything.

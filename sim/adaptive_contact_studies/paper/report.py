@@ -19,10 +19,6 @@ _ADVICE: Final = "give another folder with --out"
 def write_report(results: Mapping[str, Any], out: Path) -> None:
     """Write results, figures and page.
 
-    Args:
-        results: the tree of a run.
-        out: folder.
-
     Raises:
         ConfigurationError: it cannot be written there.
     """
@@ -33,13 +29,7 @@ def write_report(results: Mapping[str, Any], out: Path) -> None:
 
 
 def write_document(results: Mapping[str, Any], document: Path, pictures: Path) -> None:
-    """Write the run as a Markdown document with its pictures.
-
-    Args:
-        results: the tree of a run.
-        document: the file, such as ``docs/paper.md``.
-        pictures: folder of the pictures, beside or below the document's.
-    """
+    """Write the run as a Markdown document with its pictures."""
     files = draw_all(results, pictures)
     beside = {name: file.relative_to(document.parent) for name, file in files.items()}
     write_page(document, _text(results, beside) + "\n", "give another file with --docs")

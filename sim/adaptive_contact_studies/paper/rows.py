@@ -42,12 +42,7 @@ class FreeRows(NamedTuple):
 
 
 def free_rows(stream: Stream, library: Library) -> FreeRows:
-    """Windows whose tick and successor are free swing ticks, of finite values throughout.
-
-    Args:
-        stream: one leg's.
-        library: whose window is cut.
-    """
+    """Windows whose tick and successor are free swing ticks, of finite values throughout."""
     cut = stack(stream.measured, stream.desired, library.window)
     use = stream.swing & stream.stretch.free
     usable = use[cut.tick] & use[cut.tick + 1]

@@ -28,13 +28,7 @@ _HELD_OUT: Final = ("unseen motions", "unseen moments")
 
 
 def part(name: str, data: Any, pictures: Mapping[str, Path] = {}) -> str:
-    """Markdown of one stage.
-
-    Args:
-        name: of its template.
-        data: what it found.
-        pictures: files by name; those that are absent are not shown.
-    """
+    """Markdown of one stage."""
     given = {"data": data, "pictures": pictures, "BOTH": BOTH, "SLOW_FAST": SLOW_FAST}
     return unwrapped(render(f"paper/{name}.md", _FILTERS, **given))
 

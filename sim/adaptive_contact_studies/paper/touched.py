@@ -99,13 +99,7 @@ def touched_streams(store: Store, root: Path, plan: Plan) -> list[Touched]:
 
 
 def outcome_of(touched: Touched, name: str, factor: float = 1.0) -> LegOutcome:
-    """A detector's events against the truth.
-
-    Args:
-        touched: the stream.
-        name: of the detector.
-        factor: on the threshold of a compared one.
-    """
+    """A detector's events against the truth."""
     events = touched.events.get(name)
     if events is None:
         truth, score = touched.truth, touched.scores[name]
@@ -119,12 +113,7 @@ def headline_streams(touched: Sequence[Touched]) -> list[Touched]:
 
 
 def rows_of(touched: Sequence[Touched], outcomes: Sequence[LegOutcome]) -> dict[str, Any]:
-    """Figures of every row, the headline first; the score's own headline row is divided.
-
-    Args:
-        touched: streams.
-        outcomes: of one detector on each.
-    """
+    """Figures of every row, the headline first; the score's own headline row is divided."""
     slow = [t.piece.kind in SLOW_KINDS for t in touched]
     whole = summarise(outcomes).rows
     headline, fast = (

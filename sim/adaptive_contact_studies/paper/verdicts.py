@@ -48,11 +48,7 @@ class Loss(NamedTuple):
 
 
 def losses(data: Mapping[str, Any]) -> list[Loss]:
-    """All that another detector does better, in the order of the report.
-
-    Args:
-        data: the detection study's tree.
-    """
+    """All that another detector does better, in the order of the report."""
     figures = data["figures"]
     ours = figures[DEFAULT]
     found = [

@@ -176,9 +176,6 @@ def workspace_pieces(plan: Plan, leg_run: LegRun) -> dict[Role, list[Piece]]:
 def study_leg_run(item: tuple[Path, Plan, LegRun]) -> tuple[str, Any]:
     """Compare the models of one leg-run, unless it was done: a work item for a process.
 
-    Args:
-        item: the store's folder, the plan, and whose leg.
-
     Returns:
         The leg-run's name and its tree of figures.
     """
@@ -205,9 +202,6 @@ def study_leg_run(item: tuple[Path, Plan, LegRun]) -> tuple[str, Any]:
 
 def workspace(studies: Mapping[str, Any]) -> dict[str, Any]:
     """Put the leg-runs' figures together.
-
-    Args:
-        studies: by leg-run's name, as :func:`study_leg_run` gives them.
 
     Returns:
         A tree of figures, and the maps of the leg-run that has a before.
@@ -245,17 +239,7 @@ def workspace(studies: Mapping[str, Any]) -> dict[str, Any]:
 def compare_regions(
     robot: Robot, train: Sequence[Stream], test: Sequence[Stream], paper: Stream | None
 ) -> dict[str, Any]:
-    """Compare one model with several on one leg-run, for both libraries.
-
-    Args:
-        robot: whose leg it is.
-        train: free streams of a leg over the whole workspace.
-        test: others, of other seeds.
-        paper: the paper's training segments of this leg, where there are any.
-
-    Returns:
-        A tree of figures, by library.
-    """
+    """Compare one model with several on one leg-run, for both libraries."""
     return {n: _compare(robot, n, w, train, test, paper) for n, w in _LIBRARIES}
 
 

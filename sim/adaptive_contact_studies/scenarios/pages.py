@@ -82,11 +82,6 @@ _GAP_S: Final = 3.0
 def draw_page(judgement: Judgement, folders: Folders, path: Path) -> bool:
     """Draw a scenario's page.
 
-    Args:
-        judgement: its leg-runs, judged.
-        folders: where its first recording and replay are.
-        path: of the picture.
-
     Returns:
         Whether there was anything to draw.
 
@@ -373,10 +368,6 @@ _LEARNERS: Final = {
 @styled(STYLE, "a page of plots")
 def draw_summary(results: Tree, path: Path) -> None:
     """Draw the summary page.
-
-    Args:
-        results: all figures.
-        path: of the picture.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

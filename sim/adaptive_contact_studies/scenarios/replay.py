@@ -166,10 +166,6 @@ class _Watch:
 def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
     """Feed a recording to new learners, all legs and variants of a tick at once.
 
-    Args:
-        spec: which learners.
-        recording: that of the spec.
-
     Returns:
         By leg and variant, what came of it.
     """

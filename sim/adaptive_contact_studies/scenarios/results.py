@@ -53,12 +53,7 @@ class Goal:
 
 
 def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
-    """The goals of a scenario, from its figures.
-
-    Args:
-        scenario: which.
-        tree: of :func:`~adaptive_contact_studies.scenarios.judge.figures`.
-    """
+    """The goals of a scenario, from its figures."""
     full = tree["variants"][Variant.FULL.value]
     made = {
         Expect.RECOVER: _recover,
@@ -78,9 +73,6 @@ def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
 
 def pooled(table: Mapping[str, Tree]) -> Tree:
     """Figures and goals over several scenarios together, by the name of what is pooled.
-
-    Args:
-        table: of figures, by name of the scenario.
 
     Returns:
         ``steady``: the false alarms of the full learner over all that is quiet of the hexapod;
@@ -184,12 +176,7 @@ class Belongs(NamedTuple):
 
 
 def belongs(sizes: Sizes, size: str) -> Belongs:
-    """What figures made now belong to.
-
-    Args:
-        sizes: they are made with.
-        size: what those are called: ``full``, ``brief`` or ``quick``.
-    """
+    """What figures made now belong to."""
     return Belongs(
         VERSION,
         size,
@@ -224,14 +211,7 @@ def best_form(out: Path) -> str:
 def results(
     judgements: Sequence[Judgement], sizes: Sizes, *, size: str, problems: Sequence[str] = ()
 ) -> Tree:
-    """The tree of some scenarios' figures.
-
-    Args:
-        judgements: of the scenarios.
-        sizes: they were made with.
-        size: what those are called: ``full``, ``brief`` or ``quick``.
-        problems: runs that have no recording, one line each.
-    """
+    """The tree of some scenarios' figures."""
     table = {}
     for judgement in judgements:
         tree = figures(judgement)

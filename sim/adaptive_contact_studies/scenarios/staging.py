@@ -78,11 +78,6 @@ def _level_motion(sim: Simulation, level_m: float) -> Motion:
 class Stagehand:
     """Does what a staging asks, tick by tick.
 
-    Args:
-        sim: the simulation.
-        staging: what to do.
-        leg: the leg that moves, whose foot may be caught.
-
     Attributes:
         caught_ns: when something got hold of the foot and let go of it, None where nothing did.
     """
