@@ -181,7 +181,7 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
 def compare_all(
     robot: Robot, stream: Stream, progress: Callable[[float], None] = lambda _: None
 ) -> list[Comparison]:
-    """Both libraries, at a λ that keeps nearly every term and at one that leaves the sparse model."""
+    """Both libraries, at a λ that keeps nearly every term and one that leaves the sparse model."""
     leg = robot.leg(stream.leg)
     found = []
     for name, window, threshold in _COMPARED:
