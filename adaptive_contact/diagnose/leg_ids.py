@@ -21,8 +21,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.diagnose.kept_samples import KeptSamples
 from adaptive_contact.diagnose.standing_feet import LegRows, standing_feet
@@ -44,9 +44,6 @@ __all__ = [
     "judge_ids",
     "judge_recorded_ids",
 ]
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Words of every note of this kind.
 SWAPPED: Final = "the samples are those of leg"

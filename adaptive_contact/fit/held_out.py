@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit.prior import STRENGTHS, fit_prior, posterior_domain
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, Prior, fit_sparse
 from adaptive_contact.model.factor import Factor
@@ -23,10 +23,6 @@ from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import Domain
 
 __all__ = ["HeldOut", "Manner", "Sweep", "strength_of", "swept"]
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # The sparsest model whose held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005

@@ -11,15 +11,13 @@ import dataclasses
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.fit.sparse_regression import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.training_domain import Domain
 
 __all__ = ["InlineRefitter", "Job", "RefitJob", "RefitResult", "Refitter", "refit"]
-
-Array = NDArray[np.float64]
 
 # λ, in units of the noise; the grid of a baseline's fit without its extremes.
 SWEEP = (0.05, 0.15, 0.3)

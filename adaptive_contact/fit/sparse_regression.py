@@ -13,16 +13,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.model.factor import Factor
 
 if TYPE_CHECKING:
     from pysindy.optimizers import STLSQ
 
 __all__ = ["Fit", "FitSettings", "FitStatus", "Prior", "fit_sparse"]
-
-Array = NDArray[np.float64]
 
 # Singular values below this share of the largest count as zero in the unbiased refit; the value of
 # scikit-learn's LinearRegression, which PySINDy's own refit uses.
@@ -48,7 +46,7 @@ class Prior:
     # (J, q, p) rows that stand for it among those of the data: their outer products sum to the
     # precision, in units of a row's
     rows: Array
-    used: NDArray[np.bool_]  # (p, J) terms that a joint may have
+    used: Mask  # (p, J) terms that a joint may have
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,12 +70,12 @@ class Fit:
 
     status: FitStatus  # how it ended
     coefficients: Array  # (p, J), raw units
-    support: NDArray[np.bool_]  # (p, J) bool
+    support: Mask  # (p, J) bool
     rms: Array  # (J,) on the rows it was fitted to
     rows: float  # raw rows behind it
     condition: float  # of the scaled regressors
 
-    def usable(self, still: NDArray[np.bool_]) -> bool:
+    def usable(self, still: Mask) -> bool:
         """Return whether it predicts every joint that moves.
 
         Args:

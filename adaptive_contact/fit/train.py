@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.outliers import inliers, untouched
@@ -29,10 +29,6 @@ from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, directions
 
 __all__ = ["LegFigures", "Stretch", "Training", "cautious", "learn", "learn_leg", "swing_ticks"]
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 FOLDS: Final = 5
 # Swings of one fold in a row, so that neighbours, which share posture and drift, stay together.

@@ -14,8 +14,8 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.conventions.judge import judge_motion
 from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import on_body
@@ -25,8 +25,6 @@ from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
-
-Array = NDArray[np.float64]
 
 # Samples kept of a leg: two minutes at 50 Hz.
 _KEPT: Final = 6000

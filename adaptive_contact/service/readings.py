@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.detect.source_watch import EchoWatch
 from adaptive_contact.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
@@ -22,8 +22,7 @@ from adaptive_contact.service.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.wire import ServoSample
 from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
 
-Array = NDArray[np.float64]
-Ticks = NDArray[np.int64]  # seq
+Ticks = Ints  # seq
 
 _FEWEST: Final = 10
 # A joint counts as commanded to move when its command travels this far, rad (3 degrees, 10 steps of
@@ -300,7 +299,7 @@ def _held_share(measured: Array, desired: Array, seq: Ticks, step_rad: float) ->
     return float(np.mean(measured[k] == measured[k - 1]))
 
 
-def _without_turns(angles: Array) -> tuple[Array, NDArray[np.int64]]:
+def _without_turns(angles: Array) -> tuple[Array, Ints]:
     """Angles with jumps of a full turn taken out, and how many there were of each joint."""
     steps = np.diff(angles, axis=0)
     turns = np.where(

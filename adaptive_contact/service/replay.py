@@ -25,8 +25,8 @@ from typing import Final
 import msgpack
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot
@@ -245,7 +245,6 @@ class WirePlayer:
             return payload
 
 
-Floats = NDArray[np.float64]
 Spans = list[tuple[float, float]]
 
 
@@ -265,8 +264,8 @@ class LegTrace:
     """One leg over a recording, times in s since its first sample."""
 
     leg: str
-    t_s: Floats  # (n,) of its samples
-    ratio: Floats  # (n,) test ratio, NaN where the tick could not be judged
+    t_s: Array  # (n,) of its samples
+    ratio: Array  # (n,) test ratio, NaN where the tick could not be judged
     stance: Spans  # spans of commanded stance
     contact: Spans  # spans of reported contact
     truth: Spans | None  # spans of true contact; None where the recording has no truth
@@ -387,8 +386,8 @@ def _spans(changes: list[tuple[int, bool]], start_ns: int, end_ns: int) -> Spans
 def _touches(
     outcome: LegOutcome,
     contacts: Contacts,
-    t_ns: NDArray[np.int64],
-    ratio: Floats,
+    t_ns: Ints,
+    ratio: Array,
     events: list[ContactEvent],
     start_ns: int,
 ) -> list[Touch]:
@@ -428,9 +427,7 @@ def _touches(
     return sorted(found, key=lambda touch: touch.at_s)
 
 
-def why_missed(
-    t_ns: NDArray[np.int64], ratio: Floats, onset: int, end: int, withheld: list[int]
-) -> str:
+def why_missed(t_ns: Ints, ratio: Array, onset: int, end: int, withheld: list[int]) -> str:
     """The largest test ratio while a touch could be found, and what that says."""
     if any(onset < at_ns <= end for at_ns in withheld):
         return "missed: withheld, the leg was ambiguous"

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.score import TruthChanges, truth_changes
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.truth import Change
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,9 @@ class LegArrays:
 
     measured: Array  # (n, J) rad, read at the start of tick k
     desired: Array  # (n, J) rad, written right after, in force until tick k + 1
-    valid: NDArray[np.bool_]  # (n, J) readings known to be good
-    swing: NDArray[np.bool_]  # (n,) the phase of tick k
-    contact: NDArray[np.bool_]  # (n,) whether the leg touches at the start of tick k
+    valid: Mask  # (n, J) readings known to be good
+    swing: Mask  # (n,) the phase of tick k
+    contact: Mask  # (n,) whether the leg touches at the start of tick k
     force_n: Array  # (n,) mean contact force over the 20 ms *after* the start of tick k
     angle: Array  # (n, J) rad, the joints' true angles at the start of tick k
     onsets: tuple[Onset, ...]  # contacts that began, in order
@@ -79,7 +78,7 @@ class LegArrays:
 class Run:
     """A recorded run."""
 
-    t_ns: NDArray[np.int64]  # (n,) time stamps of the ticks
+    t_ns: Ints  # (n,) time stamps of the ticks
     legs: dict[str, LegArrays]  # the streams, by leg
     position_m: Array  # (n, 3) true position of the body
     rotation: Array  # (n, 3, 3) true attitude of the body
@@ -187,9 +186,7 @@ def _onset(sim: Simulation, change: Change) -> Onset:
     )
 
 
-def contact_at(
-    t_ns: NDArray[np.int64], onsets: list[Onset], releases_ns: list[int]
-) -> NDArray[np.bool_]:
+def contact_at(t_ns: Ints, onsets: list[Onset], releases_ns: list[int]) -> Mask:
     """Contact at every tick, from the times of change."""
     begun = np.searchsorted([o.t_ns for o in onsets], t_ns, side="right")
     ended = np.searchsorted(releases_ns, t_ns, side="right")

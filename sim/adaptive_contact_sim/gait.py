@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from adaptive_contact.arrays import Array, Ints
+
 GaitName = Literal["tripod", "ripple", "wave", "trot", "walk"]
 
 # Parts of a swing, as shares of it: rising until, falling from, moving forward between.
@@ -104,7 +104,7 @@ class Swings:
     start_m: Array
     target_m: Array
     top_m: Array  # (L,) height of the transfer
-    began_step: NDArray[np.int64]  # (L,) physics step at which it began
+    began_step: Ints  # (L,) physics step at which it began
 
     @classmethod
     def at(cls, feet_m: Array) -> Swings:

@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from adaptive_contact.arrays import Array
 from adaptive_contact.wire import Phase
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,12 @@ from typing import Final, Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.scene import OBSTACLE_TOP_M, OBSTACLES, PARKED_M, expose, obstacle_name
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
-
-Array = NDArray[np.float64]
 
 Approach = Literal["descent", "slow", "forward", "graze"]
 _SHAPES: Final = ("plate", "sphere", "edge")

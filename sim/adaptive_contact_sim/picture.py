@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.files import write_file
 from adaptive_contact_sim.elements import Elements
@@ -28,8 +29,6 @@ from adaptive_contact_sim.simulation import Simulation
 if TYPE_CHECKING:  # an extra, which a film asks for by name (_need_pillow)
     from PIL import ImageDraw
 
-Array = NDArray[np.float64]
-
 
 class Moment(NamedTuple):
     """What a picture shows."""
@@ -38,7 +37,7 @@ class Moment(NamedTuple):
     # mocap_m, mocap_quaternion: places of the movable obstacles
     mocap_m: Array
     mocap_quaternion: Array
-    touching: NDArray[np.bool_]  # (L,) whether each leg touches
+    touching: Mask  # (L,) whether each leg touches
     caption: tuple[str, ...]  # lines for the corner
 
     @classmethod
@@ -67,7 +66,7 @@ class Stage:
         self.elements = Elements.resolve(self.model, sim.layout)
         self.terrain = sim.terrain
         self.data = mujoco.MjData(self.model)
-        self.touching: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
+        self.touching: Mask = np.zeros(0, dtype=np.bool_)
         self.set(Moment.of(sim))
 
     def set(self, moment: Moment) -> None:

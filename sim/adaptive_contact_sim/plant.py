@@ -12,14 +12,12 @@ from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
 from adaptive_contact_sim.gear import GearTrain
 from adaptive_contact_sim.servo import AX12A, ServoBank, ServoKind, ServoParameters
-
-Array = NDArray[np.float64]
 
 # Faster than any part of the robot can be: five times a servo's no-load speed, and free fall
 # from several metres.  Beyond it the integration has blown up.

@@ -20,15 +20,13 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class Space:
         height = rng.uniform(*self.height_m)
         return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
 
-    def holds(self, points_m: Array) -> NDArray[np.bool_]:
+    def holds(self, points_m: Array) -> Mask:
         """(n,) which of (n, 3) m points lie in it, to the rounding of a grid."""
         x, y, z = points_m.T
         inside = np.ones(len(points_m), dtype=np.bool_)

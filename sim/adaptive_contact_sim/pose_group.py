@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
-
-Array = NDArray[np.float64]
 
 # Legs that can be in the air together while the robot stands on the others.
 TRIPODS: Final = (("lf", "lr", "rm"), ("lm", "rf", "rr"))

@@ -39,9 +39,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact_sim.elements import N_SERVOS
-
-Array = NDArray[np.float64]
 
 FULL_SCALE_STEPS: Final = 1023
 QUANTUM_RAD: Final = math.radians(300.0) / FULL_SCALE_STEPS

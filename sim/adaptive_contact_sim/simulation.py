@@ -13,7 +13,6 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import ContactTruth, Drift, Phase, ServoSample
@@ -32,7 +31,6 @@ from adaptive_contact_sim.terrain import Terrain, TerrainSettings
 from adaptive_contact_sim.truth import Change, TruthTracker
 from adaptive_contact_sim.walk import WalkMotion, WalkSettings
 
-Array = NDArray[np.float64]
 MotionSettings: TypeAlias = PoseSettings | PoseGroupSettings | WalkSettings
 
 # Standing still before time zero, so that a run does not start with a fall.

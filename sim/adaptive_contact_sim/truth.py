@@ -14,13 +14,11 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.plant import Touch
-
-Array = NDArray[np.float64]
 
 TOUCH_FORCE_N: Final = 0.5
 AIR_FORCE_N: Final = 0.1

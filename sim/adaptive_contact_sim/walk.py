@@ -22,15 +22,14 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
 from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Sway, Swings
 from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 
-Array = NDArray[np.float64]
 StopOn = Literal["truth", "service", "never"]
 PhaseOf = Literal["touch", "planned"]
 
@@ -330,7 +329,7 @@ class WalkMotion:
 
     # -- stance --------------------------------------------------------------------------------
 
-    def _standing(self, world: World) -> NDArray[np.bool_]:
+    def _standing(self, world: World) -> Mask:
         """(L,) which feet are taken to stand: those in stance, some ticks after a planned turn."""
         stance = ~self._swinging
         return stance & (world.tick >= self._settled_tick) if self._planned else stance

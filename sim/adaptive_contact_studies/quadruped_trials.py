@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.files import write_file
 from adaptive_contact.fit.recordings import LegGatherer
 from adaptive_contact.fit.train import Training, learn
@@ -33,8 +33,6 @@ from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.compare import play
 from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
 from adaptive_contact_studies.show.numbers import number, percent, share
-
-Array = NDArray[np.float64]
 
 _L1, _L2 = 0.07, 0.09
 _BODY_M: Final = 0.3

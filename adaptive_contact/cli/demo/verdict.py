@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.fit.recordings import untouched
 from adaptive_contact.learn.mode import LearnerMode
@@ -36,9 +36,6 @@ from adaptive_contact.service.recording import Record, read_recording
 from adaptive_contact.service.replay import Counts, control_ticks
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, decode
 
-Floats = NDArray[np.float64]
-Times = NDArray[np.int64]
-
 # So many swings in a row with at most one error show a leg to be reliable again.  The design's
 # twenty, half of them without contact, take longer than a demo has.
 RECOVERY_SWINGS: Final = 10
@@ -50,8 +47,8 @@ _LEAST_TICKS: Final = 4
 class Level:
     """How well a model predicts a leg, one value per swing, on the ticks that touched nothing."""
 
-    t_ns: Times  # (s,) beginning of the swing
-    over_floor: Floats  # (s,) RMS of the one-step error of its worst joint, over the noise floor
+    t_ns: Ints  # (s,) beginning of the swing
+    over_floor: Array  # (s,) RMS of the one-step error of its worst joint, over the noise floor
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -75,7 +72,7 @@ class Judged:
 class LegTruth:
     """When a leg really touched: (c, 2) begin and end of each contact, ns."""
 
-    contacts: Times
+    contacts: Ints
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -159,8 +156,8 @@ class _Replayed:
     """Events of learners on a recording, and their residuals."""
 
     events: list[ContactEvent]
-    residual: dict[str, Floats]  # (n, J) rad of each sample, NaN where there was no prediction
-    floor: dict[str, Floats]  # (J,) rad, the level of the model at the start
+    residual: dict[str, Array]  # (n, J) rad of each sample, NaN where there was no prediction
+    floor: dict[str, Array]  # (J,) rad, the level of the model at the start
 
 
 def _replay(
@@ -186,7 +183,7 @@ def _replay(
     return _Replayed(events, residual, floor)
 
 
-def _free(stream: LegStream) -> NDArray[np.bool_]:
+def _free(stream: LegStream) -> Mask:
     """(n,) swing ticks that no contact is near."""
     truth = stream.truth
     changes = [
@@ -197,7 +194,7 @@ def _free(stream: LegStream) -> NDArray[np.bool_]:
     return np.asarray(stream.swing & untouched(stream.t_ns, changes, period_ns))
 
 
-def _level(stream: LegStream, free: NDArray[np.bool_], residual: Floats, floor: Floats) -> Level:
+def _level(stream: LegStream, free: Mask, residual: Array, floor: Array) -> Level:
     """RMS over the noise floor, swing by swing."""
     begins = np.flatnonzero(stream.swing & ~np.concatenate(([False], stream.swing[:-1])))
     usable = free & np.isfinite(residual).all(axis=1)

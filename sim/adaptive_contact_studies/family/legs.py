@@ -20,15 +20,14 @@ from typing import Final, Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run, contact_at
 from adaptive_contact_sim.servo import ServoBank, ServoKind, ServoParameters
 from adaptive_contact_sim.truth import TruthTracker
 
-Array = NDArray[np.float64]
 Motion = Literal["pose", "gait"]
 
 LEG: Final = "leg"

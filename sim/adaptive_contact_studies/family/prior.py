@@ -19,8 +19,8 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.files import write_file
 from adaptive_contact.fit.recordings import untouched
@@ -31,9 +31,6 @@ from adaptive_contact.model.window import stack
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.workers import worker_pool
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Legs the family is learned from; trials take seeds from 10,000 on.
 SEEDS: Final = range(400)

@@ -25,13 +25,11 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact_sim.elements import JOINTS
 from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.servo import FULL_SCALE_STEPS, QUANTUM_RAD, ServoParameters, duty
-
-Array = NDArray[np.float64]
 
 # Physics steps per control tick, and rounds of the friction solver: the pitch joints are coupled.
 _SUBSTEPS: Final = 20
@@ -258,9 +256,7 @@ def _observe(dynamics: Dynamics, measured: Array, desired: Array, gains: Gains) 
     return predicted
 
 
-def tune_gains(
-    leg: NominalLeg, streams: list[tuple[Array, Array]], free: list[NDArray[np.bool_]]
-) -> Gains:
+def tune_gains(leg: NominalLeg, streams: list[tuple[Array, Array]], free: list[Mask]) -> Gains:
     """The gains with the least residual on free ticks, chosen joint by joint.
 
     Args:

@@ -35,22 +35,21 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.detect.contact import CALM_SCORE, CALM_TICKS, REARM_TICKS
 from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.noise import WINDOWS, NoiseModel, context, fit_noise, lagged
 from adaptive_contact.model.tail import Tail, fit_tail
 from adaptive_contact.score import Events
 
-Ints = NDArray[np.int64]
-
 
 def alarm_ticks(
-    score: NDArray[np.float64],
+    score: Array,
     swing: Ints,
     threshold: float = 1.0,
-    descending: NDArray[np.bool_] | None = None,
+    descending: Mask | None = None,
 ) -> Ints:
     """Ticks at which a contact is reported.
 
@@ -85,10 +84,10 @@ def alarm_ticks(
 
 def alarms(
     t_ns: Ints,
-    score: NDArray[np.float64],
+    score: Array,
     swing: Ints,
     threshold: float,
-    descending: NDArray[np.bool_],
+    descending: Mask,
 ) -> Events:
     """:func:`alarm_ticks` as the events of a stream with times ``t_ns``."""
     when = t_ns[alarm_ticks(score, swing, threshold, descending)]
@@ -96,9 +95,9 @@ def alarms(
 
 
 def _freed(
-    score: NDArray[np.float64],
+    score: Array,
     swing: Ints,
-    descending: NDArray[np.bool_],
+    descending: Mask,
     tick: int,
     calm_below: float,
 ) -> int:
@@ -118,7 +117,7 @@ def _freed(
     return at
 
 
-def _rearmed(score: NDArray[np.float64], swing: Ints, tick: int, n: int, calm_below: float) -> int:
+def _rearmed(score: Array, swing: Ints, tick: int, n: int, calm_below: float) -> int:
     """First tick after a contact reported at ``tick`` on which another may be."""
     calm, at = 0, tick + 1
     while at < n and swing[at] == swing[tick]:
@@ -130,9 +129,6 @@ def _rearmed(score: NDArray[np.float64], swing: Ints, tick: int, n: int, calm_be
         at += 1
     return at
 
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Ticks after the command lifts off in which the foot may still be loaded: the same for all.
 JUDGED_AFTER_TICKS: Final = 5

@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.robot import Robot
@@ -33,8 +33,6 @@ from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.paper.data import Stream, join, load, record_all
 from adaptive_contact_studies.paper.plan import FULL
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, free_rows, residual_unit
-
-Array = NDArray[np.float64]
 
 # PySINDy's default ridge term, which the paper does not mention changing.
 RIDGE: Final = 0.05

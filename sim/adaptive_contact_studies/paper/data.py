@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.fit.train import Stretch
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run
 from adaptive_contact_sim.servo import QUANTUM_RAD
@@ -29,8 +30,6 @@ from adaptive_contact_studies.paper.recording import (
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.workers import alone, completed
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 T = TypeVar("T")
 R = TypeVar("R")
 _Job = list[tuple[Piece, Path]]

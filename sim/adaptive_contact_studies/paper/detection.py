@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, shipped_robot
 from adaptive_contact.score import LegOutcome, Row, poisson_mean, summarise
@@ -48,8 +47,6 @@ from adaptive_contact_studies.paper.touched import (
     touched_streams,
     what_alarms_are,
 )
-
-Array = NDArray[np.float64]
 
 _SPEED_EDGES_M_S: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5)
 FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))

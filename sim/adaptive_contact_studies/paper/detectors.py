@@ -13,8 +13,8 @@ from itertools import combinations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit.train import swing_ticks
 from adaptive_contact.model import LegModel
 from adaptive_contact.model.noise import NoiseModel
@@ -38,9 +38,6 @@ from adaptive_contact_studies.paper.comparison_rules import (
 from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.rows import predictions
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 # Lags of the tracking error that are tried, ticks.
 _LAGS: Final = range(7)
 JOINTS: Final = 3
@@ -63,13 +60,13 @@ class Evidence:
     swing_of_tick: Ints  # (n,) number of the swing, -1 in stance
 
     @property
-    def descending(self) -> NDArray[np.bool_]:
+    def descending(self) -> Mask:
         """(n,) whether the command in force is past the lift."""
         falling = np.roll(self.motion.direction, 1) == 1
         return np.asarray(falling & self.motion.judged)
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Mask:
         """(n,) judged ticks that no contact is near."""
         return self.motion.judged & self.stream.stretch.free
 

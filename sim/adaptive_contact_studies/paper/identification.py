@@ -17,8 +17,8 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.fit import Fit, FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import (
     Factor,
@@ -46,8 +46,6 @@ from adaptive_contact_studies.paper.rows import (
     residual_unit,
     rms_deg,
 )
-
-Array = NDArray[np.float64]
 
 # Log-spaced, three to a decade, and the paper's own choice.
 LAMBDAS: Final = tuple(sorted({round(10.0 ** (e / 3), 6) for e in range(-12, 7)} | {5.0}))

@@ -21,11 +21,9 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import RecordingError
-
-Array = NDArray[np.float64]
 
 PERIOD_S: Final = 0.02
 # A recorded rate this far off 50 Hz is resampled.

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window
@@ -41,8 +41,6 @@ from adaptive_contact_studies.paper.rows import (
     rms_deg,
     worst,
 )
-
-Array = NDArray[np.float64]
 
 FOLDS: Final = 5
 # Slopes of the servo's law that are tried, rad.

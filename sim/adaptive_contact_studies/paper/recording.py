@@ -29,9 +29,9 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 import adaptive_contact
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim import arrays, truth
 from adaptive_contact_sim.arrays import LegArrays, record_run
@@ -48,8 +48,6 @@ from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_studies import evaluate, training
 from adaptive_contact_studies.cache import sources_digest
 from adaptive_contact_studies.paper.plan import GantrySettings
-
-Array = NDArray[np.float64]
 
 # Ways drawn in vain before one is bent: the acceptance elsewhere is above a tenth.
 _TRIES: Final = 500
@@ -70,7 +68,7 @@ class PatientGeometry(LegGeometry):
         plain = LegGeometry.of()
         return cls(**{f.name: getattr(plain, f.name) for f in fields(plain)})
 
-    def reachable(self, points_m: Array) -> NDArray[np.bool_]:
+    def reachable(self, points_m: Array) -> Mask:
         """Return which points are in reach; after :data:`_TRIES` refusals in a row, all are."""
         inside = super().reachable(points_m)
         refused = self._refused

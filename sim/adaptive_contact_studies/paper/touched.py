@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.score import (
     ROWS,
@@ -47,9 +47,6 @@ from adaptive_contact_studies.paper.evaluation import (
 )
 from adaptive_contact_studies.paper.plan import Piece, Plan
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 # Kinds of streams in which the leg approaches slowly.
 SLOW_KINDS: Final = ("hard slow",)
 # Names of the rows that divide the score's own headline row.
@@ -68,7 +65,7 @@ class Touched(NamedTuple):
 
     piece: Piece  # what was simulated
     truth: LegStream  # as the score takes it
-    swing: NDArray[np.int64]  # (n,) number of the swing
+    swing: Ints  # (n,) number of the swing
     descending: Mask  # (n,) the command in force is past the lift
     # by compared detector, (n,) statistic over the threshold of the target rate
     scores: dict[str, Array]

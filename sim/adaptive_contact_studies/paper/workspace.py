@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Domain, Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.model.window import Rows
@@ -45,8 +45,6 @@ from adaptive_contact_studies.paper.rows import (
     worst,
 )
 
-Array = NDArray[np.float64]
-
 # Grid of the maps, m, over reach and height of the foot.
 CELL_M: Final = 0.015
 _REACH_M: Final = (0.08, 0.26)
@@ -62,7 +60,7 @@ def cylinder(point: Array) -> Array:
 
 
 def where_it_fails(
-    library: Library, fitted: Rows, held: Rows, residual: Array, column: NDArray[np.bool_]
+    library: Library, fitted: Rows, held: Rows, residual: Array, column: Mask
 ) -> dict[str, Any]:
     """What distinguishes a model's bad predictions from its good ones: the place, or the motion.
 
@@ -101,7 +99,7 @@ def _leverage(library: Library, domain: Domain, windows: Rows) -> Array:
     return np.concatenate([np.zeros(0), *parts])
 
 
-def paper_column(point: Array) -> NDArray[np.bool_]:
+def paper_column(point: Array) -> Mask:
     """Mask of feet within the paper's subspaces, or between them, where its segments pass."""
     low, high = WORKSPACES["paper"]
     return replace(low, height_m=(low.height_m[0], high.height_m[1])).holds(point)
@@ -140,8 +138,6 @@ def residual_map(point: Array, residual: Array) -> list[list[float | None]]:
         grid.append(line)
     return grid
 
-
-Ints = NDArray[np.int64]
 
 REGIONS: Final = 8
 # λ in units of the residual: an eighth of the data must not keep every term.

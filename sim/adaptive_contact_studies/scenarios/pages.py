@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.learn.lifecycle import ready_for_changes
 from adaptive_contact.score import LegOutcome
 from adaptive_contact_studies.scenarios.judge import Judgement
@@ -57,8 +57,6 @@ STYLE: Final[dict[str, Any]] = {
     "legend.frameon": False,
     "legend.fontsize": 8,
 }
-
-Array = NDArray[np.float64]
 
 _STATUS_COLOURS: Final = {
     "learning": "#b7c4cf",

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import adaptive_contact
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact.leg_learner import ContactLearner
@@ -36,9 +37,6 @@ from adaptive_contact_studies.scenarios.learners import learner, reference_basel
 from adaptive_contact_studies.scenarios.recording import Recording, key_of
 from adaptive_contact_studies.scenarios.spec import ReplaySpec, Variant
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
-
 FORMAT: Final = 2
 STATUSES: Final[tuple[Status, ...]] = get_args(Status)
 # Packages whose source decides what a learner does with a recording.
@@ -48,19 +46,19 @@ _LEARNING: Final = ("model", "fit", "detect", "learn", "diagnose", "robot")
 class SwingLog(NamedTuple):
     """How a learner was at the first sample after each swing, (s,) each."""
 
-    t_ns: Times  # of that sample
-    status: Times  # position in `STATUSES`
-    version: Times  # of the model
+    t_ns: Ints  # of that sample
+    status: Ints  # position in `STATUSES`
+    version: Ints  # of the model
     level: Array  # drift level
-    kind: Times  # of the change that is reported, position in `KINDS`; -1 for none
+    kind: Ints  # of the change that is reported, position in `KINDS`; -1 for none
     residual_rad: Array  # root mean square of recent free residuals, mean over joints
     # swings, ticks: in the buffer
-    swings: Times
-    ticks: Times
+    swings: Ints
+    ticks: Ints
     # promoted, refused, rolled_back: refits so far
-    promoted: Times
-    refused: Times
-    rolled_back: Times
+    promoted: Ints
+    refused: Ints
+    rolled_back: Ints
 
 
 class Trace(NamedTuple):
@@ -82,7 +80,7 @@ class LegReplay:
     events: Events  # in order
     log: SwingLog  # swing by swing
     confirmed: int  # ticks it took for free
-    touched_ns: Times  # those of them on which the leg touched something
+    touched_ns: Ints  # those of them on which the leg touched something
     trace: Trace | None = None  # of the first leg of the traced recording
 
 
@@ -142,7 +140,7 @@ class _Watch:
             self._names = model.library.names
             self._coefficients.append(model.coefficients.copy())
 
-    def result(self, touching: NDArray[np.bool_], t_ns: Times) -> LegReplay:
+    def result(self, touching: Mask, t_ns: Ints) -> LegReplay:
         """All that was seen."""
         self.confirmed.extend(self.learner.drain_confirmed())
         columns = list(zip(*self._rows, strict=True)) or [()] * len(SwingLog._fields)
