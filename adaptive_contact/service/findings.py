@@ -2,13 +2,17 @@
 
 A check reports each :class:`Fault` with its :class:`Cause`.  :func:`entries` then leaves out what
 another cause of the same leg explains, and puts all legs of a cause into one :class:`Finding`.
+The words of all faults stand in ``faults.toml``, beside this file.
 """
 
 from __future__ import annotations
 
 import enum
+import functools
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, Literal, NamedTuple
+from importlib import resources
+from typing import Any, Final, Literal, NamedTuple, Self
 
 from adaptive_contact.wire import Reject
 
@@ -179,6 +183,24 @@ class Fault(NamedTuple):
     size: float = 0.0  # how bad it is against others of this cause: the largest are shown
     key: str = ""  # parts entries of one cause that need different remedies
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        /,
+        detail: str | None = None,
+        size: float = 0.0,
+        key: str = "",
+        *,
+        level: Level | None = None,
+        **figures: object,
+    ) -> Self:
+        """Make one in the words that ``faults.toml`` has under a name, with figures filled in."""
+        words = said()[name]
+        what, remedy = (words[part].format(**figures) for part in ("what", "remedy"))
+        cause = Cause(name.partition("-")[0])
+        return cls(level or words["level"], cause, what, remedy, detail, size, key)
+
 
 class Finding(NamedTuple):
     """One entry: what is wrong, and what to do.  A ``note`` is worth knowing and no fault."""
@@ -189,6 +211,12 @@ class Finding(NamedTuple):
     remedy: str
     cause: str = ""  # a `Cause`
     legs: Sequence[str] = ()  # all legs that it is of
+
+
+@functools.cache
+def said() -> dict[str, dict[str, Any]]:
+    """Return what is said of faults, by name; ``notes`` has remedies by patterns of notes."""
+    return tomllib.loads(resources.files(__package__).joinpath("faults.toml").read_text("utf-8"))
 
 
 def of_legs(legs: Iterable[str]) -> str:

@@ -20,7 +20,7 @@ from adaptive_contact.conventions.judge import judge_motion
 from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import on_body
 from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, axis_text
-from adaptive_contact.service.findings import Cause, Fault, Finding, entries
+from adaptive_contact.service.findings import Fault, Finding, Level, entries
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.status import LegFacts
@@ -168,18 +168,8 @@ class LiveCheck:
         for name, leg in self._legs.items():
             faults += [(name, fault) for fault in leg.faults(seconds)]
             if name in wrong:
-                faults.append(
-                    (
-                        name,
-                        Fault(
-                            "error" if wrong[name].grave else "warning",
-                            Cause.SIGNS,
-                            "angles are not counted as robot.toml says",
-                            "write what is said here into robot.toml, and look again",
-                            wrong[name].line(leg.leg),
-                        ),
-                    )
-                )
+                level: Level = "error" if wrong[name].grave else "warning"
+                faults.append((name, Fault.of("signs", wrong[name].line(leg.leg), level=level)))
         judged = {*wrong, *verdict.fits}
         return LiveReport(
             seconds=seconds,
@@ -303,12 +293,8 @@ class _LegCheck:
         share = (below | above).mean(axis=0)
         for j in np.flatnonzero(share > _BEYOND_SHARE):
             low, high = np.degrees([limits.lower_rad[j], limits.upper_rad[j]])
-            yield Fault(
-                "warning",
-                Cause.LIMITS,
-                "joints are beyond their limits",
-                "look at the order of joints, at directions and offsets_rad, or correct the limits "
-                "in robot.toml",
+            yield Fault.of(
+                "limits",
                 f"{self.leg.joints[j]} in {share[j]:.0%} of the samples, at "
                 f"{np.degrees(np.median(measured[:, j])):+.0f}° of {low:.0f}..{high:.0f}°",
                 float(share[j]),
