@@ -44,16 +44,12 @@ class ConventionJob:
 
 
 class MotionTrack:
-    """Follows what the motion of one leg shows of its description.
-
-    Attributes:
-        finding: what is wrong with its description; None as long as nothing is known to be.
-        settled: the motion has confirmed the description.
-    """
+    """Follows what the motion of one leg shows of its description."""
 
     def __init__(self, place: LegPlace) -> None:
+        # what is wrong with its description; None as long as nothing is known to be
         self.finding: ConventionFinding | None = None
-        self.settled = False
+        self.settled = False  # the motion has confirmed the description
         self.suspected: ConventionFinding | None = None  # by the last judgement alone
         self._place = place
 

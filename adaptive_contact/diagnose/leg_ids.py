@@ -210,13 +210,10 @@ class IdJob:
 
 
 class IdTrack:
-    """Follows whose samples come under one leg's name.
-
-    Attributes:
-        owner: the leg whose samples these are; None as long as they seem to be the leg's own.
-    """
+    """Follows whose samples come under one leg's name."""
 
     def __init__(self, place: LegPlace, period_ns: int) -> None:
+        # the leg whose samples these are; None as long as they seem to be the leg's own
         self.owner: Owner | None = None
         self.suspected: Owner | None = None  # by the last judgement alone
         self._place, self._period_ns = place, period_ns

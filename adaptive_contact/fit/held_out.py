@@ -88,9 +88,6 @@ class HeldOut:
         theta: (n, p) regressors.
         target: (n, J) rad.
         fold: (n,) numbers from 0.
-
-    Attributes:
-        whole: all rows.
     """
 
     def __init__(self, theta: Array, target: Array, fold: Ints) -> None:
@@ -101,7 +98,7 @@ class HeldOut:
         for mask in masks:
             factors.append(Factor(p, joints))
             factors[-1].add(theta[mask], target[mask])
-        self.whole = Factor.merged(factors, p, joints)
+        self.whole = Factor.merged(factors, p, joints)  # all rows
         self._parts: list[tuple[Mask, Factor]] = [
             (mask, Factor.merged((o for k, o in enumerate(factors) if k != f), p, joints))
             for f, mask in enumerate(masks)

@@ -115,17 +115,13 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LiveCheck:
-    """Takes in what is on the wire, and judges it against a robot's description.
-
-    Attributes:
-        moves: joints that were moved and came to rest, one line each.
-    """
+    """Takes in what is on the wire, and judges it against a robot's description."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._legs = {leg.id: _LegCheck(leg, robot) for leg in robot.legs}
         self._strangers: set[str] = set()
-        self.moves: list[str] = []
+        self.moves: list[str] = []  # joints that were moved and came to rest, one line each
 
     def take(self, received: Received) -> None:
         """Take one message in; all but samples are left alone."""

@@ -31,14 +31,10 @@ _REMEMBERED: Final = 8
 
 
 class PeerServices:
-    """Listens for other services.
-
-    Attributes:
-        instance: our own mark, for our own status.
-    """
+    """Listens for other services."""
 
     def __init__(self, link: Link) -> None:
-        self.instance = secrets.token_hex(4)
+        self.instance = secrets.token_hex(4)  # our own mark, for our own status
         self._statuses: deque[Received] = deque(maxlen=4 * _REMEMBERED)
         self._seen: dict[str, tuple[int, ServiceStatus]] = {}
         link.subscribe(SERVICE_STATUS, self._receive)
@@ -114,14 +110,10 @@ class UnreadKeys:
 
 
 class NetworkHealth:
-    """Watches them, and logs what changes.
-
-    Attributes:
-        note: one line on what is wrong, None when all is well.
-    """
+    """Watches them, and logs what changes."""
 
     def __init__(self, link: Link, now_ns: int) -> None:
-        self.note: str | None = None
+        self.note: str | None = None  # one line on what is wrong, None when all is well
         self._link = link
         self._rivals = PeerServices(link)
         self._throttle = LogThrottle()

@@ -372,15 +372,12 @@ class Feed:
         link: open; closed by its owner.
         on_contact: is given each contact event and change of truth that :meth:`view` takes in, with
             its leg.
-
-    Attributes:
-        watch: that is fed.
     """
 
     def __init__(self, link: Link, on_contact: OnContact | None = None) -> None:
         self._link = link
         self._on_contact = on_contact
-        self.watch = Watch()
+        self.watch = Watch()  # that is fed
         # Zenoh's thread appends, the reader pops; without a reader the oldest go.
         self._waiting: deque[Received] = deque(maxlen=_KEPT)
         self._alive = False

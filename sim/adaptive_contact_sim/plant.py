@@ -52,10 +52,6 @@ class Plant:
         layout: names of the robot's elements.
         kind: of servo.
 
-    Attributes:
-        steps: physics steps made so far.
-        on_step: called after each of them; None without a listener.
-
     Raises:
         ConfigurationError: the period is not a whole number of physics steps.
     """
@@ -83,7 +79,8 @@ class Plant:
         self.elements = Elements.resolve(model, layout)
         self.period_s = period_s
         self.step_s = float(model.opt.timestep)
-        self.steps = 0
+        self.steps = 0  # physics steps made so far
+        # called after each of them; None without a listener
         self.on_step: Callable[[], None] | None = None
 
         e = self.elements

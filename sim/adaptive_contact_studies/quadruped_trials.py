@@ -235,9 +235,6 @@ def learn_quadruped(robot: Robot) -> Training:
     )
 
 
-# -- private -----------------------------------------------------------------------------------
-
-
 def _surface(scenario: Scenario) -> str:
     return "hard" if scenario.soft_n_m is None else "soft"
 

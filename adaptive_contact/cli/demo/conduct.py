@@ -257,12 +257,7 @@ def _must_run(service: Child) -> None:
 
 
 class _Run:
-    """The walk so far, and the drift in it.
-
-    Attributes:
-        walked_s: simulated time, from the samples that were recorded.
-        drift_ns, holds: of the simulator's answers.
-    """
+    """The walk so far, and the drift in it."""
 
     def __init__(
         self,
@@ -272,7 +267,8 @@ class _Run:
         recorder: Recorder,
         show: Display,
     ) -> None:
-        self.walked_s = 0.0
+        self.walked_s = 0.0  # simulated time, from the samples that were recorded
+        # drift_ns, holds: of the simulator's answers
         self.drift_ns = 0
         self.holds: dict[str, dict[str, dict[str, float]]] = {}
         self._key = servo_key(settings.leg)

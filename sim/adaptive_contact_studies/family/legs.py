@@ -171,9 +171,6 @@ def record(leg: DrawnLeg, motion: Motion, swings: int, seed: int, *, plates: flo
     return _play(leg, plan, rng)
 
 
-# -- private -------------------------------------------------------------------------------------
-
-
 def _geometry(
     rng: np.random.Generator, axes: tuple[str, ...], size_m: float, *, sprawling: bool
 ) -> tuple[Array, Array]:
@@ -243,13 +240,7 @@ def _scene(leg: DrawnLeg) -> mujoco.MjModel:
 
 
 class _Plan:
-    """Commands of a leg, swing after swing.
-
-    Attributes:
-        goals: (n, J) rad, a list of rows.
-        phases: (n,) in swing.
-        plates: ticks at which a plate may come, each with the end of its descent.
-    """
+    """Commands of a leg, swing after swing."""
 
     def __init__(self, leg: DrawnLeg, motion: Motion, rng: np.random.Generator) -> None:
         self._leg, self._motion, self._rng = leg, motion, rng
@@ -260,8 +251,9 @@ class _Plan:
         self._period_s = leg.robot.period_s
         self._half = max(6, round(leg.swing_s / 2 / self._period_s))
         self._hold = max(4, round(leg.swing_s * rng.uniform(0.3, 1.0) / self._period_s))
-        self.goals: list[Array] = []
-        self.phases: list[bool] = []
+        self.goals: list[Array] = []  # (n, J) rad, a list of rows
+        self.phases: list[bool] = []  # (n,) in swing
+        # ticks at which a plate may come, each with the end of its descent
         self.plates: dict[int, int] = {}
 
     def swing(self, plates: float) -> None:

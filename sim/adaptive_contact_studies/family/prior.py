@@ -151,9 +151,6 @@ def save_family(family: FamilyFile, path: Path) -> None:
     write_file(path, text + "\n", advice="give another file to write the family to")
 
 
-# -- private -------------------------------------------------------------------------------------
-
-
 def _joints_of(seed: int) -> list[JointRows]:
     """Record one leg and compress its free swing ticks, joint by joint."""
     leg = draw_leg(seed)

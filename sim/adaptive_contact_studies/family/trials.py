@@ -120,9 +120,6 @@ def table(found: Sequence[LegTrial]) -> str:
     return "\n".join(lines)
 
 
-# -- private -------------------------------------------------------------------------------------
-
-
 def _kept(store: Store, wanted: tuple[str, int]) -> list[LegTrial]:
     kind, number = wanted
     tree = store.tree(kind.replace(" ", "-"), (number, _code()), lambda: _of_run(kind, number))
