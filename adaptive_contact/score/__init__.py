@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from adaptive_contact.score.contacts import (
     Contacts,
-    Swings,
     TruthChanges,
     contacts_of,
     find_swings,
@@ -27,13 +26,10 @@ from adaptive_contact.score.outcome import (
     Outcome,
     Row,
     SwingTable,
-    TouchTable,
 )
 from adaptive_contact.score.score import Score, score_messages
 from adaptive_contact.score.streams import Gatherer
 from adaptive_contact.score.summary import (
-    Interval,
-    Latency,
     RowFigures,
     Summary,
     clopper_pearson,
@@ -49,8 +45,6 @@ __all__ = [
     "Contacts",
     "Events",
     "Gatherer",
-    "Interval",
-    "Latency",
     "LegOutcome",
     "LegStream",
     "Outcome",
@@ -59,8 +53,6 @@ __all__ = [
     "Score",
     "Summary",
     "SwingTable",
-    "Swings",
-    "TouchTable",
     "TruthChanges",
     "clopper_pearson",
     "contacts_of",
