@@ -22,8 +22,6 @@ from adaptive_contact.model.leg_prior import in_family
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import Domain
 
-__all__ = ["HeldOut", "Manner", "Sweep", "strength_of", "swept"]
-
 # The sparsest model whose held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005
 # By what logarithm held-out errors must fall, where the prior is to be held on to: by 0.03 to 0.6

@@ -24,8 +24,6 @@ from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit.sparse_regression import FitSettings, fit_sparse
 from adaptive_contact.model.factor import Factor
 
-__all__ = ["Untouched", "inliers", "untouched"]
-
 # Rows further out than this many standard deviations, in whitened distance, are no noise: a touch
 # in a recording assumed free, or a bad reading.  Free ticks reach 6 in 10^6.
 OUTLIER_SIGMA: Final = 10.0

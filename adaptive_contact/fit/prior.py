@@ -30,8 +30,6 @@ from adaptive_contact.model.leg_prior import columns_of, leg_prior
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import BEYOND_DEVIATIONS, Domain
 
-__all__ = ["STRENGTHS", "fit_prior", "posterior_domain"]
-
 # How firmly a fit holds on: as the family's covariance divided by so much says, at the family's
 # noise.  1 is right where errors are noise alone; errors that come from the motion repeat
 # themselves from tick to tick, and rows count for less (decision 43).

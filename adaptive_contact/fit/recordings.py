@@ -39,8 +39,6 @@ from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ContactTruth, Reject, ServoSample
 
-__all__ = ["LegGatherer", "judge_conventions", "stray_readings", "untouched"]
-
 # Around a touch of the truth: it counts from 0.5 N on, so a tick before it may be pressed on
 # already, and a leg let go of rings for some ticks.
 BEFORE_TICKS: Final = 1

@@ -17,8 +17,6 @@ from adaptive_contact.fit.sparse_regression import FitSettings, FitStatus, fit_s
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.training_domain import Domain
 
-__all__ = ["InlineRefitter", "Job", "RefitJob", "RefitResult", "Refitter", "refit"]
-
 # λ, in units of the noise; the grid of a baseline's fit without its extremes.
 SWEEP = (0.05, 0.15, 0.3)
 TOLERANCE = 1.005

@@ -20,8 +20,6 @@ from adaptive_contact.model.factor import Factor
 if TYPE_CHECKING:
     from pysindy.optimizers import STLSQ
 
-__all__ = ["Fit", "FitSettings", "FitStatus", "Prior", "fit_sparse"]
-
 # Singular values below this share of the largest count as zero in the unbiased refit; the value of
 # scikit-learn's LinearRegression, which PySINDy's own refit uses.
 RANK_CUTOFF: Final = 1e-6

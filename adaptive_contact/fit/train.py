@@ -28,8 +28,6 @@ from adaptive_contact.model.window import Window, stack
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, directions
 
-__all__ = ["LegFigures", "Stretch", "Training", "cautious", "learn", "learn_leg", "swing_ticks"]
-
 FOLDS: Final = 5
 # Swings of one fold in a row, so that neighbours, which share posture and drift, stay together.
 FOLD_SWINGS: Final = 10
