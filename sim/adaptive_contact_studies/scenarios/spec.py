@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple
 
 from adaptive_contact_sim.simulation import SimulationSettings
+from adaptive_contact_sim.walk import WalkSettings
 
 
 class Variant(enum.StrEnum):
@@ -82,6 +83,11 @@ class RecordingSpec:
     legs: tuple[str, ...]  # that are kept
     staging: Staging = field(default_factory=Staging)  # what is done besides
 
+    @property
+    def walks(self) -> bool:
+        """Whether the robot walks; else some of its legs move in pose."""
+        return isinstance(self.settings.motion, WalkSettings)
+
 
 @dataclass(frozen=True)
 class ReplaySpec:
@@ -110,7 +116,6 @@ class Scenario:
 
     name: str  # such as `step-friction4`
     about: str  # one line
-    motion: Literal["pose", "walk"]  # ``pose`` or ``walk``
     expect: Expect  # what it is held to
     recordings: tuple[RecordingSpec, ...]  # what is replayed
     # stretches with figures of their own, the last one being that after all
@@ -126,6 +131,11 @@ class Scenario:
     mixed: bool = True
     # there is much contact to be learned by mistake; what is, is held to a limit
     poisonous: bool = False
+
+    @property
+    def motion(self) -> Literal["pose", "walk"]:
+        """How its robot moves."""
+        return "walk" if self.recordings[0].walks else "pose"
 
     @property
     def robot(self) -> str:
