@@ -149,16 +149,7 @@ _REFUSAL_SHOWN_NS: Final = 5_000_000_000
 
 
 class LegEndpoint:
-    """What the service keeps per leg; all calls from the worker.
-
-    Args:
-        link: where to publish.
-        leg: its id.
-        learner: the leg's.
-        joints: how many its samples bring.
-        now_ns: monotonic.
-        resumes: where the leg's source was when the service was last here.
-    """
+    """What the service keeps per leg; all calls from the worker."""
 
     def __init__(
         self,

@@ -44,14 +44,6 @@ class Touch(NamedTuple):
 class Plant:
     """Engine, servos and touch sensing of one robot.
 
-    Args:
-        model: compiled scene.
-        parameters: the servos.
-        period_s: control tick; a whole number of physics steps.
-        supply_resistance_ohm: of battery and wiring.
-        layout: names of the robot's elements.
-        kind: of servo.
-
     Raises:
         ConfigurationError: the period is not a whole number of physics steps.
     """

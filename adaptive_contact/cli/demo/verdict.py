@@ -111,10 +111,12 @@ def judge(path: Path, robot: Robot, drift_ns: int, drift_leg: str) -> Verdict:
             for leg in legs
         }
         (drifted,) = (one for one in outcomes if one.leg == drift_leg)
+        before = tuple(one.between(0, _split(one, drift_ns)) for one in outcomes)
+        after = tuple(one.between(_split(one, drift_ns), _END) for one in outcomes)
         return Judged(
-            whole=_score(outcomes, gathered),
-            before=_score([one.between(0, _split(one, drift_ns)) for one in outcomes], gathered),
-            after=_score([one.between(_split(one, drift_ns), _END) for one in outcomes], gathered),
+            whole=Score.of(outcomes, gathered.rejects),
+            before=Score.of(before, gathered.rejects),
+            after=Score.of(after, gathered.rejects),
             outcomes=outcomes,
             level=level,
             recovery=swings_to_recovery(
@@ -209,17 +211,6 @@ def _level(stream: LegStream, free: Mask, residual: Array, floor: Array) -> Leve
 
 
 # -- reading -----------------------------------------------------------------------------------
-
-
-def _score(outcomes: Iterable[LegOutcome], gathered: Gatherer) -> Score:
-    kept = tuple(outcomes)
-    return Score(
-        outcomes=kept,
-        total=summarise(kept),
-        legs={one.leg: summarise([one]) for one in kept},
-        rejects={reason.value: n for reason, n in sorted(gathered.rejects.items()) if n},
-        notes=(),
-    )
 
 
 def _split(outcome: LegOutcome, drift_ns: int) -> int:

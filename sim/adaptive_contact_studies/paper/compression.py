@@ -57,12 +57,6 @@ def paper_fit(
 ) -> PaperFit:
     """Fit with PySINDy's STLSQ, unscaled targets.
 
-    Args:
-        factor: of Θ and the next states.
-        threshold: λ.
-        normalised: threshold coefficients of columns with unit norm.
-        ridge: α.
-
     Returns:
         The fit with its status; never raises for bad data.
     """
@@ -128,14 +122,7 @@ class Comparison:
 
 
 def compare(stream: Stream, library: Library, threshold: float, *, repeats: int = 3) -> Comparison:
-    """Time both fits of the free rows of a stream; the better of ``repeats``, CPU time.
-
-    Args:
-        stream: the paper's training segments.
-        library: the terms.
-        threshold: λ, in units of the residual.
-        repeats: of each.
-    """
+    """Time both fits of the free rows of a stream; the better of ``repeats``, CPU time."""
     windows = free_rows(stream, library).windows
     theta, library_s = _timed(
         lambda: library.evaluate(windows.measured, windows.desired, windows.preview), repeats

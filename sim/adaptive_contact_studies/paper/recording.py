@@ -197,8 +197,7 @@ _EVALUATING: Final = ("model", "fit", "detect", "learn", "score", "robot")
 # Of the experiments, what only counts and shows what was evaluated: a new table is no reason to
 # evaluate ten robot-hours again.
 _SHOWING: Final = frozenset(
-    f"{name}.py"
-    for name in ("detection", "detection_figures", "figures", "report", "tables", "touched")
+    f"{name}.py" for name in ("detection", "detection_figures", "figures", "tables", "touched")
 ) | {"verdicts.py"}
 # What turns recordings into samples, rows and truth.
 _MATCHING: Final = [Path(str(m.__file__)) for m in (evaluate, training, arrays, truth)]

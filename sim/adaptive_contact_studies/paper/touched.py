@@ -221,13 +221,7 @@ def binned(
 def misses(
     touched: Sequence[Touched], outcomes: dict[str, list[LegOutcome]], *, slow: bool
 ) -> list[dict[str, Any]]:
-    """Fast touches on hard ground that the default missed, the first of them, and who found them.
-
-    Args:
-        touched: streams.
-        outcomes: by detector, on each.
-        slow: those in slow approaches, or the headline's.
-    """
+    """Fast touches on hard ground that the default missed, the first ones, and who found them."""
     headline = ROWS.index(Row.HEADLINE)
     found = []
     for number, (t, outcome) in enumerate(zip(touched, outcomes[DEFAULT], strict=True)):

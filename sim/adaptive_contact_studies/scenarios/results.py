@@ -189,13 +189,7 @@ def belongs(sizes: Sizes, size: str) -> Belongs:
 
 
 def form_of(size: str, sizes: Sizes, leg_runs: int | None) -> str:
-    """The name of a form: of its size, with the number of leg-runs where that is not the usual.
-
-    Args:
-        size: ``full``, ``brief`` or ``quick``.
-        sizes: that go by this name.
-        leg_runs: asked for, None for the usual.
-    """
+    """The name of a form: of its size, with the number of leg-runs where that is not the usual."""
     return size if leg_runs in (None, sizes.leg_runs) else f"{size}-{leg_runs}"
 
 
@@ -249,11 +243,6 @@ def merge(new: Tree, path: Path) -> Tree:
 
 def refuse_to_lose(path: Path, made: Belongs, names: Collection[str]) -> None:
     """Look whether new figures would push out old ones: one table, one learner.
-
-    Args:
-        path: of the file with the old ones; there may be none.
-        made: what the new ones belong to.
-        names: scenarios that are made again.
 
     Raises:
         ConfigurationError: they would.
