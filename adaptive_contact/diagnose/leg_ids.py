@@ -34,17 +34,6 @@ from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ServoSample
 
-__all__ = [
-    "SWAPPED",
-    "IdJob",
-    "IdTrack",
-    "IdWatch",
-    "LegRows",
-    "Owner",
-    "judge_ids",
-    "judge_recorded_ids",
-]
-
 # Words of every note of this kind.
 SWAPPED: Final = "the samples are those of leg"
 

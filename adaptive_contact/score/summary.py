@@ -55,7 +55,7 @@ def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE)
     return Interval(float(low), float(high))
 
 
-def poisson_mean(count: int, confidence: float = CONFIDENCE) -> Interval:
+def poisson_mean(count: int) -> Interval:
     """Interval of the mean of a Poisson variable of which ``count`` was seen.
 
     Raises:
@@ -63,7 +63,7 @@ def poisson_mean(count: int, confidence: float = CONFIDENCE) -> Interval:
     """
     if count < 0:
         raise ValueError(f"a count cannot be {count}; expected 0 or more")
-    tail = (1.0 - confidence) / 2.0
+    tail = (1.0 - CONFIDENCE) / 2.0
     low = gammaincinv(count, tail) if count > 0 else 0.0
     return Interval(float(low), float(gammaincinv(count + 1, 1.0 - tail)))
 

@@ -6,7 +6,6 @@ knows the network: :func:`examine` does.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -126,20 +125,19 @@ class Examination:
                 self.samples.setdefault(leg, []).append(sample)
 
 
-def examine(link: Link, seconds: float, stop: threading.Event | None = None) -> Diagnosis:
+def examine(link: Link, seconds: float) -> Diagnosis:
     """Listen for a while, then judge.
 
     Args:
         link: open and connected.
         seconds: how long; 3 s are enough for 50 Hz.
-        stop: ends the listening early.
     """
-    stop = stop or threading.Event()
     waiting: deque[Received] = deque(maxlen=_BACKLOG)
     seen = Examination()
     began = time.monotonic()
     everything = link.subscribe("**", waiting.append)
-    while time.monotonic() - began < seconds and not stop.wait(_POLL_S):
+    while time.monotonic() - began < seconds:
+        time.sleep(_POLL_S)
         for _ in range(len(waiting)):
             seen.take(waiting.popleft())
     elapsed = time.monotonic() - began
