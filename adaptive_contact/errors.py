@@ -77,12 +77,7 @@ class LinkError(AdaptiveContactError):
 
 
 class BusError(AdaptiveContactError):
-    """A Dynamixel bus cannot be used.
-
-    Args:
-        message: what stands in the way.
-        things: each of them, where they are several.
-    """
+    """A Dynamixel bus cannot be used."""
 
     def __init__(self, message: str, things: Sequence[str] = ()) -> None:
         self._lines = (message, *(f"  - {thing}" for thing in things))

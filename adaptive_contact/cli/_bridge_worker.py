@@ -26,12 +26,7 @@ from adaptive_contact.wire import (
 
 
 class ZenohOutlet:
-    """Publishes a port's samples and status.
-
-    Args:
-        link: stays open.
-        plan: what is on the port.
-    """
+    """Publishes a port's samples and status."""
 
     def __init__(self, link: Link, plan: PortPlan) -> None:
         self._servo = {leg.id: link.publisher(servo_key(leg.id)) for leg in plan.legs}
@@ -69,16 +64,7 @@ def work(
     realtime: bool = False,
     phase: float = 0.0,
 ) -> None:
-    """Run a port until SIGTERM or SIGINT; the target of a spawned process.
-
-    Args:
-        plan: what is on the port.
-        mode: of the bridge.
-        settings: how to join the network.
-        run: the ``run`` of the samples.
-        realtime: run before all ordinary processes.
-        phase: share of the control period by which ticks begin later.
-    """
+    """Run a port until SIGTERM or SIGINT; the target of a spawned process."""
     protect_output()
     stop = threading.Event()
     on_signals(lambda *_: stop.set())

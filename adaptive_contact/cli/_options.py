@@ -50,11 +50,7 @@ class _Group(TyperGroup):
 
 
 class Commands(typer.Typer):
-    """A group of commands whose help shows flags without a type.
-
-    Args:
-        settings: as of :class:`typer.Typer`.
-    """
+    """A group of commands whose help shows flags without a type."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(cls=_Group, **settings)
@@ -233,10 +229,6 @@ class Network:
 
     def client(self, *, json: bool = False, wait: bool = True) -> LinkSettings:
         """Settings of a command that joins a router.
-
-        Args:
-            json: publish JSON instead of msgpack.
-            wait: for a router where there is none yet.
 
         Raises:
             ConfigurationError: an endpoint or the namespace cannot be used.

@@ -28,12 +28,7 @@ if TYPE_CHECKING:
 
 
 def say(line: object, *, err: bool = False) -> None:
-    """Print one line for people; control characters in it are shown.
-
-    Args:
-        line: its text.
-        err: on standard error.
-    """
+    """Print one line for people; control characters in it are shown."""
     print(printable(line), file=sys.stderr if err else sys.stdout, flush=True)
 
 
@@ -68,9 +63,6 @@ class OutputLost(Exception):  # noqa: N818 - no error of the program
 
     Not an ``OSError``: typer and rich take a broken pipe of any file for that of standard output,
     and end with code 1.
-
-    Args:
-        cause: what the system said.
     """
 
     def __init__(self, cause: OSError) -> None:

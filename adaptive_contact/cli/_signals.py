@@ -15,10 +15,6 @@ def on_signals(
     """Handle signals that end a command.
 
     A terminal that is closed sends SIGHUP; under ``nohup`` that is ignored, and stays so.
-
-    Args:
-        handler: called with the number of the signal and a stack frame.
-        numbers: of the signals.
     """
     for number in numbers:
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:

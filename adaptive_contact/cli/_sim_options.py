@@ -157,12 +157,6 @@ class RunOptions:
     ) -> RunPlan:
         """What to run.
 
-        Args:
-            base: the scenario that it starts from.
-            settings: its settings, with the options of its motion; those given here change them.
-            network: where to publish, unless offline.
-            json: publish JSON instead of msgpack.
-
         Raises:
             ConfigurationError: an option is out of range, or a drift cannot be read.
         """

@@ -215,9 +215,6 @@ def check_streams(
         of: what comes before each line.
         refuse: end the command where nothing can be learned; else it is only said.
 
-    Returns:
-        What was said.
-
     Raises:
         ConfigurationError: something is wrong with every tick, so that there is nothing to learn.
     """

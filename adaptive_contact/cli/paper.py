@@ -47,7 +47,7 @@ def paper(
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.cli._console import table_console
-    from adaptive_contact_studies.paper.report import write_document
+    from adaptive_contact_studies.paper.tables import write_document
 
     unknown = [name for name in stage or () if name not in STAGES]
     if unknown:

@@ -12,17 +12,12 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from adaptive_contact.conventions.judge import ConventionFinding, LegMotion, Verdict, judge_motion
 from adaptive_contact.detect.layout import KEPT
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.diagnose.kept_samples import KeptSamples
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.robot import Leg, Robot
-
-Array = NDArray[np.float64]
 
 # When the motion is judged, s of samples; a tripod's 20 swings take 28 s.  After the last, it is
 # every LATER_S, and with no leg left to judge, or after ENOUGH_S, never.
@@ -49,19 +44,12 @@ class ConventionJob:
 
 
 class MotionTrack:
-    """Follows what the motion of one leg shows of its description.
-
-    Args:
-        place: its arrays.
-
-    Attributes:
-        finding: what is wrong with its description; None as long as nothing is known to be.
-        settled: the motion has confirmed the description.
-    """
+    """Follows what the motion of one leg shows of its description."""
 
     def __init__(self, place: LegPlace) -> None:
+        # what is wrong with its description; None as long as nothing is known to be
         self.finding: ConventionFinding | None = None
-        self.settled = False
+        self.settled = False  # the motion has confirmed the description
         self.suspected: ConventionFinding | None = None  # by the last judgement alone
         self._place = place
 

@@ -13,14 +13,12 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.model.change_prior import speaks_of
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.robot.kinematics import yaws_then_pitches
-
-Array = NDArray[np.float64]
 
 KINDS: Final = ("friction", "drive", "load")
 # A kind is reported only if it explains this share of the squared residual...
@@ -36,16 +34,11 @@ KNEE_RAD_S: Final = 1.0
 
 
 class _Shapes(NamedTuple):
-    """What changes add to one joint's movement.
+    """What changes add to one joint's movement."""
 
-    Attributes:
-        linear: (p, s) shapes that are linear in the regressors; friction's, which is not, stands
-            before them.
-        of: kind -> its columns, friction's counted.
-    """
-
+    # (p, s) shapes that are linear in the regressors; friction's, which is not, stands before them
     linear: Array
-    of: dict[str, list[int]]
+    of: dict[str, list[int]]  # kind -> its columns, friction's counted
 
 
 class ChangeClassifier:

@@ -6,29 +6,24 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.detect.layout import KEPT
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.wire import ServoSample
 
-Array = NDArray[np.float64]
-
 
 class KeptSamples(NamedTuple):
-    """Holds copies of n samples in a row.
+    """Holds copies of n samples in a row."""
 
-    Attributes:
-        t_ns, seq: (n,) of each.
-        measured, desired: (n, J) rad.
-        swing: (n,) whether the leg was in a swing, by its source; None where that is silent.
-    """
-
-    t_ns: NDArray[np.int64]
-    seq: NDArray[np.int64]
+    # t_ns, seq: (n,) of each
+    t_ns: Ints
+    seq: Ints
+    # measured, desired: (n, J) rad
     measured: Array
     desired: Array
-    swing: NDArray[np.bool_] | None
+    # (n,) whether the leg was in a swing, by its source; None where that is silent
+    swing: Mask | None
 
     @classmethod
     def of(cls, place: LegPlace, most: int = KEPT) -> KeptSamples:

@@ -21,8 +21,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.diagnose.kept_samples import KeptSamples
 from adaptive_contact.diagnose.standing_feet import LegRows, standing_feet
@@ -33,20 +33,6 @@ from adaptive_contact.model.window import stack
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ServoSample
-
-__all__ = [
-    "SWAPPED",
-    "IdJob",
-    "IdTrack",
-    "IdWatch",
-    "LegRows",
-    "Owner",
-    "judge_ids",
-    "judge_recorded_ids",
-]
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Words of every note of this kind.
 SWAPPED: Final = "the samples are those of leg"
@@ -74,11 +60,6 @@ class Owner(NamedTuple):
 
 def judge_fit(robot: Robot, baseline: Baseline, rows: Mapping[str, LegRows]) -> dict[str, Owner]:
     """Compare every leg's residuals under its own and the others' baselines.
-
-    Args:
-        robot: its description.
-        baseline: what is known of its legs.
-        rows: by leg.
 
     Returns:
         By the name of the samples, the leg that they are of, where the models distinguish legs;
@@ -162,11 +143,6 @@ def judge_ids(
 ) -> dict[str, Owner]:
     """Find legs whose samples are another leg's.
 
-    Args:
-        robot: its description.
-        baseline: what is known of its legs, if anything is.
-        rows: by leg.
-
     Returns:
         By the name that samples come under: the leg that they are of.
     """
@@ -223,17 +199,10 @@ class IdJob:
 
 
 class IdTrack:
-    """Follows whose samples come under one leg's name.
-
-    Args:
-        place: its arrays.
-        period_ns: control tick.
-
-    Attributes:
-        owner: the leg whose samples these are; None as long as they seem to be the leg's own.
-    """
+    """Follows whose samples come under one leg's name."""
 
     def __init__(self, place: LegPlace, period_ns: int) -> None:
+        # the leg whose samples these are; None as long as they seem to be the leg's own
         self.owner: Owner | None = None
         self.suspected: Owner | None = None  # by the last judgement alone
         self._place, self._period_ns = place, period_ns
@@ -276,13 +245,7 @@ def judge_recorded_ids(
 
 
 class IdWatch:
-    """Judges, when it is time, whose samples come under each leg's name.
-
-    Args:
-        robot: its description.
-        baseline: what is known of its legs, if anything is.
-        refitter: makes the judgements.
-    """
+    """Judges, when it is time, whose samples come under each leg's name."""
 
     def __init__(self, robot: Robot, baseline: Baseline | None, refitter: Refitter) -> None:
         self._robot, self._baseline, self._refitter = robot, baseline, refitter

@@ -13,14 +13,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.conventions.rigid import LEAST_ROWS, RIGID, SETTLE_S, on_body, rigidity
 from adaptive_contact.robot import Leg
 from adaptive_contact.robot.gait_phase import infer_phase
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Standing feet: over this time, s; rho of a body that is not rigid (see conventions.rigid).
 LAG_S: Final = 0.08
@@ -30,18 +27,13 @@ MOST_LEGS: Final = 6
 
 @dataclasses.dataclass(frozen=True)
 class LegRows:
-    """Holds one leg's samples in order, in the frame of its description.
+    """Holds one leg's samples in order, in the frame of its description."""
 
-    Attributes:
-        seq: (n,) numbers of the control ticks, counted alike in all legs.
-        measured, desired: (n, J) rad.
-        swing: (n,) as the source reports; None where it does not.
-    """
-
-    seq: NDArray[np.int64]
+    seq: Ints  # (n,) numbers of the control ticks, counted alike in all legs
+    # measured, desired: (n, J) rad
     measured: Array
     desired: Array
-    swing: Mask | None
+    swing: Mask | None  # (n,) as the source reports; None where it does not
 
 
 def standing_feet(
@@ -150,7 +142,7 @@ class StandingFeet:
         return (float(len(rows)) ** 2 if math.isfinite(rho2) else 0.0), rho2
 
 
-def _standing(leg: Leg, rows: LegRows, lag: int, settle: int) -> NDArray[np.int64]:
+def _standing(leg: Leg, rows: LegRows, lag: int, settle: int) -> Ints:
     """Rows at which a foot stands, and has for ``lag`` ticks after settling."""
     swing = rows.swing if rows.swing is not None else infer_phase(rows.desired, leg)
     assert swing is not None

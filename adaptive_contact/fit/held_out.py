@@ -13,20 +13,14 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit.prior import STRENGTHS, fit_prior, posterior_domain
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, Prior, fit_sparse
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.leg_prior import in_family
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import Domain
-
-__all__ = ["HeldOut", "Manner", "Sweep", "strength_of", "swept"]
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # The sparsest model whose held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005
@@ -45,29 +39,17 @@ LONE_SPREAD: Final = 10.0
 
 @dataclasses.dataclass(frozen=True)
 class Manner:
-    """Describes how a leg is fitted.
+    """Describes how a leg is fitted."""
 
-    Attributes:
-        library: the terms to choose from.
-        quantum_rad: position step.
-        unit: (J,) rad, of λ.
-        strength: how firmly it holds on to what is known of any leg; None for not at all.
-        inflation: factor on the leverage of a motion, beyond that of a position.
-    """
-
-    library: Library
-    quantum_rad: float
-    unit: tuple[float, ...]
+    library: Library  # the terms to choose from
+    quantum_rad: float  # position step
+    unit: tuple[float, ...]  # (J,) rad, of λ
+    # how firmly it holds on to what is known of any leg; None for not at all
     strength: float | None = None
-    inflation: float = 1.0
+    inflation: float = 1.0  # factor on the leverage of a motion, beyond that of a position
 
     def fit(self, factor: Factor, threshold: float) -> Fit:
-        """Fit some rows.
-
-        Args:
-            factor: of the rows.
-            threshold: λ.
-        """
+        """Fit some rows."""
         prior = None if self.strength is None else self._prior(factor, self.strength)
         return fit_sparse(factor, FitSettings(threshold=threshold, unit=self.unit, prior=prior))
 
@@ -104,9 +86,6 @@ class HeldOut:
         theta: (n, p) regressors.
         target: (n, J) rad.
         fold: (n,) numbers from 0.
-
-    Attributes:
-        whole: all rows.
     """
 
     def __init__(self, theta: Array, target: Array, fold: Ints) -> None:
@@ -117,7 +96,7 @@ class HeldOut:
         for mask in masks:
             factors.append(Factor(p, joints))
             factors[-1].add(theta[mask], target[mask])
-        self.whole = Factor.merged(factors, p, joints)
+        self.whole = Factor.merged(factors, p, joints)  # all rows
         self._parts: list[tuple[Mask, Factor]] = [
             (mask, Factor.merged((o for k, o in enumerate(factors) if k != f), p, joints))
             for f, mask in enumerate(masks)
@@ -174,24 +153,15 @@ class HeldOut:
 
 @dataclasses.dataclass(frozen=True)
 class Sweep:
-    """Holds what came of fits with several λ.
+    """Holds what came of fits with several λ."""
 
-    Attributes:
-        manner: of the fits.
-        threshold: λ that was chosen.
-        errors: λ to (J,) root mean square of ``residual``.
-        residual: (n, J) held out, at the λ that was chosen, over √(1 + h), h the leverage on the
-            other folds.
-        certain: (n, J) the same with h inflated; noise and tail are fitted to it.
-        lone: ticks in which that root is ten and more, as no other motion is like them.
-    """
-
-    manner: Manner
-    threshold: float
-    errors: dict[float, Array]
+    manner: Manner  # of the fits
+    threshold: float  # λ that was chosen
+    errors: dict[float, Array]  # λ to (J,) root mean square of `residual`
+    # (n, J) held out, at the λ that was chosen, over √(1 + h), h the leverage on the other folds
     residual: Array
-    certain: Array
-    lone: int = 0
+    certain: Array  # (n, J) the same with h inflated; noise and tail are fitted to it
+    lone: int = 0  # ticks in which that root is ten and more, as no other motion is like them
 
 
 def swept(
@@ -200,9 +170,6 @@ def swept(
     """Choose λ by held-out error.
 
     Args:
-        held: the rows.
-        manner: of the fits.
-        lambdas: to choose from.
         still: (J,) joints that stand.
         rounding: rad, deviation of a reading.
 

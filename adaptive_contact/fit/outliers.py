@@ -19,16 +19,10 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit.sparse_regression import FitSettings, fit_sparse
 from adaptive_contact.model.factor import Factor
-
-__all__ = ["Untouched", "inliers", "untouched"]
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # Rows further out than this many standard deviations, in whitened distance, are no noise: a touch
 # in a recording assumed free, or a bad reading.  Free ticks reach 6 in 10^6.
@@ -85,15 +79,10 @@ def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
 
 
 class Untouched(NamedTuple):
-    """Holds which rows to learn from, where it is not known whether the leg touched.
+    """Holds which rows to learn from, where it is not known whether the leg touched."""
 
-    Attributes:
-        keep: (n,) False for what is left out.
-        touched: swings in which something is no noise.
-    """
-
-    keep: Mask
-    touched: int
+    keep: Mask  # (n,) False for what is left out
+    touched: int  # swings in which something is no noise
 
 
 def untouched(

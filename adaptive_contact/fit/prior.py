@@ -23,17 +23,12 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.fit.sparse_regression import Prior
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.leg_prior import columns_of, leg_prior
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import BEYOND_DEVIATIONS, Domain
-
-__all__ = ["STRENGTHS", "fit_prior", "posterior_domain"]
-
-Array = NDArray[np.float64]
 
 # How firmly a fit holds on: as the family's covariance divided by so much says, at the family's
 # noise.  1 is right where errors are noise alone; errors that come from the motion repeat

@@ -18,8 +18,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.conventions.judge import (
     ConventionFinding,
     LegMotion,
@@ -38,10 +38,6 @@ from adaptive_contact.fit.train import Stretch, cautious
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ContactTruth, Reject, ServoSample
-
-__all__ = ["LegGatherer", "judge_conventions", "stray_readings", "untouched"]
-
-Mask = NDArray[np.bool_]
 
 # Around a touch of the truth: it counts from 0.5 N on, so a tick before it may be pressed on
 # already, and a leg let go of rings for some ticks.
@@ -210,7 +206,7 @@ class LegGatherer:
             certain=certain,
         )
 
-    def _swing(self, rows: list[ServoSample], desired: NDArray[np.float64]) -> Mask:
+    def _swing(self, rows: list[ServoSample], desired: Array) -> Mask:
         inferred = infer_phase(desired, self.leg)
         stated = np.array([s.phase is not None for s in rows])
         if inferred is None and not stated.all():
@@ -222,7 +218,7 @@ class LegGatherer:
         return swing if inferred is None else np.where(stated, swing, inferred)
 
 
-def stray_readings(measured: NDArray[np.float64]) -> Mask:
+def stray_readings(measured: Array) -> Mask:
     """Find readings that leave a joint's path for a tick or two: what failed reads leave behind.
 
     Args:
@@ -241,7 +237,7 @@ def stray_readings(measured: NDArray[np.float64]) -> Mask:
     return np.asarray(off > np.maximum(STRAY_TIMES * usual, STRAY_RAD))
 
 
-def untouched(t_ns: NDArray[np.int64], truth: Iterable[ContactTruth], period_ns: int) -> Mask:
+def untouched(t_ns: Ints, truth: Iterable[ContactTruth], period_ns: int) -> Mask:
     """Find the ticks that no contact of the truth is near.
 
     A touch that begins and ends between two readings leaves no tick in contact, but its mark on
@@ -270,7 +266,7 @@ def untouched(t_ns: NDArray[np.int64], truth: Iterable[ContactTruth], period_ns:
     return mask
 
 
-def _exclude(mask: Mask, t_ns: NDArray[np.int64], onset: int, release: int, period_ns: int) -> None:
+def _exclude(mask: Mask, t_ns: Ints, onset: int, release: int, period_ns: int) -> None:
     first = np.searchsorted(t_ns, onset - BEFORE_TICKS * period_ns)
     last = np.searchsorted(t_ns, release + AFTER_TICKS * period_ns, side="right")
     mask[first:last] = False
@@ -278,15 +274,10 @@ def _exclude(mask: Mask, t_ns: NDArray[np.int64], onset: int, release: int, peri
 
 @dataclasses.dataclass
 class _Run:
-    """From one start of the source to the next.
+    """From one start of the source to the next."""
 
-    Attributes:
-        t_ns: of all samples accepted, used or not.
-        stretches: those used, cut where one is missing.
-    """
-
-    t_ns: list[int]
-    stretches: list[list[ServoSample]]
+    t_ns: list[int]  # of all samples accepted, used or not
+    stretches: list[list[ServoSample]]  # those used, cut where one is missing
 
     def near(self, t_ns: int, came: int) -> bool:
         """Whether a time is near this run's when ``came`` of its samples had come."""
@@ -298,7 +289,7 @@ class _Run:
         return self.t_ns[0] - slack_ns <= t_ns <= self.t_ns[-1] + slack_ns
 
 
-def _tick_times(rows: list[ServoSample], period_ns: int) -> NDArray[np.int64]:
+def _tick_times(rows: list[ServoSample], period_ns: int) -> Ints:
     """(n,) times of ticks: those of an even grid, moved by the mean of what stamps are off it."""
     grid = np.array([sample.seq for sample in rows], dtype=np.int64) * period_ns
     off = np.array([sample.t_ns for sample in rows], dtype=np.int64) - grid
@@ -334,17 +325,11 @@ def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
 
 
 class _Received(NamedTuple):
-    """Holds a change of contact, and when it was received.
+    """Holds a change of contact, and when it was received."""
 
-    Attributes:
-        change: it.
-        run: number of the run in force, -1 before any sample.
-        came: samples of that run by then.
-    """
-
-    change: ContactTruth
-    run: int
-    came: int
+    change: ContactTruth  # it
+    run: int  # number of the run in force, -1 before any sample
+    came: int  # samples of that run by then
 
 
 class _Truth(NamedTuple):

@@ -11,15 +11,11 @@ import dataclasses
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.fit.sparse_regression import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.training_domain import Domain
-
-__all__ = ["InlineRefitter", "Job", "RefitJob", "RefitResult", "Refitter", "refit"]
-
-Array = NDArray[np.float64]
 
 # λ, in units of the noise; the grid of a baseline's fit without its extremes.
 SWEEP = (0.05, 0.15, 0.3)
@@ -28,22 +24,18 @@ TOLERANCE = 1.005
 
 @dataclasses.dataclass(frozen=True)
 class RefitJob:
-    """Holds what a refit needs.
+    """Holds what a refit needs."""
 
-    Attributes:
-        leg, number: name it.
-        fit, held_out: compressed factors of the buffer.
-        noise: (J,) rad, the unit of λ.
-        prior: rows that stand for what was known before, fitted to with the others.
-        domain: where the model has been by its baseline; None if that is not known.
-    """
-
+    # leg, number: name it
     leg: str
     number: int
+    # fit, held_out: compressed factors of the buffer
     fit: Factor
     held_out: Factor
-    noise: Array
+    noise: Array  # (J,) rad, the unit of λ
+    # rows that stand for what was known before, fitted to with the others
     prior: Factor | None = None
+    # where the model has been by its baseline; None if that is not known
     domain: Domain | None = None
 
     def run(self) -> RefitResult:
@@ -53,22 +45,14 @@ class RefitJob:
 
 @dataclasses.dataclass(frozen=True)
 class RefitResult:
-    """Holds the result of a refit.
-
-    Attributes:
-        status: how the fit ended.
-        coefficients: (p, J).
-        threshold: λ that was chosen.
-        held_out: root mean square over the noise, mean over joints, on the held-out segments.
-        domain: where the leg's model has been by now; None if that is not known.
-    """
+    """Holds the result of a refit."""
 
     number: int
-    status: FitStatus
-    coefficients: Array
-    threshold: float
-    held_out: float
-    domain: Domain | None = None
+    status: FitStatus  # how the fit ended
+    coefficients: Array  # (p, J)
+    threshold: float  # λ that was chosen
+    held_out: float  # root mean square over the noise, mean over joints, on the held-out segments
+    domain: Domain | None = None  # where the leg's model has been by now; None if that is not known
 
 
 class Job(Protocol):

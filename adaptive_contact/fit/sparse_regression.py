@@ -13,16 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.model.factor import Factor
 
 if TYPE_CHECKING:
     from pysindy.optimizers import STLSQ
-
-__all__ = ["Fit", "FitSettings", "FitStatus", "Prior", "fit_sparse"]
-
-Array = NDArray[np.float64]
 
 # Singular values below this share of the largest count as zero in the unbiased refit; the value of
 # scikit-learn's LinearRegression, which PySINDy's own refit uses.
@@ -42,61 +38,42 @@ class FitStatus(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """Holds what is known of the coefficients before the data, a Gaussian for each joint.
+    """Holds what is known of the coefficients before the data, a Gaussian for each joint."""
 
-    Attributes:
-        mean: (p, J).
-        rows: (J, q, p) rows that stand for it among those of the data: their outer products sum to
-            the precision, in units of a row's.
-        used: (p, J) terms that a joint may have.
-    """
-
-    mean: Array
+    mean: Array  # (p, J)
+    # (J, q, p) rows that stand for it among those of the data: their outer products sum to the
+    # precision, in units of a row's
     rows: Array
-    used: NDArray[np.bool_]
+    used: Mask  # (p, J) terms that a joint may have
 
 
 @dataclasses.dataclass(frozen=True)
 class FitSettings:
-    """Holds the settings of one sparse fit.
+    """Holds the settings of one sparse fit."""
 
-    Attributes:
-        threshold: λ of STLSQ, on coefficients in units of ``unit`` per column root mean square:
-            a term stays if it moves the prediction by more than λ units.
-        ridge: ridge term per row, in the same scaled units.
-        unit: (J,) what a prediction is measured in, rad; the noise floor makes λ dimensionless.
-        iterations: STLSQ's limit.
-        prior: what is known of the coefficients; they are fitted from nothing without.
-    """
-
+    # λ of STLSQ, on coefficients in units of `unit` per column root mean square: a term stays if
+    # it moves the prediction by more than λ units
     threshold: float = 0.0
-    ridge: float = 1e-9
+    ridge: float = 1e-9  # ridge term per row, in the same scaled units
+    # (J,) what a prediction is measured in, rad; the noise floor makes λ dimensionless
     unit: tuple[float, ...] | None = None
-    iterations: int = 20
+    iterations: int = 20  # STLSQ's limit
+    # what is known of the coefficients; they are fitted from nothing without
     prior: Prior | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """Holds the result of a fit.
+    """Holds the result of a fit."""
 
-    Attributes:
-        status: how it ended.
-        coefficients: (p, J), raw units.
-        support: (p, J) bool.
-        rms: (J,) on the rows it was fitted to.
-        rows: raw rows behind it.
-        condition: of the scaled regressors.
-    """
+    status: FitStatus  # how it ended
+    coefficients: Array  # (p, J), raw units
+    support: Mask  # (p, J) bool
+    rms: Array  # (J,) on the rows it was fitted to
+    rows: float  # raw rows behind it
+    condition: float  # of the scaled regressors
 
-    status: FitStatus
-    coefficients: Array
-    support: NDArray[np.bool_]
-    rms: Array
-    rows: float
-    condition: float
-
-    def usable(self, still: NDArray[np.bool_]) -> bool:
+    def usable(self, still: Mask) -> bool:
         """Return whether it predicts every joint that moves.
 
         Args:
@@ -113,10 +90,6 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
 
     Columns are scaled to unit root mean square and rows to unit weight, so that neither λ nor
     the ridge term depends on units or on the number of rows.
-
-    Args:
-        factor: the data.
-        settings: λ and the like.
 
     Returns:
         The model with its status; never raises for bad data.

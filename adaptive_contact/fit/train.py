@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.outliers import inliers, untouched
@@ -27,12 +27,6 @@ from adaptive_contact.model.tail import fit_tail
 from adaptive_contact.model.window import Window, stack
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, directions
-
-__all__ = ["LegFigures", "Stretch", "Training", "cautious", "learn", "learn_leg", "swing_ticks"]
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 FOLDS: Final = 5
 # Swings of one fold in a row, so that neighbours, which share posture and drift, stay together.
@@ -52,75 +46,49 @@ LAST_TICKS: Final = 6
 
 @dataclasses.dataclass(frozen=True)
 class Stretch:
-    """Holds one leg's samples without a gap.
+    """Holds one leg's samples without a gap."""
 
-    Attributes:
-        measured: (n, J) rad.
-        desired: (n, J) rad.
-        swing: (n,) in swing.
-        free: (n,) known, or assumed, to touch nothing.
-        sound: (n,) all readings of the tick are good.
-        certain: free is known; else it is assumed, and some of it may have touched.
-    """
-
-    measured: Array
-    desired: Array
-    swing: Mask
-    free: Mask
-    sound: Mask
-    certain: bool = True
+    measured: Array  # (n, J) rad
+    desired: Array  # (n, J) rad
+    swing: Mask  # (n,) in swing
+    free: Mask  # (n,) known, or assumed, to touch nothing
+    sound: Mask  # (n,) all readings of the tick are good
+    certain: bool = True  # free is known; else it is assumed, and some of it may have touched
 
 
 @dataclasses.dataclass(frozen=True)
 class LegFigures:
-    """Holds the figures of how well one leg was learned.
+    """Holds the figures of how well one leg was learned."""
 
-    Attributes:
-        rows: free ticks used, and ``outliers`` left out of them.
-        swings: they come from.
-        touched: of these, in which the foot touched, by what stands out; 0 where free is known.
-        threshold: λ that was chosen, in units of the residual.
-        sweep: λ to held-out root mean square, (J,) rad.
-        held_out_rms: (J,) rad at that λ.
-        naive_rms: (J,) rad of predicting no motion.
-        terms: (J,) kept, of ``library_size``.
-        condition: of the scaled regressors.
-        spans: ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements
-            summed over so many.
-        strength: how firmly the fit holds on to what is known of any leg; None where the motions
-            determine all terms (:mod:`~adaptive_contact.fit.prior`).
-        lone: ticks in which a motion went beyond all others, so that thresholds there are ten times
-            the noise and more.
-    """
-
-    rows: int
+    rows: int  # free ticks used, and `outliers` left out of them
     outliers: int
-    swings: int
-    touched: int
-    threshold: float
-    sweep: dict[float, tuple[float, ...]]
-    held_out_rms: tuple[float, ...]
-    naive_rms: tuple[float, ...]
-    terms: tuple[int, ...]
+    swings: int  # they come from
+    touched: int  # of these, in which the foot touched, by what stands out; 0 where free is known
+    threshold: float  # λ that was chosen, in units of the residual
+    sweep: dict[float, tuple[float, ...]]  # λ to held-out root mean square, (J,) rad
+    held_out_rms: tuple[float, ...]  # (J,) rad at that λ
+    naive_rms: tuple[float, ...]  # (J,) rad of predicting no motion
+    terms: tuple[int, ...]  # (J,) kept, of `library_size`
     library_size: int
-    condition: float
+    condition: float  # of the scaled regressors
+    # ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements summed
+    # over so many
     spans: dict[int, tuple[Array, Array]]
+    # how firmly the fit holds on to what is known of any leg; None where the motions determine all
+    # terms (`prior`)
     strength: float | None = None
+    # ticks in which a motion went beyond all others, so that thresholds there are ten times the
+    # noise and more
     lone: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
 class Training:
-    """Holds a learned baseline and how good it is.
+    """Holds a learned baseline and how good it is."""
 
-    Attributes:
-        baseline: of the legs that could be learned.
-        figures: by leg.
-        skipped: legs that were recorded but could not be learned, and why.
-    """
-
-    baseline: Baseline
-    figures: dict[str, LegFigures]
+    baseline: Baseline  # of the legs that could be learned
+    figures: dict[str, LegFigures]  # by leg
+    # legs that were recorded but could not be learned, and why
     skipped: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
@@ -157,9 +125,6 @@ def learn(
         window: past and future to look at.
         threshold: λ, in units of the residual; chosen on held-out swings where absent.
         progress: called with each leg as it begins.
-
-    Returns:
-        The baseline with its figures.
 
     Raises:
         IdentificationError: no leg has enough to learn from.

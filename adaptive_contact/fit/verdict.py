@@ -14,8 +14,6 @@ from scipy.special import chdtri  # scipy.stats takes half a second to import
 from adaptive_contact.fit.train import Training
 from adaptive_contact.robot import Robot
 
-__all__ = ["refusals", "verdict"]
-
 # A model is good where it errs little more than readings do; half a step of noise and the step's
 # own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
 _NOISE_STEPS: Final = 0.82

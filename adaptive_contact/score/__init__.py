@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from adaptive_contact.score.contacts import (
     Contacts,
-    Swings,
     TruthChanges,
     contacts_of,
     find_swings,
@@ -27,13 +26,10 @@ from adaptive_contact.score.outcome import (
     Outcome,
     Row,
     SwingTable,
-    TouchTable,
 )
 from adaptive_contact.score.score import Score, score_messages
 from adaptive_contact.score.streams import Gatherer
 from adaptive_contact.score.summary import (
-    Interval,
-    Latency,
     RowFigures,
     Summary,
     clopper_pearson,
@@ -42,36 +38,3 @@ from adaptive_contact.score.summary import (
     summarise,
     swings_to_recovery,
 )
-
-__all__ = [
-    "COUNTED",
-    "ROWS",
-    "Contacts",
-    "Events",
-    "Gatherer",
-    "Interval",
-    "Latency",
-    "LegOutcome",
-    "LegStream",
-    "Outcome",
-    "Row",
-    "RowFigures",
-    "Score",
-    "Summary",
-    "SwingTable",
-    "Swings",
-    "TouchTable",
-    "TruthChanges",
-    "clopper_pearson",
-    "contacts_of",
-    "find_swings",
-    "is_harmful",
-    "lift_by_halves",
-    "lift_by_height",
-    "match",
-    "poisson_mean",
-    "score_messages",
-    "summarise",
-    "swings_to_recovery",
-    "truth_changes",
-]

@@ -13,13 +13,9 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.wire import ContactTruth
-
-Times = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Least time in the air before a touch is a new contact.
 AIR_NS: Final = 60_000_000
@@ -28,43 +24,29 @@ FOREVER_NS: Final = np.iinfo(np.int64).max
 
 
 class TruthChanges(NamedTuple):
-    """One leg's truth stream as arrays, (m,) each.
+    """One leg's truth stream as arrays, (m,) each."""
 
-    Attributes:
-        t_ns: when the state changed.
-        contact: the state from then on.
-        speed_m_s: at touch, NaN where it was not given.
-        soft: whether the surface is soft; unknown counts as hard.
-        grazing: whether the motion was nearly tangent to the surface.
-        force_n: mean over 20 ms, N.
-    """
-
-    t_ns: Times
-    contact: Flags
-    speed_m_s: Floats
-    soft: Flags
-    grazing: Flags
-    force_n: Floats
+    t_ns: Ints  # when the state changed
+    contact: Mask  # the state from then on
+    speed_m_s: Array  # at touch, NaN where it was not given
+    soft: Mask  # whether the surface is soft; unknown counts as hard
+    grazing: Mask  # whether the motion was nearly tangent to the surface
+    force_n: Array  # mean over 20 ms, N
 
 
 class Contacts(NamedTuple):
-    """One leg's contacts in order of time, (c,) each; they do not overlap.
+    """One leg's contacts in order of time, (c,) each; they do not overlap."""
 
-    Attributes:
-        onset_ns: when it began.
-        release_ns: when it ended, :data:`FOREVER_NS` where it did not.
-        touch: whether the leg was seen in the air for 60 ms before; False only for a contact that
-            the stream begins with.
-        speed_m_s, soft, grazing, force_n: as given at the onset.
-    """
-
-    onset_ns: Times
-    release_ns: Times
-    touch: Flags
-    speed_m_s: Floats
-    soft: Flags
-    grazing: Flags
-    force_n: Floats
+    onset_ns: Ints  # when it began
+    release_ns: Ints  # when it ended, `FOREVER_NS` where it did not
+    # whether the leg was seen in the air for 60 ms before; False only for a contact that the stream
+    # begins with
+    touch: Mask
+    # speed_m_s, soft, grazing, force_n: as given at the onset
+    speed_m_s: Array
+    soft: Mask
+    grazing: Mask
+    force_n: Array
 
 
 def truth_changes(messages: Iterable[ContactTruth]) -> TruthChanges:
@@ -118,7 +100,7 @@ def contacts_of(truth: TruthChanges, start_ns: int) -> Contacts:
     return contacts
 
 
-def _pick(truth: TruthChanges, rows: Times, onset_ns: Times, release_ns: Times) -> Contacts:
+def _pick(truth: TruthChanges, rows: Ints, onset_ns: Ints, release_ns: Ints) -> Contacts:
     """Contacts with the attributes of the given rows of the truth; row -1 has none."""
     given = rows >= 0
     return Contacts(
@@ -132,8 +114,6 @@ def _pick(truth: TruthChanges, rows: Times, onset_ns: Times, release_ns: Times) 
     )
 
 
-Index = NDArray[np.int64]
-
 # A hole this long in the samples (in median ticks) ends a swing: what happened inside is unknown.
 GAP_TICKS: Final = 10
 # The lift is over once the command comes this close to the highest point of its swing.  A swing's
@@ -144,30 +124,23 @@ AFTER_TICKS: Final = 16
 
 
 class Swings(NamedTuple):
-    """Swings in order of time.
+    """Swings in order of time."""
 
-    Attributes:
-        start: (s,) index of the first swing sample.
-        stop: (s,) index after the last one.
-        of_tick: (n,) which swing a sample belongs to, -1 in stance.
-        after_tick: (n,) which swing a sample follows, up to 16 ticks after its turn to stance; -1
-            elsewhere.
-    """
-
-    start: Index
-    stop: Index
-    of_tick: Index
-    after_tick: Index
+    start: Ints  # (s,) index of the first swing sample
+    stop: Ints  # (s,) index after the last one
+    of_tick: Ints  # (n,) which swing a sample belongs to, -1 in stance
+    # (n,) which swing a sample follows, up to 16 ticks after its turn to stance; -1 elsewhere
+    after_tick: Ints
 
 
-def longest_gap(t_ns: NDArray[np.int64]) -> int:
+def longest_gap(t_ns: Ints) -> int:
     """Longest time between two samples, ns, that still counts as one stretch."""
     if len(t_ns) < 2:
         return 0
     return int(GAP_TICKS * np.median(np.diff(t_ns)))
 
 
-def find_swings(t_ns: NDArray[np.int64], swing: Flags) -> Swings:
+def find_swings(t_ns: Ints, swing: Mask) -> Swings:
     """Split a leg's samples into swings.
 
     Args:
@@ -200,7 +173,7 @@ def find_swings(t_ns: NDArray[np.int64], swing: Flags) -> Swings:
     return Swings(start, stop, of_tick, after_tick)
 
 
-def lift_by_height(swings: Swings, height_m: NDArray[np.float64]) -> Flags:
+def lift_by_height(swings: Swings, height_m: Array) -> Mask:
     """Lift ticks from the height of the command.
 
     Args:
@@ -223,7 +196,7 @@ def lift_by_height(swings: Swings, height_m: NDArray[np.float64]) -> Flags:
     return in_swing & (ticks < first_near[swings.of_tick])
 
 
-def lift_by_halves(swings: Swings) -> Flags:
+def lift_by_halves(swings: Swings) -> Mask:
     """Lift ticks where the leg's geometry is not known: the first half of every swing, (n,)."""
     half = (swings.start + swings.stop) // 2
     if len(half) == 0:

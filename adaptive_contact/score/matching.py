@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Ints, Mask
 from adaptive_contact.score.contacts import (
     FOREVER_NS,
     Contacts,
@@ -32,10 +32,6 @@ from adaptive_contact.score.outcome import (
     TouchTable,
 )
 
-Times = NDArray[np.int64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
-
 # After a touch on hard ground at speed, and after a slow approach or on soft ground.
 WINDOW_NS: Final = 120_000_000
 LONG_WINDOW_NS: Final = 500_000_000
@@ -54,9 +50,6 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
     Args:
         stream: samples and truth.
         events: of one detector; repeats of a ``contact: true`` at one sample count once.
-
-    Returns:
-        Every touch, swing and false alarm.
     """
     t_ns = stream.t_ns
     swings = find_swings(t_ns, stream.swing)
@@ -122,7 +115,7 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
     )
 
 
-def _tick_of(when_ns: Times, t_ns: Times) -> Index:
+def _tick_of(when_ns: Ints, t_ns: Ints) -> Ints:
     """The tick each time lies in: its last sample so far, -1 before the first or in a hole."""
     tick = np.searchsorted(t_ns, when_ns, side="right") - 1
     if len(t_ns):
@@ -130,24 +123,24 @@ def _tick_of(when_ns: Times, t_ns: Times) -> Index:
     return tick
 
 
-def _at(values: Index, tick: Index) -> Index:
+def _at(values: Ints, tick: Ints) -> Ints:
     """``values[tick]``, -1 where the tick is."""
     if len(values) == 0:
         return np.full(len(tick), -1)
     return np.where(tick >= 0, values[tick], -1)
 
 
-def _loaded(when_ns: Times, swing: Index, contacts: Contacts, contact_swing: Index) -> Flags:
+def _loaded(when_ns: Ints, swing: Ints, contacts: Contacts, contact_swing: Ints) -> Mask:
     """Whether, at times inside the given swings, a contact held that did not begin in them."""
     if len(contacts.onset_ns) == 0:
         return np.zeros(len(when_ns), dtype=bool)
     which = np.searchsorted(contacts.onset_ns, when_ns, side="right") - 1
-    loaded: Flags = (which >= 0) & (when_ns < contacts.release_ns[which])
+    loaded: Mask = (which >= 0) & (when_ns < contacts.release_ns[which])
     loaded &= contact_swing[which] != swing
     return loaded
 
 
-def _first_after(t_ns: Times, swings: Swings, contacts: Contacts) -> Index:
+def _first_after(t_ns: Ints, swings: Swings, contacts: Contacts) -> Ints:
     """(s,) the first contact that holds at the turn of each swing, or begins after it."""
     if len(t_ns) == 0:
         return np.zeros(0, np.int64)
@@ -156,7 +149,7 @@ def _first_after(t_ns: Times, swings: Swings, contacts: Contacts) -> Index:
 
 
 def _touches(
-    contacts: Contacts, touched: Index, tick: Index, swings: Swings, lift: Flags
+    contacts: Contacts, touched: Ints, tick: Ints, swings: Swings, lift: Mask
 ) -> TouchTable:
     """The touches to be found, in their rows; none found yet.
 
@@ -167,7 +160,7 @@ def _touches(
     speed, soft = contacts.speed_m_s[inside], contacts.soft[inside]
     # Samples at or before the onset cannot know of it; ``at`` is the last of those.
     left = swings.stop[swing] - 1 - at
-    rows: list[tuple[Flags, Row]] = [
+    rows: list[tuple[Mask, Row]] = [
         (left < LATE_SAMPLES, Row.LATE),  # after the turn it is negative
         (lift[at], Row.LIFT),
         (contacts.grazing[inside], Row.GRAZING),
@@ -198,8 +191,8 @@ def _touches(
 
 
 def _assign(
-    touches: TouchTable, event_ns: Times, event_swing: Index, estimate_ns: Times
-) -> tuple[TouchTable, Flags]:
+    touches: TouchTable, event_ns: Ints, event_swing: Ints, estimate_ns: Ints
+) -> tuple[TouchTable, Mask]:
     """Give each touch, in order, the first event in its window and swing that no other has."""
     found, latency = touches.found.copy(), touches.latency_ns.copy()
     error = touches.onset_error_ns.copy()

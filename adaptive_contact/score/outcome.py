@@ -10,13 +10,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.score.contacts import TruthChanges
 from adaptive_contact.wire import ContactEvent
-
-Times = NDArray[np.int64]
-Index = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class Row(enum.StrEnum):
@@ -51,17 +47,11 @@ class Outcome(enum.StrEnum):
 
 
 class Events(NamedTuple):
-    """One leg's contact events, (e,) each, in any order.
+    """One leg's contact events, (e,) each, in any order."""
 
-    Attributes:
-        t_ns: of the deciding sample.
-        contact: the reported state.
-        onset_ns: the estimated first touch.
-    """
-
-    t_ns: Times
-    contact: Flags
-    onset_ns: Times
+    t_ns: Ints  # of the deciding sample
+    contact: Mask  # the reported state
+    onset_ns: Ints  # the estimated first touch
 
     @classmethod
     def of(cls, messages: Iterable[ContactEvent]) -> Events:
@@ -77,85 +67,57 @@ class Events(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegStream:
-    """What happened to one leg; every detector's events are scored against the same one.
-
-    Attributes:
-        t_ns: (n,) strictly increasing sample times.
-        swing: (n,) whether the tick is commanded swing.
-        truth: changes of the true state.
-        lift: (n,) which swing ticks are lift; None takes the first half of every swing.
-    """
+    """What happened to one leg; every detector's events are scored against the same one."""
 
     leg: str
-    t_ns: Times
-    swing: Flags
-    truth: TruthChanges
-    lift: Flags | None = None
+    t_ns: Ints  # (n,) strictly increasing sample times
+    swing: Mask  # (n,) whether the tick is commanded swing
+    truth: TruthChanges  # changes of the true state
+    # (n,) which swing ticks are lift; None takes the first half of every swing
+    lift: Mask | None = None
 
 
 class TouchTable(NamedTuple):
-    """Touches in swings and soon after them, in order of time, (c,) each.
+    """Touches in swings and soon after them, in order of time, (c,) each."""
 
-    Attributes:
-        onset_ns: true onset.
-        swing: which swing it lies in, or follows.
-        row: position in :data:`ROWS`.
-        window_ns: how long a detection may take.
-        found: whether it was detected.
-        latency_ns: deciding sample minus onset, -1 where it was not detected.
-        onset_error_ns: estimated minus true onset, 0 where it was not detected.
-        speed_m_s, force_n: as the truth gave them.
-        after_turn: whether the swing had turned to stance before.
-    """
-
-    onset_ns: Times
-    swing: Index
-    row: Index
-    window_ns: Times
-    found: Flags
-    latency_ns: Times
-    onset_error_ns: Times
-    speed_m_s: Floats
-    force_n: Floats
-    after_turn: Flags
+    onset_ns: Ints  # true onset
+    swing: Ints  # which swing it lies in, or follows
+    row: Ints  # position in `ROWS`
+    window_ns: Ints  # how long a detection may take
+    found: Mask  # whether it was detected
+    latency_ns: Ints  # deciding sample minus onset, -1 where it was not detected
+    onset_error_ns: Ints  # estimated minus true onset, 0 where it was not detected
+    # speed_m_s, force_n: as the truth gave them
+    speed_m_s: Array
+    force_n: Array
+    after_turn: Mask  # whether the swing had turned to stance before
 
     @property
-    def counted(self) -> Flags:
+    def counted(self) -> Mask:
         """(c,) whether to miss it is an error; the other rows may be beyond any detector."""
-        flags: Flags = _COUNTED_CODES[self.row]
+        flags: Mask = _COUNTED_CODES[self.row]
         return flags
 
 
 class SwingTable(NamedTuple):
-    """Swings in order of time, (s,) each.
+    """Swings in order of time, (s,) each."""
 
-    Attributes:
-        start_ns, end_ns: first and last swing sample.
-        ticks: swing samples.
-        judged: those of them on which the foot was not still loaded from before.
-        touches: touches of counted rows, those soon after the turn to stance included.
-        hits: touches of any row that were detected.
-        misses: touches of counted rows that were not.
-        false_alarms: ``contact: true`` in the swing that belong to no touch.
-        neutral: ``contact: true`` while the foot was still loaded from before.
-        judged_after: ticks after the turn to stance, up to 16, on which the foot had not touched.
-        alarms_after: ``contact: true`` on those that belong to no touch.
-    """
-
-    start_ns: Times
-    end_ns: Times
-    ticks: Index
-    judged: Index
-    touches: Index
-    hits: Index
-    misses: Index
-    false_alarms: Index
-    neutral: Index
-    judged_after: Index
-    alarms_after: Index
+    # start_ns, end_ns: first and last swing sample
+    start_ns: Ints
+    end_ns: Ints
+    ticks: Ints  # swing samples
+    judged: Ints  # those of them on which the foot was not still loaded from before
+    touches: Ints  # touches of counted rows, those soon after the turn to stance included
+    hits: Ints  # touches of any row that were detected
+    misses: Ints  # touches of counted rows that were not
+    false_alarms: Ints  # `contact: true` in the swing that belong to no touch
+    neutral: Ints  # `contact: true` while the foot was still loaded from before
+    # ticks after the turn to stance, up to 16, on which the foot had not touched
+    judged_after: Ints
+    alarms_after: Ints  # `contact: true` on those that belong to no touch
 
     @property
-    def errors(self) -> Index:
+    def errors(self) -> Ints:
         """(s,) misses and false alarms, in the swing and after it."""
         return self.misses + self.false_alarms + self.alarms_after
 
@@ -170,28 +132,18 @@ class SwingTable(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegOutcome:
-    """One leg, judged.
-
-    Attributes:
-        alarms_ns: (a,) deciding samples of the false alarms in swings.
-        alarm_swing: (a,) the swings they lie in.
-        after_ns: (b,) deciding samples of the false alarms after a turn to stance.
-        after_swing: (b,) the swings that they follow.
-        outside_ns: deciding samples of each ``contact: true`` that is not judged: in stance.
-        unjudged_ns: onsets of touches that are not judged: in stance.
-        span_ns: first and last sample.
-    """
+    """One leg, judged."""
 
     leg: str
     swings: SwingTable
     touches: TouchTable
-    alarms_ns: Times
-    alarm_swing: Index
-    after_ns: Times
-    after_swing: Index
-    outside_ns: Times
-    unjudged_ns: Times
-    span_ns: tuple[int, int]
+    alarms_ns: Ints  # (a,) deciding samples of the false alarms in swings
+    alarm_swing: Ints  # (a,) the swings they lie in
+    after_ns: Ints  # (b,) deciding samples of the false alarms after a turn to stance
+    after_swing: Ints  # (b,) the swings that they follow
+    outside_ns: Ints  # deciding samples of each `contact: true` that is not judged: in stance
+    unjudged_ns: Ints  # onsets of touches that are not judged: in stance
+    span_ns: tuple[int, int]  # first and last sample
 
     def between(self, from_ns: int, to_ns: int) -> LegOutcome:
         """The swings that begin in [``from_ns``, ``to_ns``), and what lies in them.
@@ -199,7 +151,7 @@ class LegOutcome:
         What lies outside swings is taken by its own time.
         """
 
-        def within(when_ns: Times) -> Flags:
+        def within(when_ns: Ints) -> Mask:
             return (when_ns >= from_ns) & (when_ns < to_ns)
 
         keep = within(self.swings.start_ns)

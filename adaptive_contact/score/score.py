@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.robot import Robot
@@ -17,28 +17,31 @@ from adaptive_contact.score.matching import match
 from adaptive_contact.score.outcome import LegOutcome
 from adaptive_contact.score.streams import Gatherer, Received
 from adaptive_contact.score.summary import Summary, summarise
-from adaptive_contact.wire import ContactEvent
+from adaptive_contact.wire import ContactEvent, Reject
 
 _NS_PER_S = 1_000_000_000
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Score:
-    """A scored recording.
+    """A scored recording."""
 
-    Attributes:
-        outcomes: every judged leg, in order of appearance.
-        total: all legs together.
-        legs: each leg alone.
-        rejects: messages that could not be used, by reason.
-        notes: what a reader of the figures should know, one line each.
-    """
+    outcomes: tuple[LegOutcome, ...]  # every judged leg, in order of appearance
+    total: Summary  # all legs together
+    legs: dict[str, Summary]  # each leg alone
+    rejects: dict[str, int]  # messages that could not be used, by reason
+    notes: tuple[str, ...]  # what a reader of the figures should know, one line each
 
-    outcomes: tuple[LegOutcome, ...]
-    total: Summary
-    legs: dict[str, Summary]
-    rejects: dict[str, int]
-    notes: tuple[str, ...]
+    @classmethod
+    def of(cls, outcomes: tuple[LegOutcome, ...], rejects: Mapping[Reject, int]) -> Score:
+        """Add the outcomes of legs up; without notes."""
+        return cls(
+            outcomes=outcomes,
+            total=summarise(outcomes),
+            legs={outcome.leg: summarise([outcome]) for outcome in outcomes},
+            rejects={reason.value: n for reason, n in sorted(rejects.items()) if n},
+            notes=(),
+        )
 
 
 def score_messages(
@@ -57,9 +60,6 @@ def score_messages(
         events: scored instead of those in the recording.
         from_s: judge the swings that begin this long after the first sample, s, or later.
         to_s: and before this.
-
-    Returns:
-        The score.
 
     Raises:
         RecordingError: samples, truth or events are missing, or runs overlap in time.
@@ -101,13 +101,8 @@ def score_messages(
         end_ns = max(outcome.span_ns[1] for outcome in outcomes) + 1
         to_ns = end_ns if math.isinf(to_s) else start_ns + round(to_s * _NS_PER_S)
         outcomes = tuple(outcome.between(from_ns, to_ns) for outcome in outcomes)
-    return Score(
-        outcomes=outcomes,
-        total=summarise(outcomes),
-        legs={outcome.leg: summarise([outcome]) for outcome in outcomes},
-        rejects={reason.value: n for reason, n in sorted(gathered.rejects.items()) if n},
-        notes=_notes(gathered, outcomes),
-    )
+    score = Score.of(outcomes, gathered.rejects)
+    return dataclasses.replace(score, notes=_notes(gathered, outcomes))
 
 
 def _notes(gathered: Gatherer, outcomes: tuple[LegOutcome, ...]) -> tuple[str, ...]:

@@ -82,13 +82,11 @@ class Gatherer:
     Args:
         robot: for the swing phase where the samples do not report it, and for the lift; a leg that
             it does not describe is taken to have no known geometry.
-
-    Attributes:
-        rejects: messages that could not be used, by reason.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
+        # messages that could not be used, by reason
         self.rejects: collections.Counter[Reject] = collections.Counter()
         self._samples: dict[str, _Samples] = {}
         self._truth: dict[str, list[ContactTruth]] = {}

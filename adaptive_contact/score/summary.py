@@ -55,7 +55,7 @@ def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE)
     return Interval(float(low), float(high))
 
 
-def poisson_mean(count: int, confidence: float = CONFIDENCE) -> Interval:
+def poisson_mean(count: int) -> Interval:
     """Interval of the mean of a Poisson variable of which ``count`` was seen.
 
     Raises:
@@ -63,7 +63,7 @@ def poisson_mean(count: int, confidence: float = CONFIDENCE) -> Interval:
     """
     if count < 0:
         raise ValueError(f"a count cannot be {count}; expected 0 or more")
-    tail = (1.0 - confidence) / 2.0
+    tail = (1.0 - CONFIDENCE) / 2.0
     low = gammaincinv(count, tail) if count > 0 else 0.0
     return Interval(float(low), float(gammaincinv(count + 1, 1.0 - tail)))
 
@@ -82,40 +82,25 @@ class Latency:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class RowFigures:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes:
-        touches: how many there were.
-        found: how many were detected.
-        recall: their share, None without touches.
-        interval: 95 % Clopper-Pearson interval of the recall.
-        latency: None where nothing was detected.
-        onset_error_ms: median of estimated minus true onset, None where nothing was detected.
-    """
-
-    touches: int
-    found: int
-    recall: float | None
-    interval: Interval
-    latency: Latency | None
+    touches: int  # how many there were
+    found: int  # how many were detected
+    recall: float | None  # their share, None without touches
+    interval: Interval  # 95 % Clopper-Pearson interval of the recall
+    latency: Latency | None  # None where nothing was detected
+    # median of estimated minus true onset, None where nothing was detected
     onset_error_ms: float | None
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class AlarmFigures:
-    """False alarms on some ticks.
+    """False alarms on some ticks."""
 
-    Attributes:
-        false_alarms: how many.
-        judged_ticks: on so many ticks.
-        per_hour: per robot-hour of 540,000 of them, None without ticks.
-        interval: its 95 % Poisson interval; the upper end is infinite without ticks.
-    """
-
-    false_alarms: int
-    judged_ticks: int
-    per_hour: float | None
-    interval: Interval
+    false_alarms: int  # how many
+    judged_ticks: int  # on so many ticks
+    per_hour: float | None  # per robot-hour of 540,000 of them, None without ticks
+    interval: Interval  # its 95 % Poisson interval; the upper end is infinite without ticks
 
     @classmethod
     def of(cls, alarms: int, ticks: int) -> AlarmFigures:
@@ -128,46 +113,33 @@ class AlarmFigures:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Summary:
-    """All figures of one or several legs.
-
-    Attributes:
-        rows: every row that holds a touch, and always the headline.
-        counted: the rows together whose misses are errors.
-        in_time: those of them that are not late.
-        late_in_swing, late_after: late touches before and after the turn to stance.
-        detections: touches detected, whatever their row.
-        precision: detections over detections and false alarms, None without either.
-        judged_ticks: swing ticks on which the foot was not still loaded from before.
-        per_hour: false alarms per robot-hour of 540,000 judged ticks, None without ticks.
-        per_hour_interval: its 95 % Poisson interval; the upper end is infinite without ticks.
-        after: the same of the ticks after a turn to stance, up to 16, on which the foot had not
-            touched; they are in none of the four.
-        neutral: events while the foot was still loaded from before.
-        outside: events in stance that are not judged.
-        unjudged: touches in stance that are not judged.
-        lost_swings: swings with an error, a missed touch of a counted row or a false alarm.
-    """
+    """All figures of one or several legs."""
 
     legs: tuple[str, ...]
-    rows: dict[Row, RowFigures]
-    counted: RowFigures
-    in_time: RowFigures
+    rows: dict[Row, RowFigures]  # every row that holds a touch, and always the headline
+    counted: RowFigures  # the rows together whose misses are errors
+    in_time: RowFigures  # those of them that are not late
+    # late_in_swing, late_after: late touches before and after the turn to stance
     late_in_swing: RowFigures
     late_after: RowFigures
-    detections: int
+    detections: int  # touches detected, whatever their row
     false_alarms: int
-    precision: float | None
+    precision: float | None  # detections over detections and false alarms, None without either
     precision_interval: Interval
     swings: int
-    lost_swings: int
-    judged_ticks: int
+    lost_swings: int  # swings with an error, a missed touch of a counted row or a false alarm
+    judged_ticks: int  # swing ticks on which the foot was not still loaded from before
     robot_hours: float
+    # false alarms per robot-hour of 540,000 judged ticks, None without ticks
     per_hour: float | None
+    # its 95 % Poisson interval; the upper end is infinite without ticks
     per_hour_interval: Interval
+    # the same of the ticks after a turn to stance, up to 16, on which the foot had not touched;
+    # they are in none of the four
     after: AlarmFigures
-    neutral: int
-    outside: int
-    unjudged: int
+    neutral: int  # events while the foot was still loaded from before
+    outside: int  # events in stance that are not judged
+    unjudged: int  # touches in stance that are not judged
 
 
 def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
@@ -297,10 +269,6 @@ def _counted(values: NDArray[np.int64] | NDArray[np.bool_]) -> NDArray[np.int64]
 
 def is_harmful(drifted: list[LegOutcome], twin: list[LegOutcome]) -> bool:
     """Return whether a drift counts as one to recover from.
-
-    Args:
-        drifted: the frozen detector on the recording with the drift, from the drift on.
-        twin: the same detector on the same recording without it, over the same time.
 
     Returns:
         Whether it lost 5 points of recall on the counted rows, or raised ten times the false

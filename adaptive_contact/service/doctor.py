@@ -6,7 +6,6 @@ knows the network: :func:`examine` does.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -15,14 +14,7 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.service.findings import (
-    EXPLAINS,
-    Cause,
-    Fault,
-    Finding,
-    Level,
-    entries,
-)
+from adaptive_contact.service.findings import EXPLAINS, Cause, Fault, Finding, Level, entries
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.learnercheck import about_learner, all_lost
 from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
@@ -133,20 +125,19 @@ class Examination:
                 self.samples.setdefault(leg, []).append(sample)
 
 
-def examine(link: Link, seconds: float, stop: threading.Event | None = None) -> Diagnosis:
+def examine(link: Link, seconds: float) -> Diagnosis:
     """Listen for a while, then judge.
 
     Args:
         link: open and connected.
         seconds: how long; 3 s are enough for 50 Hz.
-        stop: ends the listening early.
     """
-    stop = stop or threading.Event()
     waiting: deque[Received] = deque(maxlen=_BACKLOG)
     seen = Examination()
     began = time.monotonic()
     everything = link.subscribe("**", waiting.append)
-    while time.monotonic() - began < seconds and not stop.wait(_POLL_S):
+    while time.monotonic() - began < seconds:
+        time.sleep(_POLL_S)
         for _ in range(len(waiting)):
             seen.take(waiting.popleft())
     elapsed = time.monotonic() - began
@@ -202,13 +193,7 @@ def _faults(
     yield from strays
     published = seen.samples.keys() | seen.refused.keys()
     if not published and not any(fault.cause is Cause.KEY for _, fault in strays):
-        nobody = Fault(
-            "error",
-            Cause.NOBODY_PUBLISHES,
-            "nobody publishes servo samples",
-            "start the bridge or `adaptive-contact sim`, with the same --namespace",
-        )
-        yield None, nobody
+        yield None, Fault.of("nobody_publishes")
         return
     known = [leg for leg, facts in described.items() if facts.described]
     if known:
@@ -218,9 +203,7 @@ def _faults(
     unexplained: list[str] = []
     for leg in [*described, *sorted(published - set(described))]:
         if leg not in published and leg in described and not described[leg].described:
-            gone = "samples came of a leg that robot.toml lacks, and come no longer"
-            forget = "nothing: the service forgets the leg at its next start"
-            yield leg, Fault("note", Cause.SILENT, gone, forget, key=leg)
+            yield leg, Fault.of("silent-gone", key=leg)
             continue
         of_leg = check_leg(
             leg,
@@ -239,7 +222,7 @@ def _faults(
         if leg in seen.learners:
             of_leg += about_learner(*seen.learners[leg], service, causes)
         elif service is not None:
-            of_leg.append(_unreported(seconds))
+            of_leg.append(Fault.of("unreported", seconds=seconds))
         for fault in of_leg:
             yield leg, fault
     statuses = [seen.learners[leg][1] for leg in unexplained if leg in seen.learners]
@@ -261,70 +244,29 @@ def _traffic(seen: Examination, seconds: float) -> list[KeyTraffic]:
 
 def _about_service(seen: Examination, alive: bool) -> Iterator[Fault]:
     if not alive:
-        yield Fault(
-            "error",
-            Cause.NO_SERVICE,
-            "a router is there, but no service",
-            "start `adaptive-contact serve`, or `serve --connect` to join this router",
-        )
+        yield Fault.of("no_service")
         return
     if seen.service is None:
-        yield Fault(
-            "warning",
-            Cause.SERVICE_QUIET,
-            "a service is alive, but did not say how it is",
-            "listen longer with --seconds; if it stays so, it is stuck: look at its log",
-        )
+        yield Fault.of("service_quiet")
         return
     before, service = seen.service
     for reason, times in service.rejects.items():
-        yield Fault(
-            _still(times, before.rejects.get(reason, 0)),
-            Cause.STRANGE_LEG,
-            f"the service refused {times} payloads that belong to no leg ({reason})",
-            "its log names a key; leg ids are letters, digits, '_', '.' or '-', no wildcards",
-            key=reason,
-        )
+        level = _still(times, before.rejects.get(reason, 0))
+        yield Fault.of("strange_leg", key=reason, level=level, times=times, reason=reason)
     if service.note is not None:
-        what = f"the service says: {service.note}"
-        yield Fault("error", Cause.SERVICE, what, "as it says", key="note")
+        yield Fault.of("service-note", key="note", note=service.note)
     for line in [] if service.state is None else service.state.refused:
-        yield Fault(
-            "note",
-            Cause.STATE_REFUSED,
-            f"learned state was refused: {line}",
-            "the leg started from its baseline; `adaptive-contact state show` lists what there is",
-            key=line,
-        )
-    counts: list[tuple[Level, int, str, str]] = [
-        (
-            "error",
-            service.callback_faults,
-            "exceptions in the service's Zenoh callbacks",
-            "this is a bug; report it with the service's log",
-        ),
-        (
-            "error",
-            service.events_lost,
-            "contact events were lost to a subscriber that hung",
-            "find the subscriber that blocks in its callback, and let it only enqueue there",
-        ),
-        (
-            _still(service.slow_puts, before.slow_puts),
-            service.slow_puts,
-            "contact events were held up by a subscriber that hung",
-            "find the subscriber that blocks in its callback, and let it only enqueue there",
-        ),
-        (
-            "warning",
-            service.stalls,
-            "times the service stood still for a second or more",
-            "look at its log, and at what else the machine was doing",
-        ),
+        yield Fault.of("state_refused", key=line, line=line)
+    slow = _still(service.slow_puts, before.slow_puts)
+    counts: list[tuple[str, int, Level | None]] = [
+        ("service-callback_faults", service.callback_faults, None),
+        ("service-events_lost", service.events_lost, None),
+        ("service-slow_puts", service.slow_puts, slow),
+        ("service-stalls", service.stalls, None),
     ]
-    for level, times, what, remedy in counts:
+    for name, times, how in counts:
         if times:
-            yield Fault(level, Cause.SERVICE, f"{times} {what}", remedy, key=what)
+            yield Fault.of(name, key=name, level=how, times=times)
 
 
 def _about_keys(seen: Examination, seconds: float) -> _Faults:
@@ -332,30 +274,13 @@ def _about_keys(seen: Examination, seconds: float) -> _Faults:
         leg = leg_of_key(key)
         odd = list(meter.odd)
         if odd and leg is not None:
-            yield (
-                leg,
-                Fault(
-                    "warning" if leg in seen.refused else "note",
-                    Cause.ENCODING,
-                    f"the encoding {odd[0]} is taken for msgpack",
-                    "declare application/msgpack or application/json when publishing",
-                    key,
-                    key=odd[0],
-                ),
-            )
+            level: Level = "warning" if leg in seen.refused else "note"
+            yield leg, Fault.of("encoding", key, key=odd[0], level=level, encoding=odd[0])
         stray = _stray(key, f"{key} ({meter.count / seconds:.1f}/s)")
         if stray is not None:
             yield stray
     if seen.uncounted_keys:
-        yield (
-            None,
-            Fault(
-                "warning",
-                Cause.TOO_MANY_KEYS,
-                f"more than {_KEYS_KEPT} keys; {seen.uncounted_keys} messages were not looked at",
-                "use --namespace to look at one robot",
-            ),
-        )
+        yield None, Fault.of("too_many_keys", kept=_KEYS_KEPT, messages=seen.uncounted_keys)
 
 
 def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
@@ -364,30 +289,16 @@ def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
         return None
     namespace = namespace_of(key)
     if namespace:
-        what = f"keys lie under '{namespace}'"
-        remedy = f"look there with --namespace {namespace}"
-        return None, Fault("warning", Cause.NAMESPACE, what, remedy, shown, key=namespace)
+        return None, Fault.of("namespace", shown, key=namespace, namespace=namespace)
     meant = meant_key(key)
     if meant is not None:
-        cause = Cause.KEY if meant.endswith("/servo") else Cause.OTHER_KEY
+        name = "key" if meant.endswith("/servo") else "other_key"
         leg = leg_of_key(meant) or ""
-        what, remedy = "a key is read by nobody", f"did you mean {meant}?"
         # One entry for all legs whose keys are misspelt in the same way.
-        return leg, Fault("warning", cause, what, remedy, shown, key=key.replace(leg, "LEG"))
+        return leg, Fault.of(name, shown, key=key.replace(leg, "LEG"), meant=meant)
     if "robot/leg/" not in key:
         return None
-    remedy = "a leg id has 1 to 32 letters, digits, '_', '.' or '-'"
-    what = "a key names no usable leg"
-    return None, Fault("warning", Cause.OTHER_KEY, what, remedy, shown, key="leg")
-
-
-def _unreported(seconds: float) -> Fault:
-    return Fault(
-        "warning",
-        Cause.UNREPORTED,
-        f"the service has not said in {seconds:.1f} s how the leg is",
-        "listen longer with --seconds; if it stays so, look at the service's log",
-    )
+    return None, Fault.of("other_key-leg", shown, key="leg")
 
 
 def _still(now: int, before: int) -> Level:

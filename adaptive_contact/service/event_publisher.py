@@ -44,18 +44,15 @@ class EventPublisher:
 
     Args:
         size: messages that wait at most.
-
-    Attributes:
-        lost: messages dropped because the queue was full, that could not be put, or that were left
-            at the end.
-        slow: puts that took longer than a tenth of a second.
-        cut_off: links dropped because they held up a put, or lost because their subscribers took
-            nothing any more: these miss events.
     """
 
     def __init__(self, size: int = QUEUE_EVENTS) -> None:
+        # messages dropped because the queue was full, that could not be put, or that were left at
+        # the end
         self.lost = 0
-        self.slow = 0
+        self.slow = 0  # puts that took longer than a tenth of a second
+        # links dropped because they held up a put, or lost because their subscribers took nothing
+        # any more: these miss events
         self.cut_off = 0
         self._throttle = LogThrottle()
         self._size = size
@@ -94,13 +91,7 @@ class EventPublisher:
             _log.warning("contact events lost", why="not sent by the end", times=left)
 
     def post(self, publisher: Publisher, message: Message, arrival_ns: int) -> None:
-        """Send a message; waits for nothing once the thread runs.
-
-        Args:
-            publisher: where to.
-            message: what.
-            arrival_ns: monotonic, of the sample that decided it.
-        """
+        """Send a message; waits for nothing once the thread runs."""
         letter = _Letter(publisher, message, arrival_ns)
         if self._thread is None:
             self._put(letter)

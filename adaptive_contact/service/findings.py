@@ -2,13 +2,17 @@
 
 A check reports each :class:`Fault` with its :class:`Cause`.  :func:`entries` then leaves out what
 another cause of the same leg explains, and puts all legs of a cause into one :class:`Finding`.
+The words of all faults stand in ``faults.toml``, beside this file.
 """
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, Literal, NamedTuple
+import functools
+import tomllib
+from collections.abc import Iterable, Sequence
+from importlib import resources
+from typing import Any, Final, Literal, NamedTuple, Self
 
 from adaptive_contact.wire import Reject
 
@@ -78,88 +82,24 @@ class Cause(enum.StrEnum):
     LEG_NOTE = "leg_note"
 
 
-# Vague words of the learner's, and all of its words.
-_VAGUE: Final = frozenset({Cause.LEARNING, Cause.AMBIGUOUS, Cause.LEG_NOTE, Cause.NOT_THIS_ROBOT})
-_LEARNER: Final = _VAGUE | {Cause.SIGNS}
-_VALUES: Final = frozenset(
-    {Cause.ECHO, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR, Cause.GLITCHES, Cause.TURN}
-    | {Cause.QUANTUM, Cause.LIMITS, Cause.HELD}
-)
-_TIMES: Final = frozenset(
-    {Cause.TIME_BACKWARDS, Cause.TIME_UNIT, Cause.SEQ, Cause.LOSS, Cause.PERIOD, Cause.JITTER}
-)
-_ABSENT: Final = frozenset({Cause.SILENT, Cause.NOBODY_PUBLISHES, Cause.UNREPORTED})
+@functools.cache
+def said() -> dict[str, dict[str, Any]]:
+    """Return what is said of faults, by name, and tables of other use."""
+    return tomllib.loads(resources.files(__package__).joinpath("faults.toml").read_text("utf-8"))
+
+
+def _causes(names: Iterable[str]) -> frozenset[Cause]:
+    groups = said()["groups"]
+    each = (groups[name[1:]] if name.startswith("@") else [name] for name in names)
+    return frozenset(Cause(value) for values in each for value in values)
+
 
 # What a cause explains in the same leg (or, found for no leg, in every leg).
-EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
-    Cause.KEY: _ABSENT | _LEARNER,
-    Cause.NAMESPACE: _ABSENT | _LEARNER,
-    Cause.LEG_IDS: _ABSENT | _LEARNER | {Cause.UNDESCRIBED, Cause.PHASE},
-    Cause.NOBODY_PUBLISHES: frozenset({Cause.SILENT, Cause.UNREPORTED}) | _LEARNER,
-    Cause.SILENT: _LEARNER | {Cause.UNREPORTED},
-    Cause.UNDESCRIBED: _LEARNER | {Cause.PHASE},
-    Cause.ENCODING: frozenset({Cause.UNREADABLE}) | _ABSENT | _LEARNER,
-    Cause.NO_SERVICE: frozenset({Cause.UNREPORTED}),
-    Cause.SERVICE_QUIET: frozenset({Cause.UNREPORTED}),
-    Cause.UNREADABLE: _ABSENT | _LEARNER,
-    Cause.TIME_TYPE: _ABSENT | _LEARNER | {Cause.UNREADABLE},
-    Cause.FIELD: _ABSENT | _LEARNER | _TIMES,
-    Cause.JOINTS: _VALUES | _LEARNER | {Cause.PHASE},
-    Cause.TWO_PUBLISHERS: _TIMES | _VALUES | _LEARNER,
-    Cause.RUN: _TIMES | _LEARNER,
-    Cause.TIME_BACKWARDS: _LEARNER | {Cause.TIME_UNIT, Cause.PERIOD, Cause.JITTER},
-    Cause.TIME_UNIT: _LEARNER | {Cause.PERIOD, Cause.JITTER},
-    Cause.SEQ: _LEARNER | {Cause.PERIOD, Cause.JITTER, Cause.TIME_UNIT, Cause.LOSS},
-    Cause.PERIOD: _LEARNER | {Cause.JITTER},
-    Cause.NOT_FINITE: _LEARNER,
-    Cause.UNITS: _VALUES | _LEARNER | {Cause.UNDECLARED},
-    Cause.ECHO: _VALUES | _LEARNER,
-    Cause.TWINS: _LEARNER | {Cause.PHASE},
-    Cause.ORDER: _LEARNER | {Cause.FAR, Cause.BACKWARDS},
-    Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES, Cause.LIMITS},
-    Cause.FROZEN: _LEARNER | {Cause.FAR, Cause.QUANTUM},
-    Cause.HELD: _LEARNER | {Cause.GLITCHES},
-    Cause.BACKWARDS: _LEARNER | {Cause.FAR},
-    Cause.FAR: _LEARNER,
-    Cause.QUANTUM: _LEARNER,
-    Cause.PHASE: _LEARNER,
-    Cause.SIGNS: _VAGUE | {Cause.LIMITS},
-    Cause.LEG_SWAP: _VAGUE,
-    Cause.NOT_THIS_ROBOT: _VAGUE,
-}
-
-
-_READ: Final = frozenset(
-    {Reject.MALFORMED, Reject.TOO_LARGE, Reject.MISSING_FIELD, Reject.WRONG_TYPE, Reject.VERSION}
-)
-_OTHER: Final = frozenset(
-    {Reject.OTHER_PUBLISHER, Reject.DUPLICATE_SEQ, Reject.SEQ_JUMP, Reject.TIME_BACKWARDS}
-)
+EXPLAINS: Final = {Cause(cause): _causes(of) for cause, of in said()["explains"].items()}
 # Reasons for which the service refuses samples of a leg with such a fault.
-REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
-    Cause.UNREADABLE: _READ,
-    Cause.ENCODING: _READ,
-    Cause.TIME_TYPE: _READ,
-    Cause.FIELD: frozenset({Reject.OUT_OF_RANGE, Reject.WRONG_JOINTS, Reject.NOT_FINITE}),
-    Cause.JOINTS: frozenset({Reject.WRONG_JOINTS}),
-    Cause.TWO_PUBLISHERS: _OTHER,
-    Cause.RUN: _OTHER,
-    Cause.TIME_BACKWARDS: frozenset({Reject.TIME_BACKWARDS}),
-    Cause.TIME_UNIT: frozenset({Reject.TIME_BACKWARDS}),
-    Cause.SEQ: _OTHER | {Reject.IMPLAUSIBLE},
-    Cause.NOT_FINITE: frozenset({Reject.NOT_FINITE, Reject.IMPLAUSIBLE}),
-    Cause.UNITS: frozenset({Reject.OUT_OF_RANGE, Reject.IMPLAUSIBLE}),
-    Cause.GLITCHES: frozenset({Reject.IMPLAUSIBLE}),
-    Cause.TURN: frozenset({Reject.IMPLAUSIBLE}),
-    Cause.ECHO: frozenset({Reject.IMPLAUSIBLE}),
-    Cause.FROZEN: frozenset({Reject.IMPLAUSIBLE}),
-    Cause.ORDER: frozenset({Reject.IMPLAUSIBLE}),
-    Cause.HELD: frozenset({Reject.IMPLAUSIBLE}),
-    Cause.BACKWARDS: frozenset({Reject.IMPLAUSIBLE}),
-    Cause.FAR: frozenset({Reject.IMPLAUSIBLE}),
-    Cause.SIGNS: frozenset({Reject.IMPLAUSIBLE}),
+REFUSED_FOR: Final = {
+    Cause(cause): frozenset(map(Reject, of)) for cause, of in said()["refused_for"].items()
 }
-
 # Errors of which every tick has its share: a model that is learned from such a recording is none of
 # the leg.  Of all other causes it is known which ticks they spoil, and those are left out.
 SPOILS: Final = frozenset(
@@ -169,41 +109,44 @@ SPOILS: Final = frozenset(
 
 
 class Fault(NamedTuple):
-    """One thing that is wrong with one leg, as a check found it.
-
-    Attributes:
-        cause: faults of one cause become one entry.
-        what: what was found and expected, the same for every leg of one entry.
-        remedy: what to do.
-        detail: this leg's figures, None where ``what`` has them all.
-        size: how bad it is against others of this cause: the largest are shown.
-        key: parts entries of one cause that need different remedies.
-    """
+    """One thing that is wrong with one leg, as a check found it."""
 
     level: Level
-    cause: Cause
-    what: str
-    remedy: str
-    detail: str | None = None
-    size: float = 0.0
-    key: str = ""
+    cause: Cause  # faults of one cause become one entry
+    what: str  # what was found and expected, the same for every leg of one entry
+    remedy: str  # what to do
+    detail: str | None = None  # this leg's figures, None where `what` has them all
+    size: float = 0.0  # how bad it is against others of this cause: the largest are shown
+    key: str = ""  # parts entries of one cause that need different remedies
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        /,
+        detail: str | None = None,
+        size: float = 0.0,
+        key: str = "",
+        *,
+        level: Level | None = None,
+        **figures: object,
+    ) -> Self:
+        """Make one in the words that ``faults.toml`` has under a name, with figures filled in."""
+        words = said()[name]
+        what, remedy = (words[part].format(**figures) for part in ("what", "remedy"))
+        cause = Cause(name.partition("-")[0])
+        return cls(level or words["level"], cause, what, remedy, detail, size, key)
 
 
 class Finding(NamedTuple):
-    """One entry: what is wrong, and what to do.  A ``note`` is worth knowing and no fault.
-
-    Attributes:
-        leg: the only leg that it is of; None for several, and for the whole robot.
-        cause: a :class:`Cause`.
-        legs: all legs that it is of.
-    """
+    """One entry: what is wrong, and what to do.  A ``note`` is worth knowing and no fault."""
 
     level: Level
-    leg: str | None
+    leg: str | None  # the only leg that it is of; None for several, and for the whole robot
     what: str
     remedy: str
-    cause: str = ""
-    legs: Sequence[str] = ()
+    cause: str = ""  # a `Cause`
+    legs: Sequence[str] = ()  # all legs that it is of
 
 
 def of_legs(legs: Iterable[str]) -> str:

@@ -6,22 +6,14 @@ from typing import NamedTuple
 
 
 class Received(NamedTuple):
-    """One sample, as it arrived.
+    """One sample, as it arrived."""
 
-    Attributes:
-        key: concrete key, without the namespace.
-        encoding: as the publisher declared it.
-        arrival_ns: ``time.monotonic_ns()`` when Zenoh handed it over.
-        published_ns: the publisher's wall clock, ns since 1970, None where it sent none.
-        attachment: what the publisher attached, empty where it attached nothing.
-    """
-
-    key: str
+    key: str  # concrete key, without the namespace
     payload: bytes
-    encoding: str
-    arrival_ns: int
-    published_ns: int | None
-    attachment: bytes = b""
+    encoding: str  # as the publisher declared it
+    arrival_ns: int  # `time.monotonic_ns()` when Zenoh handed it over
+    published_ns: int | None  # the publisher's wall clock, ns since 1970, None where it sent none
+    attachment: bytes = b""  # what the publisher attached, empty where it attached nothing
 
 
 class Reply(NamedTuple):

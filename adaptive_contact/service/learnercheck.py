@@ -9,7 +9,6 @@ from typing import Final
 from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.diagnose.leg_ids import SWAPPED
 from adaptive_contact.service.findings import REFUSED_FOR, Cause, Fault, Level
-from adaptive_contact.service.readings import ECHO_FOUND, ECHO_REMEDY
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.wire import LearnerStatus
 
@@ -42,41 +41,24 @@ def about_learner(
     if refused:
         listed = ", ".join(f"{reason} {times}" for reason, times in sorted(refused.items()))
         grown = any(times > before.rejects.get(reason, 0) for reason, times in refused.items())
-        yield Fault(
-            "warning" if grown else "note",
-            Cause.REFUSED,
-            "the service has refused samples or readings since its start",
-            "docs/messages.md says what each reason means",
-            listed,
-            sum(refused.values()),
-        )
+        how: Level = "warning" if grown else "note"
+        yield Fault.of("refused", listed, sum(refused.values()), level=how)
     if SWAPPED in note:
-        what = "samples come under another leg's id"
-        remedy = "give each leg the same id in the source and in robot.toml"
-        yield Fault("error", Cause.LEG_SWAP, what, remedy, note)
+        yield Fault.of("leg_swap", note)
     elif speaks_of_angles(note):
         # A wrong yaw or a small zero changes no height, and the leg works on.
         level: Level = "error" if status.status == "ambiguous" else "warning"
-        what = "angles are not counted as robot.toml says"
-        remedy = "write what is said here into robot.toml, and start the service again"
-        yield Fault(level, Cause.SIGNS, what, remedy, note)
+        yield Fault.of("signs-service", note, level=level)
     elif status.status == "learning":
-        yield _learning(status, service)
+        cold = service is not None and service.baseline is None
+        yield Fault.of("learning-cold" if cold else "learning", status.note)
     elif status.doubt == "echo":
         if Cause.ECHO not in causes:
-            yield Fault("error", Cause.ECHO, ECHO_FOUND, ECHO_REMEDY, note, key="some")
+            yield Fault.of("echo", note, key="some")
     elif status.doubt == "phase":
-        what = "phase is swapped: stance is published as swing, and swing as stance"
-        remedy = "publish phase = swing while the foot is off the ground, or leave phase out"
-        yield Fault("error", Cause.PHASE, what, remedy, key="swapped")
+        yield Fault.of("phase-swapped", key="swapped")
     elif status.status == "ambiguous":
-        yield Fault(
-            "error",
-            Cause.AMBIGUOUS,
-            "ambiguous: contacts of the leg are not to be relied on",
-            f"look at the foot and its servos; {_NOTES}",
-            status.note,
-        )
+        yield Fault.of("ambiguous", status.note)
     elif status.note is not None:
         cause = next((c for words, c in _NOTED.items() if words in status.note), Cause.LEG_NOTE)
         if cause not in causes:
@@ -84,27 +66,7 @@ def about_learner(
             key = _FIGURES.sub("", status.note)
             yield Fault("warning", cause, status.status, _NOTES, status.note, key=key)
     elif status.status == "silent":
-        what = "silent: the service uses none of the leg's samples"
-        yield Fault("error", Cause.LEG_NOTE, what, "look at the service's log")
-
-
-def _learning(status: LearnerStatus, service: ServiceStatus | None) -> Fault:
-    if service is not None and service.baseline is None:
-        return Fault(
-            "warning",
-            Cause.LEARNING,
-            "learning: contacts are reported by what is known of any leg, until this one is known",
-            f"let the leg swing, in many directions, or start with --baseline; {_NOTES}",
-            status.note,
-        )
-    return Fault(
-        "error",
-        Cause.LEARNING,
-        "learning: the baseline is not used, contacts are reported by what is known of any leg",
-        "check that the baseline, the legs' ids, signs and offsets belong to this robot; until the "
-        f"leg is known, let it swing; {_NOTES}",
-        status.note,
-    )
+        yield Fault.of("leg_note-silent")
 
 
 def all_lost(
@@ -126,13 +88,4 @@ def all_lost(
     if len(statuses) < _SEVERAL_LEGS or len(lost) < len(statuses):
         return
     for status in lost:
-        fault = Fault(
-            "error",
-            Cause.NOT_THIS_ROBOT,
-            "all legs move otherwise than their models",
-            "check, in this order: signs (directions), zeros (offsets_rad), the order of joints "
-            "and of legs, and whether the baseline is of this robot; `adaptive-contact robot "
-            "check` shows each joint",
-            status.note,
-        )
-        yield status.leg, fault
+        yield status.leg, Fault.of("not_this_robot", status.note)

@@ -49,14 +49,11 @@ class Admission:
     Args:
         joints: J, what a sample must bring.
         resumes: where the leg's source was when the service was last here.
-
-    Attributes:
-        position: of the last sample that was used.
-        missed_down: samples that passed while the service was down.
     """
 
     def __init__(self, joints: int, resumes: Position | None = None) -> None:
-        self.position = resumes
+        self.position = resumes  # of the last sample that was used
+        # samples that passed while the service was down
         self.missed_down = 0 if resumes is None else resumes.missed_down
         # Until it is known how many samples passed meanwhile.
         self._resumes = resumes
@@ -103,11 +100,7 @@ _REPORTED_AFTER_NS: Final = 500_000_000
 
 
 class JointAvailability:
-    """Follows ``valid`` of one leg's samples.
-
-    Args:
-        joints: J, of every sample.
-    """
+    """Follows ``valid`` of one leg's samples."""
 
     def __init__(self, joints: int) -> None:
         self._mute_since_ns: list[int | None] = [None] * joints
@@ -156,21 +149,7 @@ _REFUSAL_SHOWN_NS: Final = 5_000_000_000
 
 
 class LegEndpoint:
-    """What the service keeps per leg; all calls from the worker.
-
-    Args:
-        link: where to publish.
-        leg: its id.
-        learner: the leg's.
-        joints: how many its samples bring.
-        now_ns: monotonic.
-        resumes: where the leg's source was when the service was last here.
-
-    Attributes:
-        model_version: as the last look found it.
-        received_samples: readable samples so far, used or not.
-        position: of the last one that was used.
-    """
+    """What the service keeps per leg; all calls from the worker."""
 
     def __init__(
         self,
@@ -184,9 +163,9 @@ class LegEndpoint:
         self.leg = leg
         self.learner = learner
         self._reported = learner.status  # as of the last look; changes since are reported
-        self.model_version = self._reported.model_version
-        self.received_samples = 0
-        self.position = resumes
+        self.model_version = self._reported.model_version  # as the last look found it
+        self.received_samples = 0  # readable samples so far, used or not
+        self.position = resumes  # of the last one that was used
         self._admission = Admission(joints, resumes)
         self._answers = JointAvailability(joints)
         self._link = link

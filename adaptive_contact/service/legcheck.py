@@ -51,7 +51,6 @@ _MANY_STARTS: Final = 4
 _SHORT_RUN_SAMPLES: Final = 50
 # Servos with coarser steps than 1.1 degrees are not made for legs; a step in degrees is.
 MOST_QUANTUM_RAD: Final = 0.02
-_DOCS: Final = "docs/messages.md"
 
 
 def check_leg(
@@ -77,14 +76,8 @@ def check_leg(
         Faults; empty where all is well.
     """
     if not samples:
-        silent = Fault(
-            "error",
-            Cause.SILENT,
-            f"no usable sample on robot/leg/LEG/servo in {seconds:.0f} s",
-            "start the bridge or `adaptive-contact sim`; compare the leg's id and --namespace",
-            key="" if facts is None or facts.described else leg,
-        )
-        return list(_refusals(refused)) or [silent]
+        key = "" if facts is None or facts.described else leg
+        return list(_refusals(refused)) or [Fault.of("silent", key=key, seconds=seconds)]
     joints = Counter(len(sample.measured) for sample in samples).most_common(1)[0][0]
     found = [
         *_refusals(refused),
@@ -118,9 +111,6 @@ def check_recording(
         robot: that they are taken for.
         samples: by leg, in the recording's order; a leg without any is not judged.
         refused: why payloads of a leg could not be read.
-
-    Returns:
-        One finding a cause, the worst first.
     """
     faults = [
         (leg, fault)
@@ -163,17 +153,7 @@ def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[
             found.setdefault(leg, []).append(other)
             found.setdefault(other, []).append(leg)
     for leg, others in found.items():
-        yield (
-            leg,
-            Fault(
-                "error",
-                Cause.TWINS,
-                "legs send the same readings to the last bit while they move",
-                "publish each leg's own readings on its own key; look for a loop in which all "
-                "publishers share one variable",
-                key=" ".join(sorted([leg, *others])),
-            ),
-        )
+        yield leg, Fault.of("twins", key=" ".join(sorted([leg, *others])))
 
 
 def check_ids(published: Sequence[str], described: Sequence[str]) -> Iterator[Fault]:
@@ -185,37 +165,20 @@ def check_ids(published: Sequence[str], described: Sequence[str]) -> Iterator[Fa
     strangers = [leg for leg in published if leg not in described]
     missing = [leg for leg in described if leg not in published]
     if strangers and missing:
-        yield Fault(
-            "error",
-            Cause.LEG_IDS,
-            f"samples come of {of_legs(strangers)}, which robot.toml lacks, and none of "
-            f"{of_legs(missing)}, which it has",
-            "give legs the same ids in robot.toml and in the source's keys",
-        )
+        yield Fault.of("leg_ids", strangers=of_legs(strangers), missing=of_legs(missing))
 
 
 def _refusals(refused: Sequence[Rejected]) -> Iterator[Fault]:
     times = [item for item in refused if "$.t_ns" in item.detail]
     if times:
-        yield Fault(
-            "error",
-            Cause.TIME_TYPE,
-            "payloads cannot be read: t_ns is no whole number",
-            "publish t_ns in nanoseconds, as an integer: round(seconds * 1e9)",
-            f"{len(times)} refused ({times[0].detail})",
-            len(times),
-        )
+        yield Fault.of("time_type", f"{len(times)} refused ({times[0].detail})", len(times))
     rest = [item for item in refused if "$.t_ns" not in item.detail]
     if rest:
         reason, number = Counter(item.reason for item in rest).most_common(1)[0]
         detail = next(item.detail for item in rest if item.reason == reason)
-        yield Fault(
-            "error",
-            Cause.UNREADABLE,
-            "payloads cannot be read",
-            f"publish msgpack or JSON maps as {_DOCS} has them, with the encoding to match"
-            if reason in (Reject.MALFORMED, Reject.TOO_LARGE)
-            else f"publish the fields of ServoSample as {_DOCS} has them",
+        whole = reason in (Reject.MALFORMED, Reject.TOO_LARGE)
+        yield Fault.of(
+            "unreadable" if whole else "unreadable-fields",
             f"{len(rest)} refused; {reason} {number} times: {detail}",
             len(rest),
             reason,
@@ -224,50 +187,20 @@ def _refusals(refused: Sequence[Rejected]) -> Iterator[Fault]:
 
 def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) -> Iterator[Fault]:
     if facts is not None and not facts.described:
-        yield Fault(
-            "warning",
-            Cause.UNDESCRIBED,
-            "the leg is not in robot.toml",
-            "add a [[leg]] with this id, or correct the id that the source publishes",
-        )
+        yield Fault.of("undescribed")
     elif facts is not None and joints != len(facts.joints):
-        yield Fault(
-            "error",
-            Cause.JOINTS,
-            f"samples have {joints} joints, robot.toml has {len(facts.joints)} "
-            f"({', '.join(facts.joints)})",
-            "correct `joints` of this leg in robot.toml, or what the source publishes",
-        )
+        names = ", ".join(facts.joints)
+        yield Fault.of("joints", joints=joints, count=len(facts.joints), names=names)
     odd = sum(len(s.measured) != joints or len(s.desired) != joints for s in samples)
     if odd:
-        yield Fault(
-            "error",
-            Cause.JOINTS,
-            "samples have unequal numbers of joints in measured and desired, or fewer than the "
-            "others",
-            "publish one value per joint in both; use `valid` for a servo that did not answer",
-            f"{odd} of {len(samples)}",
-            odd,
-            "odd",
-        )
+        yield Fault.of("joints-odd", f"{odd} of {len(samples)}", odd, "odd")
     if facts is not None and not facts.lengths and all(s.phase is None for s in samples):
-        yield Fault(
-            "warning",
-            Cause.PHASE,
-            "samples carry no phase, and robot.toml has no lengths_m to infer it from",
-            "add lengths_m to this leg in robot.toml, or publish phase from the gait controller",
-        )
+        yield Fault.of("phase")
     yield from _phases(samples)
     invalid = sum(s.valid is not None and not all(s.valid) for s in samples)
     if invalid > _INVALID_SHARE * len(samples):
-        yield Fault(
-            "warning",
-            Cause.INVALID,
-            "samples have readings marked invalid",
-            "look for servos that do not answer: cable, power, ids, baud rate",
-            f"{invalid / len(samples):.0%} of them",
-            invalid / len(samples),
-        )
+        share = invalid / len(samples)
+        yield Fault.of("invalid", f"{share:.0%} of them", share)
 
 
 def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
@@ -276,24 +209,9 @@ def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
     if len(samples) < _LONG_SWING or len(phases) != 1 or None in phases:
         return
     if phases == {"swing"}:
-        yield Fault(
-            "warning",
-            Cause.PHASE,
-            "phase is `swing` all the time: a swing that never ends is not learned from",
-            "publish phase = stance from the planned touch-down on, or leave phase out",
-            f"{len(samples)} samples",
-            key="swing",
-        )
+        yield Fault.of("phase-swing", f"{len(samples)} samples", key="swing")
     elif _cycles(samples) >= _MANY_CYCLES:
-        yield Fault(
-            "warning",
-            Cause.PHASE,
-            "phase is `stance` all the time although the commands go to and fro: no contact is "
-            "reported",
-            "publish phase = swing from lift-off to the planned touch-down, or leave phase out",
-            f"{len(samples)} samples",
-            key="stance",
-        )
+        yield Fault.of("phase-stance", f"{len(samples)} samples", key="stance")
 
 
 def _cycles(samples: Sequence[ServoSample]) -> int:
@@ -314,22 +232,10 @@ def _publishers(samples: Sequence[ServoSample]) -> Iterator[Fault]:
     runs = [s.run for s in samples]
     changes = sum(a != b for a, b in pairwise(runs))
     if changes > len(set(runs)):
-        yield Fault(
-            "error",
-            Cause.TWO_PUBLISHERS,
-            f"{len(set(runs))} publishers take turns",
-            "stop all but one; only the one started last is used",
-            f"run values {', '.join(sorted(map(str, set(runs)))[:3])}",
-        )
+        values = f"run values {', '.join(sorted(map(str, set(runs)))[:3])}"
+        yield Fault.of("two_publishers", values, publishers=len(set(runs)))
     elif changes >= _MANY_STARTS and len(samples) < _SHORT_RUN_SAMPLES * (changes + 1):
-        yield Fault(
-            "error",
-            Cause.RUN,
-            "`run` changes again and again",
-            "set `run` once, when the source starts: every change of it is a new start",
-            f"{changes} times in {len(samples)} samples",
-            changes,
-        )
+        yield Fault.of("run", f"{changes} times in {len(samples)} samples", changes)
 
 
 def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[Fault]:
@@ -342,64 +248,22 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
     usual = _usual_step(pairs)
     lost = sum(max(0, round((b.seq - a.seq) / usual) - 1) for a, b in pairs)
     if backwards:
-        yield Fault(
-            "error",
-            Cause.TIME_BACKWARDS,
-            "t_ns does not increase",
-            "use a monotonic clock at the source, in nanoseconds, and set a new `run` at each of "
-            "its starts",
-            f"in {backwards} of {len(pairs)} samples",
-            backwards,
-        )
+        yield Fault.of("time_backwards", f"in {backwards} of {len(pairs)} samples", backwards)
     if repeated:
-        yield Fault(
-            "error",
-            Cause.SEQ,
-            "samples repeat the seq before them",
-            "count seq up by one per control tick; look for two publishers of this leg",
-            f"{repeated} of {len(pairs)}",
-            repeated,
-        )
+        yield Fault.of("seq", f"{repeated} of {len(pairs)}", repeated)
     if usual > 1:
-        yield Fault(
-            "error",
-            Cause.SEQ,
-            f"seq goes up by {usual} from sample to sample: {usual - 1} of {usual} count as lost",
-            "count each leg's samples by one: no counter that legs share, no time; publish every "
-            "tick",
-            size=len(pairs),
-            key="step",
-        )
+        yield Fault.of("seq-step", size=len(pairs), key="step", step=usual, lost=usual - 1)
     if back:
-        yield Fault(
-            "warning",
-            Cause.SEQ,
-            "seq goes back: it wraps, starts again without a new `run`, or samples change places",
-            "count seq in 64 bits, set a new `run` at each start, use one reliable publisher a leg",
-            f"{len(back)} times, such as {back[-1][0]} to {back[-1][1]}",
-            len(back),
-            "back",
-        )
+        times = f"{len(back)} times, such as {back[-1][0]} to {back[-1][1]}"
+        yield Fault.of("seq-back", times, len(back), "back")
     if lost > _LOSS_SHARE * len(samples):
-        yield Fault(
-            "warning",
-            Cause.LOSS,
-            "samples are lost, by gaps in seq",
-            "look for an overloaded machine or network, or a source that skips ticks",
-            f"{lost} ({lost / (lost + len(samples)):.1%})",
-            lost,
-        )
+        yield Fault.of("loss", f"{lost} ({lost / (lost + len(samples)):.1%})", lost)
     steps = _steps_s(pairs, usual)
     if steps is None:
         return
     mean_s, middle_s = steps
     if period_s is None and middle_s < _SHORTEST_S:
-        yield Fault(
-            "error",
-            Cause.TIME_UNIT,
-            f"t_ns grows by {middle_s * 1e9:.3g} per tick; it seems not to be in nanoseconds",
-            "publish t_ns in nanoseconds, as an integer",
-        )
+        yield Fault.of("time_unit", step=middle_s * 1e9, unit="not to be in nanoseconds")
     elif period_s is not None and (
         # A pause bends the mean, jitter the median: the rate is wrong where both are.
         min(_off(mean_s, period_s), _off(middle_s, period_s)) > _RATE_TOLERANCE
@@ -443,13 +307,7 @@ def _undeclared(samples: Sequence[ServoSample], usable: Sequence[ServoSample]) -
         yield _coarse(grids[-1], "readings step by")
     elif grids:
         words += f", readings step by {grids[len(grids) // 2]:.3g} rad"
-    yield Fault(
-        "note",
-        Cause.UNDECLARED,
-        "there is no robot.toml to compare with",
-        "give period_s and quantum_rad so in robot.toml",
-        words,
-    )
+    yield Fault.of("undeclared", words)
 
 
 def _off(step_s: float, period_s: float) -> float:
@@ -459,20 +317,9 @@ def _off(step_s: float, period_s: float) -> float:
 def _rate(step_s: float, period_s: float) -> Fault:
     for unit, factor in (("microseconds", 1e3), ("milliseconds", 1e6), ("seconds", 1e9)):
         if _off(step_s * factor, period_s) <= _RATE_TOLERANCE:
-            return Fault(
-                "error",
-                Cause.TIME_UNIT,
-                f"t_ns grows by {step_s * 1e9:.3g} per tick; it seems to be in {unit}",
-                "publish t_ns in nanoseconds, as an integer",
-            )
-    return Fault(
-        "error",
-        Cause.PERIOD,
-        f"robot.toml says that ticks are {period_s * 1e3:.1f} ms apart ({1 / period_s:.1f} Hz)",
-        "correct period_s in robot.toml, or the rate of the control loop",
-        f"found {step_s * 1e3:.1f} ms ({1 / step_s:.1f} Hz)",
-        _off(step_s, period_s),
-    )
+            return Fault.of("time_unit", step=step_s * 1e9, unit=f"to be in {unit}")
+    found = f"found {step_s * 1e3:.1f} ms ({1 / step_s:.1f} Hz)"
+    return Fault.of("period", found, _off(step_s, period_s), ms=period_s * 1e3, hz=1 / period_s)
 
 
 def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
@@ -498,24 +345,12 @@ def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
         return
     deviation = float(off[np.abs(off) <= _PAUSE_SIGMA * robust].std())
     if deviation > NOTED_JITTER * period_s:
-        yield Fault(
-            "warning",
-            Cause.JITTER,
-            "t_ns jitters around its schedule",
-            "stamp each reading when it is read, with a monotonic clock; run the control loop on a "
-            "timer, before other processes",
-            f"by {deviation * 1e3:.1f} ms (standard deviation; {deviation / period_s:.0%} of a "
-            "tick)",
-            deviation,
-        )
+        share = f"{deviation / period_s:.0%} of a tick"
+        by = f"by {deviation * 1e3:.1f} ms (standard deviation; {share})"
+        yield Fault.of("jitter", by, deviation)
 
 
 def _coarse(quantum_rad: float, who: str = "robot.toml says quantum_rad =") -> Fault:
-    return Fault(
-        "error",
-        Cause.QUANTUM,
-        f"{who} {quantum_rad:.4g}, more than {MOST_QUANTUM_RAD:g} rad",
-        "give the servos' position step in rad: 0.005118 for AX-12A, 0.001534 for 4096 steps a "
-        "turn; several hundredths are one in degrees",
-        key="coarse",
+    return Fault.of(
+        "quantum-coarse", key="coarse", who=who, quantum_rad=quantum_rad, most=MOST_QUANTUM_RAD
     )

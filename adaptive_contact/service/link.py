@@ -172,13 +172,7 @@ class Publisher:
 
 
 class Link:
-    """A session; made by :meth:`open`, closed by :meth:`close` or at the end of ``with``.
-
-    Attributes:
-        endpoints: where it listens.
-        joins: routers that it joins; a client is let in by one of them, a router need not be.
-        max_sessions: that it takes at once.
-    """
+    """A session; made by :meth:`open`, closed by :meth:`close` or at the end of ``with``."""
 
     def __init__(self, session: zenoh.Session, settings: LinkSettings, facts: Facts) -> None:
         self._session = session
@@ -187,9 +181,10 @@ class Link:
         self._sockets = LinkSockets()
         self._sockets.start()
         self.settings = settings
-        self.endpoints = facts.listen
+        self.endpoints = facts.listen  # where it listens
+        # routers that it joins; a client is let in by one of them, a router need not be
         self.joins = facts.connect
-        self.max_sessions = facts.max_sessions
+        self.max_sessions = facts.max_sessions  # that it takes at once
 
     @classmethod
     def open(

@@ -14,19 +14,17 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.conventions.judge import judge_motion
 from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import on_body
 from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, axis_text
-from adaptive_contact.service.findings import Cause, Fault, Finding, entries
+from adaptive_contact.service.findings import Fault, Finding, Level, entries
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
-
-Array = NDArray[np.float64]
 
 # Samples kept of a leg: two minutes at 50 Hz.
 _KEPT: Final = 6000
@@ -46,27 +44,21 @@ _LEAST_FEET: Final = 4
 
 
 class JointView(msgspec.Struct, frozen=True, kw_only=True):
-    """One joint, in the description's angles.
-
-    Attributes:
-        axis: ``yaw``, ``pitch``, ``roll``, or a direction such as ``(0, 1, 0)``.
-        angle_rad, goal_rad: of the newest sample.
-        low_rad, high_rad: least and largest reading.
-        limits_rad: of robot.toml.
-        direction, offset_rad: from the wire's angles, by ``[leg.angles]``.
-        wire_rad: the newest reading as the source sends it.
-    """
+    """One joint, in the description's angles."""
 
     joint: str
-    axis: str
+    axis: str  # `yaw`, `pitch`, `roll`, or a direction such as `(0, 1, 0)`
+    # angle_rad, goal_rad: of the newest sample
     angle_rad: float
     goal_rad: float
+    # low_rad, high_rad: least and largest reading
     low_rad: float
     high_rad: float
-    limits_rad: tuple[float, float] | None
+    limits_rad: tuple[float, float] | None  # of robot.toml
+    # direction, offset_rad: from the wire's angles, by `[leg.angles]`
     direction: int
     offset_rad: float
-    wire_rad: float
+    wire_rad: float  # the newest reading as the source sends it
 
     @property
     def outside(self) -> bool:
@@ -76,63 +68,45 @@ class JointView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
-    """One leg as it is now.
-
-    Attributes:
-        samples: taken in so far.
-        rate_hz: by the source's stamps; None for too few.
-        height_m, reach_m: of the foot over the first axis, and away from it; None without lengths.
-        forward_m, left_m: of the foot from the middle of the body.
-        above_m: by how much the foot is above its command, of a leg at rest; a leg that hangs gives
-            way to gravity, one that stands to the ground.
-    """
+    """One leg as it is now."""
 
     leg: str
-    samples: int
-    rate_hz: float | None
+    samples: int  # taken in so far
+    rate_hz: float | None  # by the source's stamps; None for too few
     joints: list[JointView]
+    # height_m, reach_m: of the foot over the first axis, and away from it; None without lengths
     height_m: float | None = None
     reach_m: float | None = None
+    # forward_m, left_m: of the foot from the middle of the body
     forward_m: float | None = None
     left_m: float | None = None
+    # by how much the foot is above its command, of a leg at rest; a leg that hangs gives way to
+    # gravity, one that stands to the ground
     above_m: float | None = None
 
 
 class Flatness(msgspec.Struct, frozen=True, kw_only=True):
-    """How flat the feet lie, for a robot that stands on a level floor.
+    """How flat the feet lie, for a robot that stands on a level floor."""
 
-    Attributes:
-        leg: whose foot is furthest from the plane of the others; None with four legs, which do not
-            show whose it is.
-        off_m: by how much it is above that plane.
-    """
-
+    # whose foot is furthest from the plane of the others; None with four legs, which do not show
+    # whose it is
     leg: str | None
-    off_m: float
+    off_m: float  # by how much it is above that plane
 
 
 class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found.
-
-    Attributes:
-        legs: those of the description that send samples.
-        moves: joints that were moved and came to rest, one line each.
-        confirmed: legs whose signs, and those not ``by_hand`` whose order and zeros, the motion
-            confirms.
-        open: legs of which the motion shows nothing.
-        by_hand: legs whose order and zeros no motion confirms, as their chain is not straight.
-        flatness: of the feet, where all legs rest.
-        findings: what is wrong, the worst first.
-    """
+    """What was found."""
 
     seconds: float
-    legs: list[LegView]
-    moves: list[str]
+    legs: list[LegView]  # those of the description that send samples
+    moves: list[str]  # joints that were moved and came to rest, one line each
+    # legs whose signs, and those not `by_hand` whose order and zeros, the motion confirms
     confirmed: list[str]
-    open: list[str]
+    open: list[str]  # legs of which the motion shows nothing
+    # legs whose order and zeros no motion confirms, as their chain is not straight
     by_hand: list[str]
-    flatness: Flatness | None
-    findings: list[Finding]
+    flatness: Flatness | None  # of the feet, where all legs rest
+    findings: list[Finding]  # what is wrong, the worst first
 
     @property
     def exit_code(self) -> int:
@@ -141,20 +115,13 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LiveCheck:
-    """Takes in what is on the wire, and judges it against a robot's description.
-
-    Args:
-        robot: its description.
-
-    Attributes:
-        moves: joints that were moved and came to rest, one line each.
-    """
+    """Takes in what is on the wire, and judges it against a robot's description."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._legs = {leg.id: _LegCheck(leg, robot) for leg in robot.legs}
         self._strangers: set[str] = set()
-        self.moves: list[str] = []
+        self.moves: list[str] = []  # joints that were moved and came to rest, one line each
 
     def take(self, received: Received) -> None:
         """Take one message in; all but samples are left alone."""
@@ -197,18 +164,8 @@ class LiveCheck:
         for name, leg in self._legs.items():
             faults += [(name, fault) for fault in leg.faults(seconds)]
             if name in wrong:
-                faults.append(
-                    (
-                        name,
-                        Fault(
-                            "error" if wrong[name].grave else "warning",
-                            Cause.SIGNS,
-                            "angles are not counted as robot.toml says",
-                            "write what is said here into robot.toml, and look again",
-                            wrong[name].line(leg.leg),
-                        ),
-                    )
-                )
+                level: Level = "error" if wrong[name].grave else "warning"
+                faults.append((name, Fault.of("signs", wrong[name].line(leg.leg), level=level)))
         judged = {*wrong, *verdict.fits}
         return LiveReport(
             seconds=seconds,
@@ -332,12 +289,8 @@ class _LegCheck:
         share = (below | above).mean(axis=0)
         for j in np.flatnonzero(share > _BEYOND_SHARE):
             low, high = np.degrees([limits.lower_rad[j], limits.upper_rad[j]])
-            yield Fault(
-                "warning",
-                Cause.LIMITS,
-                "joints are beyond their limits",
-                "look at the order of joints, at directions and offsets_rad, or correct the limits "
-                "in robot.toml",
+            yield Fault.of(
+                "limits",
                 f"{self.leg.joints[j]} in {share[j]:.0%} of the samples, at "
                 f"{np.degrees(np.median(measured[:, j])):+.0f}° of {low:.0f}..{high:.0f}°",
                 float(share[j]),

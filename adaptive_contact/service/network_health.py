@@ -31,17 +31,10 @@ _REMEMBERED: Final = 8
 
 
 class PeerServices:
-    """Listens for other services.
-
-    Args:
-        link: open.
-
-    Attributes:
-        instance: our own mark, for our own status.
-    """
+    """Listens for other services."""
 
     def __init__(self, link: Link) -> None:
-        self.instance = secrets.token_hex(4)
+        self.instance = secrets.token_hex(4)  # our own mark, for our own status
         self._statuses: deque[Received] = deque(maxlen=4 * _REMEMBERED)
         self._seen: dict[str, tuple[int, ServiceStatus]] = {}
         link.subscribe(SERVICE_STATUS, self._receive)
@@ -82,9 +75,6 @@ class UnreadKeys:
     """Looks for misspelt keys while a described leg has no samples, and only then.
 
     A leg that has samples needs no help, and a second subscription to all of them would cost.
-
-    Args:
-        link: open.
     """
 
     def __init__(self, link: Link) -> None:
@@ -94,12 +84,7 @@ class UnreadKeys:
         self._throttle = LogThrottle()
 
     def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
-        """Return each key without a reader, with what was probably meant.
-
-        Args:
-            lonely: a described leg has had no samples yet.
-            now_ns: monotonic.
-        """
+        """Return each key without a reader, with what was probably meant."""
         if lonely and not self._listening:
             self._listening = [self._link.subscribe(key, self._receive) for key in _LIKE_SERVO]
         elif not lonely and self._listening:
@@ -125,18 +110,10 @@ class UnreadKeys:
 
 
 class NetworkHealth:
-    """Watches them, and logs what changes.
-
-    Args:
-        link: open.
-        now_ns: monotonic.
-
-    Attributes:
-        note: one line on what is wrong, None when all is well.
-    """
+    """Watches them, and logs what changes."""
 
     def __init__(self, link: Link, now_ns: int) -> None:
-        self.note: str | None = None
+        self.note: str | None = None  # one line on what is wrong, None when all is well
         self._link = link
         self._rivals = PeerServices(link)
         self._throttle = LogThrottle()

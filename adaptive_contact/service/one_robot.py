@@ -36,16 +36,10 @@ _COUNTED: Final = frozenset({Cause.TIME_TYPE, Cause.TIME_BACKWARDS, Cause.SEQ})
 
 
 class OneRobot:
-    """Goes through records once and gives them with the keys of the contract.
-
-    Args:
-        records: of a recording.
-
-    Attributes:
-        namespace: that of the first leg's key; messages under others are left out and counted.
-    """
+    """Goes through records once and gives them with the keys of the contract."""
 
     def __init__(self, records: Iterable[Record]) -> None:
+        # that of the first leg's key; messages under others are left out and counted
         self.namespace: str | None = None
         self._records = records
         self._keys: dict[str, str | None] = {}

@@ -6,9 +6,8 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from adaptive_contact.arrays import Array
 
 # Steps are found from so many different readings, and lie between these, rad.
 _STEP_READINGS: Final = 24

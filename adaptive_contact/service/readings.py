@@ -12,18 +12,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.detect.source_watch import EchoWatch
 from adaptive_contact.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
-from adaptive_contact.service.findings import Cause, Fault
+from adaptive_contact.service.findings import Fault
 from adaptive_contact.service.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.wire import ServoSample
 from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
 
-Array = NDArray[np.float64]
-Ticks = NDArray[np.int64]  # seq
+Ticks = Ints  # seq
 
 _FEWEST: Final = 10
 # A joint counts as commanded to move when its command travels this far, rad (3 degrees, 10 steps of
@@ -41,10 +40,6 @@ _FAR_RAD: Final = 0.4
 _BEYOND_RAD: Final = 2 * math.pi + 0.1
 _BEYOND_TURNS_RAD: Final = 8 * math.pi
 _BACKWARDS_CORRELATION: Final = -0.7
-ECHO_FOUND: Final = "measured copies desired while the joints move: no servo follows so closely"
-ECHO_REMEDY: Final = (
-    "publish the servos' present positions as measured, and the goals written to them as desired"
-)
 # Copies of the command of up to so many ticks before, with noise or rounded: this share of readings
 # is within so many steps of the command's path, of at least so many ticks in which it moves, at
 # speeds that differ by so many steps a tick.  A rounded copy is within 0.5 steps.  By joint of 26
@@ -90,15 +85,8 @@ def check_fields(samples: Sequence[ServoSample], joints: int) -> Iterator[Fault]
     for name, (expected, is_right) in _FIELDS.items():
         wrong = [s for s in samples if not is_right(s, joints)]
         if wrong:
-            yield Fault(
-                "error",
-                Cause.FIELD,
-                f"samples are refused for their {name}",
-                f"publish {name} as docs/messages.md has it: {expected}",
-                f"{len(wrong)} of {len(samples)}",
-                len(wrong),
-                name,
-            )
+            count = f"{len(wrong)} of {len(samples)}"
+            yield Fault.of("field", count, len(wrong), name, name=name, expected=expected)
 
 
 def check_readings(
@@ -115,14 +103,8 @@ def check_readings(
     desired = np.array([s.desired for s in samples], dtype=np.float64)
     finite = np.isfinite(np.hstack([measured, desired])).all(axis=1)
     if not finite.all():
-        yield Fault(
-            "error",
-            Cause.NOT_FINITE,
-            "samples hold NaN or infinity",
-            "publish the last reading with valid = false for a servo that did not answer",
-            f"{int((~finite).sum())} of {finite.size}",
-            float((~finite).sum()),
-        )
+        count = int((~finite).sum())
+        yield Fault.of("not_finite", f"{count} of {finite.size}", float(count))
     answered = np.array([s.valid is None or all(s.valid) for s in samples])
     seq = np.array([s.seq for s in samples])[finite & answered]
     measured, desired = measured[finite & answered], desired[finite & answered]
@@ -138,14 +120,8 @@ def check_readings(
         echoing |= {j for j, joint in enumerate(joints) if _copies(*joint, seq, quantum_rad)}
     if echoing:
         every = len(echoing) == len(names)
-        yield Fault(
-            "error",
-            Cause.ECHO,
-            ECHO_FOUND,
-            ECHO_REMEDY,
-            None if every else ", ".join(names[j] for j in sorted(echoing)),
-            key="" if every else "some",
-        )
+        which = None if every else ", ".join(names[j] for j in sorted(echoing))
+        yield Fault.of("echo", which, key="" if every else "some")
         return
     measured, jumps = _without_turns(measured)
     desired, told_jumps = _without_turns(desired)
@@ -158,28 +134,15 @@ def check_readings(
     order = _order_of(measured, desired)
     if order is not None:
         moved = [i for i, of in enumerate(order) if of != i]
-        yield Fault(
-            "error",
-            Cause.ORDER,
-            "measured has its joints in another order than desired",
-            "publish measured, desired and valid in the order of `joints` in robot.toml",
-            " and ".join(f"{names[i]} follows the command of {names[order[i]]}" for i in moved),
-        )
+        follows = (f"{names[i]} follows the command of {names[order[i]]}" for i in moved)
+        yield Fault.of("order", " and ".join(follows))
         return
     if quantum_rad is not None:
         yield from _held(measured, desired, seq, names, quantum_rad)
     begun = _begun(desired, 0.0)
     if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
-        yield Fault(
-            "warning",
-            Cause.FROZEN,
-            "no command of the leg changes while its joints move",
-            "publish as desired, in every tick, the goals that are written to the servos (a leg "
-            "moved by hand has none)",
-            f"by {max(np.ptp(measured, axis=0)):.2f} rad",
-            float(np.ptp(measured, axis=0).max()),
-            "desired",
-        )
+        by_rad = float(np.ptp(measured, axis=0).max())
+        yield Fault.of("frozen-desired", f"by {by_rad:.2f} rad", by_rad, "desired")
     for j, name in enumerate(names):
         yield from _joint(measured[:, j], desired[:, j], name, begun)
         if quantum_rad is not None:
@@ -194,15 +157,9 @@ def _units(measured: Array, desired: Array, names: Sequence[str]) -> Fault | Non
     turns = largest[j] <= _BEYOND_TURNS_RAD and np.ptp(measured[:, j]) < math.pi and not whole
     if largest[j] <= _BEYOND_RAD or turns:
         return None
-    return Fault(
-        "error",
-        Cause.UNITS,
-        "angles are not in radians: more than a turn; these look like "
-        + ("register steps" if whole else "degrees"),
-        "publish radians: math.radians(degrees), or what `[leg.servos]` makes of register steps",
-        f"{names[j]} reaches {largest[j]:.4g}",
-        float(largest[j]),
-    )
+    reaches = f"{names[j]} reaches {largest[j]:.4g}"
+    like = "register steps" if whole else "degrees"
+    return Fault.of("units", reaches, float(largest[j]), like=like)
 
 
 def _far_out(angles: Array) -> Array:
@@ -272,16 +229,7 @@ def _held(
             shares[name] = share
     if shares:
         most = max(shares.values())
-        yield Fault(
-            "error",
-            Cause.HELD,
-            "readings are held: joints that move read the same as in the tick before, to the last "
-            "bit",
-            "read every servo in every tick; where the bus is too slow for that, run the control "
-            "loop, and period_s, at the rate of the readings",
-            f"{', '.join(shares)} in up to {most:.0%} of ticks",
-            most,
-        )
+        yield Fault.of("held", f"{', '.join(shares)} in up to {most:.0%} of ticks", most)
 
 
 def _held_share(measured: Array, desired: Array, seq: Ticks, step_rad: float) -> float:
@@ -300,7 +248,7 @@ def _held_share(measured: Array, desired: Array, seq: Ticks, step_rad: float) ->
     return float(np.mean(measured[k] == measured[k - 1]))
 
 
-def _without_turns(angles: Array) -> tuple[Array, NDArray[np.int64]]:
+def _without_turns(angles: Array) -> tuple[Array, Ints]:
     """Angles with jumps of a full turn taken out, and how many there were of each joint."""
     steps = np.diff(angles, axis=0)
     turns = np.where(
@@ -313,16 +261,7 @@ def _without_turns(angles: Array) -> tuple[Array, NDArray[np.int64]]:
 
 def _turned(name: str, jumps: int, turns: int) -> Fault:
     detail = f"{name} jumps {jumps} times" if jumps else f"{name} reads {turns:+d} turns"
-    return Fault(
-        "warning",
-        Cause.TURN,
-        "readings are off by a full turn: the encoder's seam lies in a joint's travel, or the "
-        "servo counts turns",
-        "turn the servo's horn, or set its homing offset, so that the seam lies outside the "
-        "joint's travel; do not wrap angles at the source",
-        detail,
-        float(jumps + abs(turns)),
-    )
+    return Fault.of("turn", detail, float(jumps + abs(turns)))
 
 
 def _begun(desired: Array, rad: float) -> int:
@@ -364,11 +303,8 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
     still = moved == 0.0 if commanded < _WIDE_RAD else moved < _STILL_SHARE * commanded
     if followed and still:
         within = "" if moved == 0.0 else f" within {moved:.3f} rad"
-        yield Fault(
-            "error",
-            Cause.FROZEN,
-            "a reading never changes while its command moves",
-            "the servo does not answer or has no torque; check cable, power and id",
+        yield Fault.of(
+            "frozen",
             f"{name} reads {np.median(measured):.3f} rad all the time{within}, its command moves "
             f"by {commanded:.2f} rad",
             commanded,
@@ -376,46 +312,15 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
         return
     off = float(np.median(np.abs(measured - desired)))
     if followed and _runs_backwards(measured, desired):
-        yield Fault(
-            "error",
-            Cause.BACKWARDS,
-            "a joint moves against its command",
-            "turn the sign of one of the two: servos.directions in robot.toml for the bridge",
-            name,
-            float(np.ptp(measured)),
-        )
+        yield Fault.of("backwards", name, moved)
     elif off > _FAR_RAD and not begun:
-        yield Fault(
-            "warning",
-            Cause.FAR,
-            "a joint is far from its command, and no command of the leg changes: nobody commands "
-            "it, and servos without torque hang where they are",
-            "command the leg, or look again while it moves; if it stays so, check zero and "
-            "direction of the servo (servos.offsets_rad, servos.directions)",
-            f"{name} by {off:.2f} rad",
-            off,
-            "still",
-        )
+        yield Fault.of("far-still", f"{name} by {off:.2f} rad", off, "still")
     elif off > _FAR_RAD and begun >= _FEWEST_MOVING:
-        yield Fault(
-            "error",
-            Cause.FAR,
-            "a joint is far from its command all the time",
-            "check zero and direction of the servo (servos.offsets_rad, servos.directions)",
-            f"{name} by {off:.2f} rad in the median",
-            off,
-        )
+        yield Fault.of("far", f"{name} by {off:.2f} rad in the median", off)
     glitches, to = _glitches(measured)
     if glitches:
-        yield Fault(
-            "warning",
-            Cause.GLITCHES,
-            "readings jump away and back within a tick or two: they are no positions",
-            "do not publish what a failed read leaves behind: give the last reading with "
-            "valid = false; look for a cable, a baud rate or a timeout",
-            f"{name} {glitches} of {len(measured)}" + ("" if to is None else f", to {to:.3f} rad"),
-            float(glitches),
-        )
+        where = "" if to is None else f", to {to:.3f} rad"
+        yield Fault.of("glitches", f"{name} {glitches} of {len(measured)}{where}", float(glitches))
 
 
 def _glitches(measured: Array) -> tuple[int, float | None]:
@@ -432,23 +337,11 @@ def _steps(measured: Array, name: str, quantum_rad: float) -> Iterator[Fault]:
     if found is None or abs(found / quantum_rad - 1.0) <= STEP_TOLERANCE:
         return
     if abs(found / quantum_rad * _DEGREE_RAD - 1.0) <= STEP_TOLERANCE:
-        yield Fault(
-            "error",
-            Cause.UNITS,
-            "angles are not in radians: they look like degrees, by the steps of the readings",
-            "publish radians: math.radians(degrees)",
-            f"{name} steps by {found:.3g}, robot.toml says {quantum_rad:g}",
-        )
+        steps = f"{name} steps by {found:.3g}, robot.toml says {quantum_rad:g}"
+        yield Fault.of("units-steps", steps)
         return
-    yield Fault(
-        "error",
-        Cause.QUANTUM,
-        f"readings do not step by the quantum_rad = {quantum_rad:g} of robot.toml",
-        "correct quantum_rad: the servo's position step in rad (AX-12A 0.005118, 4096 steps a "
-        "turn 0.001534)",
-        f"{name} steps by {found:.4g} rad",
-        found,
-    )
+    steps = f"{name} steps by {found:.4g} rad"
+    yield Fault.of("quantum", steps, found, quantum_rad=quantum_rad)
 
 
 def _runs_backwards(measured: Array, desired: Array) -> bool:

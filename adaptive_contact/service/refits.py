@@ -43,17 +43,13 @@ class ProcessRefitter:
     Args:
         timeout_s: longest time for a job, from its first byte written to the last of its answer.
         process: the first, where there is one already; ended by :meth:`close`.
-
-    Attributes:
-        failures: jobs that were given up.
-        timeout_s: that of the jobs to come.
     """
 
     def __init__(
         self, timeout_s: float = JOB_TIMEOUT_S, *, process: subprocess.Popen[bytes] | None = None
     ) -> None:
-        self.failures = 0
-        self.timeout_s = timeout_s
+        self.failures = 0  # jobs that were given up
+        self.timeout_s = timeout_s  # that of the jobs to come
         self._waiting: OrderedDict[str, Job] = OrderedDict()
         self._results: dict[str, tuple[int, object]] = {}
         self._changed = threading.Condition()

@@ -25,8 +25,8 @@ from typing import Final
 import msgpack
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot
@@ -59,21 +59,15 @@ _NS_PER_S: Final = 1_000_000_000
 
 @dataclasses.dataclass
 class Counts:
-    """What a replay met.
+    """What a replay met."""
 
-    Attributes:
-        messages: of any key.
-        samples: servo samples handed on.
-        ticks: control ticks they came in.
-        first_ns, last_ns: log time of the first and last message handed on.
-        rejects: servo messages that could not be used, by reason.
-    """
-
-    messages: int = 0
-    samples: int = 0
-    ticks: int = 0
+    messages: int = 0  # of any key
+    samples: int = 0  # servo samples handed on
+    ticks: int = 0  # control ticks they came in
+    # first_ns, last_ns: log time of the first and last message handed on
     first_ns: int | None = None
     last_ns: int | None = None
+    # servo messages that could not be used, by reason
     rejects: collections.Counter[Reject] = dataclasses.field(default_factory=collections.Counter)
 
     @property
@@ -138,13 +132,7 @@ def control_ticks(
 def replay_events(
     records: Iterable[Record], bank: LearnerBank | TraceBank, counts: Counts
 ) -> Iterator[ContactEvent]:
-    """Events that the learners decide on a recording, in order.
-
-    Args:
-        records: of the recording.
-        bank: the learners; they are advanced.
-        counts: filled on the way.
-    """
+    """Events that the learners decide on a recording, in order."""
     for tick in control_ticks(
         records, lambda leg, joints: bank.learner(leg, joints) is not None, counts
     ):
@@ -257,56 +245,36 @@ class WirePlayer:
             return payload
 
 
-Floats = NDArray[np.float64]
 Spans = list[tuple[float, float]]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Touch:
-    """A touch that the truth has, or a contact that is reported without one.
+    """A touch that the truth has, or a contact that is reported without one."""
 
-    Attributes:
-        at_s: its onset, or the deciding sample of a false one.
-        kind: ``hit``, ``miss``, ``beyond`` (missed, but of a row that may be beyond any detector)
-            or ``false``.
-        why: one line for a person.
-    """
-
-    at_s: float
+    at_s: float  # its onset, or the deciding sample of a false one
+    # `hit`, `miss`, `beyond` (missed, but of a row that may be beyond any detector) or
+    # `false`
     kind: str
-    why: str
+    why: str  # one line for a person
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegTrace:
-    """One leg over a recording, times in s since its first sample.
-
-    Attributes:
-        t_s: (n,) of its samples.
-        ratio: (n,) test ratio, NaN where the tick could not be judged.
-        stance: spans of commanded stance.
-        contact: spans of reported contact.
-        truth: spans of true contact; None where the recording has no truth.
-        touches: what is to be looked at, in order of time.
-        note: why touches were not judged, where they were not.
-    """
+    """One leg over a recording, times in s since its first sample."""
 
     leg: str
-    t_s: Floats
-    ratio: Floats
-    stance: Spans
-    contact: Spans
-    truth: Spans | None
-    touches: tuple[Touch, ...]
-    note: str | None = None
+    t_s: Array  # (n,) of its samples
+    ratio: Array  # (n,) test ratio, NaN where the tick could not be judged
+    stance: Spans  # spans of commanded stance
+    contact: Spans  # spans of reported contact
+    truth: Spans | None  # spans of true contact; None where the recording has no truth
+    touches: tuple[Touch, ...]  # what is to be looked at, in order of time
+    note: str | None = None  # why touches were not judged, where they were not
 
 
 class TraceBank:
-    """Learners whose test ratio is kept for each tick; a drop-in for the bank of a replay.
-
-    Args:
-        bank: the learners; they are advanced.
-    """
+    """Learners whose test ratio is kept for each tick; a drop-in for the bank of a replay."""
 
     def __init__(self, bank: LearnerBank) -> None:
         self._bank = bank
@@ -342,11 +310,7 @@ class TraceBank:
         return -1 if learner is None else int(learner.place.leg["t_ns"])
 
     def traces(self, recorded: TracedRecords) -> list[LegTrace]:
-        """Put together what was decided with what the recording says.
-
-        Args:
-            recorded: the same replay's records, gone through.
-        """
+        """Put together what was decided with what the recording says."""
         gathered = recorded.gathered
         gathered.replace_events(self._events)
         legs = [leg for leg in gathered.legs if leg in self._t_ns]
@@ -394,12 +358,7 @@ class TraceBank:
 
 
 class TracedRecords:
-    """Passes records on, and keeps of them what the score needs.
-
-    Args:
-        records: with the keys of the contract.
-        robot: whose geometry shows swings.
-    """
+    """Passes records on, and keeps of them what the score needs."""
 
     def __init__(self, records: Iterable[Record], robot: Robot) -> None:
         self.gathered = Gatherer(robot)
@@ -427,8 +386,8 @@ def _spans(changes: list[tuple[int, bool]], start_ns: int, end_ns: int) -> Spans
 def _touches(
     outcome: LegOutcome,
     contacts: Contacts,
-    t_ns: NDArray[np.int64],
-    ratio: Floats,
+    t_ns: Ints,
+    ratio: Array,
     events: list[ContactEvent],
     start_ns: int,
 ) -> list[Touch]:
@@ -468,9 +427,7 @@ def _touches(
     return sorted(found, key=lambda touch: touch.at_s)
 
 
-def why_missed(
-    t_ns: NDArray[np.int64], ratio: Floats, onset: int, end: int, withheld: list[int]
-) -> str:
+def why_missed(t_ns: Ints, ratio: Array, onset: int, end: int, withheld: list[int]) -> str:
     """The largest test ratio while a touch could be found, and what that says."""
     if any(onset < at_ns <= end for at_ns in withheld):
         return "missed: withheld, the leg was ambiguous"

@@ -51,21 +51,14 @@ class Raw:
 
 @dataclass(slots=True)
 class Batch(Generic[R]):
-    """What the worker takes in one go.
+    """What the worker takes in one go."""
 
-    Attributes:
-        samples: at most one payload per leg, the oldest.
-        overflow: payloads dropped since the last round, per leg.
-        strangers: payloads on keys that name no usable leg, since the last round.
-        stranger: one such key, for the log.
-        requests: queries.
-    """
-
-    samples: dict[str, Raw] = field(default_factory=dict)
+    samples: dict[str, Raw] = field(default_factory=dict)  # at most one payload per leg, the oldest
+    # payloads dropped since the last round, per leg
     overflow: Counter[str] = field(default_factory=Counter)
-    strangers: int = 0
-    stranger: str | None = None
-    requests: list[R] = field(default_factory=list)
+    strangers: int = 0  # payloads on keys that name no usable leg, since the last round
+    stranger: str | None = None  # one such key, for the log
+    requests: list[R] = field(default_factory=list)  # queries
 
     def __bool__(self) -> bool:
         return bool(self.samples or self.overflow or self.strangers or self.requests)

@@ -75,12 +75,7 @@ class Sweeper:
         self._swept_ns = now_ns
 
     def sweep(self, now_ns: int, *, pause: bool) -> None:
-        """Collect if it is time.
-
-        Args:
-            now_ns: monotonic.
-            pause: nothing else waits to be done.
-        """
+        """Collect if it is time."""
         due = pause and now_ns - self._swept_ns > _SWEEP_NS
         if due or gc.get_count()[0] > self._most:
             gc.collect()

@@ -39,29 +39,21 @@ _HOST_PORT = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%a-z]+\]|[^\[\]:/\s]+):(?P<port
 class LinkSettings:
     """How to join the network; checked when made.
 
-    Attributes:
-        mode: ``router`` embeds one (the service), ``client`` joins one (everything else).
-        listen: endpoints of the embedded router; port 0 takes a free one.
-        connect: endpoints of the routers to join.
-        namespace: prefix of every key outside this process, None for none.
-        encoding: of what this process publishes, MSGPACK or JSON.
-        wait: whether a client waits for its router, or raises when it is not there.
-        zenoh_config: a Zenoh configuration file (JSON5) merged under these settings.
-        insecure: listen beyond loopback without authentication of clients.
-        max_sessions: that a router takes at once, None for the file's or the default.
-
     Raises:
         ConfigurationError: in one line, what was found and what is expected.
     """
 
+    # `router` embeds one (the service), `client` joins one (everything else)
     mode: Literal["router", "client"] = "client"
-    listen: tuple[str, ...] = ()
-    connect: tuple[str, ...] = ()
-    namespace: str | None = None
-    encoding: str = MSGPACK
-    wait: bool = True
+    listen: tuple[str, ...] = ()  # endpoints of the embedded router; port 0 takes a free one
+    connect: tuple[str, ...] = ()  # endpoints of the routers to join
+    namespace: str | None = None  # prefix of every key outside this process, None for none
+    encoding: str = MSGPACK  # of what this process publishes, MSGPACK or JSON
+    wait: bool = True  # whether a client waits for its router, or raises when it is not there
+    # a Zenoh configuration file (JSON5) merged under these settings
     zenoh_config: Path | None = None
-    insecure: bool = False
+    insecure: bool = False  # listen beyond loopback without authentication of clients
+    # that a router takes at once, None for the file's or the default
     max_sessions: int | None = None
 
     def __post_init__(self) -> None:

@@ -59,17 +59,12 @@ SERVICE_STATUS: Final = "robot/service/status"
 
 
 class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """What the service knows of a leg.
-
-    Attributes:
-        lengths: whether robot.toml has its ``lengths_m``.
-        described: whether robot.toml has the leg.
-        quantum_rad: position step of its servos by robot.toml, None for a leg that it lacks.
-    """
+    """What the service knows of a leg."""
 
     joints: list[str]
-    lengths: bool = False
-    described: bool = True
+    lengths: bool = False  # whether robot.toml has its `lengths_m`
+    described: bool = True  # whether robot.toml has the leg
+    # position step of its servos by robot.toml, None for a leg that it lacks
     quantum_rad: float | None = None
 
     @classmethod
@@ -84,48 +79,34 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ServiceStatus(Message, frozen=True, kw_only=True):
-    """How the service is, once a second.
+    """How the service is, once a second."""
 
-    Attributes:
-        version: of the package.
-        robot, period_s: of its ``robot.toml``.
-        baseline: where its models come from, None when it started without.
-        legs: what it knows of each leg it follows.
-        uptime_s: since its start.
-        samples: payloads taken in, of all legs.
-        events: contact events published.
-        rejects: payloads that belong to no leg, by reason.
-        instance: of this start of the service, random; another one beside it is a second service.
-        note: one line for a person when something is wrong with the service, None when all is well.
-        events_lost: events dropped because a subscriber that hangs held them up for too long.
-        slow_puts: events that took longer than 0.1 s to send.
-        cut_off: links dropped because their subscribers took no events: they hang, or were cut.
-        stalls: times that the worker stood still for a second or more.
-        state: how keeping the learners' state goes, None where none is kept.
-        strays: keys of samples without a reader, each with a question to the person who chose it;
-            looked for while a leg has no samples.
-        callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.
-        tick_latency: arrival of a sample to the end of its processing, learning included.
-        event_latency: arrival of the deciding sample to its event being published.
-    """
-
-    version: str
+    version: str  # of the package
+    # robot, period_s: of its `robot.toml`
     robot: str
     period_s: float
-    baseline: str | None
-    legs: dict[str, LegFacts]
-    uptime_s: float
-    samples: int = 0
-    events: int = 0
+    baseline: str | None  # where its models come from, None when it started without
+    legs: dict[str, LegFacts]  # what it knows of each leg it follows
+    uptime_s: float  # since its start
+    samples: int = 0  # payloads taken in, of all legs
+    events: int = 0  # contact events published
+    # payloads that belong to no leg, by reason
     rejects: dict[str, int] = msgspec.field(default_factory=dict)
+    # of this start of the service, random; another one beside it is a second service
     instance: str = ""
+    # one line for a person when something is wrong with the service, None when all is well
     note: str | None = None
-    events_lost: int = 0
-    slow_puts: int = 0
+    events_lost: int = 0  # events dropped because a subscriber that hangs held them up for too long
+    slow_puts: int = 0  # events that took longer than 0.1 s to send
+    # links dropped because their subscribers took no events: they hang, or were cut
     cut_off: int = 0
-    stalls: int = 0
-    state: StateFacts | None = None
+    stalls: int = 0  # times that the worker stood still for a second or more
+    state: StateFacts | None = None  # how keeping the learners' state goes, None where none is kept
+    # keys of samples without a reader, each with a question to the person who chose it; looked for
+    # while a leg has no samples
     strays: dict[str, str] = msgspec.field(default_factory=dict)
-    callback_faults: int = 0
+    callback_faults: int = 0  # exceptions in Zenoh callbacks; 0 unless the service has a bug
+    # arrival of a sample to the end of its processing, learning included
     tick_latency: LatencyMs | None = None
+    # arrival of the deciding sample to its event being published
     event_latency: LatencyMs | None = None

@@ -34,15 +34,10 @@ _ASK_S: Final = 0.5
 
 
 class Judged(NamedTuple):
-    """How the learner judged its last tick.
+    """How the learner judged its last tick."""
 
-    Attributes:
-        residual: (J,) rad, measured minus predicted, in the description's angles.
-        test_ratio: statistic over threshold, the largest of its windows.
-    """
-
-    residual: list[float]
-    test_ratio: float
+    residual: list[float]  # (J,) rad, measured minus predicted, in the description's angles
+    test_ratio: float  # statistic over threshold, the largest of its windows
 
 
 class _Tick(NamedTuple):
@@ -85,11 +80,7 @@ class _Leg:
 
 
 class Tracer:
-    """Keeps ticks while they are asked for; all calls from the worker.
-
-    Args:
-        robot: description of the legs.
-    """
+    """Keeps ticks while they are asked for; all calls from the worker."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -173,11 +164,7 @@ def judged_tick(learner: ContactLearner) -> Judged | None:
 
 
 class TraceReader:
-    """Asks a service for the ticks since the question before.
-
-    Args:
-        link: to the service's router.
-    """
+    """Asks a service for the ticks since the question before."""
 
     def __init__(self, link: Link) -> None:
         self._link = link

@@ -85,16 +85,12 @@ _WHOLE: Final = re.compile(r"(?s)(Invalid configuration): \{.*")
 
 
 class Facts(NamedTuple):
-    """What a configuration ended up with.
+    """What a configuration ended up with."""
 
-    Attributes:
-        listen, connect: endpoints.
-        max_sessions: that it takes at once.
-    """
-
+    # listen, connect: endpoints
     listen: tuple[str, ...]
     connect: tuple[str, ...]
-    max_sessions: int
+    max_sessions: int  # that it takes at once
 
 
 def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
@@ -334,9 +330,6 @@ def keys_of(text: str) -> frozenset[str]:
     """Paths of all settings in a JSON5 text, read as JSON with its words as texts.
 
     Zenoh has checked the file before: what cannot be read has no keys and is not reported.
-
-    Args:
-        text: whose outermost value is an object.
 
     Returns:
         Paths as ``scouting/multicast/enabled``, those of objects included; empty for what is no

@@ -52,59 +52,44 @@ _APART_NS: Final = 40_000_000
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
-    """One row: a leg as it is now.
-
-    Attributes:
-        contact: None before the first word of the service.
-        contact_age_s: since the last change to contact.
-        latency_ms: of the last detection, with its median; None without truth.
-        touches, seen, false_alarms: after the first touch; None without truth.
-        residual_rms, noise_floor: (J,) rad.
-        unheard: contacts that the service reported since ``watch`` began and that did not arrive.
-        drift: level of the residuals of recent lifts, 1 without drift.
-        changed_s: since the newest change of the leg, None without one.
-        kind: of that change, None where it is unknown.
-        rate_hz: accepted samples per second.
-        stale: the service has sent no status of this leg for a while.
-    """
+    """One row: a leg as it is now."""
 
     leg: str
-    contact: bool | None = None
+    contact: bool | None = None  # None before the first word of the service
     status: Status | None = None
-    contact_age_s: float | None = None
+    contact_age_s: float | None = None  # since the last change to contact
     contacts: int = 0
+    # contacts that the service reported since `watch` began and that did not arrive
     unheard: int = 0
-    latency_ms: float | None = None
+    latency_ms: float | None = None  # of the last detection, with its median; None without truth
     median_latency_ms: float | None = None
+    # touches, seen, false_alarms: after the first touch; None without truth
     touches: int | None = None
     seen: int | None = None
     false_alarms: int | None = None
+    # residual_rms, noise_floor: (J,) rad
     residual_rms: list[float] = msgspec.field(default_factory=list)
     noise_floor: list[float] = msgspec.field(default_factory=list)
     model_version: int | None = None
-    drift: float | None = None
-    changed_s: float | None = None
-    kind: str | None = None
+    drift: float | None = None  # level of the residuals of recent lifts, 1 without drift
+    changed_s: float | None = None  # since the newest change of the leg, None without one
+    kind: str | None = None  # of that change, None where it is unknown
     ticks: int = 0
-    rate_hz: float | None = None
+    rate_hz: float | None = None  # accepted samples per second
     missed: int = 0
     restarts: int = 0
     rejects: dict[str, int] = msgspec.field(default_factory=dict)
     withheld: int = 0
     note: str | None = None
-    stale: bool = False
+    stale: bool = False  # the service has sent no status of this leg for a while
 
 
 class Verdict(NamedTuple):
-    """What became of a touch, or of an event, by the simulator's truth.
+    """What became of a touch, or of an event, by the simulator's truth."""
 
-    Attributes:
-        kind: ``seen`` or ``missed``, of a touch; ``false``, of an event.
-        t_ns: onset of the touch, or of the sample that decided the event.
-    """
-
+    # `seen` or `missed`, of a touch; `false`, of an event
     kind: Literal["seen", "missed", "false"]
-    t_ns: int
+    t_ns: int  # onset of the touch, or of the sample that decided the event
 
 
 class View(msgspec.Struct, frozen=True, kw_only=True):
@@ -124,17 +109,12 @@ class _Touch:
 
 @dataclass(slots=True)
 class _Truth:
-    """Truth of one leg, and its events as judged by it.
-
-    Attributes:
-        began_ns: onset of the first touch; what comes after it counts.
-        touches: those whose event may still come.
-    """
+    """Truth of one leg, and its events as judged by it."""
 
     loaded_since_ns: int | None = None
     released_ns: int | None = None
-    began_ns: int | None = None
-    touches: list[_Touch] = field(default_factory=list)
+    began_ns: int | None = None  # onset of the first touch; what comes after it counts
+    touches: list[_Touch] = field(default_factory=list)  # those whose event may still come
     loads: list[tuple[int, int | None]] = field(default_factory=list)
     count: int = 0
     latencies_ms: list[float] = field(default_factory=list)
@@ -392,15 +372,12 @@ class Feed:
         link: open; closed by its owner.
         on_contact: is given each contact event and change of truth that :meth:`view` takes in, with
             its leg.
-
-    Attributes:
-        watch: that is fed.
     """
 
     def __init__(self, link: Link, on_contact: OnContact | None = None) -> None:
         self._link = link
         self._on_contact = on_contact
-        self.watch = Watch()
+        self.watch = Watch()  # that is fed
         # Zenoh's thread appends, the reader pops; without a reader the oldest go.
         self._waiting: deque[Received] = deque(maxlen=_KEPT)
         self._alive = False

@@ -49,10 +49,6 @@ class Watchdog:
             the watchdog is started, on a thread of its own, and not again before it returns.
         on_end: called when it has stood still, or a put has gone on, for too long.
         give_up_s: how long is too long.
-
-    Attributes:
-        stalls: times that the worker stood still for a second or more.
-        blocks: times that a put was seen to take half a second or more.
     """
 
     def __init__(
@@ -64,8 +60,8 @@ class Watchdog:
         on_end: Callable[[], None],
         give_up_s: float = GIVE_UP_S,
     ) -> None:
-        self.stalls = 0
-        self.blocks = 0
+        self.stalls = 0  # times that the worker stood still for a second or more
+        self.blocks = 0  # times that a put was seen to take half a second or more
         self._beat = beat
         self._blocked_ns = blocked_ns
         self._on_stall = on_stall

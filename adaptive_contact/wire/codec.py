@@ -68,9 +68,6 @@ def encode(message: Message, encoding: str = MSGPACK) -> bytes:
     Args:
         message: any of the wire's messages.
         encoding: :data:`MSGPACK` or :data:`JSON`.
-
-    Returns:
-        The payload.
     """
     if encoding == JSON:
         return msgspec.json.encode(message)

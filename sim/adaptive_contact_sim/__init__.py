@@ -7,63 +7,22 @@ wire and files, :func:`run`.
 
 from __future__ import annotations
 
-from adaptive_contact_sim.arrays import LegArrays, Onset, Run, record_arrays
-from adaptive_contact_sim.drift import KINDS, Injection, Kind
-from adaptive_contact_sim.elements import JOINTS, LEGS
+from adaptive_contact_sim.arrays import record_arrays
+from adaptive_contact_sim.drift import KINDS, Injection
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.recorder import record_file
-from adaptive_contact_sim.robots import ROBOTS, SimulatedRobot, simulated_robot
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.scenario import (
     Scenario,
     drift_from,
     load_scenario,
     parse_drift,
-    parse_scenario,
     shipped_scenarios,
 )
-from adaptive_contact_sim.servo import ServoParameters, manufactured
-from adaptive_contact_sim.session import Report, RunPlan, describe, run
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick, Truth
+from adaptive_contact_sim.session import RunPlan, describe, run
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-
-__all__ = [
-    "JOINTS",
-    "KINDS",
-    "LEGS",
-    "ROBOTS",
-    "EncoderSettings",
-    "Injection",
-    "Kind",
-    "LegArrays",
-    "ObstacleSettings",
-    "Onset",
-    "PoseGroupSettings",
-    "PoseSettings",
-    "Report",
-    "Run",
-    "RunPlan",
-    "Scenario",
-    "ServoParameters",
-    "SimulatedRobot",
-    "Simulation",
-    "SimulationSettings",
-    "TerrainSettings",
-    "Tick",
-    "Truth",
-    "WalkSettings",
-    "describe",
-    "drift_from",
-    "load_scenario",
-    "manufactured",
-    "parse_drift",
-    "parse_scenario",
-    "record_arrays",
-    "record_file",
-    "run",
-    "shipped_scenarios",
-    "simulated_robot",
-]

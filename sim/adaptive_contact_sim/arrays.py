@@ -12,30 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.score import TruthChanges, truth_changes
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.truth import Change
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Onset:
-    """A contact that began.
+    """A contact that began."""
 
-    Attributes:
-        t_ns: of the physics step.
-        tick: the tick during whose physics it began, so the first *sample* that can know of it
-            is ``tick + 1``.
-        force_n: mean over 20 ms from there on.
-        speed_m_s, part, surface, grazing: as in :class:`adaptive_contact.wire.ContactTruth`.
-    """
-
-    t_ns: int
+    t_ns: int  # of the physics step
+    # the tick during whose physics it began, so the first *sample* that can know of it is `tick +
+    # 1`
     tick: int
-    force_n: float
+    force_n: float  # mean over 20 ms from there on
+    # speed_m_s, part, surface, grazing: as in `ContactTruth`
     speed_m_s: float | None
     part: str | None
     surface: str | None
@@ -44,29 +38,17 @@ class Onset:
 
 @dataclass(frozen=True, eq=False)
 class LegArrays:
-    """One leg's stream, row k being control tick k.
+    """One leg's stream, row k being control tick k."""
 
-    Attributes:
-        measured: (n, J) rad, read at the start of tick k.
-        desired: (n, J) rad, written right after, in force until tick k + 1.
-        valid: (n, J) readings known to be good.
-        swing: (n,) the phase of tick k.
-        contact: (n,) whether the leg touches at the start of tick k.
-        force_n: (n,) mean contact force over the 20 ms *after* the start of tick k.
-        angle: (n, J) rad, the joints' true angles at the start of tick k.
-        onsets: contacts that began, in order.
-        releases_ns: times at which contacts ended.
-    """
-
-    measured: Array
-    desired: Array
-    valid: NDArray[np.bool_]
-    swing: NDArray[np.bool_]
-    contact: NDArray[np.bool_]
-    force_n: Array
-    angle: Array
-    onsets: tuple[Onset, ...]
-    releases_ns: tuple[int, ...]
+    measured: Array  # (n, J) rad, read at the start of tick k
+    desired: Array  # (n, J) rad, written right after, in force until tick k + 1
+    valid: Mask  # (n, J) readings known to be good
+    swing: Mask  # (n,) the phase of tick k
+    contact: Mask  # (n,) whether the leg touches at the start of tick k
+    force_n: Array  # (n,) mean contact force over the 20 ms *after* the start of tick k
+    angle: Array  # (n, J) rad, the joints' true angles at the start of tick k
+    onsets: tuple[Onset, ...]  # contacts that began, in order
+    releases_ns: tuple[int, ...]  # times at which contacts ended
 
     @property
     def changes(self) -> list[ContactTruth]:
@@ -94,19 +76,12 @@ class LegArrays:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A recorded run.
+    """A recorded run."""
 
-    Attributes:
-        t_ns: (n,) time stamps of the ticks.
-        legs: the streams, by leg.
-        position_m: (n, 3) true position of the body.
-        rotation: (n, 3, 3) true attitude of the body.
-    """
-
-    t_ns: NDArray[np.int64]
-    legs: dict[str, LegArrays]
-    position_m: Array
-    rotation: Array
+    t_ns: Ints  # (n,) time stamps of the ticks
+    legs: dict[str, LegArrays]  # the streams, by leg
+    position_m: Array  # (n, 3) true position of the body
+    rotation: Array  # (n, 3, 3) true attitude of the body
 
 
 def record_arrays(
@@ -211,9 +186,7 @@ def _onset(sim: Simulation, change: Change) -> Onset:
     )
 
 
-def contact_at(
-    t_ns: NDArray[np.int64], onsets: list[Onset], releases_ns: list[int]
-) -> NDArray[np.bool_]:
+def contact_at(t_ns: Ints, onsets: list[Onset], releases_ns: list[int]) -> Mask:
     """Contact at every tick, from the times of change."""
     begun = np.searchsorted([o.t_ns for o in onsets], t_ns, side="right")
     ended = np.searchsorted(releases_ns, t_ns, side="right")

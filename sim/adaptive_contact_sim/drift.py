@@ -25,21 +25,15 @@ _WALK_STEP_S: Final = 0.1
 
 
 class Kind(NamedTuple):
-    """One kind of drift.
+    """One kind of drift."""
 
-    Attributes:
-        unit: of its value.
-        nominal, low, high: the value without drift, and what is accepted.
-        usual: the range seen or assumed in the field, docs/simulator.md.
-        meaning: one line.
-    """
-
-    unit: str
+    unit: str  # of its value
+    # nominal, low, high: the value without drift, and what is accepted
     nominal: float
     low: float
     high: float
-    usual: str
-    meaning: str
+    usual: str  # the range seen or assumed in the field, docs/simulator.md
+    meaning: str  # one line
 
 
 KINDS: Final[dict[DriftKind, Kind]] = {
@@ -131,13 +125,7 @@ class _Course:
 
 
 class DriftSchedule:
-    """All drifts of a run: those to come, those under way, what holds.
-
-    Args:
-        injections: known from the start.
-        dropout: probability of dropped readings that the run has anyway.
-        layout: of the robot.
-    """
+    """All drifts of a run: those to come, those under way, what holds."""
 
     def __init__(
         self,

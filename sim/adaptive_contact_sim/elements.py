@@ -22,17 +22,11 @@ IntArray = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Layout:
-    """Names of a robot's elements, in the order of the simulator's arrays.
+    """Names of a robot's elements, in the order of the simulator's arrays."""
 
-    Attributes:
-        legs: their ids.
-        joints: of every leg, from the body outwards.
-        parts: what of a leg may touch something, likewise; each has a touch sensor.
-    """
-
-    legs: tuple[str, ...]
-    joints: tuple[str, ...]
-    parts: tuple[str, ...]
+    legs: tuple[str, ...]  # their ids
+    joints: tuple[str, ...]  # of every leg, from the body outwards
+    parts: tuple[str, ...]  # what of a leg may touch something, likewise; each has a touch sensor
 
     @property
     def n_servos(self) -> int:
@@ -69,34 +63,21 @@ HEXAPOD: Final = Layout(LEGS, JOINTS, PARTS)
 
 @dataclass(frozen=True)
 class Elements:
-    """Indices into a compiled model, by meaning.
+    """Indices into a compiled model, by meaning."""
 
-    Attributes:
-        layout: names, in the order of the indices.
-        qpos, dof: slices of the servo joints in ``qpos`` and ``qvel``.
-        ctrl: slice of the motors in ``ctrl``.
-        touch: slice of the touch sensors in ``sensordata``, part fastest.
-        body: id of the base.
-        floats: whether the base moves freely; otherwise it hangs on the world.
-        foot_sites: (L,) ids of the foot points.
-        payloads: (L,) body ids of the masses at the foot ends.
-        geom_leg: (ngeom,) leg of a geom that collides, -1 for others.
-        geom_part: (ngeom,) index into the layout's parts, -1 for others.
-        leg_geoms: per leg, ids of its colliding geoms.
-    """
-
-    layout: Layout
+    layout: Layout  # names, in the order of the indices
+    # qpos, dof: slices of the servo joints in `qpos` and `qvel`
     qpos: slice
     dof: slice
-    ctrl: slice
-    touch: slice
-    body: int
-    floats: bool
-    foot_sites: IntArray
-    payloads: IntArray
-    geom_leg: IntArray
-    geom_part: IntArray
-    leg_geoms: tuple[IntArray, ...]
+    ctrl: slice  # slice of the motors in `ctrl`
+    touch: slice  # slice of the touch sensors in `sensordata`, part fastest
+    body: int  # id of the base
+    floats: bool  # whether the base moves freely; otherwise it hangs on the world
+    foot_sites: IntArray  # (L,) ids of the foot points
+    payloads: IntArray  # (L,) body ids of the masses at the foot ends
+    geom_leg: IntArray  # (ngeom,) leg of a geom that collides, -1 for others
+    geom_part: IntArray  # (ngeom,) index into the layout's parts, -1 for others
+    leg_geoms: tuple[IntArray, ...]  # per leg, ids of its colliding geoms
 
     @classmethod
     def resolve(cls, model: mujoco.MjModel, layout: Layout = HEXAPOD) -> Elements:

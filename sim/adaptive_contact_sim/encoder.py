@@ -27,19 +27,13 @@ _BOGUS_RAD: Final = -math.pi
 
 @dataclass(frozen=True)
 class EncoderSettings:
-    """Noise and faults of position readings.
+    """Noise and faults of position readings."""
 
-    Attributes:
-        noise_steps: standard deviation before rounding, in steps.
-        dropped: probability that a reading does not come: the last value, ``valid`` False.
-        repeated: probability that the last value comes again, silently.
-        bogus: probability of a reading of -pi.
-    """
-
-    noise_steps: float = 0.5
+    noise_steps: float = 0.5  # standard deviation before rounding, in steps
+    # probability that a reading does not come: the last value, `valid` False
     dropped: float = 0.0
-    repeated: float = 0.0
-    bogus: float = 0.0
+    repeated: float = 0.0  # probability that the last value comes again, silently
+    bogus: float = 0.0  # probability of a reading of -pi
 
     def __post_init__(self) -> None:
         for name in ("dropped", "repeated", "bogus"):
@@ -66,12 +60,6 @@ class Encoder:
 
     Every tick draws the same amount of randomness, so that a fault's probability changes
     nothing but the faults.
-
-    Args:
-        settings: noise and faults.
-        rng: source of both.
-        servos: how many.
-        quantum_rad: their step.
     """
 
     def __init__(

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from adaptive_contact.arrays import Array, Ints
+
 GaitName = Literal["tripod", "ripple", "wave", "trot", "walk"]
 
 # Parts of a swing, as shares of it: rising until, falling from, moving forward between.
@@ -28,15 +28,10 @@ _GRAVITY_M_S2: Final = 9.81
 
 
 class Gait(NamedTuple):
-    """A periodic gait.
+    """A periodic gait."""
 
-    Attributes:
-        share: of the cycle that a leg swings.
-        offsets: per leg, in the order of the robot's legs.
-    """
-
-    share: float
-    offsets: tuple[float, ...]
+    share: float  # of the cycle that a leg swings
+    offsets: tuple[float, ...]  # per leg, in the order of the robot's legs
 
 
 # Legs are lf, lm, lr, rf, rm, rr.  Shares leave a little of the cycle with all feet down, for
@@ -102,19 +97,14 @@ def quintic(x: Array) -> Array:
 
 @dataclass(eq=False)
 class Swings:
-    """The legs' present or last swing, in the body's frame.
+    """The legs' present or last swing, in the body's frame."""
 
-    Attributes:
-        start_m, target_m: (L, 3) where it began, and where it goes; the target's height is where
-            the descent would end.
-        top_m: (L,) height of the transfer.
-        began_step: (L,) physics step at which it began.
-    """
-
+    # start_m, target_m: (L, 3) where it began, and where it goes; the target's height is where the
+    # descent would end
     start_m: Array
     target_m: Array
-    top_m: Array
-    began_step: NDArray[np.int64]
+    top_m: Array  # (L,) height of the transfer
+    began_step: Ints  # (L,) physics step at which it began
 
     @classmethod
     def at(cls, feet_m: Array) -> Swings:

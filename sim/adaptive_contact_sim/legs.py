@@ -20,13 +20,11 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot, foot, inverse, shipped_robot
 from adaptive_contact_sim.elements import JOINTS, LEGS
-
-Array = NDArray[np.float64]
 
 # How near to the rim of its reach a foot is ever sent, m.
 _REACH_MARGIN_M = 0.002
@@ -70,7 +68,7 @@ class Geometry(Protocol):
     def neutral(self, reach_m: float, height_m: float) -> Array:
         """(L, 3) m in the legs' frames: feet so far out, the body so high over them."""
 
-    def reachable(self, points_m: Array) -> NDArray[np.bool_]:
+    def reachable(self, points_m: Array) -> Mask:
         """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
 
     def joints(
@@ -124,21 +122,15 @@ def _mounts(robot: Robot) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class LegGeometry(_Mounted):
-    """Geometry of the hexapod's six equal legs.
+    """Geometry of the hexapod's six equal legs."""
 
-    Attributes:
-        lengths_m: coxa, femur, tibia.
-        mounts_m: (6, 3) of the coxa axes in the body's frame.
-        rotations: (6, 3, 3) from a leg's frame to the body's.
-        lower_rad, upper_rad: (3,) joint limits.
-        nearest_m, farthest_m: foot from femur axis, as the tibia's limit and length allow.
-    """
-
-    lengths_m: tuple[float, float, float]
-    mounts_m: Array
-    rotations: Array
+    lengths_m: tuple[float, float, float]  # coxa, femur, tibia
+    mounts_m: Array  # (6, 3) of the coxa axes in the body's frame
+    rotations: Array  # (6, 3, 3) from a leg's frame to the body's
+    # lower_rad, upper_rad: (3,) joint limits
     lower_rad: Array
     upper_rad: Array
+    # nearest_m, farthest_m: foot from femur axis, as the tibia's limit and length allow
     nearest_m: float
     farthest_m: float
 
@@ -195,7 +187,7 @@ class LegGeometry(_Mounted):
         """(6, 3) m in the legs' frames: feet so far from their coxa axes, the body so high."""
         return np.tile([reach_m, 0.0, -height_m], (len(LEGS), 1))
 
-    def reachable(self, points_m: Array) -> NDArray[np.bool_]:
+    def reachable(self, points_m: Array) -> Mask:
         """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
         joints = inverse(points_m, self.lengths_m)
         with np.errstate(invalid="ignore"):
@@ -283,7 +275,7 @@ class ChainLegs(_Mounted):
         """(J,) rad, the first leg's posture at rest."""
         return np.asarray(self.rest_rad[0])
 
-    def reachable(self, points_m: Array) -> NDArray[np.bool_]:
+    def reachable(self, points_m: Array) -> Mask:
         """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
         off = np.linalg.norm(self.feet(self.joints(points_m)) - points_m, axis=-1)
         return np.asarray(off < _NEAR_M)

@@ -63,9 +63,6 @@ class Pace:
     def wait(self, stop: Event) -> bool:
         """Wait until the next tick is due.
 
-        Args:
-            stop: ends the waiting when set.
-
         Returns:
             False when stopped.
         """

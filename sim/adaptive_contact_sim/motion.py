@@ -5,37 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from adaptive_contact.arrays import Array
 from adaptive_contact.wire import Phase
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """What is known at the start of a control tick.
+    """What is known at the start of a control tick."""
 
-    Attributes:
-        tick: control ticks made so far.
-        step, step_s: physics steps made so far, and their length.
-        measured_rad: (L, J), what the servos reported this tick.
-        position_m, rotation: (3,) and (3, 3), the body in the world.
-        touch_step: per leg, the physics step at which it last came down; None in the air.
-        feet_m: (L, 3), the true feet in the world: for those who set the stage, not for gaits.
-        reported_tick: per leg, the tick at which another process (the service) last reported that
-            it touches; None when taken back.
-    """
-
-    tick: int
+    tick: int  # control ticks made so far
+    # step, step_s: physics steps made so far, and their length
     step: int
     step_s: float
-    measured_rad: Array
+    measured_rad: Array  # (L, J), what the servos reported this tick
+    # position_m, rotation: (3,) and (3, 3), the body in the world
     position_m: Array
     rotation: Array
-    feet_m: Array
+    feet_m: Array  # (L, 3), the true feet in the world: for those who set the stage, not for gaits
+    # per leg, the physics step at which it last came down; None in the air
     touch_step: tuple[int | None, ...]
+    # per leg, the tick at which another process (the service) last reported that it touches; None
+    # when taken back
     reported_tick: tuple[int | None, ...]
 
 

@@ -12,14 +12,12 @@ from typing import Final, Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.scene import OBSTACLE_TOP_M, OBSTACLES, PARKED_M, expose, obstacle_name
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
-
-Array = NDArray[np.float64]
 
 Approach = Literal["descent", "slow", "forward", "graze"]
 _SHAPES: Final = ("plate", "sphere", "edge")
@@ -32,21 +30,15 @@ _SOLE_M: Final = 0.008
 
 @dataclass(frozen=True)
 class ObstacleSettings:
-    """What stands in the way of descents.
+    """What stands in the way of descents."""
 
-    Attributes:
-        probability: that a descent meets an obstacle.
-        shapes: drawn from for each: ``plate``, ``sphere``, ``edge``.
-        soft: probability that the obstacle yields.
-        stiffness_n_m: lowest and highest of those that yield, drawn log-uniformly.
-        where: earliest and latest place on the commanded descent, as shares of it; the foot
-            comes there three to four ticks after the command.
-    """
-
-    probability: float = 0.0
-    shapes: tuple[str, ...] = _SHAPES
-    soft: float = 0.0
+    probability: float = 0.0  # that a descent meets an obstacle
+    shapes: tuple[str, ...] = _SHAPES  # drawn from for each: `plate`, `sphere`, `edge`
+    soft: float = 0.0  # probability that the obstacle yields
+    # lowest and highest of those that yield, drawn log-uniformly
     stiffness_n_m: tuple[float, float] = (300.0, 3000.0)
+    # earliest and latest place on the commanded descent, as shares of it; the foot comes there
+    # three to four ticks after the command
     where: tuple[float, float] = (0.05, 0.6)
 
     def __post_init__(self) -> None:

@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.files import write_file
 from adaptive_contact_sim.elements import Elements
@@ -28,24 +29,16 @@ from adaptive_contact_sim.simulation import Simulation
 if TYPE_CHECKING:  # an extra, which a film asks for by name (_need_pillow)
     from PIL import ImageDraw
 
-Array = NDArray[np.float64]
-
 
 class Moment(NamedTuple):
-    """What a picture shows.
+    """What a picture shows."""
 
-    Attributes:
-        configuration: of the engine's joints, ``qpos``.
-        mocap_m, mocap_quaternion: places of the movable obstacles.
-        touching: (L,) whether each leg touches.
-        caption: lines for the corner.
-    """
-
-    configuration: Array
+    configuration: Array  # of the engine's joints, `qpos`
+    # mocap_m, mocap_quaternion: places of the movable obstacles
     mocap_m: Array
     mocap_quaternion: Array
-    touching: NDArray[np.bool_]
-    caption: tuple[str, ...]
+    touching: Mask  # (L,) whether each leg touches
+    caption: tuple[str, ...]  # lines for the corner
 
     @classmethod
     def of(cls, sim: Simulation) -> Moment:
@@ -66,18 +59,14 @@ class Moment(NamedTuple):
 
 
 class Stage:
-    """The scene of a simulation, on which moments are set up.
-
-    Args:
-        sim: whose scene.
-    """
+    """The scene of a simulation, on which moments are set up."""
 
     def __init__(self, sim: Simulation) -> None:
         self.model = sim.scene(looks=True)  # the simulation's own may be without
         self.elements = Elements.resolve(self.model, sim.layout)
         self.terrain = sim.terrain
         self.data = mujoco.MjData(self.model)
-        self.touching: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
+        self.touching: Mask = np.zeros(0, dtype=np.bool_)
         self.set(Moment.of(sim))
 
     def set(self, moment: Moment) -> None:
@@ -125,12 +114,7 @@ _OVERSAMPLE: Final = 2
 
 
 class StickPainter:
-    """Draws the robot as limbs.
-
-    Args:
-        stage: whose robot to draw.
-        width, height: of the picture.
-    """
+    """Draws the robot as limbs."""
 
     def __init__(self, stage: Stage, width: int, height: int) -> None:
         self._size = (width, height)
@@ -287,10 +271,6 @@ class EnginePainter:
     EGL is asked for by itself, not through ``MUJOCO_GL``, which is read once when mujoco is
     imported and would have to be set before.
 
-    Args:
-        stage: the scene to paint.
-        width, height: of the picture.
-
     Raises:
         ConfigurationError: EGL is missing or does not work.
     """
@@ -364,10 +344,6 @@ _LONGEST_S: Final = 300.0
 
 class Film:
     """A picture or film of a run; a context manager.
-
-    Args:
-        path: where to; its ending says what.
-        sim: what to film.
 
     Raises:
         ConfigurationError: the ending is none of those known, or the folder does not exist.

@@ -12,14 +12,12 @@ from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
 from adaptive_contact_sim.gear import GearTrain
 from adaptive_contact_sim.servo import AX12A, ServoBank, ServoKind, ServoParameters
-
-Array = NDArray[np.float64]
 
 # Faster than any part of the robot can be: five times a servo's no-load speed, and free fall
 # from several metres.  Beyond it the integration has blown up.
@@ -34,37 +32,17 @@ _TOUCHES_KEPT: Final = 64
 
 
 class Touch(NamedTuple):
-    """A part of a leg coming into contact.
+    """A part of a leg coming into contact."""
 
-    Attributes:
-        step: physics step at which the contact appeared.
-        part: index into :data:`~adaptive_contact_sim.elements.PARTS`.
-        speed_m_s: of the touching point, just before.
-        grazing: the motion was nearly tangent to the surface.
-        other: id of the geom that was touched.
-    """
-
-    step: int
-    part: int
-    speed_m_s: float
-    grazing: bool
-    other: int
+    step: int  # physics step at which the contact appeared
+    part: int  # index into `PARTS`
+    speed_m_s: float  # of the touching point, just before
+    grazing: bool  # the motion was nearly tangent to the surface
+    other: int  # id of the geom that was touched
 
 
 class Plant:
     """Engine, servos and touch sensing of one robot.
-
-    Args:
-        model: compiled scene.
-        parameters: the servos.
-        period_s: control tick; a whole number of physics steps.
-        supply_resistance_ohm: of battery and wiring.
-        layout: names of the robot's elements.
-        kind: of servo.
-
-    Attributes:
-        steps: physics steps made so far.
-        on_step: called after each of them; None without a listener.
 
     Raises:
         ConfigurationError: the period is not a whole number of physics steps.
@@ -93,7 +71,8 @@ class Plant:
         self.elements = Elements.resolve(model, layout)
         self.period_s = period_s
         self.step_s = float(model.opt.timestep)
-        self.steps = 0
+        self.steps = 0  # physics steps made so far
+        # called after each of them; None without a listener
         self.on_step: Callable[[], None] | None = None
 
         e = self.elements

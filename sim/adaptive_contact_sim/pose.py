@@ -20,15 +20,13 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class Space:
         height = rng.uniform(*self.height_m)
         return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
 
-    def holds(self, points_m: Array) -> NDArray[np.bool_]:
+    def holds(self, points_m: Array) -> Mask:
         """(n,) which of (n, 3) m points lie in it, to the rounding of a grid."""
         x, y, z = points_m.T
         inside = np.ones(len(points_m), dtype=np.bool_)
@@ -98,35 +96,26 @@ _STRAIGHT_TRIES: Final = 200
 
 @dataclass(frozen=True)
 class PoseSettings:
-    """What the moving leg does.
+    """What the moving leg does."""
 
-    Attributes:
-        legs: which legs move, in turn.
-        trials_per_turn: ascents and descents before the next leg's turn.
-        segment_ticks: length of an ascent or a descent.
-        hold_ticks: rest after a descent, marked stance.
-        path: ``cartesian`` or ``joint``, what is straight.
-        workspace: ``paper`` or ``whole``; ``hung``, of a leg that hangs on a stand.
-        approach: ``descent``; ``slow`` (2 to 10 cm/s); ``forward`` (a level swing against a
-            post); ``graze`` (along a steep face).
-        react_ms: how long the command goes on after a touch; None for the whole segment.
-        obstacles: what is in the way.
-        clear_m: how far above an obstacle the foot is when it comes, at least: more than a sole
-            that is tilted reaches below the foot's point.
-        vary_rad: per joint, how far from the leg's posture at rest is what joints beyond three
-            follow, drawn again for each end of a trial; empty leaves it where it is.
-    """
-
-    legs: tuple[str, ...] = ("rf",)
-    trials_per_turn: int = 20
-    segment_ticks: int = 10
-    hold_ticks: int = 3
-    path: Path = "cartesian"
+    legs: tuple[str, ...] = ("rf",)  # which legs move, in turn
+    trials_per_turn: int = 20  # ascents and descents before the next leg's turn
+    segment_ticks: int = 10  # length of an ascent or a descent
+    hold_ticks: int = 3  # rest after a descent, marked stance
+    path: Path = "cartesian"  # ``cartesian`` or ``joint``, what is straight
+    # `paper` or `whole`; `hung`, of a leg that hangs on a stand
     workspace: Workspace = "paper"
+    # `descent`; `slow` (2 to 10 cm/s); `forward` (a level swing against a post); `graze`
+    # (along a steep face)
     approach: Approach = "descent"
+    # how long the command goes on after a touch; None for the whole segment
     react_ms: float | None = None
-    obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)
+    obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)  # what is in the way
+    # how far above an obstacle the foot is when it comes, at least: more than a sole that is tilted
+    # reaches below the foot's point
     clear_m: float = 0.008
+    # per joint, how far from the leg's posture at rest is what joints beyond three follow, drawn
+    # again for each end of a trial; empty leaves it where it is
     vary_rad: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -180,15 +169,7 @@ class _Plan:
 
 
 class PoseMotion:
-    """Goals of the pose set-up.
-
-    Args:
-        settings: what to do.
-        geometry: the legs.
-        course: obstacles.
-        rng: of the points.
-        legs: all of the robot's.
-    """
+    """Goals of the pose set-up."""
 
     def __init__(
         self,

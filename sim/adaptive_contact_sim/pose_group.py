@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
-
-Array = NDArray[np.float64]
 
 # Legs that can be in the air together while the robot stands on the others.
 TRIPODS: Final = (("lf", "lr", "rm"), ("lm", "rf", "rr"))
@@ -27,12 +25,9 @@ TRIPODS: Final = (("lf", "lr", "rm"), ("lm", "rf", "rr"))
 
 @dataclass(frozen=True)
 class PoseGroupSettings:
-    """Which legs move together, and how each does.
+    """Which legs move together, and how each does."""
 
-    Attributes:
-        poses: of one leg each, all of them of one tripod: the robot stands on the other.
-    """
-
+    # of one leg each, all of them of one tripod: the robot stands on the other
     poses: tuple[PoseSettings, ...]
 
     def __post_init__(self) -> None:
@@ -57,11 +52,7 @@ class PoseGroupSettings:
 
 
 class PoseGroup:
-    """Goals of several legs in pose; the others stand.
-
-    Args:
-        members: one per leg that moves.
-    """
+    """Goals of several legs in pose; the others stand."""
 
     def __init__(self, members: Sequence[PoseMotion]) -> None:
         self.members = tuple(members)

@@ -17,11 +17,6 @@ class TickRecorder:
     certain, up to 60 ms after their own time stamp, as they would be on the wire; drifts when
     they begin.
 
-    Args:
-        path: the file.
-        sim: the run, for what is known of it and its drifts.
-        encoding: of the payloads.
-
     Raises:
         RecordingError: the file cannot be written.
     """
@@ -68,11 +63,6 @@ class TickRecorder:
 
 def record_file(settings: SimulationSettings, seconds: float, path: str | Path) -> int:
     """Simulate as fast as possible into a recording.
-
-    Args:
-        settings: what to simulate.
-        seconds: simulated time.
-        path: an MCAP file, replaced if it is there.
 
     Returns:
         Number of control ticks.

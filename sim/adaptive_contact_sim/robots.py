@@ -28,30 +28,19 @@ from adaptive_contact_sim.walk import WalkSettings
 
 @dataclass(frozen=True)
 class SimulatedRobot:
-    """A robot as the simulator has it.
+    """A robot as the simulator has it."""
 
-    Attributes:
-        name: of its folder.
-        about: one line.
-        layout: its elements' names.
-        servo: its servos.
-        rest: (L, J) rad, a posture in the middle of what the legs do; empty where a closed form
-            needs none.
-        walk: how it walks; None where it cannot.
-        walks: of gaits with settings of their own, how it walks in those.
-        pose: how single legs move; None where they cannot.
-        relief_m: of rough ground, lowest to highest, that it walks over.
-    """
-
-    name: str
-    about: str
-    layout: Layout
-    servo: ServoKind
+    name: str  # of its folder
+    about: str  # one line
+    layout: Layout  # its elements' names
+    servo: ServoKind  # its servos
+    # (L, J) rad, a posture in the middle of what the legs do; empty where a closed form needs none
     rest: tuple[tuple[float, ...], ...] = ()
-    walk: WalkSettings | None = None
+    walk: WalkSettings | None = None  # how it walks; None where it cannot
+    # of gaits with settings of their own, how it walks in those
     walks: tuple[WalkSettings, ...] = ()
-    pose: PoseSettings | None = None
-    relief_m: float = 0.035
+    pose: PoseSettings | None = None  # how single legs move; None where they cannot
+    relief_m: float = 0.035  # of rough ground, lowest to highest, that it walks over
 
     @property
     def description(self) -> Robot:

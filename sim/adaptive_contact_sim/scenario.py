@@ -44,10 +44,6 @@ _KEYS: Final = {
 def parse_drift(text: str, layout: Layout = HEXAPOD) -> Injection:
     """Read one drift from its short form.
 
-    Args:
-        text: ``KIND:KEY=VALUE,...@TIME``.
-        layout: of the robot.
-
     Returns:
         The drift and when it begins.
 
@@ -167,18 +163,13 @@ _TOP = ("about", "mode", "robot", "seconds", "seed", "robot_seed", "drift", *_TA
 
 @dataclass(frozen=True)
 class Scenario:
-    """A described run.
+    """A described run."""
 
-    Attributes:
-        name, about: what it is called, and one line on what it is for.
-        seconds: how long it runs, None for until stopped.
-        settings: what to simulate.
-    """
-
+    # name, about: what it is called, and one line on what it is for
     name: str
     about: str
-    seconds: float | None
-    settings: SimulationSettings
+    seconds: float | None  # how long it runs, None for until stopped
+    settings: SimulationSettings  # what to simulate
 
 
 def shipped_scenarios() -> dict[str, Scenario]:

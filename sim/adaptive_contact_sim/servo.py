@@ -39,9 +39,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact_sim.elements import N_SERVOS
-
-Array = NDArray[np.float64]
 
 FULL_SCALE_STEPS: Final = 1023
 QUANTUM_RAD: Final = math.radians(300.0) / FULL_SCALE_STEPS
@@ -86,21 +85,13 @@ class ServoParameters:
 
 
 class ServoKind(NamedTuple):
-    """One model of servo.
+    """One model of servo."""
 
-    Attributes:
-        name: of the maker.
-        quantum_rad: a step of position and goal.
-        full_scale_steps: largest value of the goal register.
-        centre_steps: the register's value at joint angle zero.
-        nominal: servo constants, (1,) each.
-    """
-
-    name: str
-    quantum_rad: float
-    full_scale_steps: int
-    centre_steps: int
-    nominal: ServoParameters
+    name: str  # of the maker
+    quantum_rad: float  # a step of position and goal
+    full_scale_steps: int  # largest value of the goal register
+    centre_steps: int  # the register's value at joint angle zero
+    nominal: ServoParameters  # servo constants, (1,) each
 
     def of(self, servos: int) -> ServoParameters:
         """So many of them, all alike."""
@@ -341,11 +332,7 @@ class ServoBank:
         np.add(work, self._sliding, self._friction)
 
     def sag(self, resistance_ohm: float) -> None:
-        """Let the supply sag with the current drawn now; called once a control tick.
-
-        Args:
-            resistance_ohm: of battery and wiring.
-        """
+        """Let the supply sag with the current drawn now; called once a control tick."""
         if resistance_ohm == 0.0:
             return
         p = self.parameters

@@ -72,17 +72,11 @@ class RunPlan:
 
 @dataclass(frozen=True)
 class Report:
-    """How a run went.
+    """How a run went."""
 
-    Attributes:
-        outcome: times and ticks.
-        touches: contacts begun per leg, standing at the start left out.
-        note: what a person should know, such as a film that had to be drawn.
-    """
-
-    outcome: Outcome
-    touches: dict[str, int]
-    note: str | None
+    outcome: Outcome  # times and ticks
+    touches: dict[str, int]  # contacts begun per leg, standing at the start left out
+    note: str | None  # what a person should know, such as a film that had to be drawn
 
 
 def run(
@@ -93,12 +87,6 @@ def run(
     on_start: Callable[[str], None] | None = None,
 ) -> Report:
     """Run a plan to its end.
-
-    Args:
-        plan: what, and where to.
-        stop: ends the run when set.
-        on_wait: called with what stands in the way of the network.
-        on_start: called with one line when the run begins.
 
     Raises:
         AdaptiveContactError: in one line, what is wrong.

@@ -13,7 +13,6 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import ContactTruth, Drift, Phase, ServoSample
@@ -32,7 +31,6 @@ from adaptive_contact_sim.terrain import Terrain, TerrainSettings
 from adaptive_contact_sim.truth import Change, TruthTracker
 from adaptive_contact_sim.walk import WalkMotion, WalkSettings
 
-Array = NDArray[np.float64]
 MotionSettings: TypeAlias = PoseSettings | PoseGroupSettings | WalkSettings
 
 # Standing still before time zero, so that a run does not start with a fall.
@@ -45,37 +43,23 @@ _STREAMS: Final = ("encoder", "motion", "obstacles", "drift")
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """Everything that decides a run.
+    """Everything that decides a run."""
 
-    Attributes:
-        motion: pose, of one leg or a group, or walk; and how.
-        seed: of the run: motion, obstacles, noise, faults.
-        robot_seed: which robot of its kind, see :func:`~adaptive_contact_sim.servo.manufactured`.
-        servo_spread: relative half-width of the differences between servos.
-        terrain: ground of a walk; a pose stands on flat ground.
-        encoder: reading noise and faults.
-        drift: what changes during the run.
-        preview_ticks: goals to come that every sample carries.
-        epoch_ns: time stamp of tick 0.
-        run: the ``run`` of the samples.
-        supply_resistance_ohm: of battery and wiring.
-        period_s: control tick.
-        robot: which of :data:`~adaptive_contact_sim.robots.ROBOTS`; :meth:`of` has its defaults.
-    """
-
+    # pose, of one leg or a group, or walk; and how
     motion: MotionSettings = field(default_factory=PoseSettings)
-    seed: int = 0
-    robot_seed: int = 0
-    servo_spread: float = 0.12
+    seed: int = 0  # of the run: motion, obstacles, noise, faults
+    robot_seed: int = 0  # which robot of its kind, see `manufactured`
+    servo_spread: float = 0.12  # relative half-width of the differences between servos
+    # ground of a walk; a pose stands on flat ground
     terrain: TerrainSettings = field(default_factory=lambda: TerrainSettings(kind="flat"))
-    encoder: EncoderSettings = field(default_factory=EncoderSettings)
-    drift: tuple[Injection, ...] = ()
-    preview_ticks: int = 0
-    epoch_ns: int = 0
-    run: int | None = None
-    supply_resistance_ohm: float = 0.1
-    period_s: float = 0.02
-    robot: str = "hexapod"
+    encoder: EncoderSettings = field(default_factory=EncoderSettings)  # reading noise and faults
+    drift: tuple[Injection, ...] = ()  # what changes during the run
+    preview_ticks: int = 0  # goals to come that every sample carries
+    epoch_ns: int = 0  # time stamp of tick 0
+    run: int | None = None  # the `run` of the samples
+    supply_resistance_ohm: float = 0.1  # of battery and wiring
+    period_s: float = 0.02  # control tick
+    robot: str = "hexapod"  # which of `ROBOTS`; `of` has its defaults
 
     def __post_init__(self) -> None:
         robot = simulated_robot(self.robot)
@@ -136,11 +120,6 @@ class Tick(NamedTuple):
 
 class Simulation:
     """A running simulation.
-
-    Args:
-        settings: what to simulate.
-        parameters: the robot's servos; drawn from ``robot_seed`` where left out.
-        looks: the engine's own viewer will look on; pictures are made of a :meth:`scene` apart.
 
     Raises:
         ConfigurationError: the settings do not fit together.
@@ -235,11 +214,7 @@ class Simulation:
         return self.ticks * self.settings.period_s
 
     def scene(self, *, looks: bool) -> mujoco.MjModel:
-        """Compile the robot, its ground and its obstacles, as they are before the run.
-
-        Args:
-            looks: with what is only there to be seen.
-        """
+        """Compile the robot, its ground and its obstacles, as they are before the run."""
         owners = _obstacle_owners(self.settings.motion)
         return build(
             self.terrain,

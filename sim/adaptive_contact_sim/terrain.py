@@ -39,25 +39,17 @@ _WITHOUT_M: Final = 0.4
 
 @dataclass(frozen=True)
 class TerrainSettings:
-    """What the ground is.
+    """What the ground is."""
 
-    Attributes:
-        kind: ``flat``; ``steps`` (square tiles at random heights); ``rough`` (height field);
-            ``soft`` (flat and yielding); ``holes`` (rough, with square holes at random places, in
-            which a descent finds no ground).
-        relief_m: from the lowest to the highest point.
-        size_m: edge of the square.
-        stiffness_n_m: of soft ground, per contact point.
-        holes: share of the ground that lies in one, of ``holes``.
-        seed: of the heights; None for the run's.
-    """
-
+    # `flat`; `steps` (square tiles at random heights); `rough` (height field); `soft` (flat
+    # and yielding); `holes` (rough, with square holes at random places, in which a descent finds
+    # no ground)
     kind: TerrainKind = "rough"
-    relief_m: float = 0.035
-    size_m: float = 6.0
-    stiffness_n_m: float = 1000.0
-    holes: float = 0.03
-    seed: int | None = None
+    relief_m: float = 0.035  # from the lowest to the highest point
+    size_m: float = 6.0  # edge of the square
+    stiffness_n_m: float = 1000.0  # of soft ground, per contact point
+    holes: float = 0.03  # share of the ground that lies in one, of `holes`
+    seed: int | None = None  # of the heights; None for the run's
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(TerrainKind):
@@ -77,11 +69,7 @@ class TerrainSettings:
 
 
 class Terrain:
-    """Heights of one ground, and its geoms.
-
-    Args:
-        settings: what to draw.
-    """
+    """Heights of one ground, and its geoms."""
 
     def __init__(self, settings: TerrainSettings) -> None:
         self.settings = settings

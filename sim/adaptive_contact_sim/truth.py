@@ -14,13 +14,11 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.plant import Touch
-
-Array = NDArray[np.float64]
 
 TOUCH_FORCE_N: Final = 0.5
 AIR_FORCE_N: Final = 0.1
@@ -31,21 +29,13 @@ _TOUCH_SEARCH_S: Final = 0.030
 
 
 class Change(NamedTuple):
-    """A leg's contact began or ended.
+    """A leg's contact began or ended."""
 
-    Attributes:
-        leg: index.
-        step: physics step of the change.
-        contact: began, or ended.
-        force_n: mean over the 20 ms from the step on, 0 at an end.
-        touch: what touched, where that is known.
-    """
-
-    leg: int
-    step: int
-    contact: bool
-    force_n: float
-    touch: Touch | None
+    leg: int  # index
+    step: int  # physics step of the change
+    contact: bool  # began, or ended
+    force_n: float  # mean over the 20 ms from the step on, 0 at an end
+    touch: Touch | None  # what touched, where that is known
 
     def message(
         self, t_ns: int, parts: Sequence[str], surface: Callable[[int], str]
@@ -70,13 +60,7 @@ class Change(NamedTuple):
 
 
 class TruthTracker:
-    """Follows the legs' forces, a control tick at a time.
-
-    Args:
-        step_s: physics step.
-        substeps: physics steps per tick.
-        legs: how many.
-    """
+    """Follows the legs' forces, a control tick at a time."""
 
     def __init__(self, step_s: float, substeps: int, legs: int = len(LEGS)) -> None:
         self._mean_steps = round(_MEAN_S / step_s)

@@ -22,15 +22,14 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
 from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Sway, Swings
 from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 
-Array = NDArray[np.float64]
 StopOn = Literal["truth", "service", "never"]
 PhaseOf = Literal["touch", "planned"]
 
@@ -55,45 +54,34 @@ _SETTLE_TICKS: Final = 10
 
 @dataclass(frozen=True)
 class WalkSettings:
-    """How to walk.
+    """How to walk."""
 
-    Attributes:
-        gait: ``tripod``, ``ripple`` or ``wave`` of six legs, ``trot`` or ``walk`` of four.
-        stride_m: length of a stance at full speed.
-        swing_s: time of a whole swing.
-        body_height_m: of the legs' first joints over the feet.
-        clearance_m: of a foot in transfer over the ground one expects.
-        depth_m: how far below the expected ground descents aim, lowest and highest.
-        reach_m: of neutral feet from their legs' first joints.
-        variability: relative half-width of the differences between cycles and swings.
-        stop_on: what reports to a leg that it touches: ``truth``, ``service`` or ``never``.
-        react_ms: from a true touch to the leg's stop; the phase stays swing until then.
-        phase: what ends a swing: ``touch`` (a stop, or the descent's end) or ``planned`` (the
-            command reaches the expected ground; nothing stops a descent).
-        preload_m: how far a foot that has come down presses below where it stands: enough for the
-            servos to take its share of the weight at once.
-        land_m: the same at the touch, where a gait leaves three other feet standing: the load comes
-            when the next foot lifts, and one that presses earlier lifts its neighbours off; None
-            leaves it to the preload.
-        lag_s: by which the feet of a moving stance are set down further back: servos that lag
-            leave them ahead of their commands, and two feet carry no weight beside their line.
-        sway: share of the shift that takes the body over the feet that stand, 0 for none.
-    """
-
+    # `tripod`, `ripple` or `wave` of six legs, `trot` or `walk` of four
     gait: GaitName = "tripod"
-    stride_m: float = 0.06
-    swing_s: float = 0.64
-    body_height_m: float = 0.10
-    clearance_m: float = 0.045
+    stride_m: float = 0.06  # length of a stance at full speed
+    swing_s: float = 0.64  # time of a whole swing
+    body_height_m: float = 0.10  # of the legs' first joints over the feet
+    clearance_m: float = 0.045  # of a foot in transfer over the ground one expects
+    # how far below the expected ground descents aim, lowest and highest
     depth_m: tuple[float, float] = (0.025, 0.04)
-    reach_m: float = 0.135
-    variability: float = 0.15
+    reach_m: float = 0.135  # of neutral feet from their legs' first joints
+    variability: float = 0.15  # relative half-width of the differences between cycles and swings
+    # what reports to a leg that it touches: `truth`, `service` or `never`
     stop_on: StopOn = "truth"
-    react_ms: float = 60.0
+    react_ms: float = 60.0  # from a true touch to the leg's stop; the phase stays swing until then
+    # what ends a swing: `touch` (a stop, or the descent's end) or `planned` (the command
+    # reaches the expected ground; nothing stops a descent)
     phase: PhaseOf = "touch"
+    # how far a foot that has come down presses below where it stands: enough for the servos to take
+    # its share of the weight at once
     preload_m: float = 0.012
+    # by which the feet of a moving stance are set down further back: servos that lag leave them
+    # ahead of their commands, and two feet carry no weight beside their line
     lag_s: float = 0.0
-    sway: float = 0.0
+    sway: float = 0.0  # share of the shift that takes the body over the feet that stand, 0 for none
+    # the same at the touch, where a gait leaves three other feet standing: the load comes when the
+    # next foot lifts, and one that presses earlier lifts its neighbours off; None leaves it to the
+    # preload
     land_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -149,15 +137,7 @@ class _Ground(NamedTuple):
 
 
 class WalkMotion:
-    """Goals of a walk.
-
-    Args:
-        settings: how to walk.
-        geometry: the legs.
-        rng: of the variability and the way.
-        field_m: edge of the square to stay on.
-        period_s: control tick.
-    """
+    """Goals of a walk."""
 
     def __init__(
         self,
@@ -349,7 +329,7 @@ class WalkMotion:
 
     # -- stance --------------------------------------------------------------------------------
 
-    def _standing(self, world: World) -> NDArray[np.bool_]:
+    def _standing(self, world: World) -> Mask:
         """(L,) which feet are taken to stand: those in stance, some ticks after a planned turn."""
         stance = ~self._swinging
         return stance & (world.tick >= self._settled_tick) if self._planned else stance

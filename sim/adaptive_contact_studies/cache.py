@@ -33,9 +33,6 @@ _ADVICE: Final = "free some space, or give another folder with --out"
 class Store:
     """A folder of results.
 
-    Args:
-        root: made if need be.
-
     Raises:
         ConfigurationError: it cannot be made, or written to.
     """

@@ -32,10 +32,6 @@ def cluster_pool(scheduler: str, folder: Path | None) -> Iterator[Executor]:
 
     What a worker had in hand when it died is done by another one.
 
-    Args:
-        scheduler: address, such as ``tcp://10.0.0.1:8786``.
-        folder: that all workers have to see; None where results come back by themselves.
-
     Yields:
         The pool.
 

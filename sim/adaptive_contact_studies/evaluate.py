@@ -30,15 +30,10 @@ MakeLearner = Callable[[Robot, str, Baseline | None], ContactLearner]
 
 
 class Played(NamedTuple):
-    """What the learners made of a run.
+    """What the learners made of a run."""
 
-    Attributes:
-        events: by leg, in order.
-        learners: as they are at the end.
-    """
-
-    events: dict[str, list[ContactEvent]]
-    learners: dict[str, ContactLearner]
+    events: dict[str, list[ContactEvent]]  # by leg, in order
+    learners: dict[str, ContactLearner]  # as they are at the end
 
 
 def samples_of(run: Run | Recording, leg: str) -> list[ServoSample]:
@@ -67,13 +62,7 @@ def samples_of(run: Run | Recording, leg: str) -> list[ServoSample]:
 
 
 def play(run: Run, robot: Robot, baseline: Baseline | None) -> Played:
-    """Feed a run to new learners, one for each leg that ever swings.
-
-    Args:
-        run: recorded.
-        robot: its description.
-        baseline: what the learners start from.
-    """
+    """Feed a run to new learners, one for each leg that ever swings."""
     legs = [leg for leg, arrays in run.legs.items() if arrays.swing.any()]
     learners = {leg: ContactLearner(robot, leg, baseline) for leg in legs}
     events = feed(list(learners.values()), [samples_of(run, leg) for leg in legs])

@@ -73,12 +73,6 @@ def run_headline(
 ) -> dict[str, Summary]:
     """Simulate, detect and score.
 
-    Args:
-        robot: the simulated robot's description.
-        baseline: of the default detector.
-        processes: how many runs at a time; the result does not depend on it.
-        progress: called with every run that is done.
-
     Returns:
         The figures of every row.
     """

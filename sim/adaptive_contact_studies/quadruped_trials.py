@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.files import write_file
 from adaptive_contact.fit.recordings import LegGatherer
 from adaptive_contact.fit.train import Training, learn
@@ -33,8 +33,6 @@ from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.compare import play
 from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
 from adaptive_contact_studies.show.numbers import number, percent, share
-
-Array = NDArray[np.float64]
 
 _L1, _L2 = 0.07, 0.09
 _BODY_M: Final = 0.3
@@ -70,23 +68,17 @@ _TRACKED: Final = 6
 
 @dataclass(frozen=True)
 class Scenario:
-    """A run of the quadruped; names and seeds are permanent.
-
-    Attributes:
-        plates: share of descents onto a plate.
-        soft_n_m: lowest and highest stiffness of the plates, None for hard ones.
-        friction: factor of the gears' friction.
-        supply_v: of 5 V.
-    """
+    """A run of the quadruped; names and seeds are permanent."""
 
     name: str
     about: str
     seed: int
     seconds: float
-    plates: float = 0.0
+    plates: float = 0.0  # share of descents onto a plate
+    # lowest and highest stiffness of the plates, None for hard ones
     soft_n_m: tuple[float, float] | None = None
-    friction: float = 1.0
-    supply_v: float = 5.0
+    friction: float = 1.0  # factor of the gears' friction
+    supply_v: float = 5.0  # of 5 V
 
 
 SCENARIOS: Final = (
@@ -241,9 +233,6 @@ def learn_quadruped(robot: Robot) -> Training:
         {leg: gatherer.stretches(free=True) for leg, gatherer in gatherers.items()},
         origin="adaptive_contact_studies.quadruped_trials, seed 1031, 900 s of free swings",
     )
-
-
-# -- private -----------------------------------------------------------------------------------
 
 
 def _surface(scenario: Scenario) -> str:

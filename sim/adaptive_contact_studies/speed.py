@@ -41,48 +41,31 @@ _RESTORES: Final = 5
 
 @dataclass(frozen=True)
 class TickSpeed:
-    """Time of one control tick in the learners, their refits in a worker as in `serve`.
-
-    Attributes:
-        median_ms, p99_ms: of a tick of all legs.
-        event_ms: the 99th percentile of the part that an event waits for.
-        refitting_ms: the 99th percentile of the ticks during which a refit was under way.
-        refitting: how many of the ticks those were.
-        leg_ticks_per_s: of this process's time, messages not counted.
-        arithmetic_ms: mean of what is compiled, of a tick of all legs.
-        over_arithmetic: the mean tick over that.
-        alone_ms: median tick of one leg by itself.
-        many_legs: of as many robots as it takes.
-        many_leg_ticks_per_s: of theirs, refits apart.
-    """
+    """Time of one control tick in the learners, their refits in a worker as in `serve`."""
 
     legs: int
     ticks: int
+    # median_ms, p99_ms: of a tick of all legs
     median_ms: float
     p99_ms: float
-    event_ms: float
-    refitting_ms: float
-    refitting: int
-    leg_ticks_per_s: float
-    arithmetic_ms: float
-    over_arithmetic: float
-    alone_ms: float
-    many_legs: int
-    many_leg_ticks_per_s: float
+    event_ms: float  # the 99th percentile of the part that an event waits for
+    refitting_ms: float  # the 99th percentile of the ticks during which a refit was under way
+    refitting: int  # how many of the ticks those were
+    leg_ticks_per_s: float  # of this process's time, messages not counted
+    arithmetic_ms: float  # mean of what is compiled, of a tick of all legs
+    over_arithmetic: float  # the mean tick over that
+    alone_ms: float  # median tick of one leg by itself
+    many_legs: int  # of as many robots as it takes
+    many_leg_ticks_per_s: float  # of theirs, refits apart
 
 
 @dataclass(frozen=True)
 class RestoreSpeed:
-    """Time from opening a folder of states to all legs going on from theirs, imports apart.
-
-    Attributes:
-        seconds: the slowest of a few times.
-        kilobytes: of the states, together.
-    """
+    """Time from opening a folder of states to all legs going on from theirs, imports apart."""
 
     legs: int
-    seconds: float
-    kilobytes: float
+    seconds: float  # the slowest of a few times
+    kilobytes: float  # of the states, together
 
 
 class _Watched(ProcessRefitter):
@@ -115,13 +98,7 @@ class _NoRefits:
 
 
 def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
-    """Measure :class:`~adaptive_contact.bank.LegGroup` over a run of all legs.
-
-    Args:
-        run: of the robot.
-        robot: its description.
-        baseline: its models.
-    """
+    """Measure :class:`~adaptive_contact.bank.LegGroup` over a run of all legs."""
     legs = list(run.legs)
     rounds = list(zip(*(samples_of(run, leg) for leg in legs), strict=True))
     compile_ahead()
@@ -265,25 +242,16 @@ def restore_speed(run: Run, robot: Robot, baseline: Baseline) -> RestoreSpeed:
 
 @dataclass(frozen=True)
 class Speed:
-    """Simulated seconds per second of one core.
+    """Simulated seconds per second of one core."""
 
-    Attributes:
-        factor: of the whole simulator: physics, servo law, gait, readings, messages.
-        engine: of the engine's step alone in the same run's last state, with nothing of ours.
-    """
-
-    factor: float
-    engine: float
+    factor: float  # of the whole simulator: physics, servo law, gait, readings, messages
+    engine: float  # of the engine's step alone in the same run's last state, with nothing of ours
 
 
 def real_time_factor(*, seconds: float, engine_seconds: float = 2.0) -> Speed:
     """Measure the simulator on this machine, by the CPU time of this process.
 
     What runs is the tripod gait on the rough field.
-
-    Args:
-        seconds: simulated time measured.
-        engine_seconds: simulated time the bare engine is measured for.
     """
     import mujoco
 
@@ -305,10 +273,6 @@ def real_time_factor(*, seconds: float, engine_seconds: float = 2.0) -> Speed:
 
 def export_speed(settings: SimulationSettings, seconds: float = 60.0) -> dict[str, float]:
     """Measure how fast a recording is exported, reading and writing included, imports apart.
-
-    Args:
-        settings: what is recorded.
-        seconds: simulated time.
 
     Returns:
         Recorded seconds per second, by format; without those whose library is not installed.

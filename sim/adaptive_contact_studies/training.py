@@ -106,15 +106,6 @@ def learn_shipped(
 ) -> Training:
     """Record the runs and learn every leg of a simulated robot.
 
-    Args:
-        name: of the robot, see :data:`~adaptive_contact_sim.robots.ROBOTS`.
-        runs: what to learn from, the robot's :data:`TRAINING_RUNS` by default.
-        processes: how many runs to simulate at a time; the result does not depend on it.
-        progress: called with every run recorded and every leg fitted.
-
-    Returns:
-        The baseline with its figures.
-
     Raises:
         ConfigurationError: the simulator has no such robot.
         SimulationDivergedError: a run did.

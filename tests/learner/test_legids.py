@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.diagnose.leg_ids import IdTrack, IdWatch, LegRows, judge_ids
+from adaptive_contact.diagnose.leg_ids import IdTrack, IdWatch, judge_ids
+from adaptive_contact.diagnose.standing_feet import LegRows
 from adaptive_contact.fit.refit_job import InlineRefitter
 from adaptive_contact.robot import Leg, Mount, Robot, foot, shipped_robot
 from adaptive_contact.wire import ServoSample

@@ -26,8 +26,6 @@ from adaptive_contact.cli._web import (
     web_settings,
 )
 
-__all__ = ["demo"]
-
 _STOPPED = 130  # what a shell calls "ended by Ctrl-C"
 
 

@@ -32,10 +32,6 @@ class Child:
     """A running command; a context manager that ends it.
 
     Its output is read on a thread, so that a full pipe never stops it.
-
-    Args:
-        name: for people, such as "the service".
-        arguments: of ``adaptive-contact``.
     """
 
     def __init__(self, name: str, arguments: Sequence[str]) -> None:

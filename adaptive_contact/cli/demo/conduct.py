@@ -144,19 +144,13 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True)
 class Take:
-    """What a run left.
+    """What a run left."""
 
-    Attributes:
-        drift_ns: moment of the drift, by the samples' clock.
-        holds: what drifts from then on, ``{kind: {leg: {joint: value}}}``.
-        service: the service's own last word.
-        simulator: the simulator's last word.
-    """
-
-    drift_ns: int
+    drift_ns: int  # moment of the drift, by the samples' clock
+    # what drifts from then on, `{kind: {leg: {joint: value}}}`
     holds: dict[str, dict[str, dict[str, float]]]
-    service: ServiceStatus | None
-    simulator: str
+    service: ServiceStatus | None  # the service's own last word
+    simulator: str  # the simulator's last word
 
 
 def conduct(
@@ -167,13 +161,6 @@ def conduct(
     page: LivePage | None = None,
 ) -> Take:
     """Run service and simulator, inject the drift half way, record everything.
-
-    Args:
-        settings: of the run; its folder must exist.
-        robot: that walks.
-        show: where it is seen.
-        stop: ends the run early when set.
-        page: that shows it in a browser, too.
 
     Raises:
         StoppedError: ``stop`` was set.
@@ -270,12 +257,7 @@ def _must_run(service: Child) -> None:
 
 
 class _Run:
-    """The walk so far, and the drift in it.
-
-    Attributes:
-        walked_s: simulated time, from the samples that were recorded.
-        drift_ns, holds: of the simulator's answers.
-    """
+    """The walk so far, and the drift in it."""
 
     def __init__(
         self,
@@ -285,7 +267,8 @@ class _Run:
         recorder: Recorder,
         show: Display,
     ) -> None:
-        self.walked_s = 0.0
+        self.walked_s = 0.0  # simulated time, from the samples that were recorded
+        # drift_ns, holds: of the simulator's answers
         self.drift_ns = 0
         self.holds: dict[str, dict[str, dict[str, float]]] = {}
         self._key = servo_key(settings.leg)

@@ -48,11 +48,6 @@ _STYLE: Final = {
 def draw(path: Path, settings: DemoSettings, verdict: Verdict) -> None:
     """Write the report.
 
-    Args:
-        path: a PNG file.
-        settings: of the run.
-        verdict: what was found.
-
     Raises:
         AdaptiveContactError: the file cannot be written.
     """

@@ -22,15 +22,6 @@ def run_demo(
 ) -> Verdict:
     """Walk, drift, judge, report.
 
-    Args:
-        settings: of the run.
-        console: where it is shown.
-        stop: ends it early when set.
-        page: that shows it in a browser, too.
-
-    Returns:
-        What was found; files lie in ``settings.out``.
-
     Raises:
         StoppedError: ``stop`` was set.
         MissingExtraError: matplotlib is not installed; said before anything is started.

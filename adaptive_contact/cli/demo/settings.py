@@ -21,26 +21,17 @@ DRIFT_SHARE: Final = 0.42
 class DemoSettings:
     """A run of the demo.
 
-    Attributes:
-        out: folder of what it writes; made where it is not there.
-        seconds: of walking, in real time.
-        seed: of the walk.
-        robot: which walks, of :data:`~adaptive_contact_sim.robots.ROBOTS`.
-        leg: which one drifts; the right front one where left out.
-        friction: factor of its joints' friction from the drift on.
-        mud_kg: at its foot from then on.
-
     Raises:
         ConfigurationError: a value is out of range.
     """
 
-    out: Path = Path("out/demo")
-    seconds: float = 60.0
-    seed: int = 0
-    robot: str = "hexapod"
-    leg: str = ""
-    friction: float = 4.0
-    mud_kg: float = 0.06
+    out: Path = Path("out/demo")  # folder of what it writes; made where it is not there
+    seconds: float = 60.0  # of walking, in real time
+    seed: int = 0  # of the walk
+    robot: str = "hexapod"  # which walks, of `ROBOTS`
+    leg: str = ""  # which one drifts; the right front one where left out
+    friction: float = 4.0  # factor of its joints' friction from the drift on
+    mud_kg: float = 0.06  # at its foot from then on
 
     def __post_init__(self) -> None:
         if not SHORTEST_S <= self.seconds <= LONGEST_S:

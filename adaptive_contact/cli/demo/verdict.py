@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.fit.recordings import untouched
 from adaptive_contact.learn.mode import LearnerMode
@@ -36,9 +36,6 @@ from adaptive_contact.service.recording import Record, read_recording
 from adaptive_contact.service.replay import Counts, control_ticks
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, decode
 
-Floats = NDArray[np.float64]
-Times = NDArray[np.int64]
-
 # So many swings in a row with at most one error show a leg to be reliable again.  The design's
 # twenty, half of them without contact, take longer than a demo has.
 RECOVERY_SWINGS: Final = 10
@@ -48,79 +45,53 @@ _LEAST_TICKS: Final = 4
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Level:
-    """How well a model predicts a leg, one value per swing, on the ticks that touched nothing.
+    """How well a model predicts a leg, one value per swing, on the ticks that touched nothing."""
 
-    Attributes:
-        t_ns: (s,) beginning of the swing.
-        over_floor: (s,) RMS of the one-step error of its worst joint, over the noise floor.
-    """
-
-    t_ns: Times
-    over_floor: Floats
+    t_ns: Ints  # (s,) beginning of the swing
+    over_floor: Array  # (s,) RMS of the one-step error of its worst joint, over the noise floor
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Judged:
-    """One detector.
+    """One detector."""
 
-    Attributes:
-        whole, before, after: figures of all swings, of those that were over before the drift, and
-            of the others.
-        outcomes: every touch and false alarm, per leg.
-        level: per leg.
-        recovery: swings of the drifted leg from the drift on until ten in a row hold at most one
-            error; 0 where nothing was lost, None where it did not happen.
-        swings_after: of the drifted leg, that began after the drift.
-    """
-
+    # whole, before, after: figures of all swings, of those that were over before the drift, and of
+    # the others
     whole: Score
     before: Score
     after: Score
-    outcomes: tuple[LegOutcome, ...]
-    level: dict[str, Level]
+    outcomes: tuple[LegOutcome, ...]  # every touch and false alarm, per leg
+    level: dict[str, Level]  # per leg
+    # swings of the drifted leg from the drift on until ten in a row hold at most one error; 0 where
+    # nothing was lost, None where it did not happen
     recovery: int | None
-    swings_after: int
+    swings_after: int  # of the drifted leg, that began after the drift
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegTruth:
     """When a leg really touched: (c, 2) begin and end of each contact, ns."""
 
-    contacts: Times
+    contacts: Ints
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the recording shows.
+    """What the recording shows."""
 
-    Attributes:
-        start_ns, end_ns: of the samples.
-        drift_ns: moment of the drift.
-        drift_leg: the leg it befell.
-        service: the events that the service published.
-        frozen: those of the model it started with, on the same samples.
-        truth: per leg.
-        versions: newest model version of each leg that the service reported.
-    """
-
+    # start_ns, end_ns: of the samples
     start_ns: int
     end_ns: int
-    drift_ns: int
-    drift_leg: str
-    service: Judged
-    frozen: Judged
-    truth: dict[str, LegTruth]
-    versions: dict[str, int]
+    drift_ns: int  # moment of the drift
+    drift_leg: str  # the leg it befell
+    service: Judged  # the events that the service published
+    frozen: Judged  # those of the model it started with, on the same samples
+    truth: dict[str, LegTruth]  # per leg
+    versions: dict[str, int]  # newest model version of each leg that the service reported
 
 
 def judge(path: Path, robot: Robot, drift_ns: int, drift_leg: str) -> Verdict:
     """Judge a recording of the demo.
-
-    Args:
-        path: of the recording.
-        robot: that walked.
-        drift_ns: moment of the drift, by the samples' clock.
-        drift_leg: which leg drifted.
 
     Raises:
         RecordingError: the recording cannot be read, or holds two runs.
@@ -140,10 +111,12 @@ def judge(path: Path, robot: Robot, drift_ns: int, drift_leg: str) -> Verdict:
             for leg in legs
         }
         (drifted,) = (one for one in outcomes if one.leg == drift_leg)
+        before = tuple(one.between(0, _split(one, drift_ns)) for one in outcomes)
+        after = tuple(one.between(_split(one, drift_ns), _END) for one in outcomes)
         return Judged(
-            whole=_score(outcomes, gathered),
-            before=_score([one.between(0, _split(one, drift_ns)) for one in outcomes], gathered),
-            after=_score([one.between(_split(one, drift_ns), _END) for one in outcomes], gathered),
+            whole=Score.of(outcomes, gathered.rejects),
+            before=Score.of(before, gathered.rejects),
+            after=Score.of(after, gathered.rejects),
             outcomes=outcomes,
             level=level,
             recovery=swings_to_recovery(
@@ -182,16 +155,11 @@ _END: Final = int(np.iinfo(np.int64).max)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Replayed:
-    """Events of learners on a recording, and their residuals.
-
-    Attributes:
-        residual: (n, J) rad of each sample, NaN where there was no prediction.
-        floor: (J,) rad, the level of the model at the start.
-    """
+    """Events of learners on a recording, and their residuals."""
 
     events: list[ContactEvent]
-    residual: dict[str, Floats]
-    floor: dict[str, Floats]
+    residual: dict[str, Array]  # (n, J) rad of each sample, NaN where there was no prediction
+    floor: dict[str, Array]  # (J,) rad, the level of the model at the start
 
 
 def _replay(
@@ -217,7 +185,7 @@ def _replay(
     return _Replayed(events, residual, floor)
 
 
-def _free(stream: LegStream) -> NDArray[np.bool_]:
+def _free(stream: LegStream) -> Mask:
     """(n,) swing ticks that no contact is near."""
     truth = stream.truth
     changes = [
@@ -228,7 +196,7 @@ def _free(stream: LegStream) -> NDArray[np.bool_]:
     return np.asarray(stream.swing & untouched(stream.t_ns, changes, period_ns))
 
 
-def _level(stream: LegStream, free: NDArray[np.bool_], residual: Floats, floor: Floats) -> Level:
+def _level(stream: LegStream, free: Mask, residual: Array, floor: Array) -> Level:
     """RMS over the noise floor, swing by swing."""
     begins = np.flatnonzero(stream.swing & ~np.concatenate(([False], stream.swing[:-1])))
     usable = free & np.isfinite(residual).all(axis=1)
@@ -243,17 +211,6 @@ def _level(stream: LegStream, free: NDArray[np.bool_], residual: Floats, floor: 
 
 
 # -- reading -----------------------------------------------------------------------------------
-
-
-def _score(outcomes: Iterable[LegOutcome], gathered: Gatherer) -> Score:
-    kept = tuple(outcomes)
-    return Score(
-        outcomes=kept,
-        total=summarise(kept),
-        legs={one.leg: summarise([one]) for one in kept},
-        rejects={reason.value: n for reason, n in sorted(gathered.rejects.items()) if n},
-        notes=(),
-    )
 
 
 def _split(outcome: LegOutcome, drift_ns: int) -> int:

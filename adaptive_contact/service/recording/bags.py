@@ -37,10 +37,6 @@ class _Message(NamedTuple):
 class Bag(Recording):
     """A bag to iterate over, as often as wanted; gives samples and truth of the mapped legs.
 
-    Args:
-        path: a folder, an MCAP or a db3 file.
-        robot: whose ``[ros2]`` says which topic and joint is which.
-
     Raises:
         RecordingError: the bag cannot be read.
         ConfigurationError: the robot maps nothing.

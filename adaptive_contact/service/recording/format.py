@@ -19,18 +19,10 @@ TO_ZENOH: Final = {name: encoding for encoding, name in TO_MCAP.items()}
 
 
 class Record(NamedTuple):
-    """One message of a recording.
+    """One message of a recording."""
 
-    Attributes:
-        key: Zenoh key it was seen on.
-        payload: the bytes as they were.
-        encoding: Zenoh encoding, ``application/msgpack`` or ``application/json`` as a rule.
-        log_time_ns: when it was recorded, on the recorder's clock.
-        publish_time_ns: when it was published, where that was known, else the log time.
-    """
-
-    key: str
-    payload: bytes
-    encoding: str
-    log_time_ns: int
-    publish_time_ns: int
+    key: str  # Zenoh key it was seen on
+    payload: bytes  # the bytes as they were
+    encoding: str  # Zenoh encoding, `application/msgpack` or `application/json` as a rule
+    log_time_ns: int  # when it was recorded, on the recorder's clock
+    publish_time_ns: int  # when it was published, where that was known, else the log time

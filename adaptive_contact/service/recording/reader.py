@@ -91,26 +91,21 @@ Types = dict[str, tuple[str, str]]
 class Recording:
     """A recording to iterate over, as often as wanted, in the file's order.
 
-    Attributes:
-        path: the file.
-        damage: None, or one line on what the last pass stepped over and where it stopped.
-        skipped: damaged places that the last pass stepped over.
-        lost: messages that are known to have been in them.
-        types: of each key that the last pass has met, the name of its schema and the hash of its
-            type, as rosbag2 writes them; empty texts where there are none.
-        notes: what a person should know of the last pass, a line each; empty but for bags.
-
     Raises:
         RecordingError: the file cannot be read, or is no recording.  Damage inside never raises.
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = Path(path)  # the file
+        # of each key that the last pass has met, the name of its schema and the hash of its type,
+        # as rosbag2 writes them; empty texts where there are none
         self.types: Types = {}
+        # what a person should know of the last pass, a line each; empty but for bags
         self.notes: tuple[str, ...] = ()
+        # None, or one line on what the last pass stepped over and where it stopped
         self.damage: str | None = None
-        self.skipped = 0
-        self.lost = 0
+        self.skipped = 0  # damaged places that the last pass stepped over
+        self.lost = 0  # messages that are known to have been in them
         with self._open():
             pass
 
@@ -171,10 +166,6 @@ class Recording:
 def read_recording(path: str | Path, robot: Robot | None = None) -> Recording:
     """Open a recording for reading.
 
-    Args:
-        path: an MCAP file, or a bag of ROS 2: a folder, an MCAP or a db3 file.
-        robot: whose ``[ros2]`` says what a bag holds.
-
     Returns:
         An iterable of :class:`Record`, with ``truncated`` and ``damage`` after a pass over it.
 
@@ -213,15 +204,12 @@ class _DamagedError(Exception):
 
 
 class _Walk:
-    """One pass over a file that is past its magic.
-
-    Attributes:
-        skipped, lost: as of :class:`Recording`.
-    """
+    """One pass over a file that is past its magic."""
 
     def __init__(self, file: IO[bytes], types: Types) -> None:
         self._types = types
         self._schemas: dict[int, str] = {}
+        # skipped, lost: as of `Recording`
         self.skipped = 0
         self.lost = 0
         self._file = file

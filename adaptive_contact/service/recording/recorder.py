@@ -51,13 +51,10 @@ class Recorder:
         link: open session.
         writer: open recording; closed by its owner.
         key_expr: what to record.
-
-    Attributes:
-        counts: messages so far, by key.
     """
 
     def __init__(self, link: Link, writer: RecordingWriter, key_expr: str) -> None:
-        self.counts: collections.Counter[str] = collections.Counter()
+        self.counts: collections.Counter[str] = collections.Counter()  # messages so far, by key
         self._writer = writer
         self._queue: queue.SimpleQueue[Received] = queue.SimpleQueue()
         # One offset for the whole recording: a clock that is set meanwhile bends no interval.

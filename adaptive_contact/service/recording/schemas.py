@@ -129,9 +129,6 @@ _Convert = Callable[[Any], Any]
 def protobuf_class(kind: type[Message]) -> tuple[bytes, Callable[[Message], bytes]]:
     """Make the protobuf form of a message.
 
-    Args:
-        kind: the message.
-
     Returns:
         The binary FileDescriptorSet, and a function that turns a message into bytes; that raises
         ValueError for an integer of more than 64 bits.

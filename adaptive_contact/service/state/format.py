@@ -40,45 +40,29 @@ _VERSION: Final = struct.Struct("<H")
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """What a state belongs to.
+    """What a state belongs to."""
 
-    Attributes:
-        robot: its name.
-        leg: its id.
-        library: of candidate terms, ``none`` for a learner that began without a model.
-        settings: digest of robot.toml and baseline, see ``settings_digest``.
-    """
-
-    robot: str
-    leg: str
-    library: str
-    settings: str
+    robot: str  # its name
+    leg: str  # its id
+    library: str  # of candidate terms, `none` for a learner that began without a model
+    settings: str  # digest of robot.toml and baseline, see `settings_digest`
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True):
-    """A leg's state, and when it was.
+    """A leg's state, and when it was."""
 
-    Attributes:
-        identity: what it belongs to.
-        saved_ns: wall clock, since 1970.
-        package: version of this package.
-        model_version: in force.
-        run, seq: of the last sample the learner used; the run is None where samples
-            carry none, the number where none came yet.
-        missed_down: samples that passed while the service was down, all times together.
-        superseded: runs of older publishers of the leg; none in files from before it was kept.
-        body: the learner's own snapshot: numbers, strings, bytes, lists and maps.
-    """
-
-    identity: Identity
-    saved_ns: int
-    package: str
-    model_version: int
+    identity: Identity  # what it belongs to
+    saved_ns: int  # wall clock, since 1970
+    package: str  # version of this package
+    model_version: int  # in force
+    # run, seq: of the last sample the learner used; the run is None where samples carry none, the
+    # number where none came yet
     run: int | None
     seq: int | None
-    missed_down: int = 0
+    missed_down: int = 0  # samples that passed while the service was down, all times together
+    # runs of older publishers of the leg; none in files from before it was kept
     superseded: tuple[int | None, ...] = ()
-    body: dict[str, Any]
+    body: dict[str, Any]  # the learner's own snapshot: numbers, strings, bytes, lists and maps
 
 
 class Refused(NamedTuple):

@@ -39,40 +39,27 @@ _ERROR_LINE: Final = 320
 
 
 class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """How keeping state goes, for people.
+    """How keeping state goes, for people."""
 
-    Attributes:
-        folder: where.
-        restored: legs that went on from a saved state.
-        refused: one line for each state that was not used; of many, the first and how many more.
-        saved: states written.
-        failed: states that could not be written.
-        error: why the last one could not, or what the one under way waits for; None when all is
-            well.
-        exposed: what other users may write to, None when there is no such thing.
-    """
-
-    folder: str
-    restored: list[str]
+    folder: str  # where
+    restored: list[str]  # legs that went on from a saved state
+    # one line for each state that was not used; of many, the first and how many more
     refused: list[str]
-    saved: int
-    failed: int
+    saved: int  # states written
+    failed: int  # states that could not be written
+    # why the last one could not, or what the one under way waits for; None when all is well
     error: str | None
-    exposed: str | None = None
+    exposed: str | None = None  # what other users may write to, None when there is no such thing
 
 
 class Position(NamedTuple):
-    """Where a source was when its leg was saved.
+    """Where a source was when its leg was saved."""
 
-    Attributes:
-        run, seq: of the last sample that was used.
-        missed_down: samples that passed while the service was down until then.
-        superseded: runs of older publishers, the one that was replaced last at the end.
-    """
-
+    # run, seq: of the last sample that was used
     run: int | None
     seq: int
-    missed_down: int = 0
+    missed_down: int = 0  # samples that passed while the service was down until then
+    # runs of older publishers, the one that was replaced last at the end
     superseded: tuple[int | None, ...] = ()
 
 
@@ -147,12 +134,6 @@ class StateKeeper:
         self, leg: str, learner: ContactLearner, library: str, now_ns: int
     ) -> Position | None:
         """Let a new learner go on from where it was, if there is a sound state of it.
-
-        Args:
-            leg: its id.
-            learner: just made.
-            library: name of its candidate library.
-            now_ns: monotonic.
 
         Returns:
             Where its source was; None without a state.

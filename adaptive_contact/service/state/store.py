@@ -47,19 +47,14 @@ class Stored(NamedTuple):
 
 
 class StateStore:
-    """The states of one robot; opened by :meth:`open`, closed by :meth:`close`.
-
-    Attributes:
-        folder: of this robot.
-        shown: the same, for people.
-        trouble: one line on why nothing can be saved here, None when all is well.
-        exposed: one line on what others may write to, None when there is no such thing.
-    """
+    """The states of one robot; opened by :meth:`open`, closed by :meth:`close`."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.shown = shown_path(folder)
+        self.folder = folder  # of this robot
+        self.shown = shown_path(folder)  # the same, for people
+        # one line on why nothing can be saved here, None when all is well
         self.trouble: str | None = f"{self.shown} is not open"
+        # one line on what others may write to, None when there is no such thing
         self.exposed: str | None = None
         self._lock: int | None = None
         self._handle = -1  # of the folder, as long as there is a lock

@@ -20,15 +20,14 @@ from typing import Final, Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run, contact_at
 from adaptive_contact_sim.servo import ServoBank, ServoKind, ServoParameters
 from adaptive_contact_sim.truth import TruthTracker
 
-Array = NDArray[np.float64]
 Motion = Literal["pose", "gait"]
 
 LEG: Final = "leg"
@@ -63,36 +62,22 @@ _SETTLE_S: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class DrawnLeg:
-    """One leg of a robot.
+    """One leg of a robot."""
 
-    Attributes:
-        robot: its description; the slope in it is off by some 8 %, as a register's is.
-        axes: a word per joint.
-        origins_m: (J, 3).
-        masses_kg: (J,) of the links.
-        rest_rad: (J,) rad, a posture in the middle of what it does.
-        servo: its servos.
-        parameters: their constants.
-        cascade: proportional gains of position and speed, 1/s and of full torque per rad/s, of the
-            second generator's law; None for the first's.
-        noise_steps: of a reading, before rounding.
-        latency_ticks: from a command to its servo.
-        swing_s: up and down again.
-        profile: of a joint's way from one point to the next.
-    """
-
-    robot: Robot
-    axes: tuple[str, ...]
-    origins_m: Array
-    masses_kg: Array
-    rest_rad: Array
-    servo: ServoKind
-    parameters: ServoParameters
+    robot: Robot  # its description; the slope in it is off by some 8 %, as a register's is
+    axes: tuple[str, ...]  # a word per joint
+    origins_m: Array  # (J, 3)
+    masses_kg: Array  # (J,) of the links
+    rest_rad: Array  # (J,) rad, a posture in the middle of what it does
+    servo: ServoKind  # its servos
+    parameters: ServoParameters  # their constants
+    # proportional gains of position and speed, 1/s and of full torque per rad/s, of the second
+    # generator's law; None for the first's
     cascade: tuple[float, float] | None
-    noise_steps: float
-    latency_ticks: int
-    swing_s: float
-    profile: str
+    noise_steps: float  # of a reading, before rounding
+    latency_ticks: int  # from a command to its servo
+    swing_s: float  # up and down again
+    profile: str  # of a joint's way from one point to the next
 
     @property
     def reach_m(self) -> float:
@@ -101,12 +86,7 @@ class DrawnLeg:
 
 
 def draw_leg(seed: int, *, second: bool = False) -> DrawnLeg:
-    """Draw a leg.
-
-    Args:
-        seed: which.
-        second: of the second generator.
-    """
+    """Draw a leg."""
     rng = np.random.default_rng([seed, 0x1E6, int(second)])
 
     def log_uniform(low: float, high: float) -> float:
@@ -191,9 +171,6 @@ def record(leg: DrawnLeg, motion: Motion, swings: int, seed: int, *, plates: flo
     return _play(leg, plan, rng)
 
 
-# -- private -------------------------------------------------------------------------------------
-
-
 def _geometry(
     rng: np.random.Generator, axes: tuple[str, ...], size_m: float, *, sprawling: bool
 ) -> tuple[Array, Array]:
@@ -263,13 +240,7 @@ def _scene(leg: DrawnLeg) -> mujoco.MjModel:
 
 
 class _Plan:
-    """Commands of a leg, swing after swing.
-
-    Attributes:
-        goals: (n, J) rad, a list of rows.
-        phases: (n,) in swing.
-        plates: ticks at which a plate may come, each with the end of its descent.
-    """
+    """Commands of a leg, swing after swing."""
 
     def __init__(self, leg: DrawnLeg, motion: Motion, rng: np.random.Generator) -> None:
         self._leg, self._motion, self._rng = leg, motion, rng
@@ -280,8 +251,9 @@ class _Plan:
         self._period_s = leg.robot.period_s
         self._half = max(6, round(leg.swing_s / 2 / self._period_s))
         self._hold = max(4, round(leg.swing_s * rng.uniform(0.3, 1.0) / self._period_s))
-        self.goals: list[Array] = []
-        self.phases: list[bool] = []
+        self.goals: list[Array] = []  # (n, J) rad, a list of rows
+        self.phases: list[bool] = []  # (n,) in swing
+        # ticks at which a plate may come, each with the end of its descent
         self.plates: dict[int, int] = {}
 
     def swing(self, plates: float) -> None:

@@ -19,8 +19,8 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.files import write_file
 from adaptive_contact.fit.recordings import untouched
@@ -32,9 +32,6 @@ from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.workers import worker_pool
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 # Legs the family is learned from; trials take seeds from 10,000 on.
 SEEDS: Final = range(400)
 _SWINGS: Final = 60
@@ -45,34 +42,23 @@ _FEW: Final = 1e-8  # added to a covariance, so that it can be inverted
 
 @dataclass(eq=False)
 class JointRows:
-    """Holds one joint's rows, in units of the slope.
+    """Holds one joint's rows, in units of the slope."""
 
-    Attributes:
-        r, q: (p, p) and (p,) of the own, common and other columns.
-        rest: sum of squares that no coefficient explains.
-        ticks: rows.
-        own, common: how many columns.
-        kind: (r,) of other joints' columns, see
-            :class:`~adaptive_contact.model.leg_prior.OwnColumns`.
-        z: (5,) covariates.
-        quantum: over the slope.
-        size: (q,) root mean square of the own columns.
-        sums: variance of sums of 2 and 3 residuals of plain least squares, over that of one.
-        variance: of the noise, as it is known so far.
-    """
-
+    # r, q: (p, p) and (p,) of the own, common and other columns
     r: Array
     q: Array
-    rest: float
-    ticks: int
+    rest: float  # sum of squares that no coefficient explains
+    ticks: int  # rows
+    # own, common: how many columns
     own: int
     common: int
-    kind: Ints
-    z: Array
-    quantum: float
-    size: Array
+    kind: Ints  # (r,) of other joints' columns, see `OwnColumns`
+    z: Array  # (5,) covariates
+    quantum: float  # over the slope
+    size: Array  # (q,) root mean square of the own columns
+    # variance of sums of 2 and 3 residuals of plain least squares, over that of one
     sums: tuple[float, float]
-    variance: float
+    variance: float  # of the noise, as it is known so far
 
 
 def learn_family(
@@ -81,13 +67,7 @@ def learn_family(
     processes: int = 2,
     progress: Callable[[str], None] = lambda _: None,
 ) -> FamilyFile:
-    """Record the legs and learn the family.
-
-    Args:
-        seeds: of legs of the first generator.
-        processes: to record in; the result does not depend on it.
-        progress: called with what is being done.
-    """
+    """Record the legs and learn the family."""
     found: dict[int, list[JointRows]] = {}
     with worker_pool(processes) as pool:
         waiting = {pool.submit(_joints_of, seed): seed for seed in seeds}
@@ -169,9 +149,6 @@ def save_family(family: FamilyFile, path: Path) -> None:
     tree = msgspec.to_builtins(family)
     text = msgspec.json.format(msgspec.json.encode(_rounded(tree)), indent=0).decode()
     write_file(path, text + "\n", advice="give another file to write the family to")
-
-
-# -- private -------------------------------------------------------------------------------------
 
 
 def _joints_of(seed: int) -> list[JointRows]:

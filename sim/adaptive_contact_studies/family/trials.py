@@ -64,40 +64,25 @@ _FREE_SEEDS: Final = 50_000  # further on
 
 
 class Figures(NamedTuple):
-    """What one leg did from the swing of its first touch found without a baseline.
+    """What one leg did from the swing of its first touch found without a baseline."""
 
-    Attributes:
-        touches, found: from the swing after that one to swing 100.
-        alarms: false ones up to swing 100, from the start.
-        later: touches and those found from swing 100 on.
-    """
-
+    # touches, found: from the swing after that one to swing 100
     touches: int
     found: int
-    alarms: int
-    later: tuple[int, int]
+    alarms: int  # false ones up to swing 100, from the start
+    later: tuple[int, int]  # touches and those found from swing 100 on
 
 
 class LegTrial(NamedTuple):
-    """What one leg did without a baseline, and with one.
+    """What one leg did without a baseline, and with one."""
 
-    Attributes:
-        kind: of :data:`KINDS`.
-        first: swing of the first touch found, None for none; from 1.
-        chances: swings until then with a touch to be found, that one included.
-        ticks: judged up to swing 100.
-        without: baseline.
-        known: the same with a baseline; None where none could be fitted.
-        status: at the end.
-    """
-
-    kind: str
-    first: int | None
-    chances: int
-    ticks: int
-    without: Figures
-    known: Figures | None
-    status: str
+    kind: str  # of `KINDS`
+    first: int | None  # swing of the first touch found, None for none; from 1
+    chances: int  # swings until then with a touch to be found, that one included
+    ticks: int  # judged up to swing 100
+    without: Figures  # baseline
+    known: Figures | None  # the same with a baseline; None where none could be fitted
+    status: str  # at the end
 
 
 def trials(
@@ -109,13 +94,6 @@ def trials(
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[LegTrial]:
     """Try every kind.
-
-    Args:
-        folder: holds what each run gave; a run that is there is not made again.
-        kinds: of :data:`KINDS`.
-        runs: of each; as many as :data:`KINDS` says where None.
-        processes: to work in; the result does not depend on it.
-        progress: called with what is done.
 
     Raises:
         ConfigurationError: the folder cannot be written to.
@@ -140,9 +118,6 @@ def table(found: Sequence[LegTrial]) -> str:
     ]
     lines += [_row(kind, legs) for kind, legs in rows.items() if legs]
     return "\n".join(lines)
-
-
-# -- private -------------------------------------------------------------------------------------
 
 
 def _kept(store: Store, wanted: tuple[str, int]) -> list[LegTrial]:

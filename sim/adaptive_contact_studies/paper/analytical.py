@@ -25,13 +25,11 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact_sim.elements import JOINTS
 from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.servo import FULL_SCALE_STEPS, QUANTUM_RAD, ServoParameters, duty
-
-Array = NDArray[np.float64]
 
 # Physics steps per control tick, and rounds of the friction solver: the pitch joints are coupled.
 _SUBSTEPS: Final = 20
@@ -56,25 +54,15 @@ class Gains:
 
 @dataclass(frozen=True, eq=False)
 class NominalLeg:
-    """The leg's nominal constants, from the model file and the servo's data sheet.
+    """The leg's nominal constants, from the model file and the servo's data sheet."""
 
-    Attributes:
-        mass_kg: (3,) coxa, femur, tibia.
-        centre_m: (3, 2) along and above each link.
-        inertia: (3, 3) principal, kg m², link frame.
-        offset_m: (3,) where each link begins along the one before.
-        servo: nominal servo constants.
-        step_s: physics step.
-        gravity: m/s².
-    """
-
-    mass_kg: Array
-    centre_m: Array
-    inertia: Array
-    offset_m: Array
-    servo: ServoParameters
-    step_s: float
-    gravity: float
+    mass_kg: Array  # (3,) coxa, femur, tibia
+    centre_m: Array  # (3, 2) along and above each link
+    inertia: Array  # (3, 3) principal, kg m², link frame
+    offset_m: Array  # (3,) where each link begins along the one before
+    servo: ServoParameters  # nominal servo constants
+    step_s: float  # physics step
+    gravity: float  # m/s²
 
     @classmethod
     def of(cls, leg: str = "rf") -> NominalLeg:
@@ -268,9 +256,7 @@ def _observe(dynamics: Dynamics, measured: Array, desired: Array, gains: Gains) 
     return predicted
 
 
-def tune_gains(
-    leg: NominalLeg, streams: list[tuple[Array, Array]], free: list[NDArray[np.bool_]]
-) -> Gains:
+def tune_gains(leg: NominalLeg, streams: list[tuple[Array, Array]], free: list[Mask]) -> Gains:
     """The gains with the least residual on free ticks, chosen joint by joint.
 
     Args:

@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn, swing_ticks
 from adaptive_contact.leg_learner import ContactLearner
@@ -39,8 +39,6 @@ from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.identification import fitted
 from adaptive_contact_studies.paper.recording import simulation_of
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, predictions
-
-Array = NDArray[np.float64]
 
 _SEED: Final = 13
 # λ of both models, in units of the residual: the plateau of the identification study.
@@ -88,13 +86,6 @@ def ten_collisions(
     progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Record collisions within the paper's subspaces, and detect them.
-
-    Args:
-        robot: whose leg it is.
-        train: the paper's training segments of the same leg.
-        test: its test segments.
-        count: how many.
-        progress: called with the share of the whole that each step adds.
 
     Returns:
         A table of collisions, the traces of one of them, and how each detector's fit ended: one
@@ -199,8 +190,8 @@ def _default(
     test: Stream,
     measured: Array,
     desired: Array,
-    swing: NDArray[np.bool_],
-) -> NDArray[np.int64]:
+    swing: Mask,
+) -> Ints:
     """Ticks at which the default detector reports a contact.
 
     Raises:
@@ -229,7 +220,7 @@ def _default(
     return np.array(ticks, dtype=np.int64)
 
 
-def _latency(ticks: NDArray[np.int64], onset_ms: float) -> float | None:
+def _latency(ticks: Ints, onset_ms: float) -> float | None:
     """To the first event within 120 ms of the touch."""
     later = [20.0 * k - onset_ms for k in ticks if 0.0 < 20.0 * k - onset_ms <= 120.0]
     return later[0] if later else None
@@ -238,13 +229,13 @@ def _latency(ticks: NDArray[np.int64], onset_ms: float) -> float | None:
 def _trace(
     listener: _Listener,
     touch: dict[str, Any],
-    number: NDArray[np.int64],
+    number: Ints,
     measured: Array,
     desired: Array,
     predicted: Array,
     difference: Array,
-    paper_ticks: NDArray[np.int64],
-    default_ticks: NDArray[np.int64],
+    paper_ticks: Ints,
+    default_ticks: Ints,
 ) -> dict[str, Any]:
     """One collision's swing, in ms from the start of what is drawn."""
     at = int(touch["onset_ms"] // 20.0)
@@ -256,7 +247,7 @@ def _trace(
     fine = (t_ms >= start_ms) & (t_ms <= 20.0 * last)
     tilt = np.degrees(np.array(listener.tilt)[fine])
 
-    def events(which: NDArray[np.int64]) -> list[float]:
+    def events(which: Ints) -> list[float]:
         return [20.0 * k - start_ms for k in which if first <= k <= last]
 
     return {

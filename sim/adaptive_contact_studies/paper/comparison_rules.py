@@ -35,22 +35,21 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.detect.contact import CALM_SCORE, CALM_TICKS, REARM_TICKS
 from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.noise import WINDOWS, NoiseModel, context, fit_noise, lagged
 from adaptive_contact.model.tail import Tail, fit_tail
 from adaptive_contact.score import Events
 
-Ints = NDArray[np.int64]
-
 
 def alarm_ticks(
-    score: NDArray[np.float64],
+    score: Array,
     swing: Ints,
     threshold: float = 1.0,
-    descending: NDArray[np.bool_] | None = None,
+    descending: Mask | None = None,
 ) -> Ints:
     """Ticks at which a contact is reported.
 
@@ -85,10 +84,10 @@ def alarm_ticks(
 
 def alarms(
     t_ns: Ints,
-    score: NDArray[np.float64],
+    score: Array,
     swing: Ints,
     threshold: float,
-    descending: NDArray[np.bool_],
+    descending: Mask,
 ) -> Events:
     """:func:`alarm_ticks` as the events of a stream with times ``t_ns``."""
     when = t_ns[alarm_ticks(score, swing, threshold, descending)]
@@ -96,9 +95,9 @@ def alarms(
 
 
 def _freed(
-    score: NDArray[np.float64],
+    score: Array,
     swing: Ints,
-    descending: NDArray[np.bool_],
+    descending: Mask,
     tick: int,
     calm_below: float,
 ) -> int:
@@ -118,7 +117,7 @@ def _freed(
     return at
 
 
-def _rearmed(score: NDArray[np.float64], swing: Ints, tick: int, n: int, calm_below: float) -> int:
+def _rearmed(score: Array, swing: Ints, tick: int, n: int, calm_below: float) -> int:
     """First tick after a contact reported at ``tick`` on which another may be."""
     calm, at = 0, tick + 1
     while at < n and swing[at] == swing[tick]:
@@ -131,27 +130,17 @@ def _rearmed(score: NDArray[np.float64], swing: Ints, tick: int, n: int, calm_be
     return at
 
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 # Ticks after the command lifts off in which the foot may still be loaded: the same for all.
 JUDGED_AFTER_TICKS: Final = 5
 
 
 class Motion(NamedTuple):
-    """What every detector sees of one leg, row k being control tick k.
+    """What every detector sees of one leg, row k being control tick k."""
 
-    Attributes:
-        measured: (n, J) rad, read at the start of tick k.
-        desired: (n, J) rad, written right after.
-        swing_tick: (n,) ticks of the swing so far, 1 at its first, 0 in stance.
-        direction: (n,) 0 where the command rises, 1 where it falls.
-    """
-
-    measured: Array
-    desired: Array
-    swing_tick: Ints
-    direction: Ints
+    measured: Array  # (n, J) rad, read at the start of tick k
+    desired: Array  # (n, J) rad, written right after
+    swing_tick: Ints  # (n,) ticks of the swing so far, 1 at its first, 0 in stance
+    direction: Ints  # (n,) 0 where the command rises, 1 where it falls
 
     @property
     def judged(self) -> Mask:
@@ -160,15 +149,10 @@ class Motion(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """A model's one-step predictions for a stream, NaN where it made none.
+    """A model's one-step predictions for a stream, NaN where it made none."""
 
-    Attributes:
-        residual: (n, J) rad, reading k minus what was predicted at k - 1.
-        increment: (n, J) rad, the movement predicted from k - 1 to k.
-    """
-
-    residual: Array
-    increment: Array
+    residual: Array  # (n, J) rad, reading k minus what was predicted at k - 1
+    increment: Array  # (n, J) rad, the movement predicted from k - 1 to k
 
     @classmethod
     def of(cls, measured: Array, predicted: Array) -> Self:
@@ -232,15 +216,10 @@ def likelihood_ratio(
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """Thresholds of a statistic's channels.
+    """Thresholds of a statistic's channels."""
 
-    Attributes:
-        tails: of every channel on free ticks.
-        channels: those that are used.
-    """
-
-    tails: tuple[Tail, ...]
-    channels: tuple[int, ...]
+    tails: tuple[Tail, ...]  # of every channel on free ticks
+    channels: tuple[int, ...]  # those that are used
 
     def thresholds(self, per_tick: float) -> Array:
         """(used channels,) thresholds that together are exceeded at most so often.

@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.robot import Robot
@@ -34,23 +34,17 @@ from adaptive_contact_studies.paper.data import Stream, join, load, record_all
 from adaptive_contact_studies.paper.plan import FULL
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, free_rows, residual_unit
 
-Array = NDArray[np.float64]
-
 # PySINDy's default ridge term, which the paper does not mention changing.
 RIDGE: Final = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
 class PaperFit:
-    """A fit as the paper makes it.
+    """A fit as the paper makes it."""
 
-    Attributes:
-        status: ``ok``, ``emptied`` where some state has no terms left, or why there is none.
-        coefficients: (p, states), zero where there is no fit.
-    """
-
+    # `ok`, `emptied` where some state has no terms left, or why there is none
     status: FitStatus
-    coefficients: Array
+    coefficients: Array  # (p, states), zero where there is no fit
 
     @property
     def terms(self) -> list[int]:
@@ -62,12 +56,6 @@ def paper_fit(
     factor: Factor, threshold: float, *, normalised: bool = False, ridge: float = RIDGE
 ) -> PaperFit:
     """Fit with PySINDy's STLSQ, unscaled targets.
-
-    Args:
-        factor: of Θ and the next states.
-        threshold: λ.
-        normalised: threshold coefficients of columns with unit norm.
-        ridge: α.
 
     Returns:
         The fit with its status; never raises for bad data.
@@ -116,43 +104,25 @@ R = TypeVar("R")
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """One library, one λ.
+    """One library, one λ."""
 
-    Attributes:
-        library, terms, rows, threshold: what was fitted.
-        kept: (J,) terms left to each joint.
-        raw_s: PySINDy's STLSQ on the raw rows, Θ given.
-        compressed_s: the same fit with the factor held.
-        factor_s: building the factor from Θ.
-        library_s: evaluating Θ, which both need.
-        speed_up: ``raw_s`` over ``compressed_s``.
-        same_support: whether both keep the same terms.
-        difference: largest difference of a coefficient, raw units.
-    """
-
+    # library, terms, rows, threshold: what was fitted
     library: str
     terms: int
     rows: int
     threshold: float
-    kept: list[int]
-    raw_s: float
-    compressed_s: float
-    factor_s: float
-    library_s: float
-    speed_up: float
-    same_support: bool
-    difference: float
+    kept: list[int]  # (J,) terms left to each joint
+    raw_s: float  # PySINDy's STLSQ on the raw rows, Θ given
+    compressed_s: float  # the same fit with the factor held
+    factor_s: float  # building the factor from Θ
+    library_s: float  # evaluating Θ, which both need
+    speed_up: float  # `raw_s` over `compressed_s`
+    same_support: bool  # whether both keep the same terms
+    difference: float  # largest difference of a coefficient, raw units
 
 
 def compare(stream: Stream, library: Library, threshold: float, *, repeats: int = 3) -> Comparison:
-    """Time both fits of the free rows of a stream; the better of ``repeats``, CPU time.
-
-    Args:
-        stream: the paper's training segments.
-        library: the terms.
-        threshold: λ, in units of the residual.
-        repeats: of each.
-    """
+    """Time both fits of the free rows of a stream; the better of ``repeats``, CPU time."""
     windows = free_rows(stream, library).windows
     theta, library_s = _timed(
         lambda: library.evaluate(windows.measured, windows.desired, windows.preview), repeats
@@ -196,13 +166,7 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
 def compare_all(
     robot: Robot, stream: Stream, progress: Callable[[float], None] = lambda _: None
 ) -> list[Comparison]:
-    """Both libraries, at a λ that keeps nearly every term and at one that leaves the sparse model.
-
-    Args:
-        robot: whose leg it is.
-        stream: the paper's training segments.
-        progress: called with the share of the whole that each comparison adds.
-    """
+    """Both libraries, at a λ that keeps nearly every term and one that leaves the sparse model."""
     leg = robot.leg(stream.leg)
     found = []
     for name, window, threshold in _COMPARED:
@@ -214,14 +178,7 @@ def compare_all(
 def compare_full(
     root: Path, robot: Robot, workers: int, progress: Callable[[float], None] = lambda _: None
 ) -> list[Comparison]:
-    """The same on the full plan's 5,000 training segments, simulated unless they are there.
-
-    Args:
-        root: folder of what later calls reuse.
-        robot: whose leg it is.
-        workers: processes that simulate.
-        progress: called with the share of the segments that each process adds.
-    """
+    """The same on the full plan's 5,000 training segments, simulated unless they are there."""
     store = Store(root)
     pieces = FULL.paper_pieces("train")
     seconds = sum(piece.seconds for piece in pieces)

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.fit.train import Stretch
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run
 from adaptive_contact_sim.servo import QUANTUM_RAD
@@ -29,8 +30,6 @@ from adaptive_contact_studies.paper.recording import (
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.workers import alone, completed
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 T = TypeVar("T")
 R = TypeVar("R")
 _Job = list[tuple[Piece, Path]]
@@ -43,15 +42,10 @@ SEAM_TICKS = 10
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """One leg's stream with its truth, row k being control tick k.
+    """One leg's stream with its truth, row k being control tick k."""
 
-    Attributes:
-        piece: what was simulated.
-        arrays: the leg's samples and truth.
-    """
-
-    piece: Piece
-    arrays: LegArrays
+    piece: Piece  # what was simulated
+    arrays: LegArrays  # the leg's samples and truth
 
     @property
     def leg(self) -> str:
@@ -99,12 +93,6 @@ def record_all(
     store: Store, pieces: Sequence[Piece], workers: int, progress: Callable[[float], None]
 ) -> None:
     """Simulate the pieces that are not there yet.
-
-    Args:
-        store: where they go.
-        pieces: which.
-        workers: processes.
-        progress: called with the seconds of every piece as it is done.
 
     Raises:
         SimulationDivergedError: the physics of one blew up.
@@ -167,9 +155,6 @@ def join(streams: Sequence[Stream]) -> Stream:
 
     Every part begins with the leg standing, so that no window of swing ticks reaches back over a
     seam.
-
-    Args:
-        streams: at least one.
     """
     first = streams[0]
     starts = np.cumsum([0, *(len(s.swing) for s in streams[:-1])]).tolist()

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, shipped_robot
 from adaptive_contact.score import LegOutcome, Row, poisson_mean, summarise
@@ -49,8 +48,6 @@ from adaptive_contact_studies.paper.touched import (
     what_alarms_are,
 )
 
-Array = NDArray[np.float64]
-
 _SPEED_EDGES_M_S: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5)
 FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
 
@@ -58,16 +55,7 @@ FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
 def detection(
     root: Path, plan: Plan, progress: Callable[[float], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Gather the evaluated streams into figures.
-
-    Args:
-        root: the store's folder; streams not evaluated yet are evaluated now.
-        plan: what was simulated.
-        progress: called with every detector that is scored.
-
-    Returns:
-        A tree of figures.
-    """
+    """Gather the evaluated streams into figures."""
     store = Store(root)
     known = learned(store, plan)
     quiet = {role: _quiet(root, plan, role) for role in ("free", "stand")}

@@ -13,8 +13,8 @@ from itertools import combinations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit.train import swing_ticks
 from adaptive_contact.model import LegModel
 from adaptive_contact.model.noise import NoiseModel
@@ -38,9 +38,6 @@ from adaptive_contact_studies.paper.comparison_rules import (
 from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.rows import predictions
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 # Lags of the tracking error that are tried, ticks.
 _LAGS: Final = range(7)
 JOINTS: Final = 3
@@ -55,28 +52,21 @@ class LegModels(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One stream with every model's predictions.
+    """One stream with every model's predictions."""
 
-    Attributes:
-        stream: what was recorded.
-        motion: what detectors see.
-        predictions: by model, ``servo``, ``paper``, ``analytical``.
-        swing_of_tick: (n,) number of the swing, -1 in stance.
-    """
-
-    stream: Stream
-    motion: Motion
-    predictions: dict[str, Prediction]
-    swing_of_tick: Ints
+    stream: Stream  # what was recorded
+    motion: Motion  # what detectors see
+    predictions: dict[str, Prediction]  # by model, `servo`, `paper`, `analytical`
+    swing_of_tick: Ints  # (n,) number of the swing, -1 in stance
 
     @property
-    def descending(self) -> NDArray[np.bool_]:
+    def descending(self) -> Mask:
         """(n,) whether the command in force is past the lift."""
         falling = np.roll(self.motion.direction, 1) == 1
         return np.asarray(falling & self.motion.judged)
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Mask:
         """(n,) judged ticks that no contact is near."""
         return self.motion.judged & self.stream.stretch.free
 
@@ -84,14 +74,7 @@ class Evidence:
 def evidence_of(
     robot: Robot, streams: Sequence[Stream], models: Mapping[str, LegModels], gains: Gains
 ) -> list[Evidence]:
-    """Predict whole streams with every model.
-
-    Args:
-        robot: whose legs they are.
-        streams: any.
-        models: by leg-run's name.
-        gains: of the analytical observer.
-    """
+    """Predict whole streams with every model."""
     observed = predict(NominalLeg.of(), [(s.measured, s.desired) for s in streams], gains)
     found = []
     for stream, rollout in zip(streams, observed, strict=True):
@@ -122,22 +105,14 @@ def evidence_of(
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """All that the compared detectors learned besides their models.
+    """All that the compared detectors learned besides their models."""
 
-    Attributes:
-        lag: of the tracking error, ticks.
-        noise: by model, then by leg-run's name.
-        calibrations: by detector.
-        quantum_rad: position step.
-        aim_per_hour: false alarms per robot-hour, the target rate of thresholds.
-        tuned: what tuning found, for the report: recall on the tuning collisions by detector.
-    """
-
-    lag: int
-    noise: dict[str, dict[str, NoiseModel]]
-    calibrations: dict[str, Calibration]
-    quantum_rad: float
-    aim_per_hour: float
+    lag: int  # of the tracking error, ticks
+    noise: dict[str, dict[str, NoiseModel]]  # by model, then by leg-run's name
+    calibrations: dict[str, Calibration]  # by detector
+    quantum_rad: float  # position step
+    aim_per_hour: float  # false alarms per robot-hour, the target rate of thresholds
+    # what tuning found, for the report: recall on the tuning collisions by detector
     tuned: dict[str, float]
 
     def statistic(self, detector: str, evidence: Evidence) -> Array:
@@ -154,17 +129,11 @@ class Bench:
 
 @dataclass(frozen=True)
 class Detector:
-    """One detector that is compared.
+    """One detector that is compared."""
 
-    Attributes:
-        title: for tables.
-        statistic: of a stream, (n, channels).
-        joints: whether channels are joints, of which a rule may use some.
-    """
-
-    title: str
-    statistic: Callable[[Bench, Evidence], Array]
-    joints: bool
+    title: str  # for tables
+    statistic: Callable[[Bench, Evidence], Array]  # of a stream, (n, channels)
+    joints: bool  # whether channels are joints, of which a rule may use some
 
 
 def _ratio(model: str) -> Callable[[Bench, Evidence], Array]:

@@ -56,13 +56,6 @@ _STAND_M: Final = (0.115, 0.0, -0.165)
 def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     """Draw every figure whose results are there.
 
-    Args:
-        results: the tree of a run.
-        folder: where pictures go.
-
-    Returns:
-        Their files, by name.
-
     Raises:
         MissingExtraError: matplotlib is not installed.
     """

@@ -17,8 +17,8 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.fit import Fit, FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import (
     Factor,
@@ -46,8 +46,6 @@ from adaptive_contact_studies.paper.rows import (
     residual_unit,
     rms_deg,
 )
-
-Array = NDArray[np.float64]
 
 # Log-spaced, three to a decade, and the paper's own choice.
 LAMBDAS: Final = tuple(sorted({round(10.0 ** (e / 3), 6) for e in range(-12, 7)} | {5.0}))
@@ -93,12 +91,6 @@ def identification(
     progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
     """All of section 4.2 on one training and one test stream.
-
-    Args:
-        robot: whose leg it is.
-        train: the paper's training segments.
-        test: its test segments.
-        progress: called with the share of the whole that each step adds.
 
     Returns:
         A tree of figures, see the keys.
@@ -376,15 +368,10 @@ _DRAWN: Final = 70
 
 
 class Fitted(NamedTuple):
-    """A model, and how its fit ended.
+    """A model, and how its fit ended."""
 
-    Attributes:
-        model: None where the fit left nothing, so that no prediction uses zeros.
-        status: of the fit.
-    """
-
-    model: LegModel | None
-    status: FitStatus
+    model: LegModel | None  # None where the fit left nothing, so that no prediction uses zeros
+    status: FitStatus  # of the fit
 
 
 def fitted(

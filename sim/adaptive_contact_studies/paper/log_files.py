@@ -21,11 +21,9 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import RecordingError
-
-Array = NDArray[np.float64]
 
 PERIOD_S: Final = 0.02
 # A recorded rate this far off 50 Hz is resampled.
@@ -50,37 +48,24 @@ _MAX_STEP_RAD: Final = 0.6
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recording:
-    """One motion without a gap, 50 Hz.
+    """One motion without a gap, 50 Hz."""
 
-    Attributes:
-        name: of the motion or the run.
-        kind: ``arm`` or ``pendulum``.
-        measured, desired: (n, J) rad; desired is the command written at the tick.
-        gain: proportional gain, where it is given.
-        trajectory: what was driven, where it is given; several runs may share it.
-        repaired: readings that were no angle of the servo, replaced by a straight line.
-    """
-
-    name: str
-    kind: Literal["arm", "pendulum"]
+    name: str  # of the motion or the run
+    kind: Literal["arm", "pendulum"]  # ``arm`` or ``pendulum``
+    # measured, desired: (n, J) rad; desired is the command written at the tick
     measured: Array
     desired: Array
-    gain: float | None = None
-    repaired: int = 0
-    trajectory: str = ""
+    gain: float | None = None  # proportional gain, where it is given
+    repaired: int = 0  # readings that were no angle of the servo, replaced by a straight line
+    trajectory: str = ""  # what was driven, where it is given; several runs may share it
 
 
 @dataclasses.dataclass(frozen=True)
 class LogSet:
-    """What a path held.
+    """What a path held."""
 
-    Attributes:
-        recordings: that can be used.
-        skipped: file or motion, and why not.
-    """
-
-    recordings: list[Recording]
-    skipped: list[tuple[str, str]]
+    recordings: list[Recording]  # that can be used
+    skipped: list[tuple[str, str]]  # file or motion, and why not
 
 
 def load_logs(path: Path) -> LogSet:

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window
@@ -42,8 +42,6 @@ from adaptive_contact_studies.paper.rows import (
     worst,
 )
 
-Array = NDArray[np.float64]
-
 FOLDS: Final = 5
 # Slopes of the servo's law that are tried, rad.
 SLOPES: Final = (0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
@@ -62,10 +60,6 @@ _QUANTUM_RAD: Final = 0.001534  # 4096 steps a turn, both servos
 
 def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
     """Fit and test on all recordings of a path.
-
-    Args:
-        path: a file, or a folder.
-        progress: called with the share of the whole that each step adds.
 
     Returns:
         A tree of figures, with what was skipped and why.

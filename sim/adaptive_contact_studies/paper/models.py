@@ -42,21 +42,13 @@ _PAPER_THRESHOLD: Final = 0.5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Learned:
-    """Everything learned before the report's streams are touched.
+    """Everything learned before the report's streams are touched."""
 
-    Attributes:
-        models: by leg-run's name.
-        baselines: of the default detector, by seed of the robot.
-        gains: of the analytical observer.
-        bench: of the compared detectors.
-        figures: how well every leg was learned, and the analytical model's residuals.
-    """
-
-    models: dict[str, LegModels]
-    baselines: dict[int, Baseline]
-    gains: Gains
-    bench: Bench
-    figures: dict[str, Any]
+    models: dict[str, LegModels]  # by leg-run's name
+    baselines: dict[int, Baseline]  # of the default detector, by seed of the robot
+    gains: Gains  # of the analytical observer
+    bench: Bench  # of the compared detectors
+    figures: dict[str, Any]  # how well every leg was learned, and the analytical model's residuals
 
 
 def models_key(plan: Plan) -> list[Any]:
@@ -66,11 +58,7 @@ def models_key(plan: Plan) -> list[Any]:
 
 
 def learn_robot(item: tuple[Path, Plan, int]) -> int:
-    """Learn the legs of one robot, unless it was done: a work item for a process.
-
-    Args:
-        item: the store's folder, the plan, and the seed of the robot.
-    """
+    """Learn the legs of one robot, unless it was done: a work item for a process."""
     root, plan, robot_seed = item
     _robot_tree(Store(root), plan, robot_seed)
     return robot_seed

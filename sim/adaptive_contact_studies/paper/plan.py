@@ -15,8 +15,8 @@ from adaptive_contact_sim.obstacles import Approach, ObstacleSettings
 from adaptive_contact_sim.pose import PERIOD_S, PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 
-# What a stretch is for: learning, choosing settings, false alarms (``free`` hung up by the body,
-# ``stand`` as in the paper), collisions.
+# What a stretch is for: learning, choosing settings, false alarms (`free` hung up by the body,
+# `stand` as in the paper), collisions.
 Role = Literal["train", "tune", "free", "stand", "touch"]
 
 # Ticks of a trial in pose: ascent, descent, hold.
@@ -57,72 +57,50 @@ class LegRun:
 
 @dataclass(frozen=True)
 class GantrySettings:
-    """A robot hung up by its body, every leg moving.
+    """A robot hung up by its body, every leg moving."""
 
-    Attributes:
-        motions: what each leg does, (6,).
-        seed, robot_seed: as in :class:`~adaptive_contact_sim.simulation.SimulationSettings`.
-        supply_resistance_ohm: of battery and wiring.
-        encoder: reading noise and faults.
-    """
-
+    # what each leg does, (6,)
     motions: tuple[PoseSettings, ...] = tuple(PoseSettings(legs=(leg,)) for leg in LEGS)
+    # seed, robot_seed: as in `SimulationSettings`
     seed: int = 0
     robot_seed: int = 0
-    supply_resistance_ohm: float = 0.1
-    encoder: EncoderSettings = field(default_factory=EncoderSettings)
+    supply_resistance_ohm: float = 0.1  # of battery and wiring
+    encoder: EncoderSettings = field(default_factory=EncoderSettings)  # reading noise and faults
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One stretch of simulation of one leg.
+    """One stretch of simulation of one leg."""
 
-    Attributes:
-        leg_run: whose.
-        role: what it is for.
-        kind: how the leg moves and what it meets.
-        seconds: simulated.
-        settings: all that decides it.
-    """
-
-    leg_run: LegRun
-    role: Role
-    kind: str
-    seconds: float
-    settings: SimulationSettings | GantrySettings
+    leg_run: LegRun  # whose
+    role: Role  # what it is for
+    kind: str  # how the leg moves and what it meets
+    seconds: float  # simulated
+    settings: SimulationSettings | GantrySettings  # all that decides it
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much of everything.
+    """How much of everything."""
 
-    Attributes:
-        name: ``full`` or ``quick``.
-        robots: seeds of the robots; each has the ``legs``.
-        train_segments, test_segments: the paper's dataset (4.1), one leg of robot 0.
-        train_s, tune_s: free motion per leg-run by kind, s.
-        train_hung_s, tune_hung_s: the same of every robot hung up by its body, s.
-        free_s: reported free motion by kind, s, of every robot hung up by its body.
-        stand_s: the same per leg-run, standing on five legs.
-        touch_s: reported collisions per leg-run by kind, s.
-        tune_touch_s: collisions per leg-run by kind, s, on which baselines choose their settings.
-        collisions: how many are drawn in detail (Figure 5).
-    """
-
-    name: Literal["full", "quick"]
-    robots: tuple[int, ...]
+    name: Literal["full", "quick"]  # ``full`` or ``quick``
+    robots: tuple[int, ...]  # seeds of the robots; each has the `legs`
     legs: tuple[str, ...]
+    # train_segments, test_segments: the paper's dataset (4.1), one leg of robot 0
     train_segments: int
     test_segments: int
+    # train_s, tune_s: free motion per leg-run by kind, s
     train_s: dict[str, float]
     tune_s: dict[str, float]
+    # train_hung_s, tune_hung_s: the same of every robot hung up by its body, s
     train_hung_s: dict[str, float]
     tune_hung_s: dict[str, float]
-    free_s: dict[str, float]
-    stand_s: dict[str, float]
-    touch_s: dict[str, float]
+    free_s: dict[str, float]  # reported free motion by kind, s, of every robot hung up by its body
+    stand_s: dict[str, float]  # the same per leg-run, standing on five legs
+    touch_s: dict[str, float]  # reported collisions per leg-run by kind, s
+    # collisions per leg-run by kind, s, on which baselines choose their settings
     tune_touch_s: dict[str, float]
-    collisions: int = 10
+    collisions: int = 10  # how many are drawn in detail (Figure 5)
     seed: int = 0
 
     @property

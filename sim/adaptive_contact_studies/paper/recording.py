@@ -29,9 +29,9 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 import adaptive_contact
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim import arrays, truth
 from adaptive_contact_sim.arrays import LegArrays, record_run
@@ -48,8 +48,6 @@ from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_studies import evaluate, training
 from adaptive_contact_studies.cache import sources_digest
 from adaptive_contact_studies.paper.plan import GantrySettings
-
-Array = NDArray[np.float64]
 
 # Ways drawn in vain before one is bent: the acceptance elsewhere is above a tenth.
 _TRIES: Final = 500
@@ -70,7 +68,7 @@ class PatientGeometry(LegGeometry):
         plain = LegGeometry.of()
         return cls(**{f.name: getattr(plain, f.name) for f in fields(plain)})
 
-    def reachable(self, points_m: Array) -> NDArray[np.bool_]:
+    def reachable(self, points_m: Array) -> Mask:
         """Return which points are in reach; after :data:`_TRIES` refusals in a row, all are."""
         inside = super().reachable(points_m)
         refused = self._refused
@@ -82,11 +80,7 @@ class PatientGeometry(LegGeometry):
 
 
 def simulation_of(settings: SimulationSettings) -> Simulation:
-    """A simulation whose leg never waits for a way out of a pocket.
-
-    Args:
-        settings: with a pose motion.
-    """
+    """A simulation whose leg never waits for a way out of a pocket."""
     motion = settings.motion
     assert isinstance(motion, PoseSettings)
     # Its own motion is made, and thrown away: over the paper's subspaces that always succeeds.
@@ -100,11 +94,6 @@ def simulation_of(settings: SimulationSettings) -> Simulation:
 def record_leg(settings: SimulationSettings, leg: str, seconds: float) -> LegArrays:
     """Simulate, and keep one leg.
 
-    Args:
-        settings: with a pose motion.
-        leg: which.
-        seconds: simulated time.
-
     Raises:
         SimulationDivergedError: the physics blew up.
     """
@@ -117,10 +106,6 @@ _SETTLE_TICKS: Final = 50
 
 def record_gantry(settings: GantrySettings, seconds: float) -> dict[str, LegArrays]:
     """Simulate all six legs in free air.
-
-    Args:
-        settings: robot, motion, seed.
-        seconds: simulated time.
 
     Returns:
         Every leg's stream; no leg ever touches anything.
@@ -212,8 +197,7 @@ _EVALUATING: Final = ("model", "fit", "detect", "learn", "score", "robot")
 # Of the experiments, what only counts and shows what was evaluated: a new table is no reason to
 # evaluate ten robot-hours again.
 _SHOWING: Final = frozenset(
-    f"{name}.py"
-    for name in ("detection", "detection_figures", "figures", "report", "tables", "touched")
+    f"{name}.py" for name in ("detection", "detection_figures", "figures", "tables", "touched")
 ) | {"verdicts.py"}
 # What turns recordings into samples, rows and truth.
 _MATCHING: Final = [Path(str(m.__file__)) for m in (evaluate, training, arrays, truth)]

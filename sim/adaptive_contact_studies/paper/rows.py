@@ -9,14 +9,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.fit import Fit, FitStatus
 from adaptive_contact.model import Factor, LegModel, Library, Rows, Window, stack
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_studies.paper.data import Stream
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # N, N', M of the paper's model; the paper does not print its own (see the window study).
 PAPER_WINDOW: Final = Window(past_measured=2, past_desired=2, preview=1)
@@ -35,24 +33,14 @@ _SEVERITY: Final = (
 
 
 class FreeRows(NamedTuple):
-    """Windows of free swing ticks.
+    """Windows of free swing ticks."""
 
-    Attributes:
-        windows: (n, ...) the windows with what came next.
-        swing: (n,) number of the swing each lies in, for folds.
-    """
-
-    windows: Rows
-    swing: Ints
+    windows: Rows  # (n, ...) the windows with what came next
+    swing: Ints  # (n,) number of the swing each lies in, for folds
 
 
 def free_rows(stream: Stream, library: Library) -> FreeRows:
-    """Windows whose tick and successor are free swing ticks, of finite values throughout.
-
-    Args:
-        stream: one leg's.
-        library: whose window is cut.
-    """
+    """Windows whose tick and successor are free swing ticks, of finite values throughout."""
     cut = stack(stream.measured, stream.desired, library.window)
     use = stream.swing & stream.stretch.free
     usable = use[cut.tick] & use[cut.tick + 1]

@@ -31,7 +31,7 @@ from adaptive_contact_studies.paper.logs import run_logs
 from adaptive_contact_studies.paper.models import learn_robot, learned
 from adaptive_contact_studies.paper.plan import Piece, Plan, Role
 from adaptive_contact_studies.paper.recording import physics_fingerprint, source_fingerprint
-from adaptive_contact_studies.paper.report import write_report
+from adaptive_contact_studies.paper.tables import write_report
 from adaptive_contact_studies.paper.workspace import (
     study_leg_run,
     workspace,

@@ -6,20 +6,30 @@ of its part of the tree; the page in HTML and the terminal show what that Markdo
 
 from __future__ import annotations
 
+import json
 import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from adaptive_contact_studies.paper.figures import draw_all
 from adaptive_contact_studies.paper.rows import NO_MODEL
 from adaptive_contact_studies.paper.touched import BOTH, SLOW_FAST
-from adaptive_contact_studies.paper.verdicts import HALF, losses, span
+from adaptive_contact_studies.paper.verdicts import HALF, headline, losses, span
 from adaptive_contact_studies.show.numbers import general, number, per_joint
-from adaptive_contact_studies.show.pages import Section, read_sections, render, unwrapped
+from adaptive_contact_studies.show.pages import (
+    Section,
+    read_sections,
+    render,
+    unwrapped,
+    write_page,
+)
 
 Tree = Mapping[str, Any]
 
+_TITLE: Final = "Leg contact detection from positions: the paper, and what it leaves out"
+_ADVICE: Final = "give another folder with --out"
 # Stages with a template, in the order of the page.
 _PARTS: Final = (
     *("dataset", "identification", "compression", "collisions", "detection", "workspace", "logs"),
@@ -27,14 +37,32 @@ _PARTS: Final = (
 _HELD_OUT: Final = ("unseen motions", "unseen moments")
 
 
-def part(name: str, data: Any, pictures: Mapping[str, Path] = {}) -> str:
-    """Markdown of one stage.
+def write_report(results: Mapping[str, Any], out: Path) -> None:
+    """Write results, figures and page.
 
-    Args:
-        name: of its template.
-        data: what it found.
-        pictures: files by name; those that are absent are not shown.
+    Raises:
+        ConfigurationError: it cannot be written there.
     """
+    text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
+    write_page(out / "results.json", text + "\n", _ADVICE)
+    text = _text(results, draw_all(results, out / "figures"))
+    write_page(out / "report.html", render("report.html", sections=read_sections(text)), _ADVICE)
+
+
+def write_document(results: Mapping[str, Any], document: Path, pictures: Path) -> None:
+    """Write the run as a Markdown document with its pictures."""
+    files = draw_all(results, pictures)
+    beside = {name: file.relative_to(document.parent) for name, file in files.items()}
+    write_page(document, _text(results, beside) + "\n", "give another file with --docs")
+
+
+def _text(results: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
+    front = render("paper/page.md", title=_TITLE, results=results, headline=headline(results))
+    return f"{unwrapped(front)}\n\n{markdown(results, pictures)}".rstrip()
+
+
+def part(name: str, data: Any, pictures: Mapping[str, Path] = {}) -> str:
+    """Markdown of one stage."""
     given = {"data": data, "pictures": pictures, "BOTH": BOTH, "SLOW_FAST": SLOW_FAST}
     return unwrapped(render(f"paper/{name}.md", _FILTERS, **given))
 

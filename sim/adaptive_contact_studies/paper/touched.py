@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.score import (
     ROWS,
@@ -47,9 +47,6 @@ from adaptive_contact_studies.paper.evaluation import (
 )
 from adaptive_contact_studies.paper.plan import Piece, Plan
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 # Kinds of streams in which the leg approaches slowly.
 SLOW_KINDS: Final = ("hard slow",)
 # Names of the rows that divide the score's own headline row.
@@ -64,23 +61,15 @@ _LONG_WINDOW_NS: Final = 500_000_000
 
 
 class Touched(NamedTuple):
-    """A stream with contacts, and what every detector says of it.
+    """A stream with contacts, and what every detector says of it."""
 
-    Attributes:
-        piece: what was simulated.
-        truth: as the score takes it.
-        swing: (n,) number of the swing.
-        descending: (n,) the command in force is past the lift.
-        scores: by compared detector, (n,) statistic over the threshold of the target rate.
-        events: by learner, at the product's target rate and at others.
-    """
-
-    piece: Piece
-    truth: LegStream
-    swing: NDArray[np.int64]
-    descending: Mask
+    piece: Piece  # what was simulated
+    truth: LegStream  # as the score takes it
+    swing: Ints  # (n,) number of the swing
+    descending: Mask  # (n,) the command in force is past the lift
+    # by compared detector, (n,) statistic over the threshold of the target rate
     scores: dict[str, Array]
-    events: dict[str, Events]
+    events: dict[str, Events]  # by learner, at the product's target rate and at others
 
 
 def touched_streams(store: Store, root: Path, plan: Plan) -> list[Touched]:
@@ -107,13 +96,7 @@ def touched_streams(store: Store, root: Path, plan: Plan) -> list[Touched]:
 
 
 def outcome_of(touched: Touched, name: str, factor: float = 1.0) -> LegOutcome:
-    """A detector's events against the truth.
-
-    Args:
-        touched: the stream.
-        name: of the detector.
-        factor: on the threshold of a compared one.
-    """
+    """A detector's events against the truth."""
     events = touched.events.get(name)
     if events is None:
         truth, score = touched.truth, touched.scores[name]
@@ -127,12 +110,7 @@ def headline_streams(touched: Sequence[Touched]) -> list[Touched]:
 
 
 def rows_of(touched: Sequence[Touched], outcomes: Sequence[LegOutcome]) -> dict[str, Any]:
-    """Figures of every row, the headline first; the score's own headline row is divided.
-
-    Args:
-        touched: streams.
-        outcomes: of one detector on each.
-    """
+    """Figures of every row, the headline first; the score's own headline row is divided."""
     slow = [t.piece.kind in SLOW_KINDS for t in touched]
     whole = summarise(outcomes).rows
     headline, fast = (
@@ -243,13 +221,7 @@ def binned(
 def misses(
     touched: Sequence[Touched], outcomes: dict[str, list[LegOutcome]], *, slow: bool
 ) -> list[dict[str, Any]]:
-    """Fast touches on hard ground that the default missed, the first of them, and who found them.
-
-    Args:
-        touched: streams.
-        outcomes: by detector, on each.
-        slow: those in slow approaches, or the headline's.
-    """
+    """Fast touches on hard ground that the default missed, the first ones, and who found them."""
     headline = ROWS.index(Row.HEADLINE)
     found = []
     for number, (t, outcome) in enumerate(zip(touched, outcomes[DEFAULT], strict=True)):

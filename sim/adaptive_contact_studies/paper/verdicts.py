@@ -31,25 +31,15 @@ HALF: Final = 0.5
 
 
 class Loss(NamedTuple):
-    """Something at which another detector is better than the default.
+    """Something at which another detector is better than the default."""
 
-    Attributes:
-        section: of the report: ``headline``, ``rows``, ``kinds``, ``speed`` or ``force``.
-        what: the figure.
-        ours: the default's.
-        theirs: the best one's.
-        best: its name.
-        others: how many more are better than the default.
-        apart: whether the intervals lie apart; None where there are none.
-    """
-
-    section: str
-    what: str
-    ours: str
-    theirs: str
-    best: str
-    others: int
-    apart: bool | None
+    section: str  # of the report: `headline`, `rows`, `kinds`, `speed` or `force`
+    what: str  # the figure
+    ours: str  # the default's
+    theirs: str  # the best one's
+    best: str  # its name
+    others: int  # how many more are better than the default
+    apart: bool | None  # whether the intervals lie apart; None where there are none
 
     @property
     def short(self) -> str:
@@ -58,11 +48,7 @@ class Loss(NamedTuple):
 
 
 def losses(data: Mapping[str, Any]) -> list[Loss]:
-    """All that another detector does better, in the order of the report.
-
-    Args:
-        data: the detection study's tree.
-    """
+    """All that another detector does better, in the order of the report."""
     figures = data["figures"]
     ours = figures[DEFAULT]
     found = [

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Domain, Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.model.window import Rows
@@ -45,8 +45,6 @@ from adaptive_contact_studies.paper.rows import (
     worst,
 )
 
-Array = NDArray[np.float64]
-
 # Grid of the maps, m, over reach and height of the foot.
 CELL_M: Final = 0.015
 _REACH_M: Final = (0.08, 0.26)
@@ -62,7 +60,7 @@ def cylinder(point: Array) -> Array:
 
 
 def where_it_fails(
-    library: Library, fitted: Rows, held: Rows, residual: Array, column: NDArray[np.bool_]
+    library: Library, fitted: Rows, held: Rows, residual: Array, column: Mask
 ) -> dict[str, Any]:
     """What distinguishes a model's bad predictions from its good ones: the place, or the motion.
 
@@ -101,7 +99,7 @@ def _leverage(library: Library, domain: Domain, windows: Rows) -> Array:
     return np.concatenate([np.zeros(0), *parts])
 
 
-def paper_column(point: Array) -> NDArray[np.bool_]:
+def paper_column(point: Array) -> Mask:
     """Mask of feet within the paper's subspaces, or between them, where its segments pass."""
     low, high = WORKSPACES["paper"]
     return replace(low, height_m=(low.height_m[0], high.height_m[1])).holds(point)
@@ -141,8 +139,6 @@ def residual_map(point: Array, residual: Array) -> list[list[float | None]]:
     return grid
 
 
-Ints = NDArray[np.int64]
-
 REGIONS: Final = 8
 # λ in units of the residual: an eighth of the data must not keep every term.
 _THRESHOLD: Final = 0.1
@@ -176,9 +172,6 @@ def workspace_pieces(plan: Plan, leg_run: LegRun) -> dict[Role, list[Piece]]:
 def study_leg_run(item: tuple[Path, Plan, LegRun]) -> tuple[str, Any]:
     """Compare the models of one leg-run, unless it was done: a work item for a process.
 
-    Args:
-        item: the store's folder, the plan, and whose leg.
-
     Returns:
         The leg-run's name and its tree of figures.
     """
@@ -205,9 +198,6 @@ def study_leg_run(item: tuple[Path, Plan, LegRun]) -> tuple[str, Any]:
 
 def workspace(studies: Mapping[str, Any]) -> dict[str, Any]:
     """Put the leg-runs' figures together.
-
-    Args:
-        studies: by leg-run's name, as :func:`study_leg_run` gives them.
 
     Returns:
         A tree of figures, and the maps of the leg-run that has a before.
@@ -245,17 +235,7 @@ def workspace(studies: Mapping[str, Any]) -> dict[str, Any]:
 def compare_regions(
     robot: Robot, train: Sequence[Stream], test: Sequence[Stream], paper: Stream | None
 ) -> dict[str, Any]:
-    """Compare one model with several on one leg-run, for both libraries.
-
-    Args:
-        robot: whose leg it is.
-        train: free streams of a leg over the whole workspace.
-        test: others, of other seeds.
-        paper: the paper's training segments of this leg, where there are any.
-
-    Returns:
-        A tree of figures, by library.
-    """
+    """Compare one model with several on one leg-run, for both libraries."""
     return {n: _compare(robot, n, w, train, test, paper) for n, w in _LIBRARIES}
 
 

@@ -59,50 +59,30 @@ SETTLED: Final = 20
 
 @dataclass(frozen=True)
 class Recovery:
-    """What happened after a mark.
+    """What happened after a mark."""
 
-    Attributes:
-        swings: until the leg could be relied on again, None where it could not.
-        alarms: false ones on the way; all there were where it did not recover.
-        of: swings that there were.
-        kind: what the change was taken for, by the last report; None without one.
-    """
-
-    swings: int | None
-    alarms: int
-    of: int
-    kind: str | None = None
+    swings: int | None  # until the leg could be relied on again, None where it could not
+    alarms: int  # false ones on the way; all there were where it did not recover
+    of: int  # swings that there were
+    kind: str | None = None  # what the change was taken for, by the last report; None without one
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """One learner on one leg-run.
+    """One learner on one leg-run."""
 
-    Attributes:
-        outcome: of all its events.
-        recovery: by name of the mark.
-        lock_out: longest run of swings lost, from the first mark on.
-        confirmed: ticks it took for free.
-        touched: those of them on which the leg touched something.
-        touched_before: those of these that began in touch, not with the touch itself.
-        until_valid: swings until it called itself valid and went on to, None where it did not.
-        valid_ns: when it did.
-        wavered: whether it ever called itself anything else.
-        caught: swings that ended while the foot was held by the stage, but for the first few.
-        caught_told: those of them after which it called itself ambiguous.
-    """
-
-    outcome: LegOutcome
-    recovery: dict[str, Recovery]
-    lock_out: int
-    confirmed: int
-    touched: int
-    touched_before: int
+    outcome: LegOutcome  # of all its events
+    recovery: dict[str, Recovery]  # by name of the mark
+    lock_out: int  # longest run of swings lost, from the first mark on
+    confirmed: int  # ticks it took for free
+    touched: int  # those of them on which the leg touched something
+    touched_before: int  # those of these that began in touch, not with the touch itself
+    # swings until it called itself valid and went on to, None where it did not
     until_valid: int | None
-    valid_ns: int | None
-    wavered: bool
-    caught: int
-    caught_told: int
+    valid_ns: int | None  # when it did
+    wavered: bool  # whether it ever called itself anything else
+    caught: int  # swings that ended while the foot was held by the stage, but for the first few
+    caught_told: int  # those of them after which it called itself ambiguous
 
 
 def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
@@ -220,21 +200,15 @@ _BOOTSTRAPS: Final = 2000
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """A scenario's leg-runs, judged.
+    """A scenario's leg-runs, judged."""
 
-    Attributes:
-        scenario: which.
-        leg_runs: those that were recorded, in order; the simulation of the others diverged.
-        reference: the frozen learner on what each is compared against.
-        full_reference: the full learner on the same, which raises far fewer false alarms.
-        variants: every learner, leg-run by leg-run.
-    """
-
-    scenario: Scenario
+    scenario: Scenario  # which
+    # those that were recorded, in order; the simulation of the others diverged
     leg_runs: tuple[LegRun, ...]
-    reference: list[LegOutcome]
+    reference: list[LegOutcome]  # the frozen learner on what each is compared against
+    # the full learner on the same, which raises far fewer false alarms
     full_reference: list[LegOutcome]
-    variants: dict[Variant, list[Judged]]
+    variants: dict[Variant, list[Judged]]  # every learner, leg-run by leg-run
 
     @property
     def recordings(self) -> NDArray[np.intp]:

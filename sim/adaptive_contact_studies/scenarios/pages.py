@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.learn.lifecycle import ready_for_changes
 from adaptive_contact.score import LegOutcome
 from adaptive_contact_studies.scenarios.judge import Judgement
@@ -58,8 +58,6 @@ STYLE: Final[dict[str, Any]] = {
     "legend.fontsize": 8,
 }
 
-Array = NDArray[np.float64]
-
 _STATUS_COLOURS: Final = {
     "learning": "#b7c4cf",
     "valid": "#cfe3d4",
@@ -81,11 +79,6 @@ _GAP_S: Final = 3.0
 @styled(STYLE, "a page of plots")
 def draw_page(judgement: Judgement, folders: Folders, path: Path) -> bool:
     """Draw a scenario's page.
-
-    Args:
-        judgement: its leg-runs, judged.
-        folders: where its first recording and replay are.
-        path: of the picture.
 
     Returns:
         Whether there was anything to draw.
@@ -373,10 +366,6 @@ _LEARNERS: Final = {
 @styled(STYLE, "a page of plots")
 def draw_summary(results: Tree, path: Path) -> None:
     """Draw the summary page.
-
-    Args:
-        results: all figures.
-        path: of the picture.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

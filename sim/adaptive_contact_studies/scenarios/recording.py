@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import adaptive_contact_sim
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.score import (
     TruthChanges,
     contacts_of,
@@ -38,46 +39,29 @@ from adaptive_contact_studies.scenarios import staging
 from adaptive_contact_studies.scenarios.spec import RecordingSpec
 from adaptive_contact_studies.scenarios.staging import stagehand
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
-Flags = NDArray[np.bool_]
-
 FORMAT: Final = 1
 _TRUTH: Final = TruthChanges._fields
 
 
 @dataclass(frozen=True, eq=False)
 class LegRecord:
-    """One leg's stream, row k being control tick k.
+    """One leg's stream, row k being control tick k."""
 
-    Attributes:
-        measured: (n, J) rad, read at the start of tick k.
-        desired: (n, J) rad, written right after.
-        valid: (n, J) readings known to be good.
-        swing: (n,) the phase of tick k.
-        truth: changes of its true contact.
-    """
-
-    measured: Array
-    desired: Array
-    valid: Flags
-    swing: Flags
-    truth: TruthChanges
+    measured: Array  # (n, J) rad, read at the start of tick k
+    desired: Array  # (n, J) rad, written right after
+    valid: Mask  # (n, J) readings known to be good
+    swing: Mask  # (n,) the phase of tick k
+    truth: TruthChanges  # changes of its true contact
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The kept legs of a run.
+    """The kept legs of a run."""
 
-    Attributes:
-        t_ns: (n,) time stamps of the ticks.
-        legs: by name.
-    """
+    t_ns: Ints  # (n,) time stamps of the ticks
+    legs: dict[str, LegRecord]  # by name
 
-    t_ns: Times
-    legs: dict[str, LegRecord]
-
-    def touching(self, leg: str) -> Flags:
+    def touching(self, leg: str) -> Mask:
         """(n,) whether the leg touched anything between the sample before and this one."""
         contacts = contacts_of(self.legs[leg].truth, int(self.t_ns[0]))
         before = np.concatenate((self.t_ns[:1], self.t_ns[:-1]))

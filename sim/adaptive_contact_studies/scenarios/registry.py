@@ -44,6 +44,7 @@ from adaptive_contact_studies.scenarios.runs import (
     without_staging,
 )
 from adaptive_contact_studies.scenarios.spec import (
+    ALL_VARIANTS,
     GOALS_VARIANTS,
     BaselineChoice,
     Expect,
@@ -76,21 +77,19 @@ WALKING_STEPS: Final = ("friction4", "supply94", "compliance2", "joint6")
 
 def steps(sizes: Sizes) -> list[Scenario]:
     """Every kind of step in pose, the four of the design while walking."""
-    return [
-        *(_pose_step(f"step-{name}", *entry, sizes) for name, entry in STEPS.items()),
-        *(_walk_step(f"walk-{name}", *STEPS[name], sizes) for name in WALKING_STEPS),
-    ]
-
-
-def _pose_step(name: str, about: str, what: What, sizes: Sizes) -> Scenario:
     at_s, end_s = sizes.before_s, sizes.before_s + sizes.after_s
-    return _change(name, about, at_s, end_s, pose_runs(sizes, end_s), what)
-
-
-def _walk_step(name: str, about: str, what: What, sizes: Sizes) -> Scenario:
-    at_s, end_s = sizes.walk_before_s, sizes.walk_before_s + sizes.walk_after_s
-    made = _change(name, f"walking, all legs: {about}", at_s, end_s, walk_runs(sizes, end_s), what)
-    return replace(made, motion="walk", phases=around(at_s, end_s, WALK_SWING_S), mixed=False)
+    walk_at_s, walk_end_s = sizes.walk_before_s, sizes.walk_before_s + sizes.walk_after_s
+    poses, walks = pose_runs(sizes, end_s), walk_runs(sizes, walk_end_s)
+    made = [
+        _change(f"step-{name}", about, at_s, end_s, poses, what)
+        for name, (about, what) in STEPS.items()
+    ]
+    for name in WALKING_STEPS:
+        about, what = f"walking, all legs: {STEPS[name][0]}", STEPS[name][1]
+        made.append(
+            _change(f"walk-{name}", about, walk_at_s, walk_end_s, walks, what, swing_s=WALK_SWING_S)
+        )
+    return made
 
 
 def _change(
@@ -100,18 +99,40 @@ def _change(
     end_s: float,
     runs: Iterable[RecordingSpec],
     *changes: What,
+    swing_s: float = POSE_SWING_S,
 ) -> Scenario:
-    """Changes at one moment, in pose, to recover from."""
+    """Changes at one moment, to recover from."""
+    recordings = tuple(drifting(spec, run, at_s, *changes) for run, spec in enumerate(runs))
     return Scenario(
         name=name,
         about=about,
-        motion="pose",
         expect=Expect.RECOVER,
-        recordings=tuple(drifting(spec, run, at_s, *changes) for run, spec in enumerate(runs)),
-        phases=around(at_s, end_s, POSE_SWING_S),
+        recordings=recordings,
+        phases=around(at_s, end_s, swing_s),
         judged=("after",),
         marks=(Mark("step", at_s),),
         twin=without_drift,
+        mixed=not recordings[0].walks,
+    )
+
+
+def _still(
+    name: str,
+    about: str,
+    recordings: tuple[RecordingSpec, ...],
+    seconds: float,
+    variants: tuple[Variant, ...] = ALL_VARIANTS,
+) -> Scenario:
+    """Nothing changes."""
+    return Scenario(
+        name=name,
+        about=about,
+        expect=Expect.QUIET,
+        recordings=recordings,
+        phases=(Phase("all", 0.0, seconds),),
+        judged=("all",),
+        variants=variants,
+        mixed=not recordings[0].walks,
     )
 
 
@@ -141,7 +162,6 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
         Scenario(
             name=name,
             about=about,
-            motion="pose",
             expect=Expect.FOLLOW,
             recordings=tuple(
                 drifting(spec, run, at_s, what, duration_s=sizes.slow_s)
@@ -160,7 +180,6 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
     pulse = Scenario(
         name="pulse-mud",
         about=f"100 g of mud for {minutes(sizes.pulse_s)}, then it is washed off",
-        motion="pose",
         expect=Expect.RECOVER,
         recordings=tuple(
             drifting(spec, run, at_s, mud, duration_s=sizes.pulse_s)
@@ -219,7 +238,6 @@ def contacts(sizes: Sizes) -> list[Scenario]:
         Scenario(
             name=name,
             about=about,
-            motion="pose",
             expect=Expect.UNPOISONED,
             recordings=all_touch(sizes, end_s, Staging(schedule, level_m), soft),
             phases=(
@@ -249,7 +267,6 @@ def walking_contacts(sizes: Sizes) -> list[Scenario]:
         Scenario(
             name=name,
             about=about,
-            motion="walk",
             expect=Expect.UNPOISONED,
             recordings=walk_runs(sizes, seconds, ground),
             # No swing ends without a contact here: there is nothing before, only early and late.
@@ -268,7 +285,6 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     stand = Scenario(
         name="stand-10min",
         about=f"a leg swings, stands for {round_s * 5 / 6 / 60:.0f} min, and swings again",
-        motion="pose",
         expect=Expect.UNHARMED,
         recordings=turns,
         phases=(Phase("before", 0.0, round_s), Phase("after", round_s, 2 * round_s)),
@@ -280,7 +296,6 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     caught = Scenario(
         name="caught-30s",
         about=f"a foot hangs in a root for {sizes.caught_s:g} s, through all its swings",
-        motion="pose",
         expect=Expect.RECOVER,
         recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s))),
         phases=(
@@ -311,7 +326,6 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     readings = Scenario(
         name="readings-3pct",
         about="of every joint's readings 3 % do not come, and 3 % are old ones",
-        motion="pose",
         expect=Expect.UNHARMED,
         recordings=tuple(
             replace(spec, settings=replace(spec.settings, encoder=faults))
@@ -341,7 +355,6 @@ def starts(sizes: Sizes) -> list[Scenario]:
         return Scenario(
             name=name,
             about=about,
-            motion="pose",
             expect=Expect.START,
             recordings=recordings,
             phases=phases,
@@ -362,33 +375,12 @@ def steady(sizes: Sizes) -> list[Scenario]:
     """Nothing changes."""
     pose_s = sizes.before_s + sizes.slow_s + sizes.slow_after_s
     walk_s = 20.0 + sizes.contact_swings * WALK_SWING_S
-    walks = walks_without_change(sizes)
-
-    def still(
-        name: str, about: str, recordings: tuple[RecordingSpec, ...], seconds: float
-    ) -> Scenario:
-        walking = isinstance(recordings[0].settings.motion, WalkSettings)
-        return Scenario(
-            name=name,
-            about=about,
-            motion="walk" if walking else "pose",
-            expect=Expect.QUIET,
-            recordings=recordings,
-            phases=(Phase("all", 0.0, seconds),),
-            judged=("all",),
-            # Hours of walking; the variants in between have the contact runs.
-            variants=GOALS_VARIANTS if walking else tuple(Variant),
-            mixed=not walking,
-        )
-
+    walks = tuple(walk_run(sizes, run, walk_s) for run in range(walks_without_change(sizes)))
+    about = "nothing changes, hours over rough ground"
     return [
-        still("steady-pose", "nothing changes", pose_runs(sizes, pose_s), pose_s),
-        still(
-            "steady-walk",
-            "nothing changes, hours over rough ground",
-            tuple(walk_run(sizes, run, walk_s) for run in range(walks)),
-            walk_s,
-        ),
+        _still("steady-pose", "nothing changes", pose_runs(sizes, pose_s), pose_s),
+        # Hours of walking; the variants in between have the contact runs.
+        _still("steady-walk", about, walks, walk_s, GOALS_VARIANTS),
     ]
 
 
@@ -402,14 +394,20 @@ _RUBS: Final = What("friction", 4.0)
 
 def other_robots(sizes: Sizes) -> list[Scenario]:
     """The rows of both robots."""
+    at_s, end_s = sizes.walk_before_s, sizes.walk_before_s + sizes.walk_after_s
+    trots, trot_s = _runs("trot", sizes, end_s)
+    walks, _ = _runs("walk", sizes, end_s)
+    poses, pose_s = _runs(None, sizes, end_s)
+    still = "nothing changes: a quadruped {} over rough ground"
+    trot = "a trotting quadruped: its joints rub 4 times as much"
+    pose = "a leg of five joints: they rub 4 times as much"
     return [
-        _still("quadruped12-trot", "a quadruped trots over rough ground", "trot", sizes),
-        _still("quadruped12-walk", "a quadruped walks over rough ground", "walk", sizes),
-        _step("quadruped12-friction4", "a trotting quadruped: its joints rub 4 times as much",
-              "trot", sizes),
-        _still("leg5-plates", "a leg of five joints meets plates", None, sizes),
-        _step("leg5-friction4", "a leg of five joints: they rub 4 times as much", None, sizes),
-    ]  # fmt: skip
+        _still("quadruped12-trot", still.format("trots"), trots, end_s),
+        _still("quadruped12-walk", still.format("walks"), walks, end_s),
+        _change("quadruped12-friction4", trot, at_s, end_s, trots, _RUBS, swing_s=trot_s),
+        _still("leg5-plates", "nothing changes: a leg of five joints meets plates", poses, end_s),
+        _change("leg5-friction4", pose, at_s, end_s, poses, _RUBS, swing_s=pose_s),
+    ]
 
 
 def _runs(
@@ -432,38 +430,6 @@ def _runs(
     return tuple(
         RecordingSpec(replace(settings, seed=first + run), seconds, legs) for run in range(count)
     ), cycle_s
-
-
-def _still(name: str, about: str, gait: GaitName | None, sizes: Sizes) -> Scenario:
-    seconds = sizes.walk_before_s + sizes.walk_after_s
-    recordings, _ = _runs(gait, sizes, seconds)
-    return Scenario(
-        name=name,
-        about=f"nothing changes: {about}",
-        motion="pose" if gait is None else "walk",
-        expect=Expect.QUIET,
-        recordings=recordings,
-        phases=(Phase("all", 0.0, seconds),),
-        judged=("all",),
-        mixed=gait is None,
-    )
-
-
-def _step(name: str, about: str, gait: GaitName | None, sizes: Sizes) -> Scenario:
-    at_s, end_s = sizes.walk_before_s, sizes.walk_before_s + sizes.walk_after_s
-    recordings, cycle_s = _runs(gait, sizes, end_s)
-    return Scenario(
-        name=name,
-        about=about,
-        motion="pose" if gait is None else "walk",
-        expect=Expect.RECOVER,
-        recordings=tuple(drifting(spec, run, at_s, _RUBS) for run, spec in enumerate(recordings)),
-        phases=around(at_s, end_s, cycle_s),
-        judged=("after",),
-        marks=(Mark("step", at_s),),
-        twin=without_drift,
-        mixed=gait is None,
-    )
 
 
 def scenarios(sizes: Sizes = FULL_SIZES) -> dict[str, Scenario]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import adaptive_contact
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact.leg_learner import ContactLearner
@@ -36,9 +37,6 @@ from adaptive_contact_studies.scenarios.learners import learner, reference_basel
 from adaptive_contact_studies.scenarios.recording import Recording, key_of
 from adaptive_contact_studies.scenarios.spec import ReplaySpec, Variant
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
-
 FORMAT: Final = 2
 STATUSES: Final[tuple[Status, ...]] = get_args(Status)
 # Packages whose source decides what a learner does with a recording.
@@ -46,68 +44,44 @@ _LEARNING: Final = ("model", "fit", "detect", "learn", "diagnose", "robot")
 
 
 class SwingLog(NamedTuple):
-    """How a learner was at the first sample after each swing, (s,) each.
+    """How a learner was at the first sample after each swing, (s,) each."""
 
-    Attributes:
-        t_ns: of that sample.
-        status: position in :data:`STATUSES`.
-        version: of the model.
-        level: drift level.
-        kind: of the change that is reported, position in ``KINDS``; -1 for none.
-        residual_rad: root mean square of recent free residuals, mean over joints.
-        swings, ticks: in the buffer.
-        promoted, refused, rolled_back: refits so far.
-    """
-
-    t_ns: Times
-    status: Times
-    version: Times
-    level: Array
-    kind: Times
-    residual_rad: Array
-    swings: Times
-    ticks: Times
-    promoted: Times
-    refused: Times
-    rolled_back: Times
+    t_ns: Ints  # of that sample
+    status: Ints  # position in `STATUSES`
+    version: Ints  # of the model
+    level: Array  # drift level
+    kind: Ints  # of the change that is reported, position in `KINDS`; -1 for none
+    residual_rad: Array  # root mean square of recent free residuals, mean over joints
+    # swings, ticks: in the buffer
+    swings: Ints
+    ticks: Ints
+    # promoted, refused, rolled_back: refits so far
+    promoted: Ints
+    refused: Ints
+    rolled_back: Ints
 
 
 class Trace(NamedTuple):
-    """Everything a plot needs of one learner.
+    """Everything a plot needs of one learner."""
 
-    Attributes:
-        residual_rad: (n, J), NaN where nothing was predicted.
-        score: (n,) statistic over threshold, NaN where the tick was not judged.
-        threshold: (n,) of a tick's squared distance, in the baseline's noise, NaN likewise: with
-            level, tail and the model's own uncertainty in it.
-        coefficients: (s, p, J) after each swing, of the terms in ``names``.
-        names: (p,) terms.
-    """
-
-    residual_rad: Array
-    score: Array
+    residual_rad: Array  # (n, J), NaN where nothing was predicted
+    score: Array  # (n,) statistic over threshold, NaN where the tick was not judged
+    # (n,) of a tick's squared distance, in the baseline's noise, NaN likewise: with level, tail and
+    # the model's own uncertainty in it
     threshold: Array
-    coefficients: Array
-    names: NDArray[np.str_]
+    coefficients: Array  # (s, p, J) after each swing, of the terms in `names`
+    names: NDArray[np.str_]  # (p,) terms
 
 
 @dataclass(frozen=True, eq=False)
 class LegReplay:
-    """What one learner made of one leg.
+    """What one learner made of one leg."""
 
-    Attributes:
-        events: in order.
-        log: swing by swing.
-        confirmed: ticks it took for free.
-        touched_ns: those of them on which the leg touched something.
-        trace: of the first leg of the traced recording.
-    """
-
-    events: Events
-    log: SwingLog
-    confirmed: int
-    touched_ns: Times
-    trace: Trace | None = None
+    events: Events  # in order
+    log: SwingLog  # swing by swing
+    confirmed: int  # ticks it took for free
+    touched_ns: Ints  # those of them on which the leg touched something
+    trace: Trace | None = None  # of the first leg of the traced recording
 
 
 Replayed = dict[str, dict[Variant, LegReplay]]
@@ -166,7 +140,7 @@ class _Watch:
             self._names = model.library.names
             self._coefficients.append(model.coefficients.copy())
 
-    def result(self, touching: NDArray[np.bool_], t_ns: Times) -> LegReplay:
+    def result(self, touching: Mask, t_ns: Ints) -> LegReplay:
         """All that was seen."""
         self.confirmed.extend(self.learner.drain_confirmed())
         columns = list(zip(*self._rows, strict=True)) or [()] * len(SwingLog._fields)
@@ -189,10 +163,6 @@ class _Watch:
 
 def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
     """Feed a recording to new learners, all legs and variants of a tick at once.
-
-    Args:
-        spec: which learners.
-        recording: that of the spec.
 
     Returns:
         By leg and variant, what came of it.

@@ -128,11 +128,6 @@ SUMMARY: Final = "summary"
 def write_report(results: Tree, folders: Folders, docs: Path) -> Path:
     """Write the page, and put its pictures beside it.
 
-    Args:
-        results: all figures.
-        folders: where the pictures are.
-        docs: folder of the documentation.
-
     Returns:
         The path of the page.
 
@@ -151,12 +146,7 @@ def write_report(results: Tree, folders: Folders, docs: Path) -> Path:
 
 
 def report_text(results: Tree, pictures: set[str]) -> str:
-    """The page's text.
-
-    Args:
-        results: all figures.
-        pictures: scenarios that have a page of plots; with :data:`SUMMARY` for the summary.
-    """
+    """The page's text."""
     table = results["scenarios"]
     goals = [(_link(name), goal) for name in table for goal in table[name]["goals"]]
     for pool in results["pooled"].values():

@@ -39,16 +39,11 @@ CAUGHT_UNTOLD: Final = 0.1
 
 @dataclass(frozen=True)
 class Goal:
-    """A figure, and what it should be at most.
+    """A figure, and what it should be at most."""
 
-    Attributes:
-        what: of the full learner, with its unit.
-        limit: that it should not exceed.
-        measured: None for one that is not finite: a leg that never recovered, for instance.
-    """
-
-    what: str
-    limit: float
+    what: str  # of the full learner, with its unit
+    limit: float  # that it should not exceed
+    # None for one that is not finite: a leg that never recovered, for instance
     measured: float | None
 
     @property
@@ -58,12 +53,7 @@ class Goal:
 
 
 def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
-    """The goals of a scenario, from its figures.
-
-    Args:
-        scenario: which.
-        tree: of :func:`~adaptive_contact_studies.scenarios.judge.figures`.
-    """
+    """The goals of a scenario, from its figures."""
     full = tree["variants"][Variant.FULL.value]
     made = {
         Expect.RECOVER: _recover,
@@ -83,9 +73,6 @@ def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
 
 def pooled(table: Mapping[str, Tree]) -> Tree:
     """Figures and goals over several scenarios together, by the name of what is pooled.
-
-    Args:
-        table: of figures, by name of the scenario.
 
     Returns:
         ``steady``: the false alarms of the full learner over all that is quiet of the hexapod;
@@ -189,12 +176,7 @@ class Belongs(NamedTuple):
 
 
 def belongs(sizes: Sizes, size: str) -> Belongs:
-    """What figures made now belong to.
-
-    Args:
-        sizes: they are made with.
-        size: what those are called: ``full``, ``brief`` or ``quick``.
-    """
+    """What figures made now belong to."""
     return Belongs(
         VERSION,
         size,
@@ -207,13 +189,7 @@ def belongs(sizes: Sizes, size: str) -> Belongs:
 
 
 def form_of(size: str, sizes: Sizes, leg_runs: int | None) -> str:
-    """The name of a form: of its size, with the number of leg-runs where that is not the usual.
-
-    Args:
-        size: ``full``, ``brief`` or ``quick``.
-        sizes: that go by this name.
-        leg_runs: asked for, None for the usual.
-    """
+    """The name of a form: of its size, with the number of leg-runs where that is not the usual."""
     return size if leg_runs in (None, sizes.leg_runs) else f"{size}-{leg_runs}"
 
 
@@ -229,14 +205,7 @@ def best_form(out: Path) -> str:
 def results(
     judgements: Sequence[Judgement], sizes: Sizes, *, size: str, problems: Sequence[str] = ()
 ) -> Tree:
-    """The tree of some scenarios' figures.
-
-    Args:
-        judgements: of the scenarios.
-        sizes: they were made with.
-        size: what those are called: ``full``, ``brief`` or ``quick``.
-        problems: runs that have no recording, one line each.
-    """
+    """The tree of some scenarios' figures."""
     table = {}
     for judgement in judgements:
         tree = figures(judgement)
@@ -274,11 +243,6 @@ def merge(new: Tree, path: Path) -> Tree:
 
 def refuse_to_lose(path: Path, made: Belongs, names: Collection[str]) -> None:
     """Look whether new figures would push out old ones: one table, one learner.
-
-    Args:
-        path: of the file with the old ones; there may be none.
-        made: what the new ones belong to.
-        names: scenarios that are made again.
 
     Raises:
         ConfigurationError: they would.

@@ -31,18 +31,13 @@ RESULTS: Final = "results-{form}.json"
 
 
 class Folders(NamedTuple):
-    """Where things are kept.
+    """Where things are kept."""
 
-    Attributes:
-        recordings, replays: files named by hashes.
-        pages: pictures of one form.
-        results: its figures.
-    """
-
+    # recordings, replays: files named by hashes
     recordings: Path
     replays: Path
-    pages: Path
-    results: Path
+    pages: Path  # pictures of one form
+    results: Path  # its figures
 
     @classmethod
     def of(cls, out: Path, form: str = FULL) -> Folders:
@@ -50,10 +45,6 @@ class Folders(NamedTuple):
 
         Recordings and replays are named by what is in them, and shared; figures and pictures are
         those of one form, so that a quick look never stands in for the whole.
-
-        Args:
-            out: the folder.
-            form: of the run, such as ``full`` or ``brief``.
 
         Raises:
             ConfigurationError: they cannot be made.
@@ -125,12 +116,6 @@ def run(
     progress: Callable[[Done], None] = lambda _: None,
 ) -> list[str]:
     """Do jobs.
-
-    Args:
-        work: what is missing.
-        folders: where it goes.
-        processes: how many at a time; with one, no other process is started.
-        progress: called with every job that is done.
 
     Returns:
         Why some have no replays, one line each.

@@ -43,37 +43,24 @@ _TURNS: Final = 400
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much of everything; times in s of simulated time.
+    """How much of everything; times in s of simulated time."""
 
-    Attributes:
-        leg_runs: behind every figure, at least.
-        before_s, after_s: around a step.
-        walk_before_s, walk_after_s: around a step while walking.
-        slow_s: length of a ramp or a random walk, with ``before_s`` before it.
-        slow_after_s: after a ramp or a random walk.
-        pulse_s: length of a pulse.
-        contact_swings: in a row that end in contact.
-        turn_trials: of a leg between two long rests, each of which lasts five turns.
-        caught_s: how long a foot is caught.
-        start_s: of a start without a baseline, or with a wrong one.
-        steady_walks: walks without drift, per leg-run asked for.
-        first_seed: of all runs.
-    """
-
-    leg_runs: int = 20
+    leg_runs: int = 20  # behind every figure, at least
+    # before_s, after_s: around a step
     before_s: float = 30.0
     after_s: float = 80.0
+    # walk_before_s, walk_after_s: around a step while walking
     walk_before_s: float = 60.0
     walk_after_s: float = 180.0
-    slow_s: float = 600.0
-    slow_after_s: float = 60.0
-    pulse_s: float = 60.0
-    contact_swings: int = 500
-    turn_trials: int = 262
-    caught_s: float = 30.0
-    start_s: float = 140.0
-    steady_walks: float = 3.0
-    first_seed: int = 7000
+    slow_s: float = 600.0  # length of a ramp or a random walk, with `before_s` before it
+    slow_after_s: float = 60.0  # after a ramp or a random walk
+    pulse_s: float = 60.0  # length of a pulse
+    contact_swings: int = 500  # in a row that end in contact
+    turn_trials: int = 262  # of a leg between two long rests, each of which lasts five turns
+    caught_s: float = 30.0  # how long a foot is caught
+    start_s: float = 140.0  # of a start without a baseline, or with a wrong one
+    steady_walks: float = 3.0  # walks without drift, per leg-run asked for
+    first_seed: int = 7000  # of all runs
 
 
 FULL_SIZES: Final = Sizes()

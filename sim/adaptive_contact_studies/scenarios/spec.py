@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple
 
 from adaptive_contact_sim.simulation import SimulationSettings
+from adaptive_contact_sim.walk import WalkSettings
 
 
 class Variant(enum.StrEnum):
@@ -61,105 +62,80 @@ class Phase(NamedTuple):
 
 @dataclass(frozen=True)
 class Staging:
-    """What the simulator's own settings cannot say.
+    """What the simulator's own settings cannot say."""
 
-    Attributes:
-        contacts: from which second on which share of descents meets an obstacle, in order of
-            time; empty leaves the motion's own share.
-        level_m: height in the coxa's frame at which every obstacle stands, m.
-        caught_s: from when to when the foot of the moving leg is held by a spring.
-        trails_n: the foot is not held then, but trails something that pulls against its motion, N.
-    """
-
+    # from which second on which share of descents meets an obstacle, in order of time; empty leaves
+    # the motion's own share
     contacts: tuple[tuple[float, float], ...] = ()
-    level_m: float | None = None
+    level_m: float | None = None  # height in the coxa's frame at which every obstacle stands, m
+    # from when to when the foot of the moving leg is held by a spring
     caught_s: tuple[float, float] | None = None
+    # the foot is not held then, but trails something that pulls against its motion, N
     trails_n: float | None = None
 
 
 @dataclass(frozen=True)
 class RecordingSpec:
-    """Everything that decides a recording.
+    """Everything that decides a recording."""
 
-    Attributes:
-        settings: of the simulator.
-        seconds: simulated.
-        legs: that are kept.
-        staging: what is done besides.
-    """
+    settings: SimulationSettings  # of the simulator
+    seconds: float  # simulated
+    legs: tuple[str, ...]  # that are kept
+    staging: Staging = field(default_factory=Staging)  # what is done besides
 
-    settings: SimulationSettings
-    seconds: float
-    legs: tuple[str, ...]
-    staging: Staging = field(default_factory=Staging)
+    @property
+    def walks(self) -> bool:
+        """Whether the robot walks; else some of its legs move in pose."""
+        return isinstance(self.settings.motion, WalkSettings)
 
 
 @dataclass(frozen=True)
 class ReplaySpec:
-    """A recording as some learners see it.
+    """A recording as some learners see it."""
 
-    Attributes:
-        recording: what is replayed.
-        baseline: what the learners start from.
-        variants: replayed side by side.
-        trace: of the first leg keep residuals and scores of every tick, and the models' terms, for
-            a plot.
-    """
-
-    recording: RecordingSpec
-    baseline: BaselineChoice = "shipped"
-    variants: tuple[Variant, ...] = ALL_VARIANTS
+    recording: RecordingSpec  # what is replayed
+    baseline: BaselineChoice = "shipped"  # what the learners start from
+    variants: tuple[Variant, ...] = ALL_VARIANTS  # replayed side by side
+    # of the first leg keep residuals and scores of every tick, and the models' terms, for a plot
     trace: bool = False
 
 
 class LegRun(NamedTuple):
-    """One leg of one recording, with what it is compared against.
+    """One leg of one recording, with what it is compared against."""
 
-    Attributes:
-        leg: whose.
-        replay: the scenario's.
-        reference: what its frozen learner makes of it is what can be had: the same recording
-            without what the scenario does.
-    """
-
-    leg: str
-    replay: ReplaySpec
+    leg: str  # whose
+    replay: ReplaySpec  # the scenario's
+    # what its frozen learner makes of it is what can be had: the same recording without what the
+    # scenario does
     reference: ReplaySpec
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario; its name and seeds are permanent.
+    """A scenario; its name and seeds are permanent."""
 
-    Attributes:
-        name: such as ``step-friction4``.
-        about: one line.
-        motion: ``pose`` or ``walk``.
-        expect: what it is held to.
-        recordings: what is replayed.
-        phases: stretches with figures of their own, the last one being that after all.
-        marks: moments from which recovery is counted.
-        judged: names of the phases over which recall lost and false alarms are held to something.
-        twin: turns a recording into the one it is compared against.
-        baseline: what the learners start from.
-        variants: that are replayed.
-        mixed: swings with and without contact come mixed, so that recovery needs some of each.
-        poisonous: there is much contact to be learned by mistake; what is, is held to a limit.
-    """
-
-    name: str
-    about: str
-    motion: Literal["pose", "walk"]
-    expect: Expect
-    recordings: tuple[RecordingSpec, ...]
+    name: str  # such as `step-friction4`
+    about: str  # one line
+    expect: Expect  # what it is held to
+    recordings: tuple[RecordingSpec, ...]  # what is replayed
+    # stretches with figures of their own, the last one being that after all
     phases: tuple[Phase, ...]
+    # names of the phases over which recall lost and false alarms are held to something
     judged: tuple[str, ...]
-    marks: tuple[Mark, ...] = ()
+    marks: tuple[Mark, ...] = ()  # moments from which recovery is counted
+    # turns a recording into the one it is compared against
     twin: Callable[[RecordingSpec], RecordingSpec] = lambda recording: recording
-    baseline: BaselineChoice = "shipped"
-    variants: tuple[Variant, ...] = ALL_VARIANTS
+    baseline: BaselineChoice = "shipped"  # what the learners start from
+    variants: tuple[Variant, ...] = ALL_VARIANTS  # that are replayed
+    # swings with and without contact come mixed, so that recovery needs some of each
     mixed: bool = True
+    # there is much contact to be learned by mistake; what is, is held to a limit
     poisonous: bool = False
+
+    @property
+    def motion(self) -> Literal["pose", "walk"]:
+        """How its robot moves."""
+        return "walk" if self.recordings[0].walks else "pose"
 
     @property
     def robot(self) -> str:

@@ -76,16 +76,7 @@ def _level_motion(sim: Simulation, level_m: float) -> Motion:
 
 
 class Stagehand:
-    """Does what a staging asks, tick by tick.
-
-    Args:
-        sim: the simulation.
-        staging: what to do.
-        leg: the leg that moves, whose foot may be caught.
-
-    Attributes:
-        caught_ns: when something got hold of the foot and let go of it, None where nothing did.
-    """
+    """Does what a staging asks, tick by tick."""
 
     def __init__(self, sim: Simulation, staging: Staging, leg: str) -> None:
         self._sim, self._staging = sim, staging
@@ -95,6 +86,7 @@ class Stagehand:
         self._body = int(sim.plant.model.site_bodyid[self._site])
         self._anchor: Array | None = None
         self._jacobian = np.zeros((3, sim.plant.model.nv))
+        # when something got hold of the foot and let go of it, None where nothing did
         self.caught_ns: tuple[int, int] | None = None
         if (staging.contacts or staging.level_m is not None) and not sim.courses:
             raise ConfigurationError("obstacles can be staged in pose only; this is a walk")

@@ -44,11 +44,6 @@ def needs_matplotlib(what: str, extra: str) -> None:
 def styled(style: Mapping[str, Any], what: str, extra: str = "studies") -> Iterator[None]:
     """Draw in a style, whatever that of matplotlib is; decorates a function, too.
 
-    Args:
-        style: matplotlib's parameters.
-        what: is drawn, for the error.
-        extra: that installs matplotlib.
-
     Raises:
         MissingExtraError: matplotlib is not installed.
     """

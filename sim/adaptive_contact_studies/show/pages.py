@@ -71,11 +71,6 @@ def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **give
 def write_page(path: Path, text: str | bytes, advice: str) -> None:
     """Write a page or its picture, whole or not at all, into a folder that is made if need be.
 
-    Args:
-        path: where to.
-        text: of the page, or bytes of the picture.
-        advice: what to do where it cannot be written.
-
     Raises:
         ConfigurationError: it cannot be written there.
     """

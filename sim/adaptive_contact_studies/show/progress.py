@@ -23,13 +23,7 @@ class Advance(Protocol):
 
 @contextmanager
 def progress(console: Console, what: str, total: float) -> Iterator[Advance]:
-    """Show how far some work is, and in the end how long it took.
-
-    Args:
-        console: where.
-        what: is done.
-        total: amount of it.
-    """
+    """Show how far some work is, and in the end how long it took."""
     start = last = time.monotonic()
     done = 0.0
     bar = Progress(

@@ -17,8 +17,7 @@ from adaptive_contact_studies import cache
 from adaptive_contact_studies.paper import identification, models
 from adaptive_contact_studies.paper.analytical import Gains
 from adaptive_contact_studies.paper.plan import QUICK
-from adaptive_contact_studies.paper.report import write_document
-from adaptive_contact_studies.paper.run import STAGES, run_paper
+from adaptive_contact_studies.paper.run import STAGES, run_paper, write_document
 
 TINY = dataclasses.replace(
     QUICK,
