@@ -3,3 +3,5 @@
 from __future__ import annotations
 
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, FitStatus, fit_sparse
+
+__all__ = ["Fit", "FitSettings", "FitStatus", "fit_sparse"]

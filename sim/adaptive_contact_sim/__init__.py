@@ -26,3 +26,27 @@ from adaptive_contact_sim.session import RunPlan, describe, run
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
+
+__all__ = [
+    "KINDS",
+    "EncoderSettings",
+    "Injection",
+    "ObstacleSettings",
+    "PoseGroupSettings",
+    "PoseSettings",
+    "RunPlan",
+    "Scenario",
+    "Simulation",
+    "SimulationSettings",
+    "TerrainSettings",
+    "WalkSettings",
+    "describe",
+    "drift_from",
+    "load_scenario",
+    "parse_drift",
+    "record_arrays",
+    "record_file",
+    "run",
+    "shipped_scenarios",
+    "simulated_robot",
+]

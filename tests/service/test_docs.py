@@ -33,7 +33,7 @@ OPERATING = (ROOT / "docs/operating.md").read_text(encoding="utf-8")
 
 MESSAGES = [
     getattr(wire, name)
-    for name in vars(wire)
+    for name in wire.__all__
     if isinstance(getattr(wire, name), type)
     and issubclass(getattr(wire, name), msgspec.Struct)
     and getattr(wire, name) is not Message

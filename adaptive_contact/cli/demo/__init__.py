@@ -26,6 +26,8 @@ from adaptive_contact.cli._web import (
     web_settings,
 )
 
+__all__ = ["demo"]
+
 _STOPPED = 130  # what a shell calls "ended by Ctrl-C"
 
 

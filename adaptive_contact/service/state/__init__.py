@@ -25,3 +25,22 @@ from adaptive_contact.service.state.store import (
     list_states,
     robot_folder,
 )
+
+__all__ = [
+    "FORMAT",
+    "Identity",
+    "Record",
+    "Refused",
+    "StateFacts",
+    "StateKeeper",
+    "StateStore",
+    "Stored",
+    "default_folder",
+    "is_of_leg",
+    "list_rest",
+    "list_states",
+    "pack",
+    "robot_folder",
+    "settings_digest",
+    "unpack",
+]
