@@ -84,8 +84,7 @@ _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
         ),
         (
             r"no sample",
-            "Start what publishes this leg's samples; `adaptive-contact doctor` says what is "
-            "there.",
+            "Start the bridge or the controller; `adaptive-contact doctor` says what is there.",
         ),
         (
             r"another program publishes|restarts every few samples",
