@@ -70,7 +70,8 @@ def write_plot(path: Path, traces: Sequence[LegTrace], title: str) -> None:
     }
     summary = "no truth in the recording: contacts are drawn, not judged"
     if any(trace.truth is not None for trace in traces):
-        summary = ", ".join(f"{counts[kind]} {_STYLE[kind][0]}" for kind in _ORDER)
+        names = {kind: _STYLE[kind][0].removeprefix("missed, ") for kind in _ORDER}
+        summary = ", ".join(f"{counts[kind]} {names[kind]}" for kind in _ORDER)
     say(f"{path}: {summary}; {len(data) / 1000:.0f} kB", err=True)
 
 

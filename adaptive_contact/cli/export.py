@@ -47,7 +47,10 @@ def export(
             show_default=False,
         ),
     ],
-    out: Annotated[Path, option("--out", "File or folder.", "OUT", short="-o", show_default=False)],
+    out: Annotated[
+        Path | None,
+        option("--out", "File or folder [FILE-protobuf.mcap, FILE-csv …].", "OUT", short="-o"),
+    ] = None,
     force: ForceOption = False,
 ) -> None:
     """Convert a recording for other programs; nothing is resampled or renamed."""
@@ -56,6 +59,8 @@ def export(
 
     recording = read_recording(file)
     form = ExportFormat(to)
+    if out is None:
+        out = file.with_name(f"{file.stem}-{to}{'' if form.is_table else '.mcap'}")
     _check(file, out, form, force)
     started_s = time.perf_counter()
     live = sys.stderr.isatty()

@@ -9,21 +9,25 @@ had received before.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.ros2.cdr import CdrError, UnknownHashError
-from adaptive_contact.ros2.problems import OnProblem, Reason
+from adaptive_contact.ros2.problems import OnProblem, Reason, some
 from adaptive_contact.ros2.rmw import COMMANDS, FLAGS, STATES, RosType
 from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
 from adaptive_contact.wire import ContactTruth, Message, ServoSample
 
 _NS: Final = 1_000_000_000
-_SHOWN: Final = 4  # joints that a line names
 # Distinct sets of joint names of one topic that are kept.
 _MOST_LAYOUTS: Final = 64
+# A leg that has moved by so much, this long after its last command, follows commands that do not
+# arrive.  A leg that holds its pose needs none.
+_NO_COMMAND_S: Final = 1.0
+_MOVED_RAD: Final = 0.2
 
 # Reads a message of a type and a hash of its definition.
 Decode = Callable[[str, str, bytes], Any]
@@ -59,6 +63,10 @@ class _LegState:
         self.touches: bool | None = None
         self.commanded = False
         self.samples = 0
+        # Readings since the last command, and where the leg was when they became too many.
+        self.waited = 0
+        self.held: list[float] | None = None
+        self.left = False
 
 
 class _Roles:
@@ -107,6 +115,7 @@ class Intake:
         self._roles: dict[str, _Roles] = {}
         self._ticks = TickCounter(run, robot.period_s * _NS, on_problem)
         self._layouts: dict[str, dict[tuple[str, ...], list[tuple[_LegState, list[int]]]]] = {}
+        self._no_command_ticks = round(_NO_COMMAND_S / robot.period_s)
         self._offset_ns: int | None = None
         # Switches that closed or opened before any stamp was seen.
         self._early: list[tuple[_LegState, bool, Origin]] = []
@@ -302,6 +311,8 @@ class Intake:
                 good = [math.isfinite(value) for value in desired]
                 self._not_finite(topic, leg, good, "the reference")
             return None
+        if commands is None and self._moves_without_command(topic, leg, measured):
+            return None
         return ServoSample(
             t_ns=t_ns,
             seq=seq,
@@ -320,15 +331,31 @@ class Intake:
         self._refuse(
             topic,
             Reason.NO_COMMAND,
-            f"leg '{leg.id}' has readings and no command yet for {_some(lacking)}; {remedy}",
+            f"leg '{leg.id}' has readings and no command yet for {some(lacking)}; {remedy}",
         )
+
+    def _moves_without_command(self, topic: str, leg: _LegState, measured: list[float]) -> bool:
+        """Whether the command in force is not known: the leg goes elsewhere, and none came."""
+        leg.waited += 1
+        if leg.waited == self._no_command_ticks:
+            leg.held = measured
+        if leg.held is not None and math.dist(measured, leg.held) > _MOVED_RAD:
+            leg.left = True
+        if leg.left:
+            self._refuse(
+                topic,
+                Reason.NO_COMMAND,
+                f"leg '{leg.id}' moves, and its last command is more than {_NO_COMMAND_S:g} s old; "
+                "no samples meanwhile: look whether the command topic is still published",
+            )
+        return leg.left
 
     def _not_finite(self, topic: str, leg: _LegState, good: list[bool], what: str) -> None:
         names = [name for name, finite in zip(leg.names, good, strict=True) if not finite]
         self._refuse(
             topic,
             Reason.NOT_FINITE,
-            f"{what} of {_some(names)} is NaN or infinite; not used: "
+            f"{what} of {some(names)} is NaN or infinite; not used: "
             "look whether the hardware answers and the controller is active",
         )
 
@@ -350,32 +377,45 @@ class Intake:
 
     def _lay_out(self, topic: str, names: tuple[str, ...]) -> list[tuple[_LegState, list[int]]]:
         where = {name: i for i, name in enumerate(names)}
+        twice = _twice(names)
         mapped: set[str] = set()
         found = []
         for leg in self._roles[topic].states:
             mapped.update(leg.names)
-            if all(name in where for name in leg.names):
+            if where.keys() >= set(leg.names) and twice.isdisjoint(leg.names):
                 found.append((leg, [where[name] for name in leg.names]))
-        others = [name for name in names if name not in mapped]
-        if others:
+        self._ignore(topic, [name for name in names if name not in mapped])
+        return found
+
+    def _ignore(self, topic: str, names: Sequence[str]) -> None:
+        if names:
             self._refuse(
                 topic,
                 Reason.UNMAPPED,
-                f"{_some(others)} belong to no leg of robot.toml; ignored: "
+                f"{some(names)} belong to no leg of robot.toml; ignored: "
                 "write them into [leg.ros2] joints if they should",
             )
-        return found
+
+    def _refuse_twice(self, topic: str, names: Sequence[str]) -> None:
+        self._refuse(
+            topic,
+            Reason.NAMED_TWICE,
+            f"a message has {some(names)} more than once; not used: name each joint once",
+        )
 
     def _tell_missing(self, topic: str, names: tuple[str, ...], *, whole: bool) -> None:
         """A leg that is there in part; of a controller's state, also one that is not there."""
+        twice = _twice(names)
         for leg in self._roles[topic].states:
+            if doubled := [name for name in leg.names if name in twice]:
+                self._refuse_twice(topic, doubled)
             lacking = [name for name in leg.names if name not in names]
             # Several nodes may publish one joint state topic, each its own joints.
             if lacking and (whole or len(lacking) < len(leg.names)):
                 self._refuse(
                     topic,
                     Reason.JOINTS_MISSING,
-                    f"leg '{leg.id}' lacks {_some(lacking)}; there are {_some(names)}: "
+                    f"leg '{leg.id}' lacks {some(lacking)}; there are {some(names)}: "
                     "correct [leg.ros2] joints",
                 )
 
@@ -385,17 +425,21 @@ class Intake:
         values = self._command_values(topic, type_name, message, roles)
         if values is None:
             return
+        known = {name for leg in roles.commands for name in leg.names}
+        if known.isdisjoint(values):
+            self._ignore(topic, list(values) or ["a command without joints"])
         bad = [name for name, value in values.items() if not math.isfinite(value)]
         if bad:
             self._refuse(
                 topic,
                 Reason.NOT_FINITE,
-                f"the command of {_some(bad)} is NaN or infinite; the last one stays in force",
+                f"the command of {some(bad)} is NaN or infinite; the last one stays in force",
             )
         for leg in roles.commands:
             for j, name in enumerate(leg.names):
                 if name in values and math.isfinite(values[name]):
                     leg.desired[j] = values[name]
+                    leg.waited, leg.held, leg.left = 0, None, False
 
     def _command_values(
         self, topic: str, type_name: str, message: Any, roles: _Roles
@@ -430,7 +474,10 @@ class Intake:
                 f"{len(positions)} positions for {len(names)} joints; expected one of each",
             )
             return None
-        return {name: float(value) for name, value in zip(names, positions, strict=True)}
+        if twice := _twice(names):
+            self._refuse_twice(topic, sorted(twice))
+        pairs = zip(names, positions, strict=True)
+        return {name: float(value) for name, value in pairs if name not in twice}
 
     # -- truth -------------------------------------------------------------------------------------
 
@@ -448,7 +495,6 @@ class Intake:
         return [(leg.id, ContactTruth(t_ns=t_ns, contact=touches, force=0.0))]
 
 
-def _some(names: Sequence[str]) -> str:
-    """Names for a line: a few, and how many more."""
-    more = len(names) - _SHOWN
-    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+def _twice(names: Sequence[str]) -> set[str]:
+    """Names that come more than once: nobody knows which value is meant."""
+    return {name for name, times in Counter(names).items() if times > 1}

@@ -5,7 +5,11 @@ from __future__ import annotations
 import enum
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Final
+
+_SHOWN: Final = 4  # names in a line
+_LONGEST_SHOWN: Final = 60  # letters of each; a stranger's may have thousands
 
 
 class Reason(enum.StrEnum):
@@ -19,6 +23,7 @@ class Reason(enum.StrEnum):
     NOT_FINITE = "not_finite"
     JOINTS_MISSING = "joints_missing"
     UNMAPPED = "unmapped"
+    NAMED_TWICE = "named_twice"
     NO_COMMAND = "no_command"
     TRAJECTORY = "trajectory"
     REPEATED = "repeated"
@@ -74,3 +79,10 @@ class Complaints:
             f"{topic}: {self.first[topic, reason]}" + (f" ({times} times)" if times > 1 else "")
             for (topic, reason), times in self.counts.items()
         ]
+
+
+def some(names: Sequence[str]) -> str:
+    """Names for a line: a few, and how many more."""
+    more = len(names) - _SHOWN
+    shown = [name[:_LONGEST_SHOWN] or "''" for name in names[:_SHOWN]]
+    return ", ".join(shown or ["none"]) + (f" and {more} more" if more > 0 else "")

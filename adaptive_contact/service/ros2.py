@@ -38,6 +38,7 @@ from adaptive_contact.wire import (
     LearnerStatus,
     ServoSample,
     decode,
+    leg_of_key,
     servo_key,
 )
 
@@ -230,7 +231,7 @@ class Gateway:
             self._ros.token(self._node.endpoint_token("MS", number, address, rmw.STREAM))
 
     def _note_learner(self, received: Received) -> None:
-        if received.key in self._learners or len(self._learners) < len(self._legs):
+        if leg_of_key(received.key) in self._legs:
             self._learners[received.key] = received
             self._learner_s = self._now_s()
 

@@ -18,6 +18,7 @@ import contextlib
 import hmac
 import ipaddress
 import json
+import os
 import secrets
 import socket
 from collections import deque
@@ -210,7 +211,8 @@ class Site:
                     "one"
                 ) from error
             raise ConfigurationError(
-                f"--host {host}: cannot listen there ({error}); give an address of this computer"
+                f"--host {host}: cannot listen there ({os.strerror(error.errno or 0)}); give an "
+                "address of this computer"
             ) from error
 
     @property

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 import typer
+import zstandard
 from typer.testing import CliRunner
 
 from adaptive_contact.cli.fit import gather
@@ -204,8 +205,6 @@ def read(path: Path, robot: Robot) -> tuple[dict[str, list[Message]], Any]:
     "compressed", [CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.FILE]
 )
 def test_a_bag_gives_what_was_on_the_wire(tmp_path, robot, storage, compressed) -> None:
-    if storage is StoragePlugin.MCAP and compressed is CompressionMode.MESSAGE:
-        pytest.skip("MCAP packs its chunks")
     ticks = walk()
     with BagWriter(tmp_path / "bag", storage=storage, compressed=compressed) as bag:
         for samples, truth in ticks:
@@ -225,6 +224,17 @@ def test_a_bag_gives_what_was_on_the_wire(tmp_path, robot, storage, compressed) 
         assert found[truth_key(leg)] == changes
     again = list(recording)
     assert len(again) == sum(map(len, found.values()))
+
+
+@pytest.mark.parametrize("bomb", [b"\x28\xb5\x2f\xfd", zstandard.compress(bytes(1 << 28))])
+def test_messages_that_do_not_unpack_are_a_line(tmp_path, robot, bomb) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        samples = walk(1)[0][0]
+        bag.tick(samples)
+        bag.put(STATE, bag.state(samples), START + TICK, raw=bomb)
+    found, recording = read(tmp_path / "bag", robot)
+    assert len(found[servo_key("lf")]) == 1
+    assert [note for note in recording.notes if "a message is no" in note]
 
 
 @pytest.mark.parametrize("name", ["bag.mcap", "bag.db3"])
@@ -399,6 +409,14 @@ def test_other_folders_and_bags_are_refused(tmp_path, robot) -> None:
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(RecordingError, match="a bag of ROS 1; convert it"):
         read_recording(tmp_path / "old.bag", robot)
+    for name in ("old.bag.active", "no_suffix", "folder/a.bag"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+        with pytest.raises(RecordingError, match="a bag of ROS 1; convert it"):
+            read_recording(tmp_path / name.removesuffix("/a.bag"), robot)
+    (tmp_path / "walk_0.mcap.zstd").write_bytes(b"\x28\xb5\x2f\xfd")
+    with pytest.raises(RecordingError, match="compressed as a whole; give the folder"):
+        read_recording(tmp_path / "walk_0.mcap.zstd", robot)
     (tmp_path / "bad.db3").write_bytes(b"nothing")
     with pytest.raises(RecordingError, match="cannot be read as a bag") as refused:
         list(read_recording(tmp_path / "bad.db3", robot))

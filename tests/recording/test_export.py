@@ -280,6 +280,19 @@ def test_damage_is_said_and_the_rest_exported(recorded: Path, tmp_path: Path) ->
     assert len(list(read_recording(tmp_path / "out.mcap"))) == intact
 
 
+@pytest.mark.parametrize(
+    ("to", "name"), [(Format.JSON, "walk-json.mcap"), (Format.CSV, "walk-csv")]
+)
+def test_without_a_name_it_lies_beside_the_recording(
+    recorded: Path, to: Format, name: str, tmp_path: Path
+) -> None:
+    copy = tmp_path / "here" / "walk.mcap"
+    copy.parent.mkdir()
+    copy.write_bytes(recorded.read_bytes())
+    export(copy, to)
+    assert {path.name for path in copy.parent.iterdir()} == {"walk.mcap", name}
+
+
 def test_what_is_there_stays_without_force(recorded: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     out.write_text("precious")

@@ -174,6 +174,45 @@ def test_missing_and_strange_joints_are_named(rig, made, joints) -> None:
     assert "leg 'rf' lacks rf_t" in used.problems[1][2]
 
 
+def test_a_joint_named_twice_takes_its_leg_only(rig, made, joints) -> None:
+    used = rig()
+    for seq in (1, 2):
+        assert set(state(used, made, [*joints, "lf_f", "tail", "tail"], seq)) == {"rf"}
+    assert used.reasons == [Reason.UNMAPPED, Reason.NAMED_TWICE, Reason.NAMED_TWICE]
+    assert "lf_f more than once" in used.problems[1][2]
+
+    commanded = rig(BOTH)
+    twice = made.joints([*joints, "rf_t"], [1.0] * 6 + [2.0])
+    commanded.take("/commands", RosType.JOINT_STATE, twice)
+    assert set(read(commanded, made, joints, 1)) == {"lf"}
+    assert commanded.reasons == [Reason.NAMED_TWICE, Reason.NO_COMMAND]
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        ([], "there are none:"),
+        ([""] * 6, "there are '', '', '', '' and 2 more:"),
+        (["x" * 10_000], f"there are {'x' * 60}:"),
+    ],
+)
+def test_whatever_joints_are_called_a_line_is_short(rig, made, names, shown) -> None:
+    used = rig()
+    assert state(used, made, names, 1) == {}
+    _, reason, line = used.problems[-1]
+    assert (reason, shown in line, len(line) < 400) == (Reason.JOINTS_MISSING, True, True)
+
+
+def test_names_that_change_their_order_with_each_message_are_followed(rig, made, joints) -> None:
+    used = rig()
+    for seq, names in enumerate(itertools.islice(itertools.permutations(joints), 200)):
+        angles = [0.1 * joints.index(name) for name in names]
+        message = made.state(list(names), angles, angles)
+        got = used.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, seq)
+        assert got["rf"].measured == got["rf"].desired == pytest.approx([0.3, 0.4, 0.5])
+    assert not used.problems
+
+
 def test_positions_that_are_not_there_are_told(rig, made, joints) -> None:
     used = rig()
     message = made.state(joints, [], [0.0] * 6)
@@ -204,6 +243,32 @@ def test_joint_states_may_come_in_parts(rig, made, joints) -> None:
     parts = [read(used, made, joints[at : at + 3], seq) for seq, at in ((1, 0), (2, 3), (5, 0))]
     assert [list(part) for part in parts] == [["lf"], ["rf"], ["lf"]]
     assert not used.problems
+
+
+def test_a_leg_that_moves_without_commands_gives_no_samples(rig, made, joints) -> None:
+    used = rig(BOTH)
+
+    def reads(seq: int, angle: float) -> set[str]:
+        message = made.joints(joints, [angle] * 3 + [0.0] * 3)
+        return set(used.take("/joint_states", RosType.JOINT_STATE, message, seq))
+
+    used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [0.0] * 6))
+    # On the way to its last command it moves, too, and then it holds its pose.
+    assert all(reads(seq, 1.0 - 0.02 * min(seq, 49)) == {"lf", "rf"} for seq in range(200))
+    assert not used.problems
+    assert reads(200, 0.5) == {"rf"}
+    assert reads(201, 0.02) == {"rf"}  # passing where it was says nothing
+    assert used.reasons == [Reason.NO_COMMAND] * 2
+    assert "leg 'lf' moves, and its last command is more than 1 s old" in used.problems[0][2]
+    used.take("/commands", RosType.JOINT_STATE, made.joints(joints[:3], [0.1] * 3))
+    assert reads(202, 0.1) == {"lf", "rf"}
+
+
+def test_a_command_of_strange_joints_is_named(rig, made, joints) -> None:
+    used = rig(BOTH)
+    used.take("/commands", RosType.JOINT_STATE, made.joints(["q1", "q2"], [0.0, 0.0]))
+    assert used.reasons == [Reason.UNMAPPED]
+    assert "q1, q2 belong to no leg" in used.problems[0][2]
 
 
 def test_an_array_needs_its_order(rig, made, joints) -> None:

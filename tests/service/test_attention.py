@@ -78,7 +78,7 @@ def test_one_cause_of_several_legs_is_one_entry() -> None:
     legs = status("lf", status="silent", note=note), status("rf", status="silent", note=note)
     (entry,) = look(view(service(), *legs), *legs)
     assert entry[:2] == ("error", ["lf", "rf"])
-    assert entry[3].startswith("Start what publishes")
+    assert entry[3].startswith("Start the bridge or the controller")
 
 
 def test_a_note_comes_with_its_own_remedy() -> None:

@@ -10,15 +10,26 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import zenoh
 import zenoh.ext
+from views import status
 
+from adaptive_contact.robot import load_robot
 from adaptive_contact.service.link import Link
-from adaptive_contact.wire import ContactEvent, ServoSample, contact_key, learner_key, servo_key
+from adaptive_contact.wire import (
+    MSGPACK,
+    ContactEvent,
+    ServoSample,
+    contact_key,
+    encode,
+    learner_key,
+    servo_key,
+)
 
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
@@ -26,7 +37,7 @@ from adaptive_contact.ros2 import rmw
 from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.ros2 import WAITING, Inbox
+from adaptive_contact.service.ros2 import WAITING, Gateway, Inbox
 
 pytestmark = pytest.mark.e2e
 
@@ -377,6 +388,18 @@ def test_a_topic_that_floods_drops_its_own_oldest() -> None:
     assert inbox.get(0.0) is None
     assert inbox.take_dropped() == {"/a": 36}
     assert inbox.take_dropped() == {}
+
+
+def test_learners_of_other_robots_take_no_places(config: Path) -> None:
+    service = cast(Link, SimpleNamespace(publisher=lambda key: None))
+    ros = cast(Link, SimpleNamespace(id="aa"))
+    gateway = Gateway(load_robot(config), service, ros, 1, lambda line: None)
+    for leg in ("x1", "x2", "x3", *LEGS):
+        payload = encode(status(leg=leg), MSGPACK)
+        gateway._note_learner(Received(learner_key(leg), payload, MSGPACK, 0, None))
+    shown = typestore().deserialize_cdr(gateway._diagnosis(None), RosType.DIAGNOSTICS)
+    names = [row.name for row in shown.status]
+    assert names == [*(f"adaptive_contact: leg {leg}" for leg in LEGS), "adaptive_contact: gateway"]
 
 
 def test_a_router_that_comes_back(serve, gateway, join, inbox, port) -> None:

@@ -2,7 +2,7 @@
 
 The topics of ``[ros2]`` become ``robot/leg/*/servo`` and, of foot switches, ``robot/leg/*/truth``.
 MCAP files are walked from the front as any recording, so that a bag whose recorder was killed is
-read up to there; db3 files and compressed bags are read by rosbags.
+read up to there; db3 files and files compressed as a whole are read by rosbags.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import zstandard
+
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot
 from adaptive_contact.ros2 import needs_rosbags
@@ -20,10 +22,13 @@ from adaptive_contact.ros2.intake import Intake, check_mapped
 from adaptive_contact.ros2.problems import Complaints, Reason
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.service.recording.format import Record
-from adaptive_contact.service.recording.reader import Recording
+from adaptive_contact.service.recording.reader import ROS_1, Recording
 from adaptive_contact.wire import MSGPACK, ContactTruth, encode, servo_key, truth_key
 
 _SHOWN: Final = 6
+# Begins a message that its recorder compressed by itself, and no CDR.
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+_MOST_BYTES: Final = 1 << 20  # of such a message
 
 
 class _Message(NamedTuple):
@@ -88,7 +93,7 @@ class Bag(Recording):
             if message.topic not in topics:
                 continue
             content = intake.read(
-                decode, message.topic, message.type, message.hash, message.payload
+                decode, message.topic, message.type, message.hash, _unpacked(message.payload)
             )
             if content is None:
                 continue
@@ -114,12 +119,18 @@ class Bag(Recording):
     def _find_files(self) -> list[Path]:
         """Files of the bag in their order; the folder itself where rosbags is to read it."""
         path = self.path
-        if path.suffix == ".bag":
-            raise RecordingError(
-                f"{path}: a bag of ROS 1; convert it with `rosbags-convert --src {path} --dst DIR`"
-            )
         if not path.exists():
             raise RecordingError(f"{path}: cannot be read (no such file); give a bag")
+        old = [path] if not path.is_dir() else sorted(path.glob("*.bag*"))
+        for file in filter(_is_ros_1, old):
+            raise RecordingError(
+                f"{file}: a bag of ROS 1; convert it with `rosbags-convert --src {file} --dst DIR`"
+            )
+        if path.suffix == ".zstd":
+            raise RecordingError(
+                f"{path}: compressed as a whole; give the folder of the bag, which has a "
+                "metadata.yaml, or unpack the file with `zstd -d`"
+            )
         if not path.is_dir():
             return [path]
         files = sorted((*path.glob("*.mcap"), *path.glob("*.db3")), key=_number)
@@ -172,6 +183,20 @@ class Bag(Recording):
         if damage is not None:
             which = "" if path == self.path else f"{path.name}: "
             self.damage = f"{which}{damage}" if self.damage is None else self.damage
+
+
+def _is_ros_1(path: Path) -> bool:
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        return file.read(len(ROS_1)) == ROS_1
+    return False
+
+
+def _unpacked(payload: bytes) -> bytes:
+    """Unpack a message of ``ros2 bag record --compression-mode message``."""
+    if payload.startswith(_ZSTD):
+        with contextlib.suppress(zstandard.ZstdError):
+            return zstandard.ZstdDecompressor().stream_reader(payload).read(_MOST_BYTES)
+    return payload
 
 
 def _number(path: Path) -> tuple[int, str]:

@@ -58,7 +58,8 @@ _CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, lengt
 _LENGTH: Final = struct.Struct("<Q")
 _CHUNK_HEAD_BYTES: Final = _CHUNK.size + _MAX_COMPRESSION_NAME + _LENGTH.size  # at most
 # What a folder of rosbag2 holds: metadata.yaml, and the files, which may be packed.
-_OF_BAGS: Final = frozenset({".mcap", ".db3", ".yaml"})
+_OF_BAGS: Final = frozenset({".mcap", ".db3", ".yaml", ".zstd", ".bag"})
+ROS_1: Final = b"#ROSBAG V"
 _PROFILE: Final = struct.Struct("<I4s")  # first text of a file's header
 _FOOTER: Final = struct.Struct("<BQQQI")
 
@@ -185,16 +186,15 @@ def is_bag(path: str | Path) -> bool:
     path = Path(path)
     if path.is_dir():
         return any(entry.suffix in _OF_BAGS for entry in path.iterdir())
-    if path.suffix in (".db3", ".bag"):
+    if path.suffix in (".db3", ".bag", ".zstd"):
         return True
     if not path.is_file():  # what can be read but once is left for the reader
         return False
     try:
         with path.open("rb") as file:
             head = file.read(len(MCAP0_MAGIC) + _FRAME.size + _PROFILE.size)
-            if head[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
-                return False
-            return head.endswith(_PROFILE.pack(4, b"ros2"))
+            ros_2 = head.startswith(MCAP0_MAGIC) and head.endswith(_PROFILE.pack(4, b"ros2"))
+            return ros_2 or head.startswith(ROS_1)
     except OSError:
         return False
 
