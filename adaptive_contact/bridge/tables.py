@@ -56,16 +56,6 @@ class Block(NamedTuple):
     address: int
     size: int
 
-    @property
-    def longer(self) -> Block:
-        """The same and a byte more: its answer cannot be taken for a late one to the shorter."""
-        return Block(self.address, self.size + 1)
-
-    @property
-    def wider(self) -> Block:
-        """The same and a byte more, before it: some tables end with a register that is read."""
-        return Block(self.address - 1, self.size + 1) if self.address else self.longer
-
     def holds(self, register: Register) -> bool:
         """Whether all of a register is in it."""
         ends = register.address + register.size, self.address + self.size
@@ -179,7 +169,7 @@ class ServoModel:
 # In the EEPROM, one block in all models.
 _SETTINGS: Final = (
     *("lower_limit", "upper_limit", "resolution_divider", "control_mode", "drive_mode"),
-    *("operating_mode", "startup"),
+    *("operating_mode", "secondary_id", "startup"),
 )
 _E_MANUAL: Final = "https://emanual.robotis.com/docs/en/dxl/"
 _DATA: Final = tomllib.loads(

@@ -172,6 +172,9 @@ class VirtualPort:
         answers = []
         for servo in self._listening:
             if not everyone and servo.id != frame.id:
+                address = _number(frame.parameters[:2])
+                if frame.code == Instruction.WRITE and servo.follows(frame.id, address):
+                    servo.write(address, frame.parameters[2:])
                 continue
             # It answers as it was when asked: a new id or baud rate counts from then on.
             replies = servo.answers == 2 or frame.code == Instruction.PING
@@ -231,18 +234,20 @@ class VirtualPort:
         size = int.from_bytes(p[width : 2 * width], "little")
         rows = p[2 * width :]
         for at in range(0, len(rows) - size, size + 1):
-            for servo in self._listening:
-                if servo.id == rows[at]:
-                    servo.write(address, rows[at + 1 : at + 1 + size])
+            self._write(rows[at], address, rows[at + 1 : at + 1 + size])
 
     def _bulk_write(self, frame: Frame) -> None:
         rows = frame.parameters
         while len(rows) > _BULK_ROW:
             address, size = _number(rows[1:3]), _number(rows[3:5])
-            for servo in self._listening:
-                if servo.id == rows[0]:
-                    servo.write(address, rows[_BULK_ROW : _BULK_ROW + size])
+            self._write(rows[0], address, rows[_BULK_ROW : _BULK_ROW + size])
             rows = rows[_BULK_ROW + size :]
+
+    def _write(self, wanted: int, address: int, data: bytes) -> None:
+        """Write registers of all servos that an id means, which do not answer."""
+        for servo in self._listening:
+            if servo.id == wanted or servo.follows(wanted, address):
+                servo.write(address, data)
 
     def _read_many(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
         """Sync, fast sync and bulk read: servos answer one after the other."""

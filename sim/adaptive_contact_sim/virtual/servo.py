@@ -43,7 +43,7 @@ _SIZE_X, _SIZE_330 = 662, 228
 # "Indirect Address, Indirect Data".  Each address is two bytes, 64 or more, and within the table.
 _INDIRECT_X: Final = ((168, 224, 28), (578, 634, 28))
 _INDIRECT_330: Final = ((168, 208, 20),)
-_FIRST_INDIRECT: Final = 64
+_FIRST_RAM: Final = 64
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
 _WHEEL, _JOINT = 1, 2  # XL-320's control modes
@@ -147,6 +147,10 @@ class VirtualServo:
         register = self.model.registers[name]
         part = self._memory[register.address : register.address + register.size]
         return int.from_bytes(part, "little", signed=register.signed)
+
+    def follows(self, servo: int, address: int) -> bool:
+        """Whether a write to another id counts here: one to the secondary id, and to RAM."""
+        return address >= _FIRST_RAM and self._has("secondary_id") == servo > 0
 
     def set_errors(self, bits: int) -> int:
         """Put up what is wrong now; a servo that is set to shut down for it does so.
@@ -260,7 +264,7 @@ class VirtualServo:
             for at in range(addresses, addresses + 2 * count, 2):
                 if address < at + 2 and at < address + len(data):
                     value = int.from_bytes(after[at : at + 2], "little")
-                    if not _FIRST_INDIRECT <= value < len(self._memory):
+                    if not _FIRST_RAM <= value < len(self._memory):
                         return True
         return False
 
@@ -353,11 +357,10 @@ class VirtualServo:
             self._backend.set_slope(self._index, slope)
 
     def _drive(self) -> None:
-        if self._follows:
-            self._backend.set_goal(self._index, self._angle(self.value("goal_position")))
-        else:
-            # What it follows instead is not modelled: it stays.
-            self._backend.set_goal(self._index, self._backend.angle(self._index))
+        # What it follows instead of goals is not modelled: it stays.
+        here = self._backend.angle(self._index)
+        goal = self._angle(self.value("goal_position")) if self._follows else here
+        self._backend.set_goal(self._index, goal)
 
     def _steps(self, angle_rad: float, noise: float = 0.0) -> int:
         """Return the position register for a horn's angle, by mode, turns and offsets."""
@@ -418,8 +421,7 @@ class VirtualServo:
             self.store("present_speed", raw if speed >= 0 else -raw)
         else:
             self.store("present_speed", min(raw, 1023) | (0 if speed >= 0 else 0x400))
-        inside = backend.goal(index)
-        if inside is not None:
+        if (inside := backend.goal(index)) is not None:
             self.store("goal_position", self._steps(inside))
 
     def store(self, name: str, value: int) -> None:
@@ -443,6 +445,7 @@ class VirtualServo:
             "resolution_divider": 1,
             "control_mode": _JOINT,
             "operating_mode": _POSITION,
+            "secondary_id": 255,
             "pwm_limit": 885,
         }
         self._store_known(initial)
@@ -482,8 +485,8 @@ class VirtualServo:
             initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
             initial |= {"torque_limit": _FULL_TORQUE, "punch": 32, "position_p": 32}
         else:
-            gain = 400 if "330" in model.name else 800
-            initial |= {"position_p": gain, "hardware_error": 0, "status_return": 2}
+            initial |= {"position_p": 400 if "330" in model.name else 800}
+            initial |= {"hardware_error": 0, "status_return": 2}
         self._store_known(initial)
         for addresses, first, count in self._indirect:
             for i in range(count):  # each stands for itself
