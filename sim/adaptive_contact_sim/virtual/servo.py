@@ -80,6 +80,7 @@ class VirtualServo:
 
     Attributes:
         id, baud: follow their registers.
+        last: the control table as it was last read.
         writes: instructions to write, carried out or refused.
         keeps_goal: torque that comes on drives to the goal in the register.  Firmwares differ in
             this: others set that goal to where the horn is, as X-series do here by default.
@@ -115,12 +116,12 @@ class VirtualServo:
         self.goal_wakes = model.protocol == 1
         self._turns = 0
         self.registered: tuple[int, bytes] | None = None
-        self.stale_data: bytes | None = None
         self.writes = 0
         self._factory(return_delay)
         self.store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
+        self.last = bytes(self._memory)
 
     @property
     def torque(self) -> bool:
@@ -196,7 +197,8 @@ class VirtualServo:
         if size < 1 or address + size > len(self._memory):
             return Refusal(RANGE1 if self.model.protocol == 1 else LENGTH2)
         self._refresh()
-        return bytes(self._memory[self._behind(at)] for at in range(address, address + size))
+        self.last = bytes(self._memory)
+        return bytes(self.last[self._behind(at)] for at in range(address, address + size))
 
     def write(self, address: int, data: bytes) -> Refusal | None:
         """Write into the control table, whole registers; None when done."""
@@ -475,12 +477,9 @@ class VirtualServo:
         model = self.model
         self._latched = 0
         self._settle_turns(fresh=True)
-        initial = {
-            "temperature": 35,
-            "voltage": 120 if model.protocol == 1 else 50,
-            "torque_control": 0,
-            "goal_position": self._steps(self._backend.angle(self._index)),
-        }
+        here = self._steps(self._backend.angle(self._index))
+        initial = {"temperature": 35, "torque_control": 0, "goal_position": here}
+        initial["voltage"] = 120 if model.protocol == 1 else 50
         if model.compact:
             initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
             initial |= {"torque_limit": _FULL_TORQUE, "punch": 32, "position_p": 32}
