@@ -6,10 +6,11 @@ compared, register by register, with
 - the ROBOTIS e-manual: each model's page is its :attr:`ServoModel.manual`;
 - ``param/dxl_model/*.model`` of github ROBOTIS-GIT/dynamixel_hardware_interface, commit db2b9038,
   for protocol 2.0 (XL330, XC330: the ``_fw52`` files; ``startup`` is in none of them);
-- ``dynamixel_item.cpp`` of github ROBOTIS-GIT/dynamixel-workbench, commit 2eb370f1.
+- ``dynamixel_item.cpp`` of github ROBOTIS-GIT/dynamixel-workbench, commit 2eb370f1;
+- ``actuator.cpp`` of github ROBOTIS-GIT/Dynamixel2Arduino, commit 516205ff.
 
 A test holds them to these.  Where they differ the e-manual's counts: the workbench has XL-320's
-torque limit at 34, the other two have it at 35.  A model not listed here is refused by name, never
+torque limit at 34, the others have it at 35.  A model not listed here is refused by name, never
 guessed.
 """
 
