@@ -15,7 +15,6 @@ import enum
 import math
 import termios
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
 from typing import Any, Final, NamedTuple, TypeVar
@@ -23,9 +22,9 @@ from typing import Any, Final, NamedTuple, TypeVar
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
 
 from adaptive_contact.bridge.packets import (
-    ALERT,
     BROADCAST_ID,
     MAX_ID,
+    Awaited,
     Codec,
     Instruction,
     Protocol1,
@@ -60,7 +59,9 @@ _STATUS_BYTES: Final = 11
 # Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err;
 # of 1.0: FF FF id len err.
 _ID2, _LENGTH2, _ERROR2, _DATA2 = 4, 5, 8, 9
-_LENGTH1, _DATA1 = 3, 5
+_ID1, _LENGTH1, _ERROR1, _DATA1 = 2, 3, 4, 5
+# Data of an answer to a ping, by protocol.
+_PONG_BYTES: Final = {1: 0, 2: 3}
 
 
 class Fault(enum.StrEnum):
@@ -113,12 +114,11 @@ class Bus:
         port: its settings.
 
     Attributes:
-        late: answers that came after they were waited for, by servo; one that is dead has none,
-            however late those of others are.
+        late: answers that came after they were waited for, by servo.
     """
 
     def __init__(self, name: str, port: Port) -> None:
-        self.name = name
+        self.name, self.device = name, port.device
         self.protocol = port.protocol
         self._fast = port.fast
         self._port = SdkPort(name, port)
@@ -126,19 +126,10 @@ class Bus:
         self._codec: Codec = Protocol1() if port.protocol == 1 else Protocol2()
         # Before 3.8 the SDK knows no fast sync read, and its calls take one argument less.
         self._knows_fast = "fast_option" in signature(self._packets.rxPacket).parameters
-        self.late: Counter[int] = Counter()
-        self._unanswered: set[int] = set()
+        self._slow = (False,) if self._knows_fast else ()
+        self._awaited = Awaited()
+        self.late = self._awaited.late
         self._late_known = 0
-
-    @property
-    def device(self) -> str:
-        """The device's path."""
-        return str(self._port.port_name)
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the port is open."""
-        return bool(self._port.is_open)
 
     @property
     def timeout_ms(self) -> float:
@@ -201,12 +192,13 @@ class Bus:
         Raises:
             PortLostError: the port is gone.
         """
+        wide = self._apart(servos, block)
 
         def work() -> dict[int, Reading]:
             found: dict[int, Reading] = {}
             garbled = False
             if self.protocol == 2 and len(servos) > 1:
-                found, garbled = self._sync_read(servos, block)
+                found, garbled = self._sync_read(servos, wide)
             for servo in servos:
                 first = found.get(servo)
                 if first is None:
@@ -215,17 +207,17 @@ class Bus:
                             found[servo] = Reading(None, (), Fault.CORRUPT)
                         continue
                     # Missing in the common answer, or protocol 1: ask it alone.
-                    first = found[servo] = self._read_one(servo, block)
+                    first = found[servo] = self._read_one(servo, wide)
                     if garbled and first.fault is None:
                         # What came for all held more than was understood: this one's, it seems.
                         found[servo] = first._replace(fault=Fault.CORRUPT)
                         continue
                 if first.fault is Fault.CORRUPT and time.monotonic() < until:
-                    again = self._read_one(servo, block)
+                    again = self._read_one(servo, wide)
                     if again.fault is None:
                         # The fault is reported, the reading is good.
                         found[servo] = again._replace(fault=Fault.CORRUPT)
-            return found
+            return {servo: _cut(reading, block, wide) for servo, reading in found.items()}
 
         self._port.latest_s = end
         try:
@@ -274,17 +266,14 @@ class Bus:
     def confirmed(self, servo: int, block: Block) -> bytes | None:
         """Bytes of registers that stay as they are: two answers in a row agree on them.
 
-        Nothing is to be said against a servo for one answer: it may be a late one to another
-        question.  The second question is a byte longer, so its answer cannot be the first's.
+        Nothing is to be said against a servo for one answer.
 
         Returns:
             The bytes, or None where no two answers in some tries agree.
         """
-        wider = block.wider
-        at = block.address - wider.address
         for _ in range(_TRIES):
-            once, twice = (self._ask(servo, asked).data for asked in (block, wider))
-            if once is not None and twice is not None and twice[at : at + block.size] == once:
+            once, twice = (self._ask(servo, block).data for _ in range(2))
+            if once is not None and twice == once:
                 return once
             self.settle()
         return None
@@ -302,19 +291,15 @@ class Bus:
         return None
 
     def put(self, servo: int, register: Register, value: int) -> bool:
-        """Write one register; True when the servo has confirmed it, or holds the value after.
+        """Write one register; True when the servo holds the value after.
 
-        At a status return level of 0 or 1 a servo does not confirm; at 1 it can be asked.
+        What it confirms says little: a locked EEPROM may be silent on it, an alarm sets error bits
+        of protocol 1.0 in a confirmation, and at a status return level of 0 or 1 there is none.
         """
         data = list(value.to_bytes(register.size, "little", signed=register.signed))
+        place = register.block
         for _ in range(_TRIES):
-            result, error = self._guarded(
-                lambda: self._packets.writeTxRx(
-                    self._port, servo, register.address, register.size, data
-                )
-            )
-            if result == COMM_SUCCESS:
-                return (int(error) & ~ALERT) == 0
+            self._guarded(lambda: self._packets.writeTxRx(self._port, servo, *place, data))
             now = self._ask(servo, register.block).data
             if now is not None and register.value(now) == value:
                 return True
@@ -356,7 +341,14 @@ class Bus:
 
     def _ask(self, servo: int, block: Block) -> Reading:
         """Ask one servo for registers, in a transaction of its own."""
-        return self._guarded(lambda: self._read_one(servo, block))
+        wide = self._apart([servo], block)
+        return self._guarded(lambda: _cut(self._read_one(servo, wide), block, wide))
+
+    def _apart(self, servos: Sequence[int], block: Block) -> Block:
+        """The registers, and as many more that no answer still to come has so many bytes."""
+        more = self._awaited.unlike(servos, block.size, time.monotonic()) - block.size
+        before = min(more, block.address)  # some tables end with a register that is read
+        return Block(block.address - before, block.size + more)
 
     def _ping(self, servo: int) -> Pong | None:
         result, number = self._ping_alone(servo)
@@ -371,7 +363,7 @@ class Bus:
         self._port.setPacketTimeout(0)
         doubled = len(self._port.readPort(1)) > 0
         for _ in range(_TRIES):
-            data = self._read_one(servo, MODEL_NUMBER).data
+            data = self._ask(servo, MODEL_NUMBER).data
             if data is not None:
                 return Pong(int.from_bytes(data, "little"), doubled)
         return Pong(number, doubled, reads=False)
@@ -381,31 +373,13 @@ class Bus:
         self._port.clearPort()
         self._count_late()
 
-    def _count_late(self, answered: int | None = None) -> None:
-        """Count unanswered questions whose answers have arrived since.
-
-        Args:
-            answered: a servo one of whose answers came in time.
-        """
-        arrived = self._port.arrived
-        if not self._unanswered:
-            arrived.clear()
-            return
+    def _count_late(self, asked: int | None = None) -> None:
+        """Count answers to earlier questions among what has arrived, but for those of ``asked``."""
         # The beginning of a packet stays until the rest of it has come.
-        frames, _ = self._codec.parse(arrived)
-        senders = [
-            frame.id for frame in frames if self.protocol == 1 or frame.code == Instruction.STATUS
-        ]
-        if answered in senders:
-            senders.remove(answered)
-        for servo in self._unanswered.intersection(senders):
-            self.late[servo] += 1
-            self._unanswered.discard(servo)
-
-    def _note(self, servo: int, result: int) -> None:
-        """Note what a question to one servo came to."""
-        self._count_late(servo if result == COMM_SUCCESS else None)
-        (self._unanswered.add if result == _TIMEOUT else self._unanswered.discard)(servo)
+        for frame in self._codec.parse(self._port.arrived)[0]:
+            if frame.id != asked and (self.protocol == 1 or frame.code == Instruction.STATUS):
+                size = len(frame.parameters) + 1 - self.protocol
+                self._awaited.strike(frame.id, size, late=True)
 
     def _ping_alone(self, servo: int) -> tuple[int, int | None]:
         """Ping and nothing else: the SDK's own reads the model too, and hides what failed.
@@ -418,26 +392,43 @@ class Bus:
             packet = [0, 0, servo, 2, Instruction.PING, 0]
         else:
             packet = [0, 0, 0, 0, servo, 3, 0, Instruction.PING, 0, 0]
+        self._awaited.ask(servo, _PONG_BYTES[self.protocol], time.monotonic())
         answer, result, _ = self._packets.txRxPacket(self._port, packet)
-        self._note(servo, result)
-        payload = self._data(answer) if result == COMM_SUCCESS and self.protocol == 2 else ()
+        self._count_late(servo)
+        payload = self._data(answer) if result == COMM_SUCCESS else ()
+        if result == COMM_SUCCESS:
+            self._awaited.strike(servo, len(payload))
         number = payload[0] + (payload[1] << 8) if len(payload) >= MODEL_NUMBER.size else None
         return int(result), number
 
     def _read_one(self, servo: int, block: Block) -> Reading:
         self._drain()
         at_s = time.monotonic()
-        place = block.address, block.size
         if self.protocol == 1:
-            packet = [0, 0, servo, 4, Instruction.READ, *place, 0]
+            packet = [0, 0, servo, 4, Instruction.READ, *block, 0]
         else:
-            wide = [byte for value in place for byte in (value & 0xFF, value >> 8)]
-            packet = [0, 0, 0, 0, servo, 7, 0, Instruction.READ, *wide, 0, 0]
-        answer, result, error = self._packets.txRxPacket(self._port, packet)
-        self._note(servo, result)
+            words = [byte for value in block for byte in (value & 0xFF, value >> 8)]
+            packet = [0, 0, 0, 0, servo, 7, 0, Instruction.READ, *words, 0, 0]
+        self._awaited.ask(servo, block.size, at_s)
+        answer, result, _ = self._packets.txRxPacket(self._port, packet)
+        while result == COMM_SUCCESS and self._is_late(servo, answer, block):
+            answer, result = self._packets.rxPacket(self._port, *self._slow)
+        self._count_late(servo)
         if result != COMM_SUCCESS:
             return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
+        error = answer[_ERROR1 if self.protocol == 1 else _ERROR2]
         return self._reading(self._data(answer), error, block, at_s)
+
+    def _is_late(self, servo: int, packet: Sequence[int], block: Block) -> bool:
+        """Whether a packet is another servo's, or answers an earlier question than the last."""
+        if packet[_ID1 if self.protocol == 1 else _ID2] != servo:
+            return True
+        size = len(self._data(packet))
+        if not self._awaited.strike(servo, size, late=size != block.size):
+            if not size:  # it refuses
+                self._awaited.strike(servo, block.size)
+            return False
+        return size != block.size
 
     def _data(self, packet: Sequence[int]) -> Sequence[int]:
         """A status packet's data.  Unstuffing leaves its spare bytes at the end: cut to size."""
@@ -466,10 +457,10 @@ class Bus:
         found: dict[int, Reading] = {}
         self._drain()
         at_s = time.monotonic()
-        fast = (self._fast,) if self._knows_fast else ()
-        result = self._packets.syncReadTx(
-            self._port, block.address, block.size, list(servos), len(servos), *fast
-        )
+        fast = (True,) if self._fast else self._slow
+        result = self._packets.syncReadTx(self._port, *block, list(servos), len(servos), *fast)
+        for servo in servos:
+            self._awaited.ask(servo, block.size, at_s)
         if result != COMM_SUCCESS:
             return found, False
         before, understood = self._port.received, 0
@@ -482,16 +473,26 @@ class Bus:
                 if [answer.id for answer in answers] == list(servos):
                     understood += len(packet)
                     for answer in answers:
+                        self._awaited.strike(answer.id, block.size)
                         found[answer.id] = self._reading(answer.data, answer.error, block, at_s)
             return found, self._port.received - before > understood
         while len(found) < len(servos):
-            packet, result = self._packets.rxPacket(self._port, *fast)
+            packet, result = self._packets.rxPacket(self._port, *self._slow)
             if result == _TIMEOUT:
                 break
             if result != COMM_SUCCESS:
                 continue
             understood += len(packet)
             servo = packet[_ID2]
-            if servo in servos and servo <= MAX_ID and packet[7] == Instruction.STATUS:
+            if servo not in servos or servo > MAX_ID or packet[7] != Instruction.STATUS:
+                continue
+            if not self._is_late(servo, packet, block):
                 found[servo] = self._reading(self._data(packet), packet[_ERROR2], block, at_s)
         return found, self._port.received - before > understood
+
+
+def _cut(reading: Reading, block: Block, wide: Block) -> Reading:
+    """A reading of registers, out of one of more."""
+    at = block.address - wide.address
+    data = reading.data
+    return reading._replace(data=None if data is None else data[at : at + block.size])

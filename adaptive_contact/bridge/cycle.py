@@ -229,9 +229,7 @@ class Cycle:
 
     def _read(self, now_ns: int, due_ns: int) -> None:
         def block_of(model: ServoModel) -> Block:
-            block = model.watched if self.mode == "drive" else model.goal_and_motion
-            # Every other tick a byte more: a late answer is not taken for one to the next question.
-            return block.longer if self._count % 2 else block
+            return model.watched if self.mode == "drive" else model.goal_and_motion
 
         asked = due(self.health, self._count, hurry=self._count < self._hurry_until)
         now_s, period_s = now_ns / 1e9, self.plan.period_s

@@ -271,6 +271,7 @@ class Waker:
         self._proof: list[bytes] = []
         self._written: int | None = None
         self._before: int | None = None
+        self._lost: int | None = None
         self._heedless = 0
 
     def forget(self) -> None:
@@ -283,16 +284,9 @@ class Waker:
 
     @property
     def wanted(self) -> Block | None:
-        """What is to be read next of its settings; None where they are known.
-
-        The second time each block is a byte longer, so that a late answer to the first cannot be
-        taken for one to the second.
-        """
-        if self.setting is not None:
-            return None
+        """What is to be read next of its settings, all of them twice; None where they are known."""
         blocks = self._joint.model.settings
-        done = len(self._proof)
-        return blocks[done] if done < len(blocks) else blocks[done - len(blocks)].longer
+        return None if self.setting is not None else blocks[len(self._proof) % len(blocks)]
 
     def learn(self, data: bytes) -> None:
         """Take in the bytes of :attr:`wanted`."""
@@ -302,7 +296,7 @@ class Waker:
             return
         once, twice = self._proof[: len(blocks)], self._proof[len(blocks) :]
         self._proof.clear()
-        if any(a != b[: len(a)] for a, b in zip(once, twice, strict=True)):
+        if once != twice:
             return  # read again
         self.setting = setting(self._joint.model, once)
         self._first = self._first or self.setting.values
@@ -351,20 +345,30 @@ class Waker:
     def compare(self, goal: int) -> GoalRegister:
         """What became of the last write, by the goal register read now."""
         before, self._before = self._before, goal
-        written, self._written = self._written, None
+        written, self._written, self._lost = self._written, None, None
         if goal == written or (written is None and (goal == before or not self.awake)):
             self._heedless = 0
             return GoalRegister.TAKEN
         if before is None:
             return GoalRegister.FOREIGN
         self._heedless += 1
-        return GoalRegister.LOST if goal == before else GoalRegister.FOREIGN
+        if goal != before:
+            return GoalRegister.FOREIGN
+        self._lost = written
+        return GoalRegister.LOST
 
     def step(self, place: Place, angle_rad: float) -> int:
-        """The goal to write for an angle: one step from the goal in force at the most."""
+        """The goal to write for an angle: one step from the goal in force at the most.
+
+        Where the register does not hold what was written, the write was lost, or the reading is an
+        old one: one step from both.
+        """
         assert self.setting is not None
-        steps = min(max(self._joint.steps(angle_rad), place.steps - self._most),
-                    place.steps + self._most)  # fmt: skip
+        goals = [place.steps]
+        if self._lost is not None and abs(self._lost - place.steps) <= self._most:
+            goals.append(self._lost)
+        steps = max(self._joint.steps(angle_rad), max(goals) - self._most)
+        steps = min(steps, min(goals) + self._most)
         return self.wrote(min(max(steps, self.setting.lowest), self.setting.highest))
 
     def wrote(self, goal: int) -> int:

@@ -136,7 +136,7 @@ def scan(bus: Bus, ids: Iterable[int] | None = None) -> dict[int, Pong]:
 
 
 def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int, Pong]:
-    """Ask those servos again, patiently, whose answer did not arrive or was damaged.
+    """Ask those servos again, patiently, whose answer did not arrive, came late or was damaged.
 
     One lost or late packet is neither a missing servo nor a second one of the same id.
 
@@ -242,10 +242,9 @@ def let_answer(
         if again is not None:
             found |= scan_again(bus, {servo: again}, ())
         return None
-    locked = register.eeprom and model.protocol == 2
-    return "did not take a status return level of 2" + (
-        "; switch its torque off first (the leg will go limp)" if locked else ""
-    )
+    torque = "torque off first (the leg will go limp)"
+    remedy = torque if register.eeprom and model.protocol == 2 else "power off and on"
+    return f"did not take a status return level of {_ANSWER_ALL}; switch its {remedy}"
 
 
 def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
@@ -285,13 +284,12 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
         return findings
     try:
         expected = {joint.servo: joint for joint in plan.joints}
-        ignored = set(plan.port.ignore)
         asked = ALL_IDS if full else expected
-        found = scan(bus, [servo for servo in asked if servo not in ignored])
+        found = scan(bus, [servo for servo in asked if servo not in plan.port.ignore])
         if not found:
             bus.settle(MOST_PATIENT_MS)  # were they late?
         if found or bus.late:  # a bus without an answer is asked once
-            found = scan_again(bus, found, expected)
+            found = scan_again(bus, found, {*expected, *bus.late})
         mute = [s for s, pong in found.items() if s in expected and not pong.reads]
         for servo in mute if configure else ():
             trouble = let_answer(bus, found, servo, expected[servo].model)
@@ -485,8 +483,7 @@ def _delays(
 
 def _configure(plan: PortPlan, bus: Bus, joint: JointPlan, findings: Findings) -> None:
     registers, servo = joint.model.registers, joint.servo
-    torque = bus.get(servo, registers["torque_enable"])
-    if torque and joint.model.protocol == 2:
+    if joint.model.protocol == 2 and bus.get(servo, registers["torque_enable"]):
         # Those of protocol 2.0 lock their EEPROM while they drive; letting go would drop the robot.
         findings.advice.append(
             f"port {plan.name}: servo {servo} drives, so its return delay cannot be set; switch "
@@ -496,4 +493,7 @@ def _configure(plan: PortPlan, bus: Bus, joint: JointPlan, findings: Findings) -
     if bus.put(servo, registers["return_delay"], 0):
         findings.done.append(f"port {plan.name}: servo {servo}: return delay set to 0")
     else:
-        findings.advice.append(f"port {plan.name}: servo {servo} refused a return delay of 0")
+        findings.advice.append(
+            f"port {plan.name}: servo {servo} did not take a return delay of 0; its EEPROM may be "
+            "locked: switch its power off and on, then run with --configure again"
+        )

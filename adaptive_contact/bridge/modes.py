@@ -22,6 +22,7 @@ PWM)
 X: drive mode, slave                   ignored               refused
 X: drive mode, torque on by goal       as the mode           observed, not driven
 X: drive mode, reverse, time-based     as the mode           driven
+X: secondary id, 0 to 252              those of that id too  observed, not driven
 =====================================  ====================  ======================================
 
 MX is here MX with protocol 1.0; with protocol 2.0 they are as X-series servos are.
@@ -36,9 +37,9 @@ where it stood outside.
 
 Sources: ROBOTIS e-manual, XL-320 "Control Mode(11)"; MX-106 "Drive Mode(10)"; MX-64
 "CW/CCW Angle Limit(6, 8)", "Resolution Divider (22)", "Torque
-Control Mode Enable (70)"; XM430-W350 "Drive Mode(10)", "Operating Mode(11)", "Homing Offset(20)",
-"Min/Max Position Limit(48, 52)", "Torque Enable(64)", "Present Position(132)"; ROBOTIS forum 7814
-(the turn that is lost as torque comes on).
+Control Mode Enable (70)"; XM430-W350 "Drive Mode(10)", "Operating Mode(11)", "Secondary(Shadow)
+ID(12)", "Homing Offset(20)", "Min/Max Position Limit(48, 52)", "Torque Enable(64)", "Present
+Position(132)"; ROBOTIS forum 7814 (the turn that is lost as torque comes on).
 
 The position gain is read as the error at which a servo drives with all it has, rad,
 ``servo.slope_rad`` in ``robot.toml``:
@@ -60,6 +61,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from adaptive_contact.bridge.bus import Bus
+from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel
 
 _MODES: Final = {
@@ -174,6 +176,12 @@ def _by_mode(model: ServoModel, values: dict[str, int]) -> Setting:
         full = full._replace(
             undriven=f"has drive mode {drive} (torque on by goal update), expected that bit (8) "
             f"clear: a goal written to it while it is limp would switch it on; clear it {_WIZARD}"
+        )
+    second = values["secondary_id"]
+    if second <= MAX_ID:
+        full = full._replace(
+            undriven=f"has secondary id {second}, expected 255 (none): it would follow what is "
+            f"written to servo {second} as well; set it {_WIZARD}"
         )
     if mode != _POSITION and mode not in _MULTI_TURN:
         name = _MODES.get(mode, "unknown")

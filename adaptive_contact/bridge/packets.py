@@ -22,7 +22,9 @@ calculation".
 from __future__ import annotations
 
 import enum
-from collections.abc import Sequence
+import itertools
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple, Protocol
 
 BROADCAST_ID: Final = 0xFE
@@ -278,6 +280,49 @@ class Protocol2:
             else:
                 corrupt += 1
                 del buffer[: len(_HEADER_2)]
+
+
+# An answer that has not come within this time does not come.
+_LATEST_S: Final = 1.0
+# A dead servo is asked five times in that time; a disturbed line need not make all questions long.
+_MOST_AWAITED: Final = 7
+
+
+class Awaited:
+    """Answers that may still come.
+
+    An answer says who gives it and how long it is, not to which question.  Where one is late, the
+    next question to its servo asks for another number of bytes, so that the two are told apart.
+
+    Attributes:
+        late: answers that came after they were waited for, by servo; one that is dead has none,
+            however late those of others are.
+    """
+
+    def __init__(self) -> None:
+        self.late: Counter[int] = Counter()
+        self._sizes: dict[int, list[tuple[int, float]]] = {}
+
+    def unlike(self, servos: Iterable[int], size: int, now_s: float) -> int:
+        """So many bytes, or more, as no answer of these servos has that may still come."""
+        taken = {s for servo in servos for s, end_s in self._sizes.get(servo, ()) if end_s > now_s}
+        return next(more for more in itertools.count(size) if more not in taken)
+
+    def ask(self, servo: int, size: int, now_s: float) -> None:
+        """Note a question, by the bytes of data that its answer has."""
+        known = [one for one in self._sizes.get(servo, ()) if one[1] > now_s]
+        self._sizes[servo] = [*known[-_MOST_AWAITED:], (size, now_s + _LATEST_S)]
+
+    def strike(self, servo: int, size: int, *, late: bool = False) -> bool:
+        """Strike out an answer that has come; False if none of so many bytes was awaited."""
+        sizes = self._sizes.get(servo, [])
+        one = next((one for one in sizes if one[0] == size), None)
+        if one is None:
+            return False
+        sizes.remove(one)
+        if late:
+            self.late[servo] += 1
+        return True
 
 
 def fast_sync_status(answers: Sequence[Status]) -> bytes:

@@ -6,10 +6,11 @@ compared, register by register, with
 - the ROBOTIS e-manual: each model's page is its :attr:`ServoModel.manual`;
 - ``param/dxl_model/*.model`` of github ROBOTIS-GIT/dynamixel_hardware_interface, commit db2b9038,
   for protocol 2.0 (XL330, XC330: the ``_fw52`` files; ``startup`` is in none of them);
-- ``dynamixel_item.cpp`` of github ROBOTIS-GIT/dynamixel-workbench, commit 2eb370f1.
+- ``dynamixel_item.cpp`` of github ROBOTIS-GIT/dynamixel-workbench, commit 2eb370f1;
+- ``actuator.cpp`` of github ROBOTIS-GIT/Dynamixel2Arduino, commit 516205ff.
 
 A test holds them to these.  Where they differ the e-manual's counts: the workbench has XL-320's
-torque limit at 34, the other two have it at 35.  A model not listed here is refused by name, never
+torque limit at 34, the others have it at 35.  A model not listed here is refused by name, never
 guessed.
 """
 
@@ -55,16 +56,6 @@ class Block(NamedTuple):
 
     address: int
     size: int
-
-    @property
-    def longer(self) -> Block:
-        """The same and a byte more: its answer cannot be taken for a late one to the shorter."""
-        return Block(self.address, self.size + 1)
-
-    @property
-    def wider(self) -> Block:
-        """The same and a byte more, before it: some tables end with a register that is read."""
-        return Block(self.address - 1, self.size + 1) if self.address else self.longer
 
     def holds(self, register: Register) -> bool:
         """Whether all of a register is in it."""
@@ -179,7 +170,7 @@ class ServoModel:
 # In the EEPROM, one block in all models.
 _SETTINGS: Final = (
     *("lower_limit", "upper_limit", "resolution_divider", "control_mode", "drive_mode"),
-    *("operating_mode", "startup"),
+    *("operating_mode", "secondary_id", "startup"),
 )
 _E_MANUAL: Final = "https://emanual.robotis.com/docs/en/dxl/"
 _DATA: Final = tomllib.loads(

@@ -138,7 +138,9 @@ def _check_ports(robot: Robot, fail: _Fail) -> None:
                         f"{where}: servo id {servo} is in ignore of [port.{name}], too; take it "
                         "out of one of them"
                     )
-            before = owner.setdefault((servos.port, servo), leg.id)
+            # A leg may leave out the only port.
+            on = servos.port or next(iter(robot.ports), None)
+            before = owner.setdefault((on, servo), leg.id)
             if before != leg.id or servos.ids.count(servo) > 1:
                 fail(
                     f"{where}: servo id {servo} is used twice on a port (by leg '{before}'); give "

@@ -54,6 +54,21 @@ def test_reads_every_servo(rig: Callable, kind: dict) -> None:
     bus.close()
 
 
+@pytest.mark.parametrize("kind", [XL, FAST])
+@pytest.mark.parametrize("alone", [True, False])
+def test_data_that_look_like_a_header_are_read(rig: Callable, kind: dict, alone: bool) -> None:
+    r = rig(**kind)
+    for servo in r.ports[0].servos:
+        servo.store("profile_velocity", 2**32 - 1)
+        servo.store("goal_position", -3)  # FF FF FF FF FD FF FF FF
+    bus, servos = opened(r), [1] if alone else [1, 2, 3, 4, 5, 6]
+    for more in range(3):
+        readings = bus.read(servos, Block(112, 8 + more))
+        assert {readings[i].data[:8] for i in servos} == {b"\xff\xff\xff\xff\xfd\xff\xff\xff"}
+        assert [reading.fault for reading in readings.values()] == [None] * len(servos)
+    bus.close()
+
+
 @pytest.mark.parametrize("kind", [AX, XL])
 def test_pings_gets_and_puts(rig: Callable, kind: dict) -> None:
     r = rig(**kind)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from anybus import any_servo
 from described import Serve, robot, write
 
 from adaptive_contact.bridge.handshake import check_ports
@@ -26,6 +28,14 @@ def test_a_head_is_ignored_where_the_port_says_so(bus: Serve) -> None:
     aside = robot(device, legs, timeout_ms=10, ignore=[20, 21])
     assert check_ports(plan_ports(aside)).errors == []
     assert all(servo.writes == 0 for servo in servos)
+
+
+def test_an_unexpected_servo_whose_answer_comes_late_is_told(rig: Any) -> None:
+    r = rig(model="AX-12A", protocol=1, legs=1)
+    r.ports[0].servos += (any_servo(20, "AX-12A", r.backend, 0),)
+    r.fault("late:id=20,ms=60")
+    [line] = check_ports(r.plans).errors
+    assert "unexpected servo 20 (AX-12A)" in line
 
 
 def test_all_servos_at_another_rate_and_protocol(bus: Serve) -> None:
@@ -68,6 +78,60 @@ def test_a_servo_that_confirms_no_writes_is_configured(bus: Serve) -> None:
     assert findings.errors == findings.advice == []
     assert [servo.value("return_delay") for servo in servos] == [0, 0, 0]
     assert all(servo.answers == 1 for servo in servos)
+
+
+@pytest.mark.parametrize("model", ["AX-12A", "XL430-W250"])
+def test_a_write_counts_that_is_in_the_register(bus: Serve, model: str) -> None:
+    """Not one that is confirmed: a locked EEPROM may do that, and one with an alarm does less."""
+    device, servos = bus(f"1-3:{model}:return_delay=250")
+    write = servos[1].write
+
+    def locked(address: int, data: bytes) -> object:
+        return None if address < 24 else write(address, data)
+
+    servos[1].write = locked  # type: ignore[method-assign,assignment]
+    servos[2].store("shutdown", 0)
+    execute = servos[2].set_errors
+    servos[2].set_errors = lambda bits: execute(0x01)  # type: ignore[method-assign]
+    described = robot(device, ((1, 2, 3), model), protocol=servos[0].model.protocol)
+    plans = plan_ports(described)
+    findings = check_ports(plans, full=False, configure=True)
+    assert findings.errors == []
+    assert [line.split(":")[1] for line in findings.done] == [" servo 1", " servo 3"]
+    assert [line for line in findings.advice if "return delay" in line] == [
+        "port main: servo 2 did not take a return delay of 0; its EEPROM may be locked: switch its "
+        "power off and on, then run with --configure again"
+    ]
+    servos[1].write = write  # type: ignore[method-assign]
+    again = check_ports(plans, full=False, configure=True)
+    assert again.done == ["port main: servo 2: return delay set to 0"]
+
+
+def test_a_configuration_that_is_interrupted_goes_on_where_it_ended(rig: Any) -> None:
+    r = rig(model="AX-12A", protocol=1)
+    servos = r.ports[0].servos
+    for servo in servos:
+        servo.store("return_delay", 250)
+    write = servos[3].write
+
+    def pulled(address: int, data: bytes) -> object:
+        r.fault("hangup:@0+1000000")
+        return write(address, data)
+
+    servos[3].write = pulled
+    [line] = check_ports(r.plans, full=False, configure=True).errors
+    assert "is gone" in line
+    servos[3].write = write
+    r.fault()
+    path = Path(r.plans[0].port.device)
+    deadline = time.monotonic() + 30.0
+    while not path.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    findings = check_ports(r.plans, full=False, configure=True)
+    assert findings.errors == findings.advice == []
+    assert [servo.value("return_delay") for servo in servos] == [0] * 6
+    assert len(findings.done) in (2, 3)  # whether the fourth took it before
 
 
 def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:

@@ -172,6 +172,12 @@ def test_bad_descriptions_are_told_in_one_line(old: str, new: str, words: str) -
     assert "\n" not in str(caught.value)
 
 
+def test_a_servo_of_two_legs_though_one_leaves_the_only_port_out() -> None:
+    other = BASE[BASE.index("[[leg]]") :].replace('"l"', '"m"').replace("[1, 2]", "[2, 3]")
+    with pytest.raises(ConfigurationError, match=r"servo id 2 is used twice on a port \(by leg"):
+        planned(BASE + other.replace("[2, 3]", '[2, 3], port = "a"'))
+
+
 def test_two_ports_on_one_device(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to("/dev/ttyA")
     text = BASE.replace("ids = [1, 2]", 'ids = [1, 2], port = "a"') + (

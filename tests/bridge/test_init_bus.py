@@ -138,7 +138,8 @@ def test_a_servo_that_is_never_heard_in_time_is_told_and_not_left_out(
     rig: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def in_vain(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int, Pong]:
-        return {servo: pong for servo, pong in found.items() if servo != 6}
+        again = handshake.scan_again(bus, found, [servo for servo in ids if servo != 6])
+        return {servo: pong for servo, pong in again.items() if servo != 6}
 
     monkeypatch.setattr(discovery, "scan_again", in_vain)
     # The look at all ids goes on for much longer than servo 6 is late.

@@ -49,16 +49,28 @@ def test_what_follows_no_goals_is_refused_in_one_line(
     assert "set" in line or "write" in line or "clear it" in line  # what to do
 
 
-def test_torque_by_goal_is_observed_and_not_driven(rig: Callable) -> None:
+UNDRIVEN = [
+    ("drive_mode", 8, "torque on by goal", "clear it"),
+    ("secondary_id", 2, "has secondary id 2, expected 255", "set it"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "words", "remedy"), UNDRIVEN)
+def test_what_is_observed_and_not_driven(
+    rig: Callable, name: str, value: int, words: str, remedy: str
+) -> None:
     r = rig(**XM)
-    r.servo(1).store("drive_mode", 8)
+    r.servo(1).store(name, value)
     assert check_ports(r.plans, full=False).errors == []
     [line] = check_ports(r.plans, full=False, drive=True).errors
-    assert "torque on by goal update" in line
-    assert "clear it" in line
+    assert words in line
+    assert remedy in line
 
 
-@pytest.mark.parametrize("registers", [{"drive_mode": 1}, {"drive_mode": 4}, {"operating_mode": 4}])
+@pytest.mark.parametrize(
+    "registers",
+    [{"drive_mode": 1}, {"drive_mode": 4}, {"operating_mode": 4}, {"secondary_id": 253}],
+)
 def test_what_is_followed_is_let_through(rig: Callable, registers: dict[str, int]) -> None:
     r = rig(**XM)
     for name, value in registers.items():
@@ -67,14 +79,15 @@ def test_what_is_followed_is_let_through(rig: Callable, registers: dict[str, int
     assert findings.errors == findings.advice == []
 
 
-def test_a_servo_in_torque_by_goal_mode_gets_no_goal_though_no_handshake_refused_it(
-    run: Callable,
+@pytest.mark.parametrize(("name", "value", "words", "remedy"), UNDRIVEN)
+def test_what_is_not_driven_gets_no_goal_though_no_handshake_refused_it(
+    run: Callable, name: str, value: int, words: str, remedy: str
 ) -> None:
     r = run("drive", **XM)
     servo = r.rig.servo(1)
-    servo.store("drive_mode", 8)
+    servo.store(name, value)
     feed = r.commanding([0.4] * 3)
-    r.catcher.wait(feed(lambda c: any("torque on by goal" in line for line in c.lines)))
+    r.catcher.wait(feed(lambda c: any(words in line and remedy in line for line in c.lines)))
     assert servo.writes == 0
     assert not servo.torque
 
@@ -97,7 +110,7 @@ def test_a_servo_that_is_replaced_by_one_set_differently_is_not_driven(run: Call
 def test_every_model_as_delivered_is_driven_over_its_whole_travel(model: object) -> None:
     [one] = models_named(model.name)  # type: ignore[attr-defined]
     registers = {"lower_limit": one.lowest, "upper_limit": one.highest, "operating_mode": 3}
-    registers |= {"resolution_divider": 1, "control_mode": 2}
+    registers |= {"resolution_divider": 1, "control_mode": 2, "secondary_id": 255}
     data = []
     for block in one.settings:
         memory = bytearray(block.size)
@@ -119,6 +132,7 @@ def test_a_homing_offset_takes_away_the_turn_that_torque_would_lose() -> None:
     memory = bytearray(block.size)
     for name, value in {
         "operating_mode": 3, "homing_offset": -512, "lower_limit": 2048, "upper_limit": 4095,
+        "secondary_id": 255,
     }.items():  # fmt: skip
         place = model.registers[name]
         at = place.address - block.address

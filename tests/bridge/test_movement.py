@@ -7,6 +7,7 @@ each write shows all that it does.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import select
 import time
 from collections.abc import Iterator
@@ -35,7 +36,13 @@ SETTLED_TICKS = 45
 
 
 class Line:
-    """A port that is served while the SDK waits: no thread, no race."""
+    """A port that is served while the SDK waits: no thread, no race.
+
+    Attributes:
+        late: share of answers that come after the next question only.
+    """
+
+    late = 0.0
 
     def __init__(self, directory: Path, protocol: int) -> None:
         model = next(m for m in MODELS if m.protocol == protocol)
@@ -53,8 +60,12 @@ class Line:
         device: Any = self.bus._port
         write = device.writePort
 
+        rng = np.random.default_rng(0)
+
         def serve(packet: list[int]) -> int:
             done = int(write(packet))
+            # What was held back is under way when the next question is asked.
+            self.port.flush(time.monotonic() + 1.0)
             # The bytes pass through a worker of the kernel.
             frames, length = self.port.requests, 0.0
             while self.port.requests == frames and length < 5.0:
@@ -62,7 +73,10 @@ class Line:
                 assert ready
                 self.port.receive(time.monotonic(), 0.0)
                 length += 0.01
-            self.port.flush(time.monotonic() + 1.0)
+            held = rng.random() < self.late
+            self.bus.timeout_ms = 2.0 if held else 1000.0
+            if not held:
+                self.port.flush(time.monotonic() + 1.0)
             return done
 
         device.writePort = serve
@@ -176,6 +190,7 @@ def registers_of(model: ServoModel) -> st.SearchStrategy[dict[str, int]]:
         fields = {
             "operating_mode": st.sampled_from([3, 3, 3, 3, 3, 4, 4, 5, 5, 0, 1, 16]),
             "drive_mode": st.sampled_from([0, 0, 0, 0, 1, 1, 4, 5, 8, 2, 13]),
+            "secondary_id": st.sampled_from([255] * 7 + [253, 2]),
             "homing_offset": st.one_of(
                 st.just(0), st.integers(-1100, 1100), st.integers(-(2**20), 2**20)
             ),
@@ -198,7 +213,7 @@ horn = st.one_of(st.floats(-2.5, 2.5), st.floats(-12.0, 12.0))
 wish = st.one_of(st.floats(-3.0, 3.0), st.floats(-15.0, 15.0))
 EVENTS = (
     "nothing", "nothing", "reboot", "reboot elsewhere", "let go", "switched on", "another's goal",
-    "overload", "recovers", "deaf", "short", "cable", "silence", "set anew", "cleared",
+    "overload", "recovers", "deaf", "short", "late", "cable", "silence", "set anew", "cleared",
 )  # fmt: skip
 script = st.lists(st.tuples(st.sampled_from(EVENTS), wish, st.integers(1, 7), horn), max_size=6)
 
@@ -240,6 +255,8 @@ def happen(stage: Stage, what: str, where: float) -> None:
         servo.deaf = 3
     elif what == "short":
         servo.short = 0.3
+    elif what == "late":
+        stage.line.late = 0.5
     elif what == "cable":
         stage.cycle.restart()
     elif what == "cleared" and not servo.model.compact:
@@ -297,13 +314,13 @@ def test_nothing_moves_that_was_not_asked_to_move(
         stage.tick(None)
     assert servo.writes == 0  # nothing is written before a command
     for what, command, ticks, where in events:
-        servo.short = 0.0
+        servo.short = stage.line.late = 0.0
         before = len(servo.switched_on)
         happen(stage, what, where)
         del servo.switched_on[before:]  # that was not the bridge
         for _ in range(ticks):
             stage.tick(None if what == "silence" else command)
-    servo.short, servo.deaf = 0.0, 0
+    servo.short, servo.deaf, stage.line.late = 0.0, 0, 0.0
     moved, start = 0.0, stage.told()
     for _ in range(SETTLED_TICKS):
         now = horns.angle(0)
@@ -320,6 +337,26 @@ def test_nothing_moves_that_was_not_asked_to_move(
     stays = last - step < start < bounds[0] or bounds[1] < start < last + step
     assert moved or there or why or stays, "neither moved, nor said why"
     event("moved" if moved else "there" if there else why.split(" (")[-1][:30])
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_late_answer_never_passes_for_one_to_a_later_question(
+    lines: dict[int, Line], name: str
+) -> None:
+    """Whatever was asked before, and whatever is asked next: also the same of a horn that moved."""
+    [model] = models_named(name)
+    line, horns = lines[model.protocol], Horns(1)
+    servo = any_servo(1, name, horns, 0)
+    line.port.servos = (servo,)
+    blocks = {*model.settings, model.watched, model.goal_and_motion, model.state, model.measured}
+    late = line.bus.late[1]
+    for n, (before, block) in enumerate(itertools.product(blocks, blocks)):
+        line.late = 1.0
+        assert line.bus.read([1], before)[1].data is None
+        line.late = 0.0
+        horns.place(0, 0.01 * n)
+        assert line.bus.read([1], block)[1].data == servo.read(block.address, block.size)
+    assert line.bus.late[1] == late + len(blocks) ** 2
 
 
 kinds = {p: [m for m in KINDS if models_named(m)[0].protocol == p] for p in (1, 2)}

@@ -136,6 +136,9 @@ def test_a_servo_that_was_silent_is_not_driven_blindly_and_wakes_gently(
     r.catcher.wait(
         while_silent(lambda c: c.statuses and c.statuses[-1].servos.get("2", SPEAKS).silent)
     )
+    # What was written before is carried out once a question that was asked later is answered.
+    ticks, known = len(r.catcher.ticks), [True, False, True]
+    r.catcher.wait(while_silent(lambda c: any(t["l0"].valid == known for t in c.ticks[ticks:])))
     r.rig.servo(2).store("torque_enable", 0)  # it has lost its power
     r.rig.backend.place(1, -0.6)  # and was moved by hand
     writes, others, ticks = r.rig.servo(2).writes, r.rig.servo(1).writes, len(r.catcher.ticks)

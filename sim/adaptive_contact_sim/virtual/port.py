@@ -172,11 +172,14 @@ class VirtualPort:
         answers = []
         for servo in self._listening:
             if not everyone and servo.id != frame.id:
+                address = _number(frame.parameters[:2])
+                if frame.code == Instruction.WRITE and servo.follows(frame.id, address):
+                    servo.write(address, frame.parameters[2:])
                 continue
             # It answers as it was when asked: a new id or baud rate counts from then on.
             replies = servo.answers == 2 or frame.code == Instruction.PING
             replies |= servo.answers == 1 and frame.code == Instruction.READ
-            status = self._execute(servo, frame)
+            status = self._execute(servo, frame, elapsed_s)
             if everyone:
                 replies = version == 2 and frame.code == Instruction.PING
             if status is None or not replies:
@@ -187,7 +190,7 @@ class VirtualPort:
                 answers.append(self._answer_of(servo, status, now_s, elapsed_s))
         self._send_all(answers)
 
-    def _execute(self, servo: VirtualServo, frame: Frame) -> Status | None:
+    def _execute(self, servo: VirtualServo, frame: Frame, elapsed_s: float) -> Status | None:
         """Carry out an instruction; None for those without an answer."""
         version, p = self._codec.version, frame.parameters
         width = version  # bytes of an address and of a length
@@ -197,7 +200,7 @@ class VirtualPort:
             about = servo.model.number.to_bytes(2, "little") + bytes((servo.value("firmware"),))
             return Status(servo.id, 0, about)
         if frame.code == Instruction.READ and len(p) == 2 * width:
-            return _read_out(servo, _number(p[:width]), _number(p[width:]))
+            return self._read_out(servo, _number(p[:width]), _number(p[width:]), elapsed_s)
         if frame.code in (Instruction.WRITE, Instruction.REG_WRITE) and len(p) > width:
             address = int.from_bytes(p[:width], "little")
             if frame.code == Instruction.REG_WRITE:
@@ -231,18 +234,20 @@ class VirtualPort:
         size = int.from_bytes(p[width : 2 * width], "little")
         rows = p[2 * width :]
         for at in range(0, len(rows) - size, size + 1):
-            for servo in self._listening:
-                if servo.id == rows[at]:
-                    servo.write(address, rows[at + 1 : at + 1 + size])
+            self._write(rows[at], address, rows[at + 1 : at + 1 + size])
 
     def _bulk_write(self, frame: Frame) -> None:
         rows = frame.parameters
         while len(rows) > _BULK_ROW:
             address, size = _number(rows[1:3]), _number(rows[3:5])
-            for servo in self._listening:
-                if servo.id == rows[0]:
-                    servo.write(address, rows[_BULK_ROW : _BULK_ROW + size])
+            self._write(rows[0], address, rows[_BULK_ROW : _BULK_ROW + size])
             rows = rows[_BULK_ROW + size :]
+
+    def _write(self, wanted: int, address: int, data: bytes) -> None:
+        """Write registers of all servos that an id means, which do not answer."""
+        for servo in self._listening:
+            if servo.id == wanted or servo.follows(wanted, address):
+                servo.write(address, data)
 
     def _read_many(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
         """Sync, fast sync and bulk read: servos answer one after the other."""
@@ -258,7 +263,7 @@ class VirtualPort:
             if not group or self.faults.strike("silent", wanted, elapsed_s) is not None:
                 # Each waits for the one before it: those after a mute one stay mute.
                 break
-            statuses = [(servo, _read_out(servo, address, size)) for servo in group]
+            statuses = [(s, self._read_out(s, address, size, elapsed_s)) for s in group]
             if frame.code == Instruction.FAST_SYNC_READ:
                 joint.append([(s, self._troubled(s, status, elapsed_s)) for s, status in statuses])
             else:
@@ -273,6 +278,15 @@ class VirtualPort:
                 *self._spoiled([group[0][0].id for group in joint], packet, due_s, elapsed_s)
             )
 
+    def _read_out(self, servo: VirtualServo, address: int, size: int, elapsed_s: float) -> Status:
+        """What a servo answers to a read."""
+        old, data = servo.last, servo.read(address, size)
+        if isinstance(data, Refusal):
+            return Status(servo.id, data.error, b"")
+        if self.faults.strike("stale", servo.id, elapsed_s):
+            servo.last, data = old, old[address : address + size]
+        return Status(servo.id, 0, data)
+
     def _spoiled(
         self, ids: Sequence[int], packet: bytes, due_s: float, elapsed_s: float
     ) -> tuple[bytes, float]:
@@ -283,14 +297,7 @@ class VirtualPort:
         return packet, due_s + max((x.ms for x in late if x is not None), default=0.0) / 1000.0
 
     def _troubled(self, servo: VirtualServo, status: Status, elapsed_s: float) -> Status:
-        """A status as faults make it: stale data, error bits."""
-        stale = self.faults.strike("stale", servo.id, elapsed_s)
-        old = servo.stale_data
-        if stale and old is not None and abs(len(old) - len(status.data)) <= 1:
-            # The servo's registers are old, whether a master asks for a byte more or not.
-            status = status._replace(data=(old + status.data[len(old) :])[: len(status.data)])
-        elif status.data:
-            servo.stale_data = status.data
+        """A status as faults make it: with error bits."""
         spec = self.faults.strike("error", servo.id, elapsed_s)
         alert = servo.set_errors(0 if spec is None else spec.error(servo.model))
         if servo.model.protocol == 2:
@@ -339,14 +346,6 @@ def _overlap(one: bytes, other: bytes) -> bytes:
     """Two packets on the wire at once: a 0 of either pulls it to 0."""
     short, long = sorted((one, other), key=len)
     return bytes(a & b for a, b in zip(short, long, strict=False)) + long[len(short) :]
-
-
-def _read_out(servo: VirtualServo, address: int, size: int) -> Status:
-    """What a servo answers to a read."""
-    data = servo.read(address, size)
-    if isinstance(data, Refusal):
-        return Status(servo.id, data.error, b"")
-    return Status(servo.id, 0, data)
 
 
 def _number(data: bytes) -> int:

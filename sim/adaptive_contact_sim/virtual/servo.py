@@ -43,7 +43,7 @@ _SIZE_X, _SIZE_330 = 662, 228
 # "Indirect Address, Indirect Data".  Each address is two bytes, 64 or more, and within the table.
 _INDIRECT_X: Final = ((168, 224, 28), (578, 634, 28))
 _INDIRECT_330: Final = ((168, 208, 20),)
-_FIRST_INDIRECT: Final = 64
+_FIRST_RAM: Final = 64
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
 _WHEEL, _JOINT = 1, 2  # XL-320's control modes
@@ -80,6 +80,7 @@ class VirtualServo:
 
     Attributes:
         id, baud: follow their registers.
+        last: the control table as it was last read.
         writes: instructions to write, carried out or refused.
         keeps_goal: torque that comes on drives to the goal in the register.  Firmwares differ in
             this: others set that goal to where the horn is, as X-series do here by default.
@@ -115,12 +116,12 @@ class VirtualServo:
         self.goal_wakes = model.protocol == 1
         self._turns = 0
         self.registered: tuple[int, bytes] | None = None
-        self.stale_data: bytes | None = None
         self.writes = 0
         self._factory(return_delay)
         self.store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
+        self.last = bytes(self._memory)
 
     @property
     def torque(self) -> bool:
@@ -147,6 +148,10 @@ class VirtualServo:
         register = self.model.registers[name]
         part = self._memory[register.address : register.address + register.size]
         return int.from_bytes(part, "little", signed=register.signed)
+
+    def follows(self, servo: int, address: int) -> bool:
+        """Whether a write to another id counts here: one to the secondary id, and to RAM."""
+        return address >= _FIRST_RAM and self._has("secondary_id") == servo > 0
 
     def set_errors(self, bits: int) -> int:
         """Put up what is wrong now; a servo that is set to shut down for it does so.
@@ -192,7 +197,8 @@ class VirtualServo:
         if size < 1 or address + size > len(self._memory):
             return Refusal(RANGE1 if self.model.protocol == 1 else LENGTH2)
         self._refresh()
-        return bytes(self._memory[self._behind(at)] for at in range(address, address + size))
+        self.last = bytes(self._memory)
+        return bytes(self.last[self._behind(at)] for at in range(address, address + size))
 
     def write(self, address: int, data: bytes) -> Refusal | None:
         """Write into the control table, whole registers; None when done."""
@@ -260,7 +266,7 @@ class VirtualServo:
             for at in range(addresses, addresses + 2 * count, 2):
                 if address < at + 2 and at < address + len(data):
                     value = int.from_bytes(after[at : at + 2], "little")
-                    if not _FIRST_INDIRECT <= value < len(self._memory):
+                    if not _FIRST_RAM <= value < len(self._memory):
                         return True
         return False
 
@@ -353,11 +359,10 @@ class VirtualServo:
             self._backend.set_slope(self._index, slope)
 
     def _drive(self) -> None:
-        if self._follows:
-            self._backend.set_goal(self._index, self._angle(self.value("goal_position")))
-        else:
-            # What it follows instead is not modelled: it stays.
-            self._backend.set_goal(self._index, self._backend.angle(self._index))
+        # What it follows instead of goals is not modelled: it stays.
+        here = self._backend.angle(self._index)
+        goal = self._angle(self.value("goal_position")) if self._follows else here
+        self._backend.set_goal(self._index, goal)
 
     def _steps(self, angle_rad: float, noise: float = 0.0) -> int:
         """Return the position register for a horn's angle, by mode, turns and offsets."""
@@ -418,8 +423,7 @@ class VirtualServo:
             self.store("present_speed", raw if speed >= 0 else -raw)
         else:
             self.store("present_speed", min(raw, 1023) | (0 if speed >= 0 else 0x400))
-        inside = backend.goal(index)
-        if inside is not None:
+        if (inside := backend.goal(index)) is not None:
             self.store("goal_position", self._steps(inside))
 
     def store(self, name: str, value: int) -> None:
@@ -443,6 +447,7 @@ class VirtualServo:
             "resolution_divider": 1,
             "control_mode": _JOINT,
             "operating_mode": _POSITION,
+            "secondary_id": 255,
             "pwm_limit": 885,
         }
         self._store_known(initial)
@@ -472,18 +477,15 @@ class VirtualServo:
         model = self.model
         self._latched = 0
         self._settle_turns(fresh=True)
-        initial = {
-            "temperature": 35,
-            "voltage": 120 if model.protocol == 1 else 50,
-            "torque_control": 0,
-            "goal_position": self._steps(self._backend.angle(self._index)),
-        }
+        here = self._steps(self._backend.angle(self._index))
+        initial = {"temperature": 35, "torque_control": 0, "goal_position": here}
+        initial["voltage"] = 120 if model.protocol == 1 else 50
         if model.compact:
             initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
             initial |= {"torque_limit": _FULL_TORQUE, "punch": 32, "position_p": 32}
         else:
-            gain = 400 if "330" in model.name else 800
-            initial |= {"position_p": gain, "hardware_error": 0, "status_return": 2}
+            initial |= {"position_p": 400 if "330" in model.name else 800}
+            initial |= {"hardware_error": 0, "status_return": 2}
         self._store_known(initial)
         for addresses, first, count in self._indirect:
             for i in range(count):  # each stands for itself
