@@ -267,8 +267,8 @@ class ActiveModel:
     def _take_coefficients(self) -> None:
         """Take the recursion's coefficients over, or fall back where they are implausible."""
         self._moved = False
-        coefficients = self._rls.coefficients
-        if moves_at_most(coefficients, self._scale, self._most_rad):
+        coefficients, within = self._rls.bounded(self._most_rad)
+        if within:
             self._coefficients = coefficients
             return
         good = self._good or self._start()

@@ -216,7 +216,7 @@ class Adapter:
                 self._active.learn(next(iter(part.rows)))
             case Label.CONTACT:
                 # While the leg is known, it is one to try candidates on.
-                if self.status == "valid":
+                if self.status == "valid" and part.touch is not None:
                     self._candidate.contacts.add(part.touch)
             case Label.END:
                 self._end_swing(part.early)

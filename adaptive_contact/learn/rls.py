@@ -74,7 +74,7 @@ class RecursiveLeastSquares:
         settings: RlsSettings | None = None,
     ) -> None:
         self.settings = settings or RlsSettings()
-        self.noise = noise.copy()
+        self.noise, self._scale = noise.copy(), scale.copy()
         self.rows = 0
         self._full = coefficients.copy()
         counts = support.sum(axis=0)
@@ -98,9 +98,15 @@ class RecursiveLeastSquares:
     @property
     def coefficients(self) -> Array:
         """(p, J) coefficients at present."""
+        return self.bounded(np.inf)[0]
+
+    def bounded(self, most: float) -> tuple[Array, bool]:
+        """Return the coefficients, and whether no term moves a typical tick by more, rad."""
         full = self._full = self._full.copy()
-        write_raw(self._xi, self._to_raw, self._index, self._counts, full)
-        return full
+        within = write_raw(
+            self._xi, self._to_raw, self._index, self._counts, full, self._scale, most
+        )
+        return full, bool(within)
 
     @property
     def covariance(self) -> Array:
@@ -299,11 +305,16 @@ def learn_row(
 
 
 @compiled
-def write_raw(xi, to_raw, index, counts, full):
-    """Write (J, n) coefficients in raw units to their places in (p, J) ``full``."""
+def write_raw(xi, to_raw, index, counts, full, scale, most):
+    """Write (J, n) coefficients in raw units to their places in (p, J) ``full``.
+
+    Returns:
+        Whether no term moves a typical tick by more than ``most``; false for NaN.
+    """
     for j in range(len(counts)):
         for k in range(counts[j]):
             full[index[j, k], j] = xi[j, k] * to_raw[j, k]
+    return moves_at_most(full, scale, most)
 
 
 @compiled
