@@ -334,8 +334,9 @@ class LegPlace:
             free.variance_scale, free.changed, free.covariance is not None, free.from_prior,
             free.sure,
         )  # fmt: skip
-        if before is None or free.thresholds is not before.thresholds:
+        if before is None or free.whiten is not before.whiten:
             batch.whiten[row] = free.whiten
+        if before is None or free.thresholds is not before.thresholds:
             batch.limits[row], batch.limits_awaited[row] = free.thresholds, free.awaited
         if before is None or free.domain is not before.domain:
             leg["has_domain"] = free.domain is not None

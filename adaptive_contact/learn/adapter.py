@@ -459,9 +459,11 @@ class Adapter:
             at_once: now, as what they are of is another model or leg; else within a few ticks.
         """
         self._swings, self._refresh_in = 0, None
-        segments = [s for s in self.buffer.segments if s.era == self._era]
-        refresh = self._noise_tracker.refresh if at_once else self._noise_tracker.begin_refresh
-        refresh(segments, self.model.coefficients)
+        residuals, context = self.buffer.residuals(self._active.coefficients, self._era)
+        if at_once:
+            self._noise_tracker.refresh(residuals, context)
+        else:
+            self._noise_tracker.begin_refresh(residuals, context, self.buffer.of_era(self._era))
 
     def _fallen(self, back_to: str) -> None:
         """Follow a return to another model, as the one in force was implausible."""
