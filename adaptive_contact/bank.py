@@ -22,6 +22,7 @@ from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.learn.noise_tracker import whiten_rows
 from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most
 from adaptive_contact.leg_learner import EVENTS, ContactLearner, check_sample
 from adaptive_contact.model.library import Library, with_changes
@@ -307,4 +308,7 @@ def compile_ahead() -> None:
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
     recursion.update(np.zeros(library.size), np.zeros(len(joints)))
     moves_at_most(recursion.coefficients, scale, 1.0)
+    of_no_rows = np.zeros((0, len(joints)))
+    at = np.zeros(0, dtype=np.int64)
+    whiten_rows(batch.whiten[0], at, of_no_rows, of_no_rows, of_no_rows[:, 0].copy())
     note_cached()

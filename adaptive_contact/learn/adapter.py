@@ -156,6 +156,11 @@ class Adapter:
         return "learning" if self.first is not None and status != "ambiguous" else status
 
     @property
+    def version(self) -> int:
+        """Version of the model in force."""
+        return self._active.version
+
+    @property
     def standing(self) -> Standing:
         """Status, doubt and version, for events and the leg's status."""
         status, doubt = self.status, self.monitor.doubt
@@ -183,10 +188,11 @@ class Adapter:
         noise, active = self._noise_tracker, self._active
         # First, as an implausible model is replaced when its coefficients are asked for.
         coefficients = active.coefficients if wanted else None
-        changed = self.changed
+        variance = self.variance_in_force
+        changed = active.inflated or variance > 1.0
         return FreeMotion(
             coefficients,
-            self.variance_in_force,
+            variance,
             active.covariance,
             active.from_prior,
             changed,

@@ -18,11 +18,13 @@ more strictly for it.
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.compiled import compiled
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.model_file import thresholds_of
 from adaptive_contact.model.noise import NoiseModel
@@ -78,7 +80,7 @@ class NoiseTracker:
         false_alarms_per_hour: float,
         domain: Domain | None = None,
     ) -> None:
-        self._noise = noise
+        self._of_baseline = np.array(noise.whiten, order="C")
         self.domain = domain
         self._tails = tails
         self._target_rate = false_alarms_per_hour
@@ -132,7 +134,7 @@ class NoiseTracker:
             context: likewise.
             segments: that they are of.
         """
-        self._next = _turned(self._noise.whiten, residuals, context)
+        self._next = _turned(self._of_baseline, residuals, context)
         self._due = 1 + -(-segments // SEGMENTS_PER_TICK)
 
     @property
@@ -188,6 +190,21 @@ class NoiseTracker:
             self._ticks, self._above, self._excess = known
 
 
+@compiled
+def whiten_rows(whiten, context, residuals, z, size):
+    """Fill (n, J) whitened residuals of single ticks, and their (n,) root mean squares."""
+    joints = residuals.shape[1]
+    for i in range(len(residuals)):
+        square = 0.0
+        for r in range(joints):
+            total = 0.0
+            for c in range(joints):
+                total += whiten[context[i], 0, r, c] * residuals[i, c]
+            z[i, r] = total
+            square += total * total
+        size[i] = math.sqrt(square / joints)
+
+
 def _turned(whiten: Array, residuals: Array, context: NDArray[np.int64]) -> Array:
     """Turn and stretch a baseline's whitening by the scatter of confirmed ticks.
 
@@ -202,8 +219,8 @@ def _turned(whiten: Array, residuals: Array, context: NDArray[np.int64]) -> Arra
     n, joints = residuals.shape
     if not n:
         return whiten
-    z = np.matvec(whiten[context, 0], residuals)
-    size = np.sqrt(np.square(z).mean(axis=1))
+    z, size = np.empty_like(residuals), np.empty(n)
+    whiten_rows(whiten, context, residuals, z, size)
     usual = max(float(np.median(size)), 1e-12)
     z *= np.minimum(1.0, CLIP * usual / np.maximum(size, 1e-12))[:, None]
     scatter = z.T @ z

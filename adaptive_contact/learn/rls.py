@@ -147,11 +147,19 @@ class RecursiveLeastSquares:
             self._take_root(joint, root / self.noise[joint])
         self._bound()
 
-    def copy(self) -> RecursiveLeastSquares:
-        """Return one that goes its own way from here; what is never written to is shared."""
-        twin = copy.copy(self)
-        twin._xi, twin._s = self._xi.copy(), self._s.copy()
-        return twin
+    def copy(self, into: RecursiveLeastSquares | None = None) -> RecursiveLeastSquares:
+        """Return one that goes its own way from here; what is never written to is shared.
+
+        Args:
+            into: an earlier copy that is not needed any more, to be written over where it fits.
+        """
+        if into is None or into._index is not self._index:
+            into = copy.copy(self)
+            into._xi, into._s = self._xi.copy(), self._s.copy()
+            return into
+        into._xi[:], into._s[:] = self._xi, self._s
+        into._full, into.rows = self._full, self.rows
+        return into
 
     def reset_covariance(self) -> None:
         """Reset the covariance to the prior: every term may move by as much as it says."""
