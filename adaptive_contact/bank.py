@@ -5,13 +5,13 @@ is what makes six legs cost little more than one.  A tick has two halves.  The f
 :meth:`LegGroup.judge`, goes from samples to contact events.  The second, :meth:`LegGroup.finish`,
 learns from the tick and predicts the next; no event waits for it.
 
-Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._step`).
+Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._reset`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, TypeVar
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -22,6 +22,7 @@ from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.learn.noise_tracker import whiten_rows
 from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most
 from adaptive_contact.leg_learner import EVENTS, ContactLearner, check_sample
 from adaptive_contact.model.library import Library, with_changes
@@ -30,8 +31,6 @@ from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
 __all__ = ["MAX_LEGS", "LearnerBank", "LegGroup", "OnFault", "compile_ahead"]
-
-T = TypeVar("T")
 
 # Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
@@ -89,12 +88,15 @@ class LegGroup:
         events: list[ContactEvent | None] = [None] * len(self.learners)
         here: list[int] = []
         for batch, _ in self._batches:
-            batch.accepted[:] = False
+            batch.accepted.fill(False)
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
             if sample is None:
                 continue
-            if self._step(learner, learner.take, sample):
-                here.append(i)
+            try:
+                if learner.take(sample):
+                    here.append(i)
+            except Exception as fault:  # of any kind, as the other legs must go on
+                self._reset(learner, fault)
         if not here:
             return events
         self._open.update(here)
@@ -103,7 +105,10 @@ class LegGroup:
             for i, flags in zip(members, batch.flags, strict=True):
                 learner = self.learners[i]
                 if flags & EVENTS and batch.accepted[learner.place.row]:
-                    events[i] = self._step(learner, learner.event_of, flags)
+                    try:
+                        events[i] = learner.event_of(flags)
+                    except Exception as fault:
+                        self._reset(learner, fault)
         return events
 
     def finish(self) -> None:
@@ -119,28 +124,31 @@ class LegGroup:
                     if i not in self._open:
                         continue
                     learner = self.learners[i]
-                    if self._step(learner, learner.finish, flags):
-                        taking_over.append(learner)
+                    try:
+                        if learner.finish(flags):
+                            taking_over.append(learner)
+                    except Exception as fault:
+                        self._reset(learner, fault)
                 batch.finish()
-            for learner in taking_over:
-                self._step(learner, learner.take_up_model)
             self._open.clear()
-        self._regroup()
+            for learner in taking_over:
+                try:
+                    learner.take_up_model()
+                except Exception as fault:
+                    self._reset(learner, fault)
+            if taking_over:
+                self._regroup()
 
-    def _step(self, learner: ContactLearner, step: Callable[..., T], *given: object) -> T | None:
-        """Make one leg's step; reset that leg if it raises, so that the others go on.
+    def _reset(self, learner: ContactLearner, fault: Exception) -> None:
+        """Reset the leg whose step raised, so that the others go on.
 
-        Returns:
-            What the step does; None where it raised.  Without ``on_fault`` it is raised again.
+        Raises:
+            Exception: what the step raised, again, where nobody asked for faults.
         """
-        try:
-            return step(*given)
-        except Exception as fault:  # of any kind, as the other legs must go on
-            if self._on_fault is None:
-                raise
-            learner.reset_after_fault(fault)
-            self._on_fault(learner.leg.id, fault)
-            return None
+        if self._on_fault is None:
+            raise fault
+        learner.reset_after_fault(fault)
+        self._on_fault(learner.leg.id, fault)
 
     def _regroup(self) -> None:
         """Put learners of equal libraries into one batch, where a leg's batch is another now."""
@@ -300,4 +308,7 @@ def compile_ahead() -> None:
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
     recursion.update(np.zeros(library.size), np.zeros(len(joints)))
     moves_at_most(recursion.coefficients, scale, 1.0)
+    of_no_rows = np.zeros((0, len(joints)))
+    at = np.zeros(0, dtype=np.int64)
+    whiten_rows(batch.whiten[0], at, of_no_rows, of_no_rows, of_no_rows[:, 0].copy())
     note_cached()

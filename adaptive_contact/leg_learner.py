@@ -337,7 +337,7 @@ class ContactLearner:
                 return True
             self._report.publish_withholding()
         else:
-            if moved:
+            if moved and adapter.version != self._report.version:
                 self._report.read_standing()
             if not (moved and self.place.leg["ticks"]):  # a stance is not judged: it can wait
                 return False

@@ -184,11 +184,16 @@ class LegReport:
         adapter = self._adapter
         self._standing = Standing() if adapter is None else adapter.standing
 
+    @property
+    def version(self) -> int:
+        """Of the model in force, as events state it."""
+        return self._standing.version
+
     def publish_withholding(self) -> None:
         """Set for the tick whether contacts are reported, and in a swing that begins with it."""
         self.read_standing()
         leg, doubt = self._place.leg, self.doubt
-        leg["withholds"] = self._withholds_at(doubt, fits=bool(leg["fits"]))
+        leg["withholds"] = doubt is not None and self._withholds_at(doubt, fits=bool(leg["fits"]))
         leg["withholds_begun"] = self._withholds_at(doubt, fits=False)
 
     @property

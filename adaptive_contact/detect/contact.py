@@ -20,7 +20,14 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.compiled import compiled
-from adaptive_contact.detect.layout import BROKE_OFF, DECIDED, DEPTH, ENTERED, TOUCHED
+from adaptive_contact.detect.layout import (
+    BROKE_OFF,
+    DECIDED,
+    DEPTH,
+    ENTERED,
+    TOUCH_TICKS,
+    TOUCHED,
+)
 from adaptive_contact.detect.swing import LEAST_WAY_M, height_gradient
 from adaptive_contact.model.noise import SPEED_EDGES_QUANTA, UNFIT_LEVEL
 
@@ -232,6 +239,32 @@ def break_off(leg):
     leg.whole = leg.stood = leg.touching = False
     begin_labels(leg)
     leg.broken = True
+
+
+@compiled
+def keep_touch(leg, touch, thetas, history, whiten, unit, limits, awaited):
+    """Keep a tick of a contact with the two before it, as a ``Touch`` has them."""
+    depth, joints = history.shape[1:]
+    at = leg.touch_n * (len(touch) // TOUCH_TICKS)
+    known = min(leg.usable, leg.thetas_n)
+    for lag in range(depth):
+        for k in range(thetas.shape[1]):
+            touch[at] = thetas[lag, k] if lag < known else 0.0
+            at += 1
+    for lag in range(depth):
+        for j in range(joints):
+            touch[at] = history[0, lag, j] + history[1, lag, j]
+            at += 1
+    for width in range(depth):
+        for r in range(joints):
+            for c in range(joints):
+                touch[at] = whiten[leg.context, width, r, c] / math.sqrt(unit[c])
+                at += 1
+    for width in range(depth):
+        touch[at] = awaited[width] if width + 1 < leg.after else limits[width]
+        at += 1
+    touch[at] = known
+    leg.touch_n += 1
 
 
 @compiled

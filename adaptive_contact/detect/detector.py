@@ -17,6 +17,7 @@ from adaptive_contact.detect.contact import (
     break_off,
     context_of,
     enter_row,
+    keep_touch,
     let_go,
     leverage,
     model_uncertainty,
@@ -45,6 +46,7 @@ from adaptive_contact.detect.layout import (
     RESTARTED,
     SLOT,
     TOPPED,
+    TOUCH_TICKS,
     TOUCHED,
     TOUCHING,
 )
@@ -379,8 +381,16 @@ def judge_tick(
             leg.free_n += 1
         # What is learned from it, later.
         if leg.learning:
+            if leg.found & TOUCHED:
+                leg.touching, leg.touch_n = True, 0
             if leg.touching:
-                leg.found |= TOUCHING
+                keep_touch(
+                    leg, vector(floats, places, i, SLOT.touch), thetas[i], history[i], whiten[i],
+                    unit, limits, limits_awaited,
+                )  # fmt: skip
+                if leg.touch_n == TOUCH_TICKS:
+                    leg.touching = False
+                    leg.found |= TOUCHING
             if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],

@@ -24,6 +24,7 @@ SWINGS: Final = 5  # lengths of swings, remembered
 PATH_TICKS: Final = 400  # commands of a swing, remembered
 RING: Final = 101  # ticks by which the rate is judged, at most
 VALUES: Final = 8  # refused readings remembered
+TOUCH_TICKS: Final = 3  # of a contact that are handed on, from the alarm on
 KEPT: Final = 3000  # samples kept for judgements of a whole motion, a minute at 50 Hz
 
 # What a tick finds of a leg, as bits: Python looks only at legs that have one.
@@ -35,14 +36,15 @@ ENTERED: Final = 16  # a row was entered
 TOPPED: Final = 32  # the top of the lift has just been passed
 DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
-TOUCHING: Final = 256  # one of the first ticks of a contact
+TOUCHING: Final = 256  # the first ticks of a contact are kept
 RATE_OFF: Final = 512  # ticks are not as far apart as described
 SOURCE: Final = 2048  # the source begins or ceases to copy commands or swap phases
 RELEASE_PENDING: Final = 1024  # a contact is to end that no tick can decide any more
 
 f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
 
-# The vectors of one leg, by kind; lengths are numbers, or J joints, p terms, w places of a window.
+# The vectors of one leg, by kind; lengths are numbers, or J joints, p terms, w places of a window,
+# t those of a `Touch`.
 VECTORS: Final[dict[Any, dict[str, int | str]]] = {
     f8: {
         "measured": "J",  # the sample, rad; both side by side at the start
@@ -73,6 +75,7 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "limits": DEPTH,  # thresholds in a swing, and after the turn to stance
         "limits_awaited": DEPTH,
         "scores": DEPTH,  # test ratios of this tick
+        "touch": "t",  # the first ticks of a contact, each as a `Touch` has it
     },
     i8: {
         "lengths_ticks": SWINGS,
@@ -211,7 +214,8 @@ LEG: Final = np.dtype(
         ("closed", b1),  # no more rows of the descent are taken
         ("broken", b1),  # the swing cannot be labelled
         ("top_seen", b1),  # the top was flagged
-        ("touching", b1),  # the first ticks of a contact are kept
+        ("touching", b1),  # the first ticks of a contact are to be kept
+        ("touch_n", i4),  # of these that are
         ("fit_n", i4),  # ticks in a row up to now that fit the model
         ("fit_before", i4),  # and of the row before
         ("misfit_ns", i8),  # the tick that ended it
@@ -272,7 +276,7 @@ def vectors(
 
     Args:
         count: of legs, L.
-        lengths: J, p and w.
+        lengths: J, p, w and t.
 
     Returns:
         One array of L rows for each kind, the place of each vector in its row, and the (L, n)

@@ -20,6 +20,7 @@ from adaptive_contact.detect.layout import (
     PATH_TICKS,
     RING,
     SAMPLE,
+    TOUCH_TICKS,
     new_legs,
     vectors,
 )
@@ -27,7 +28,7 @@ from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.source import COMMANDS, LAGS
 from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
-from adaptive_contact.model.labelled_swing import ROW
+from adaptive_contact.model.labelled_swing import ROW, Touch
 from adaptive_contact.model.library import ChangeLibrary, Library
 from adaptive_contact.model.noise import CONTEXTS
 from adaptive_contact.robot import Leg
@@ -82,6 +83,7 @@ class LegBatch:
     limits: Array
     limits_awaited: Array
     scores: Array
+    touch: Array
 
     def __init__(
         self, legs: Sequence[Leg], library: Library, quantum_rad: Sequence[float], period_ns: int,
@@ -102,7 +104,8 @@ class LegBatch:
             return np.zeros((rows, *shape), dtype=dtype)
 
         self.legs = legs_ = new_legs(rows)
-        lengths = {"J": joints, "p": p, "w": depth * joints}
+        touch = TOUCH_TICKS * Touch.size(p, joints)
+        lengths = {"J": joints, "p": p, "w": depth * joints, "t": touch}
         self.vectors, self.places, views = vectors(rows, lengths)
         for name, view in views.items():
             setattr(self, name, view)
@@ -225,9 +228,9 @@ class LegBatch:
         leg = self.legs[row]
         for name in ("filled", "impossible", "unsure", "refused", "reach_ticks", "values_n"):
             leg[name] = 0
-        for name in ("usable", "thetas_n", "root_n"):
+        for name in ("usable", "thetas_n", "root_n", "touch_n"):
             leg[name] = 0
-        leg["predicted"] = leg["bad"] = leg["seen"] = False
+        leg["predicted"] = leg["bad"] = leg["seen"] = leg["touching"] = False
         leg["sound"], leg["inflation"] = True, 1.0
 
 
@@ -238,7 +241,7 @@ _SCRATCH: Final = ("some", "room", "now", "sums", "places", "accepted")
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",
     "last", "suspects", "stale", "refused", "values", "counts", "xi0", "coefficients", "index",
-    "per_scale", "root", "domain",
+    "per_scale", "root", "domain", "touch",
 )  # fmt: skip
 
 
@@ -331,8 +334,9 @@ class LegPlace:
             free.variance_scale, free.changed, free.covariance is not None, free.from_prior,
             free.sure,
         )  # fmt: skip
-        if before is None or free.thresholds is not before.thresholds:
+        if before is None or free.whiten is not before.whiten:
             batch.whiten[row] = free.whiten
+        if before is None or free.thresholds is not before.thresholds:
             batch.limits[row], batch.limits_awaited[row] = free.thresholds, free.awaited
         if before is None or free.domain is not before.domain:
             leg["has_domain"] = free.domain is not None

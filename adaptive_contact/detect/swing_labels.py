@@ -38,8 +38,6 @@ __all__ = ["SwingLabels", "confirmed_before", "confirmed_of", "let_go_rows"]
 
 # Whole swings in a row without a lift that could be labelled, after which changes go unseen.
 UNOBSERVED_SWINGS: Final = 20
-# Ticks of a contact that are handed on, from the alarm on.
-TOUCH_TICKS: Final = 3
 # A foot that lets go late shows in residuals that fall by orders of magnitude; a leg that has
 # changed shows in all of them alike.  Rows this many times above the last ones are still pressed.
 LET_GO_RATIO: Final = 10.0
@@ -80,7 +78,6 @@ class SwingLabels:
         self._first: LegModel | None = None
         self._region = 0
         self._regions = _Regions()
-        self._touch: list[Touch] = []  # the first ticks of a contact in hand
         self._travel_judged = False
         self._rollout: Rollout | None = None  # from where the leg was before the swing
         self._unobserved = 0  # whole swings since a lift was labelled
@@ -104,24 +101,21 @@ class SwingLabels:
 
     def restart(self) -> None:
         """Forget the present swing: the source has started again."""
-        self._touch.clear()
+        self._place.leg["touch_n"] = 0
 
     def assess(self, flags: int) -> list[LabelledSwing]:
         """Label what the next tick is judged by: a swing that begins, a lift past its top."""
         leg = self._place.leg
-        if flags & (RESTARTED | BROKE_OFF):
-            self._touch.clear()
+        if flags & (RESTARTED | BROKE_OFF | BEGAN):
+            leg["touch_n"] = 0
         found: list[LabelledSwing] = []
         if not leg["known"]:
             return found
         if flags & BEGAN:
-            self._touch.clear()
             self._begin_swing()
             found.append(LabelledSwing(Label.BEGIN))
-        if flags & TOUCHING and self._touch:
-            self._touch.append(self._touch_tick())
-            if len(self._touch) >= TOUCH_TICKS:
-                found += self._contact()
+        if flags & TOUCHING:
+            found += self._contact()
         if not flags & ENTERED:
             return found
         if not leg["gated"]:
@@ -148,7 +142,7 @@ class SwingLabels:
         ]
 
     def alarm(self) -> list[LabelledSwing]:
-        """Label what a contact that has just begun confirms, and keep its first tick."""
+        """Label what a contact that has just begun confirms."""
         leg = self._place.leg
         if not leg["known"]:
             return []
@@ -161,10 +155,7 @@ class SwingLabels:
         if leg["from_prior"] and leg["after"] and rows:
             last_ns = min(onset_ns, int(rows.t_ns[-1]) + period_ns) - CAUTIOUS_TICKS * period_ns
             rows = rows[rows.t_ns < last_ns]
-        found = self._confirmed(rows, lifted=self._swing.lifted)
-        self._touch = [self._touch_tick()]
-        leg["touching"] = True
-        return found
+        return self._confirmed(rows, lifted=self._swing.lifted)
 
     # -- private -------------------------------------------------------------------------------
 
@@ -207,10 +198,13 @@ class SwingLabels:
 
     def _contact(self) -> list[LabelledSwing]:
         """Label the first ticks of a contact, for candidate models to be tried on."""
-        ticks, self._touch = self._touch, []
-        leg = self._place.leg
-        leg["touching"] = False
-        return [LabelledSwing(Label.CONTACT, touch=ticks)] if ticks and leg["learning"] else []
+        batch, leg = self._place.batch, self._place.leg
+        count = int(leg["touch_n"])
+        if not count:
+            return []
+        leg["touch_n"], leg["touching"] = 0, False
+        ticks = Touch.of(batch.touch[self._place.row], count, *batch.coefficients.shape[1:])
+        return [LabelledSwing(Label.CONTACT, touch=ticks)]
 
     def _close(self, onset_ns: int, period_ns: int) -> Rows:
         """Close the swing at a contact; return the rows of its descent that are free."""
@@ -239,18 +233,6 @@ class SwingLabels:
             batch.rows[at, first:last].copy(),
             batch.row_asides[at, first:last].copy(),
         )
-
-    def _touch_tick(self) -> Touch:
-        """Return the last three ticks, as they were judged."""
-        place = self._place
-        batch, row, leg = place.batch, place.row, place.leg
-        whiten = batch.whiten[row, int(leg["context"])] / batch.unit[row] ** 0.5
-        thetas = batch.thetas[row, : int(leg["thetas_n"])]
-        residual, increment = batch.history[row]
-        target, limits, waited = residual + increment, batch.limits[row].copy(), int(leg["after"])
-        if waited > 1:
-            limits[: waited - 1] = batch.limits_awaited[row, : waited - 1]
-        return Touch.of(thetas, target, whiten, limits, int(leg["usable"]))
 
 
 def confirmed_before(

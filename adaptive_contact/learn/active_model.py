@@ -77,9 +77,10 @@ class FirstSwings:
 
 
 class _Good(NamedTuple):
-    """Holds a model that fitted, with the recursion that went on from it."""
+    """Holds the coefficients of a model that fitted, with the recursion that went on from it."""
 
-    model: LegModel
+    coefficients: Array
+    version: int
     rls: RecursiveLeastSquares
     inflated: bool
 
@@ -106,7 +107,7 @@ class ActiveModel:
         self._model = known.model
         self._coefficients = known.model.coefficients
         self._moved = False  # the recursion has, since they were made
-        _, self._rls, self.inflated = self._start()
+        _, _, self._rls, self.inflated = self._start()
         # What a term may move a tick by, at most.
         own = np.abs(known.model.coefficients * known.scale[:, None]).max()
         self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
@@ -171,14 +172,16 @@ class ActiveModel:
 
     def remember(self) -> None:
         """Keep the model in force as the last good one."""
-        self._good = _Good(self.model, self._rls.copy(), self.inflated)
+        coefficients, before = self.coefficients, self._good
+        rls = self._rls.copy(None if before is None else before.rls)
+        self._good = _Good(coefficients, self.version, rls, self.inflated)
 
     def recall(self) -> None:
         """Restore the last good model: what was learned since was of something else."""
         good = self._good
-        if good is None or good.model.version != self.model.version:
+        if good is None or good.version != self.model.version:
             return
-        self._put(good.model)
+        self._put(self._model.moved(good.coefficients, good.version))
         self._rls, self.inflated = good.rls.copy(), good.inflated
 
     def replace(self, model: LegModel) -> None:
@@ -204,7 +207,7 @@ class ActiveModel:
 
     def revert_to_baseline(self) -> None:
         """Put the baseline, or the prior, in force again; the version goes on."""
-        _, self._rls, self.inflated = self._start()
+        _, _, self._rls, self.inflated = self._start()
         self._moved = True
 
     def snapshot(self) -> dict[str, Any]:
@@ -237,11 +240,13 @@ class ActiveModel:
 
     def _start(self) -> _Good:
         """Return the baseline, with a recursion that begins at it and at its spread."""
+        model = self.baseline
         if self._spread is None:
-            return _Good(self.baseline, self._recursion(self.baseline), inflated=False)
-        rls = self._recursion(self.baseline, (self._spread != 0.0).any(axis=1).T)
-        rls.inflate(self._spread)
-        return _Good(self.baseline, rls, inflated=True)
+            rls = self._recursion(model)
+        else:
+            rls = self._recursion(model, (self._spread != 0.0).any(axis=1).T)
+            rls.inflate(self._spread)
+        return _Good(model.coefficients, model.version, rls, self._spread is not None)
 
     def _recursion(
         self, model: LegModel, more: NDArray[np.bool_] | None = None
@@ -255,8 +260,9 @@ class ActiveModel:
         )
 
     def _error(self, rows: Rows, coefficients: Array) -> float:
-        squares = np.square(rows.residual(coefficients) / self._noise)
-        return float(np.add.reduce(squares, axis=None)) / squares.size
+        off = rows.residual(coefficients)
+        off /= self._noise
+        return float(np.vdot(off, off)) / off.size
 
     def plausible(self, coefficients: Array) -> bool:
         """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""
@@ -267,12 +273,12 @@ class ActiveModel:
     def _take_coefficients(self) -> None:
         """Take the recursion's coefficients over, or fall back where they are implausible."""
         self._moved = False
-        coefficients = self._rls.coefficients
-        if moves_at_most(coefficients, self._scale, self._most_rad):
+        coefficients, within = self._rls.bounded(self._most_rad)
+        if within:
             self._coefficients = coefficients
             return
         good = self._good or self._start()
-        self._coefficients = good.model.coefficients.copy()
+        self._coefficients = good.coefficients.copy()
         self._rls, self.inflated = good.rls.copy(), good.inflated
         self._on_fall("the baseline" if self._good is None else "the last good model")
 

@@ -156,6 +156,11 @@ class Adapter:
         return "learning" if self.first is not None and status != "ambiguous" else status
 
     @property
+    def version(self) -> int:
+        """Version of the model in force."""
+        return self._active.version
+
+    @property
     def standing(self) -> Standing:
         """Status, doubt and version, for events and the leg's status."""
         status, doubt = self.status, self.monitor.doubt
@@ -183,10 +188,11 @@ class Adapter:
         noise, active = self._noise_tracker, self._active
         # First, as an implausible model is replaced when its coefficients are asked for.
         coefficients = active.coefficients if wanted else None
-        changed = self.changed
+        variance = self.variance_in_force
+        changed = active.inflated or variance > 1.0
         return FreeMotion(
             coefficients,
-            self.variance_in_force,
+            variance,
             active.covariance,
             active.from_prior,
             changed,
@@ -216,7 +222,7 @@ class Adapter:
                 self._active.learn(next(iter(part.rows)))
             case Label.CONTACT:
                 # While the leg is known, it is one to try candidates on.
-                if self.status == "valid":
+                if self.status == "valid" and part.touch is not None:
                     self._candidate.contacts.add(part.touch)
             case Label.END:
                 self._end_swing(part.early)
@@ -459,9 +465,11 @@ class Adapter:
             at_once: now, as what they are of is another model or leg; else within a few ticks.
         """
         self._swings, self._refresh_in = 0, None
-        segments = [s for s in self.buffer.segments if s.era == self._era]
-        refresh = self._noise_tracker.refresh if at_once else self._noise_tracker.begin_refresh
-        refresh(segments, self.model.coefficients)
+        residuals, context = self.buffer.residuals(self._active.coefficients, self._era)
+        if at_once:
+            self._noise_tracker.refresh(residuals, context)
+        else:
+            self._noise_tracker.begin_refresh(residuals, context, self.buffer.of_era(self._era))
 
     def _fallen(self, back_to: str) -> None:
         """Follow a return to another model, as the one in force was implausible."""

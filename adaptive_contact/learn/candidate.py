@@ -82,14 +82,14 @@ class StoredContacts:
     """
 
     def __init__(self) -> None:
-        self._kept: deque[tuple[Touch, ...]] = deque(maxlen=MOST_CONTACTS)
+        self._kept: deque[Touch] = deque(maxlen=MOST_CONTACTS)
 
     def __len__(self) -> int:
         return len(self._kept)
 
-    def add(self, ticks: Sequence[Touch]) -> None:
+    def add(self, ticks: Touch) -> None:
         """Store a contact, the ticks from its alarm on; the oldest goes if there are too many."""
-        self._kept.append(tuple(ticks))
+        self._kept.append(ticks)
 
     def clear(self) -> None:
         """Drop all, as the leg has changed: they may have been the change."""
@@ -109,12 +109,11 @@ class StoredContacts:
         """
         if not self._kept:
             return np.zeros(0, dtype=np.bool_)
-        ticks = [touch for contact in self._kept for touch in contact]
-        theta, target, whiten, limits, usable = map(np.array, zip(*ticks, strict=True))
+        theta, target, whiten, limits, usable = map(np.concatenate, zip(*self._kept, strict=True))
         increment = theta @ coefficients
         said = statistic(target - increment, increment, whiten, usable)
         alarm = (np.nan_to_num(said.value) / limits).max(axis=-1) > 1.0
-        begins = np.cumsum([0, *(len(contact) for contact in self._kept)])[:-1]
+        begins = np.cumsum([0, *(len(contact.usable) for contact in self._kept)])[:-1]
         return np.asarray(np.logical_or.reduceat(alarm, begins))
 
 

@@ -18,13 +18,13 @@ more strictly for it.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import math
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.learn.replay_buffer import Segment
+from adaptive_contact.compiled import compiled
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.model_file import thresholds_of
 from adaptive_contact.model.noise import NoiseModel
@@ -50,7 +50,7 @@ MEMORY_TICKS: Final = 20_000.0
 # a touch, 0.012 of those in swings (eight planned walks of 90 s).  At so many times the target
 # rate, which is 1.3e-4 per tick, one alarm there in a thousand is false.
 AWAITED: Final = 70.0
-# Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
+# What is recomputed is in force after a tick for so many segments, as results on record have it.
 SEGMENTS_PER_TICK: Final = 12
 # A tail this many times as frequent, or as wide, as the baseline's is no tail: the model is wrong,
 # which the monitor has to say.
@@ -80,7 +80,7 @@ class NoiseTracker:
         false_alarms_per_hour: float,
         domain: Domain | None = None,
     ) -> None:
-        self._noise = noise
+        self._of_baseline = np.array(noise.whiten, order="C")
         self.domain = domain
         self._tails = tails
         self._target_rate = false_alarms_per_hour
@@ -89,7 +89,9 @@ class NoiseTracker:
         self.thresholds: Array = self._least
         self._least_awaited = thresholds_of(tails, AWAITED * false_alarms_per_hour)
         self.awaited: Array = self._least_awaited
-        self._under_way: _Shaping | None = None
+        self._factors = (1.0, 1.0)  # on the tails, by which the thresholds were computed
+        self._next: Array | None = None  # whitening to come
+        self._due = 0  # ticks until then
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
         self._ticks = self._above = self._excess = 0.0
 
@@ -114,45 +116,54 @@ class NoiseTracker:
             self._above *= fade
             self._excess *= fade
 
-    def refresh(self, segments: Sequence[Segment], coefficients: Array) -> None:
+    def refresh(self, residuals: Array, context: NDArray[np.int64]) -> None:
         """Recompute covariances and thresholds at once.
 
         Args:
-            segments: confirmed ticks of the leg as it is.
-            coefficients: (p, J) of the model in force.
+            residuals: (n, J) rad, of confirmed ticks of the leg as it is, by the model in force.
+            context: (n,) by which their covariances were chosen.
         """
-        self.begin_refresh(segments, coefficients)
-        while self._under_way is not None:
-            self.go_on()
+        self.begin_refresh(residuals, context, 0)
+        self.go_on()
 
-    def begin_refresh(self, segments: Sequence[Segment], coefficients: Array) -> None:
-        """Begin to recompute, some segments a tick with :meth:`go_on`; drops one under way."""
-        self._under_way = _Shaping(self._noise.whiten, tuple(segments), coefficients)
+    def begin_refresh(self, residuals: Array, context: NDArray[np.int64], segments: int) -> None:
+        """Recompute covariances, to be in force after some calls of :meth:`go_on`.
+
+        Args:
+            residuals: as of :meth:`refresh`.
+            context: likewise.
+            segments: that they are of.
+        """
+        self._next = _turned(self._of_baseline, residuals, context)
+        self._due = 1 + -(-segments // SEGMENTS_PER_TICK)
 
     @property
     def refreshing(self) -> bool:
         """Whether a refresh is under way, for :meth:`go_on`."""
-        return self._under_way is not None
+        return self._next is not None
 
     def drop_refresh(self) -> None:
-        """Drop a recomputation under way: its ticks were dropped since."""
-        self._under_way = None
+        """Drop a refresh under way: its ticks were dropped since."""
+        self._next = None
 
     def go_on(self) -> bool:
-        """Compute a tick's share of what is under way; True if it is done."""
-        shaping = self._under_way
-        if shaping is None or not shaping.advance(SEGMENTS_PER_TICK):
+        """Count a tick of a refresh under way; True where it is in force from here on."""
+        if self._next is None:
             return False
-        self._under_way = None
-        self.whiten = shaping.turned()
-        often, wide = self.tail_factors
-        tails = tuple(
-            dataclasses.replace(t, rate=min(often * t.rate, 0.5), scale=wide * t.scale)
-            for t in self._tails
-        )
-        self.thresholds = np.maximum(self._least, thresholds_of(tails, self._target_rate))
-        awaited = thresholds_of(tails, AWAITED * self._target_rate)
-        self.awaited = np.maximum(self._least_awaited, awaited)
+        self._due -= 1
+        if self._due:
+            return False
+        self.whiten, self._next = self._next, None
+        factors = self.tail_factors
+        if factors != self._factors:
+            often, wide = self._factors = factors
+            tails = tuple(
+                dataclasses.replace(t, rate=min(often * t.rate, 0.5), scale=wide * t.scale)
+                for t in self._tails
+            )
+            self.thresholds = np.maximum(self._least, thresholds_of(tails, self._target_rate))
+            awaited = thresholds_of(tails, AWAITED * self._target_rate)
+            self.awaited = np.maximum(self._least_awaited, awaited)
         return True
 
     @property
@@ -179,47 +190,41 @@ class NoiseTracker:
             self._ticks, self._above, self._excess = known
 
 
-class _Shaping:
-    """A baseline's whitening, turned and stretched by the scatter of confirmed ticks; on the way.
+@compiled
+def whiten_rows(whiten, context, residuals, z, size):
+    """Fill (n, J) whitened residuals of single ticks, and their (n,) root mean squares."""
+    joints = residuals.shape[1]
+    for i in range(len(residuals)):
+        square = 0.0
+        for r in range(joints):
+            total = 0.0
+            for c in range(joints):
+                total += whiten[context[i], 0, r, c] * residuals[i, c]
+            z[i, r] = total
+            square += total * total
+        size[i] = math.sqrt(square / joints)
+
+
+def _turned(whiten: Array, residuals: Array, context: NDArray[np.int64]) -> Array:
+    """Turn and stretch a baseline's whitening by the scatter of confirmed ticks.
 
     Args:
         whiten: (contexts, windows, J, J) the baseline's.
-        segments: of confirmed ticks.
-        coefficients: (p, J) of the model whose residuals they are.
+        residuals: (n, J) rad.
+        context: (n,) of each.
+
+    Returns:
+        (contexts, windows, J, J).
     """
-
-    def __init__(self, whiten: Array, segments: tuple[Segment, ...], coefficients: Array) -> None:
-        self._whiten = whiten
-        self._segments = segments
-        self._coefficients = coefficients
-        self._done = 0
-        self._residuals: list[Array] = []  # whitened
-
-    def advance(self, most: int) -> bool:
-        """Take in so many segments; True when all were taken in before."""
-        part = self._segments[self._done : self._done + most]
-        if not part:
-            return True
-        self._done += len(part)
-        theta = np.concatenate([s.theta for s in part])
-        target = np.concatenate([s.target for s in part])
-        where = np.concatenate([s.context for s in part])
-        off = target - theta @ self._coefficients
-        self._residuals.append(np.matvec(self._whiten[where, 0], off))
-        return False
-
-    def turned(self) -> Array:
-        """(contexts, windows, J, J), of the segments taken in."""
-        if not self._residuals:
-            return self._whiten
-        z = np.concatenate(self._residuals)
-        joints = z.shape[1]
-        size = np.sqrt(np.square(z).mean(axis=1))
-        usual = max(float(np.median(size)), 1e-12)
-        z *= np.minimum(1.0, CLIP * usual / np.maximum(size, 1e-12))[:, None]
-        scatter = z.T @ z
-        mean = float(np.trace(scatter)) / joints / len(z)
-        shape = scatter + SHRINK_TICKS * mean * np.eye(joints)
-        shape *= joints / np.trace(shape)
-        turned = np.linalg.inv(np.linalg.cholesky(shape))
-        return np.asarray(turned @ self._whiten)
+    n, joints = residuals.shape
+    if not n:
+        return whiten
+    z, size = np.empty_like(residuals), np.empty(n)
+    whiten_rows(whiten, context, residuals, z, size)
+    usual = max(float(np.median(size)), 1e-12)
+    z *= np.minimum(1.0, CLIP * usual / np.maximum(size, 1e-12))[:, None]
+    scatter = z.T @ z
+    mean = float(scatter.trace()) / joints / n
+    shape = scatter + SHRINK_TICKS * mean * np.eye(joints)
+    shape *= joints / shape.trace()
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(shape)) @ whiten)

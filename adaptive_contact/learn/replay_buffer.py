@@ -1,8 +1,9 @@
 """Buffers the newest confirmed free ticks.
 
 Newest segments first, with a quota per direction and region of the workspace, so that a
-monotonous gait does not forget the rest; bounded in segments.  Each segment keeps its raw rows:
-covariances are computed from residuals under the model in force.  Evicting is dropping.
+monotonous gait does not forget the rest; bounded in segments.  Raw rows are kept, as covariances
+are computed from residuals under the model in force, and side by side, as that is one product then.
+Evicting is marking a segment's rows; their room is regained when there is no other left.
 """
 
 from __future__ import annotations
@@ -28,10 +29,14 @@ MOST_SEGMENTS: Final = 1000
 # Swings of many seconds bring hundreds of rows each: so many, 5 MB of the shipped library, are kept
 # in all.  Segments of a walk hold a dozen, and a thousand of those are as many.
 MOST_ROWS: Final = 12_000
+# Room for rows at first; and once it is used up, for so many times those that there are.
+FIRST_ROOM: Final = 128
+SPARE: Final = 1.5
+_EVICTED: Final = -1  # era of rows that are kept no more
 
 
 class Segment(NamedTuple):
-    """Holds the confirmed rows of one lift or one descent.
+    """Holds the confirmed rows of one lift or one descent; the buffer's are views.
 
     Attributes:
         theta: (n, p); target: (n, J) rad.
@@ -49,6 +54,17 @@ class Segment(NamedTuple):
     t_ns: int
 
 
+@dataclasses.dataclass(slots=True)
+class _Place:
+    """Says where the rows of a segment are, and the rest of what is known of it."""
+
+    first: int
+    count: int
+    cell: tuple[int, int]
+    era: int
+    t_ns: int
+
+
 @dataclasses.dataclass
 class ReplayBuffer:
     """Buffers the confirmed segments of one leg.
@@ -60,20 +76,30 @@ class ReplayBuffer:
 
     limit: int = SEGMENTS
     rows: int = 0
-    _segments: deque[Segment] = dataclasses.field(default_factory=deque)
+    _segments: deque[_Place] = dataclasses.field(default_factory=deque)
     _cells: Counter[tuple[int, int]] = dataclasses.field(default_factory=Counter)
     _held: int = 0  # rows
     _of_source: int = 0  # segments, the newest: whose times are of the source in force
+    _used: int = 0  # rows of the arrays, those evicted among them
+    _theta: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    _target: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    _context: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
+    _eras: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def segments(self) -> list[Segment]:
-        """Segments, oldest first."""
-        return list(self._segments)
+        """Segments, oldest first; good until the buffer changes."""
+        found = []
+        for s in self._segments:
+            rows = slice(s.first, s.first + s.count)
+            theta, target, context = self._theta[rows], self._target[rows], self._context[rows]
+            found.append(Segment(theta, target, context, s.cell, s.era, s.t_ns))
+        return found
 
     @property
     def counts(self) -> BufferCounts:
         """Counts of swings and ticks, for the status."""
-        lifts = [len(segment.target) for segment in self._segments if segment.cell[0] == 0]
+        lifts = [segment.count for segment in self._segments if segment.cell[0] == 0]
         return BufferCounts(
             swings=max(len(lifts), len(self._segments) - len(lifts)),
             lift_ticks=sum(lifts),
@@ -85,17 +111,71 @@ class ReplayBuffer:
         if not rows:
             return
         cell = (0 if rows.known["lift"][0] else 1, region)
-        context = rows.known["context"].astype(np.int64)
-        segment = Segment(rows.theta, rows.target, context, cell, era, int(rows.t_ns[-1]))
-        self._segments.append(segment)
-        self._cells[cell] += 1
-        self._held += len(rows)
+        t_ns = int(rows.known["t_ns"][-1])
+        self._append(Segment(rows.theta, rows.target, rows.known["context"], cell, era, t_ns))
         self._of_source += 1
         if len(self._segments) > self.limit and (
             self._held > self.rows or len(self._segments) > MOST_SEGMENTS
         ):
             self._evict()
         self._bound()
+
+    def residuals(self, coefficients: Array, era: int) -> tuple[Array, NDArray[np.int64]]:
+        """Compute the (n, J) residuals, rad, of an era's rows under (p, J) coefficients.
+
+        Returns:
+            These, and the rows' (n,) contexts.
+        """
+        used = slice(self._used)
+        if not self._used:
+            return self._target, self._context
+        off = self._target[used] - self._theta[used] @ coefficients
+        of_era = self._eras[used] == era
+        return off[of_era], self._context[used][of_era]
+
+    def of_era(self, era: int) -> int:
+        """Count the segments of an era."""
+        return sum(segment.era == era for segment in self._segments)
+
+    def _append(self, segment: Segment) -> None:
+        """Write a segment behind the others."""
+        count = len(segment.target)
+        if self._used + count > len(self._eras):
+            self._make_room(count, segment.theta.shape[1], segment.target.shape[1])
+        first, end = self._used, self._used + count
+        self._theta[first:end], self._target[first:end] = segment.theta, segment.target
+        self._context[first:end], self._eras[first:end] = segment.context, segment.era
+        self._used = end
+        self._segments.append(_Place(first, count, segment.cell, segment.era, segment.t_ns))
+        self._cells[segment.cell] += 1
+        self._held += count
+
+    def _make_room(self, count: int, terms: int, joints: int) -> None:
+        """Move what is kept together, into larger arrays where it nearly fills these."""
+        alive = self._eras[: self._used] != _EVICTED
+        room = len(self._eras)
+        if SPARE * (self._held + count) > 1.2 * room:
+            room = max(FIRST_ROOM, int(SPARE * (self._held + count)))
+        for name, shape in (
+            ("_theta", (terms,)),
+            ("_target", (joints,)),
+            ("_context", ()),
+            ("_eras", ()),
+        ):
+            before = getattr(self, name)
+            of = before if len(before) == room else np.zeros((room, *shape), before.dtype)
+            if self._used:
+                of[: self._held] = before[: self._used][alive]
+            setattr(self, name, of)
+        self._used = 0
+        for segment in self._segments:
+            segment.first = self._used
+            self._used += segment.count
+
+    def _drop(self, segment: _Place) -> None:
+        self._eras[segment.first : segment.first + segment.count] = _EVICTED
+        self._held -= segment.count
+        self._cells[segment.cell] -= 1
 
     def _bound(self) -> None:
         while self._held > MOST_ROWS and len(self._segments) > 1:
@@ -108,8 +188,7 @@ class ReplayBuffer:
             most = max(self._cells.values())
             index = next(i for i, s in enumerate(self._segments) if self._cells[s.cell] == most)
         self._of_source -= index >= len(self._segments) - self._of_source
-        self._held -= len(self._segments[index].target)
-        self._cells[self._segments[index].cell] -= 1
+        self._drop(self._segments[index])
         del self._segments[index]
 
     def drop_since(self, t_ns: int) -> None:
@@ -118,10 +197,14 @@ class ReplayBuffer:
         They are not in order: a descent that waited comes after the lift that confirmed it.
         """
         own = [self._segments.pop() for _ in range(self._of_source)]
-        kept = [segment for segment in reversed(own) if segment.t_ns < t_ns]
+        kept = []
+        for segment in reversed(own):
+            if segment.t_ns < t_ns:
+                kept.append(segment)
+            else:
+                self._drop(segment)
         self._segments.extend(kept)
         self._of_source = len(kept)
-        self._count()
 
     def new_source(self) -> None:
         """Mark all segments as of an earlier source: their times do not compare with its own."""
@@ -143,7 +226,7 @@ class ReplayBuffer:
             first use.
         """
         fit, held_out = Factor(terms, joints), Factor(terms, joints)
-        of_era = [s for s in self._segments if s.era == era]
+        of_era = [s for s in self.segments if s.era == era]
         dealt: tuple[list[Segment], list[Segment]] = ([], [])
         for number, segment in enumerate(of_era):
             dealt[number % every == every - 1].append(segment)
@@ -157,12 +240,9 @@ class ReplayBuffer:
 
     def restore(self, segments: list[Segment]) -> None:
         """Take over saved segments, oldest first; beyond the limit, the newest."""
-        self._segments = deque(segments[-MOST_SEGMENTS:])
-        self._of_source = 0
-        self._count()
+        self._segments.clear()
+        self._cells.clear()
+        self._held = self._used = self._of_source = 0
+        for segment in segments[-MOST_SEGMENTS:]:
+            self._append(segment)
         self._bound()
-
-    def _count(self) -> None:
-        """Count rows and cells from the segments."""
-        self._held = sum(len(segment.target) for segment in self._segments)
-        self._cells = Counter(segment.cell for segment in self._segments)

@@ -74,7 +74,7 @@ class RecursiveLeastSquares:
         settings: RlsSettings | None = None,
     ) -> None:
         self.settings = settings or RlsSettings()
-        self.noise = noise.copy()
+        self.noise, self._scale = noise.copy(), scale.copy()
         self.rows = 0
         self._full = coefficients.copy()
         counts = support.sum(axis=0)
@@ -98,9 +98,15 @@ class RecursiveLeastSquares:
     @property
     def coefficients(self) -> Array:
         """(p, J) coefficients at present."""
+        return self.bounded(np.inf)[0]
+
+    def bounded(self, most: float) -> tuple[Array, bool]:
+        """Return the coefficients, and whether no term moves a typical tick by more, rad."""
         full = self._full = self._full.copy()
-        write_raw(self._xi, self._to_raw, self._index, self._counts, full)
-        return full
+        within = write_raw(
+            self._xi, self._to_raw, self._index, self._counts, full, self._scale, most
+        )
+        return full, bool(within)
 
     @property
     def covariance(self) -> Array:
@@ -141,11 +147,19 @@ class RecursiveLeastSquares:
             self._take_root(joint, root / self.noise[joint])
         self._bound()
 
-    def copy(self) -> RecursiveLeastSquares:
-        """Return one that goes its own way from here; what is never written to is shared."""
-        twin = copy.copy(self)
-        twin._xi, twin._s = self._xi.copy(), self._s.copy()
-        return twin
+    def copy(self, into: RecursiveLeastSquares | None = None) -> RecursiveLeastSquares:
+        """Return one that goes its own way from here; what is never written to is shared.
+
+        Args:
+            into: an earlier copy that is not needed any more, to be written over where it fits.
+        """
+        if into is None or into._index is not self._index:
+            into = copy.copy(self)
+            into._xi, into._s = self._xi.copy(), self._s.copy()
+            return into
+        into._xi[:], into._s[:] = self._xi, self._s
+        into._full, into.rows = self._full, self.rows
+        return into
 
     def reset_covariance(self) -> None:
         """Reset the covariance to the prior: every term may move by as much as it says."""
@@ -299,11 +313,16 @@ def learn_row(
 
 
 @compiled
-def write_raw(xi, to_raw, index, counts, full):
-    """Write (J, n) coefficients in raw units to their places in (p, J) ``full``."""
+def write_raw(xi, to_raw, index, counts, full, scale, most):
+    """Write (J, n) coefficients in raw units to their places in (p, J) ``full``.
+
+    Returns:
+        Whether no term moves a typical tick by more than ``most``; false for NaN.
+    """
     for j in range(len(counts)):
         for k in range(counts[j]):
             full[index[j, k], j] = xi[j, k] * to_raw[j, k]
+    return moves_at_most(full, scale, most)
 
 
 @compiled

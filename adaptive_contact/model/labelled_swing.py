@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -107,31 +107,44 @@ NO_ROWS: Final = Rows(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, ROW), np.z
 
 
 class Touch(NamedTuple):
-    """Holds a tick in contact with the two before it, and how they were judged.
+    """Holds n ticks in contact, each with the two before it, and how they were judged.
 
     Attributes:
-        theta: (3, p) regressors, lag 0 first; zero before the first usable one.
-        target: (3, J) rad, movements that were measured.
-        whiten: (windows, J, J).
-        limits: (windows,) thresholds.
-        usable: how many of the ticks count.
+        theta: (n, 3, p) regressors, lag 0 first; zero before the first usable one.
+        target: (n, 3, J) rad, movements that were measured.
+        whiten: (n, windows, J, J).
+        limits: (n, windows) thresholds.
+        usable: (n,) how many of the three count.
     """
 
     theta: Array
     target: Array
     whiten: Array
     limits: Array
-    usable: int
+    usable: Array
 
     @classmethod
-    def of(
-        cls, thetas: Sequence[Array], target: Array, whiten: Array, limits: Array, usable: int
-    ) -> Touch:
-        """Make one from the regressors of the last ticks, newest first; some may be missing."""
-        theta = np.zeros((max(WINDOWS), len(thetas[0])))
-        known = min(usable, len(thetas))
-        theta[:known] = thetas[:known]
-        return cls(theta, target, whiten, limits, known)
+    def of(cls, kept: Array, count: int, terms: int, joints: int) -> Touch:
+        """Copy so many ticks out of an array that has them one after the other."""
+        size = cls.size(terms, joints)
+        ticks, at = kept[: count * size].reshape(count, size).copy(), 0
+        found = []
+        for shape in _touch_shapes(terms, joints):
+            end = at + math.prod(shape)
+            found.append(ticks[:, at:end].reshape(count, *shape))
+            at = end
+        return cls(*found)
+
+    @staticmethod
+    def size(terms: int, joints: int) -> int:
+        """Compute how many numbers a tick takes."""
+        return sum(map(math.prod, _touch_shapes(terms, joints)))
+
+
+def _touch_shapes(terms: int, joints: int) -> tuple[tuple[int, ...], ...]:
+    """Shapes of the fields of a :class:`Touch`, of one tick."""
+    w = max(WINDOWS)
+    return (w, terms), (w, joints), (w, joints, joints), (w,), ()
 
 
 class Label(enum.Enum):
@@ -167,7 +180,7 @@ class LabelledSwing(NamedTuple):
     rows: Rows = NO_ROWS
     region: int = 0
     t_ns: int = 0
-    touch: Sequence[Touch] = ()
+    touch: Touch | None = None
     nis: float = math.nan
     obstructed: bool = False
     travel_ratio: float = 1.0

@@ -22,6 +22,7 @@ from adaptive_contact.learn.candidate import (
 )
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Baseline, Domain, Factor, LegModel
+from adaptive_contact.model.labelled_swing import Touch
 
 from .trials import NOISE, Given, answer, ask, compared, fill, row, stopped, tried
 
@@ -127,14 +128,15 @@ def test_an_alarm_that_came_too_early_does_not_refuse_the_model_that_knows_bette
     """It is followed by the touch itself, which the better model reports."""
     candidate = model.coefficients * 0.5
     early = stopped(model)
-    early = early._replace(target=np.array([early.theta[k] @ candidate for k in range(3)]))
+    early = early._replace(target=early.theta @ candidate)
     trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(candidate))
-    trial.contacts.add([early])
+    trial.contacts.add(early)
     assert trial.contacts.found(model.coefficients).tolist() == [True]
     assert trial.contacts.found(candidate).tolist() == [False]
     trial.contacts.clear()
-    trial.contacts.add([early, stopped(model)])
-    trial.contacts.add([early])
+    both = map(np.concatenate, zip(early, stopped(model), strict=True))
+    trial.contacts.add(Touch(*both))
+    trial.contacts.add(early)
     assert trial.contacts.found(candidate).tolist() == [True, False]
 
 
@@ -229,7 +231,7 @@ def test_the_newest_contacts_are_kept(model: LegModel) -> None:
     stored = StoredContacts()
     assert stored.found(model.coefficients).shape == (0,)
     for _ in range(MOST_CONTACTS + 5):
-        stored.add([stopped(model)])
+        stored.add(stopped(model))
     assert len(stored) == MOST_CONTACTS
     assert stored.found(model.coefficients).all()
     assert not stored.found(np.zeros_like(model.coefficients)).any(), "who expects no motion"

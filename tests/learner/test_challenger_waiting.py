@@ -29,7 +29,7 @@ def test_a_better_candidate_waits_for_contacts_to_be_tried_on(model: LegModel) -
     assert counts.last_reason is not None
     assert counts.last_reason.startswith("waiting: a candidate is +")
     assert "there are 2 contacts to try it on, 3 are needed" in counts.last_reason
-    trial.contacts.add([stopped(model)])
+    trial.contacts.add(stopped(model))
     assert looked_at(trial, model) is None
     assert "misses 3 of 3 stored contacts" in (trial.counts.last_reason or "")
     assert "waiting" not in (trial.counts.last_reason or "")
@@ -65,7 +65,7 @@ def test_a_newer_refit_takes_the_place_of_a_candidate_that_waits(model: LegModel
     assert "waiting: a candidate" in (trial.counts.last_reason or "")
     answer(trial)
     for _ in range(TRIAL_CONTACTS):
-        trial.contacts.add([stopped(model)])
+        trial.contacts.add(stopped(model))
     for _ in range(TRIAL_ROWS):
         won = compared(trial, row(rng, p, truth=0.06), model)
     assert won is not None
@@ -84,7 +84,7 @@ def test_a_refit_under_way_does_not_disturb_the_probation_of_another(model: LegM
     ask(trial, model, buffer)
     assert given.asked == 2
     for _ in range(TRIAL_CONTACTS):
-        trial.contacts.add([stopped(model)])
+        trial.contacts.add(stopped(model))
     won = looked_at(trial, model)
     assert won is not None
     for _ in range(2 * REFIT_DUE_TICKS):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from adaptive_contact.learn.noise_tracker import MOST, SEGMENTS_PER_TICK, NoiseTracker
-from adaptive_contact.learn.replay_buffer import Segment
 from adaptive_contact.model import Domain
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_prior import prior_tails
@@ -17,7 +16,7 @@ from .ticks import Tick, rows_of
 
 J = 3
 SIGMA = 0.003
-COEFFICIENTS = np.array([[0.5, -0.2, 0.1], [0.0, 0.3, 0.2]])
+NONE = np.zeros((0, J)), np.zeros(0, dtype=np.int64)
 
 
 @pytest.fixture
@@ -32,17 +31,11 @@ def recent(noise: NoiseModel, tails: tuple[Tail, ...] | None = None) -> NoiseTra
     return NoiseTracker(noise, tails or prior_tails(J), 1.0)
 
 
-def segments(covariance: np.ndarray, n: int, seed: int = 0) -> list[Segment]:
-    """Free ticks of a leg that the coefficients fit, with residuals of a covariance."""
+def free_ticks(covariance: np.ndarray, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals of a covariance, and their contexts."""
     rng = np.random.default_rng(seed)
-    theta = rng.normal(size=(n, 2))
     residual = rng.multivariate_normal(np.zeros(J), covariance, size=n)
-    context = rng.integers(0, CONTEXTS, n)
-    target = theta @ COEFFICIENTS + residual
-    return [
-        Segment(theta[k : k + 8], target[k : k + 8], context[k : k + 8], (0, 0), 0, k)
-        for k in range(0, n, 8)
-    ]
+    return residual, rng.integers(0, CONTEXTS, n)
 
 
 def rows(values: list[float], theta: float = 0.0) -> Rows:
@@ -60,72 +53,67 @@ def test_at_first_they_are_the_baseline_s(noise: NoiseModel) -> None:
     of = recent(noise)
     before = of.thresholds.copy()
     np.testing.assert_array_equal(of.whiten, noise.whiten)
-    of.refresh([], COEFFICIENTS)
+    of.refresh(*NONE)
     np.testing.assert_array_equal(of.whiten, noise.whiten)
     np.testing.assert_allclose(of.thresholds, before)
 
 
 def test_a_leg_that_is_as_it_was_keeps_them(noise: NoiseModel) -> None:
     of = recent(noise)
-    of.refresh(segments(SIGMA**2 * np.eye(J), 40_000), COEFFICIENTS)
+    of.refresh(*free_ticks(SIGMA**2 * np.eye(J), 40_000))
     np.testing.assert_allclose(shape(of, noise), np.eye(J), atol=0.06)
 
 
 def test_a_joint_that_grew_noisier_gets_the_share_it_has_earned(noise: NoiseModel) -> None:
     of = recent(noise)
     grown = SIGMA**2 * np.diag([1.0, 9.0, 1.0])
-    of.refresh(segments(grown, 40_000), COEFFICIENTS)
+    of.refresh(*free_ticks(grown, 40_000))
     found = shape(of, noise)
     assert np.trace(found) == pytest.approx(J), "how large on the whole, the level says"
     wanted = np.diag([1.0, 9.0, 1.0]) * J / 11.0
     np.testing.assert_allclose(found, wanted, atol=0.25)
     # And what belongs together is known to.
     tied = SIGMA**2 * np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    of.refresh(segments(tied, 40_000), COEFFICIENTS)
+    of.refresh(*free_ticks(tied, 40_000))
     assert shape(of, noise)[0, 1] == pytest.approx(0.8, abs=0.1)
 
 
-def test_a_few_segments_a_tick_come_to_the_same(noise: NoiseModel) -> None:
-    """And nothing moves before the last of them is in."""
-    free = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 4 * SEGMENTS_PER_TICK * 8 + 8)
-    whole, parts = recent(noise), recent(noise)
-    whole.refresh(free, COEFFICIENTS)
-    parts.begin_refresh(free, COEFFICIENTS)
-    ticks, first = 0, parts.whiten
-    while parts.whiten is first:
-        np.testing.assert_array_equal(parts.whiten, noise.whiten)
-        parts.go_on()
-        ticks += 1
-    assert ticks == 6, "five with segments, and one to add up"
-    np.testing.assert_allclose(parts.whiten, whole.whiten, rtol=1e-12)
-    assert not parts.go_on()
+def test_what_is_recomputed_is_in_force_some_ticks_later(noise: NoiseModel) -> None:
+    free = free_ticks(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 400)
+    at_once, later = recent(noise), recent(noise)
+    at_once.refresh(*free)
+    later.begin_refresh(*free, 4 * SEGMENTS_PER_TICK + 1)
+    for _ in range(5):
+        assert not later.go_on()
+        np.testing.assert_array_equal(later.whiten, noise.whiten)
+    assert later.go_on(), "five ticks for the segments, and one more"
+    np.testing.assert_array_equal(later.whiten, at_once.whiten)
+    assert not later.go_on()
 
 
 def test_what_was_begun_with_another_model_is_dropped(noise: NoiseModel) -> None:
-    free = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 800)
     of = recent(noise)
-    of.begin_refresh(free, COEFFICIENTS)
+    of.begin_refresh(*free_ticks(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 800), 100)
     of.go_on()
-    of.refresh([], COEFFICIENTS)
+    of.refresh(*NONE)
     of.go_on()
     np.testing.assert_array_equal(of.whiten, noise.whiten)
 
 
 def test_what_was_begun_with_ticks_that_were_dropped_is_dropped(noise: NoiseModel) -> None:
     of = recent(noise)
-    of.begin_refresh(segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 80), COEFFICIENTS)
+    of.begin_refresh(*free_ticks(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 80), 10)
     of.drop_refresh()
     assert not of.go_on()
 
 
 def test_few_ticks_and_wild_ones_move_little(noise: NoiseModel) -> None:
     of = recent(noise)
-    few = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 16)
-    of.refresh(few, COEFFICIENTS)
+    of.refresh(*free_ticks(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 16))
     assert np.abs(shape(of, noise) - np.eye(J)).max() < 0.25
-    wild = segments(SIGMA**2 * np.eye(J), 800)
-    wild[3].target[2, 0] += 1.0  # one reading, by 300 deviations
-    of.refresh(wild, COEFFICIENTS)
+    wild, context = free_ticks(SIGMA**2 * np.eye(J), 800)
+    wild[26, 0] += 1.0  # one reading, by 300 deviations
+    of.refresh(wild, context)
     assert np.abs(shape(of, noise) - np.eye(J)).max() < 0.15
 
 
@@ -139,7 +127,7 @@ def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: Noise
         spread = np.where(rng.random(100) < 0.03, 4, 1)
         heavy.count(rows((rng.chisquare(J, 100) * spread).tolist()))
     for of in (calm, heavy):
-        of.refresh([], COEFFICIENTS)
+        of.refresh(*NONE)
     least = recent(noise, tails).thresholds
     np.testing.assert_allclose(calm.thresholds, least, rtol=0.1)
     assert (heavy.thresholds > 1.5 * least).all()
@@ -154,7 +142,7 @@ def test_thresholds_never_fall_below_the_baseline_s_and_have_a_top(noise: NoiseM
     tails = prior_tails(J)
     of, least = recent(noise, tails), recent(noise, tails).thresholds
     of.count(rows([0.0] * 20_000))
-    of.refresh([], COEFFICIENTS)
+    of.refresh(*NONE)
     np.testing.assert_array_equal(of.thresholds, least)
     of.count(rows([1e9] * 20_000))
     assert of.tail_factors == (MOST, MOST)

@@ -189,6 +189,26 @@ def test_the_buffer_is_bounded_and_counts() -> None:
     assert buffer.counts.swings == 5
 
 
+def test_rows_keep_their_segments_where_others_go() -> None:
+    """Room that evicted rows leave is used again, and new rows are not mixed up with old ones."""
+    rng = np.random.default_rng(3)
+    buffer = ReplayBuffer(limit=12)
+    given: dict[int, np.ndarray] = {}
+    for k in range(400):
+        targets = rng.normal(size=(rng.integers(1, 30), 1))
+        given[k] = targets
+        ticks = [row(k, lift=True)._replace(target=target) for target in targets]
+        buffer.add(rows_of(ticks), region=int(rng.choice(3, p=(0.8, 0.15, 0.05))), era=k // 150)
+        kept = buffer.segments
+        for segment in kept:
+            np.testing.assert_array_equal(segment.target, given[segment.t_ns // PERIOD])
+        off, _ = buffer.residuals(np.zeros((2, 1)), k // 150)
+        assert len(kept) <= 12
+        now = [segment.target for segment in kept if segment.era == k // 150]
+        np.testing.assert_array_equal(off, np.concatenate(now))
+        assert buffer.of_era(k // 150) == len(now)
+
+
 def test_times_of_an_older_source_do_not_compare() -> None:
     """A clock that was set back, and then a rate that is off: only what came since is dropped."""
     buffer = ReplayBuffer(limit=10)

@@ -254,7 +254,7 @@ def test_what_was_learned_of_a_copy_is_taken_back(robot: Robot, baseline: Baseli
     adapter._active._rls.coefficients[:] += 0.01
     adapter._active._moved = True
     adapter.retract(30 * PERIOD * 20_000_000)
-    assert np.array_equal(adapter.model.coefficients, good.model.coefficients)
+    assert np.array_equal(adapter.model.coefficients, good.coefficients)
 
 
 @pytest.mark.parametrize("offset", [0, 9, 25])

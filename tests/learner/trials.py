@@ -62,10 +62,10 @@ def fill(
 
 def stopped(model: LegModel) -> Touch:
     """A leg that should move by 0.1 rad and stands; the second term is excited there only."""
-    theta = np.zeros((3, model.library.size))
-    theta[:, 0], theta[:, 1] = 2.0, 1.0
-    whiten = np.broadcast_to(np.eye(3) / NOISE, (3, 3, 3))
-    return Touch.of(theta, np.zeros((3, 3)), whiten, np.full(3, 30.0), 1)
+    theta = np.zeros((1, 3, model.library.size))
+    theta[:, 0, 0], theta[:, 0, 1] = 2.0, 1.0
+    whiten = np.broadcast_to(np.eye(3) / NOISE, (1, 3, 3, 3))
+    return Touch(theta, np.zeros((1, 3, 3)), whiten, np.full((1, 3), 30.0), np.ones(1))
 
 
 def ask(trial: Candidate, model: LegModel, buffer: ReplayBuffer) -> None:
@@ -88,7 +88,7 @@ def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Candid
     p = model.library.size
     fill(buffer, rng, p, truth=0.06)
     for _ in range(contacts):
-        trial.contacts.add([stopped(model)])
+        trial.contacts.add(stopped(model))
     ask(trial, model, buffer)
     answer(trial)
     assert trial.trying
