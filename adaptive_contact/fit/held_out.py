@@ -169,9 +169,7 @@ def swept(
 ) -> Sweep | None:
     """Choose λ by held-out error.
 
-    Args:
-        still: (J,) joints that stand.
-        rounding: rad, deviation of a reading.
+    ``still`` marks the joints that stand, (J,); ``rounding`` is the deviation of a reading, rad.
 
     Returns:
         What came of it; None where every λ empties a joint that moves.
