@@ -95,7 +95,6 @@ def test_the_foot_is_where_transforms_down_the_tree_put_it(
     tree: tuple[bytes, list[dict[str, object]]], q: list[float]
 ) -> None:
     data, rows = tree
-    leg = leg_of(data, f"l{len(rows)}", base="l0")
     frame, angles = np.eye(4), iter(q)
     for row in rows:
         step, spin = np.eye(4), np.eye(4)
@@ -105,10 +104,15 @@ def test_the_foot_is_where_transforms_down_the_tree_put_it(
             axis = np.array(row["axis"]) / np.linalg.norm(row["axis"])
             spin[:3, :3] = Rotation.from_rotvec(next(angles) * axis).as_matrix()
         frame = frame @ step @ spin
-    assert leg.chain is not None
-    place = leg.chain.foot(q[: len(leg.joints)]) + np.array(leg.mount.xyz_m)
     # A description has micrometres, and what truncated pi has made is taken out of it.
-    np.testing.assert_allclose(place, frame[:3, 3], atol=5e-4)
+    for digits, snap, near in ((6, 2e-5, 5e-4), (15, 0.0, 1e-9)):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("adaptive_contact.robot.urdf._DIGITS", digits)
+            patch.setattr("adaptive_contact.robot.urdf._SNAP", snap)
+            leg = leg_of(data, f"l{len(rows)}", base="l0")
+        assert leg.chain is not None
+        place = leg.chain.foot(q[: len(leg.joints)]) + np.array(leg.mount.xyz_m)
+        np.testing.assert_allclose(place, frame[:3, 3], atol=near)
 
 
 def test_what_is_read_is_read_back_from_what_is_written() -> None:
