@@ -53,9 +53,8 @@ _POSTURES: Final = 16
 
 
 def axis_text(axis: str | Vector) -> str:
-    """An axis for a person: its word, ``-pitch`` for a turn the other way, or ``0 0.5 0.87``."""
-    opposite = {tuple(0.0 - x for x in turn): f"-{word}" for word, turn in AXES.items()}
-    return axis if isinstance(axis, str) else opposite.get(axis, " ".join(f"{x:.3g}" for x in axis))
+    """An axis for a person: its word, or ``0 0.5 0.87``."""
+    return axis if isinstance(axis, str) else " ".join(f"{x:.3g}" for x in axis)
 
 
 def yaws_then_pitches(axes: Sequence[str | Vector]) -> bool:
