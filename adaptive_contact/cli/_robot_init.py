@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -44,10 +45,13 @@ def write_description(wishes: Wishes) -> None:
     devices = {port: str(Path(path).absolute()) for port, path in devices_of(wishes.device).items()}
     out = wishes.out
     if not devices and wishes.urdf is None and wishes.joints is None:
-        raise ConfigurationError(
-            "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on no "
-            "such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
-        )
+        if wishes.legs is None or not _is_asked():
+            raise ConfigurationError(
+                "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on "
+                "no such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
+            )
+        joints = "joints of a leg, from the body outwards: their number, or NAME,NAME,..."
+        wishes = dataclasses.replace(wishes, joints=typer.prompt(joints, err=True))
     if holds_content(out) and not wishes.force:
         raise ConfigurationError(f"{out} is there already; give another --out, or --force")
     check_output(out, "--out", [wishes.urdf])

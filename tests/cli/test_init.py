@@ -91,6 +91,10 @@ def test_what_is_not_given_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None
     assert "0: expected 1 to 10000" in said
     robot = load_robot("robot.toml")
     assert (robot.period_s, robot.quantum_rad) == (0.02, 0.003)
+    assert "joints of a leg" not in said
+    said = invoke("robot", "init", "--legs", "l", "--force", answers="hip,knee\n50\n0.003\n")
+    assert "joints of a leg, from the body outwards" in said
+    assert load_robot("robot.toml").leg("l").joints == ("hip", "knee")
 
 
 @pytest.mark.parametrize(
