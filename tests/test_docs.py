@@ -240,6 +240,8 @@ def test_commands_parse(program: Any, quote: Quote) -> None:
         command = command.commands[name]
     if hasattr(command, "commands"):
         return  # a group is named
+    if quote.whole and quote.words[1:3] in (("robot", "check"), ("robot", "learn")):
+        assert "--config" in words, "without --config it is the shipped hexapod's"
     # With --help, options are read but nothing is missed; what is wrong raises a usage error.
     arguments = words if quote.whole else [*words, "--help"]
     with contextlib.suppress(typer.Exit):

@@ -39,6 +39,9 @@ _POLL_S: Final = 0.05
 _REDRAW_S: Final = 0.2
 _PIPE_WIDTH: Final = 120
 _MOVES_SHOWN: Final = 6
+_LEAST_NAME: Final = 10
+# A terminal narrower than this has no room for the foot.
+_WITH_FOOT: Final = 96
 # What a leg at rest gives way by, mm; less is friction and rounding.
 _LEAST_SAG_MM: Final = 1.0
 _HINT: Final = (
@@ -99,7 +102,10 @@ def check_live(
                         console.print(line, soft_wrap=True)
                 if drawn and time.monotonic() - redrawn >= _REDRAW_S:
                     redrawn = time.monotonic()
-                    live.update(_table(check.legs(), check.moves[-_MOVES_SHOWN:]), refresh=True)
+                    live.update(
+                        _table(check.legs(), check.moves[-_MOVES_SHOWN:], console.width),
+                        refresh=True,
+                    )
         samples.close()
         elapsed = time.monotonic() - began
     for _ in range(len(waiting)):
@@ -167,7 +173,7 @@ def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
     from adaptive_contact.cli.doctor import print_findings
 
     if report.legs:
-        console.print(_table(report.legs, report.moves if moves else []))
+        console.print(_table(report.legs, report.moves if moves else [], console.width))
     for line in report_lines(report):
         console.print(Text(line))
     print_findings(report.findings, console)
@@ -223,28 +229,23 @@ def report_lines(report: LiveReport) -> list[str]:
     return lines
 
 
-def _table(legs: Sequence[LegView], moves: Sequence[str]) -> Table:
-    """Every joint as it is now, and where the foot is by the description."""
+def _table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Table:
+    """Every joint as it is now, and where the foot is by the description, in so many columns."""
     import numpy as np
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left")
-    for column in (
-        "leg",
-        "Hz",
-        "joint",
-        "wire",
-        "angle",
-        "range",
-        "goal",
-        "sign",
-        "limits",
-        "foot",
-    ):
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), caption_justify="left")
+    columns = ["leg", "Hz", "joint", "wire", "angle", "range", "goal", "sign", "limits", "foot"]
+    for column in columns[: 10 if width >= _WITH_FOOT else 9]:
+        # Where there is little room, names are broken, and no number is.
         table.add_column(
-            column, justify="left" if column in ("leg", "joint", "foot") else "right", no_wrap=True
+            column,
+            justify="left" if column in ("leg", "joint", "foot") else "right",
+            no_wrap=column not in ("joint", "foot"),
+            min_width=_LEAST_NAME if column == "joint" else None,
+            overflow="fold",
         )
     for leg in legs:
         where = _foot(leg)
@@ -254,7 +255,7 @@ def _table(legs: Sequence[LegView], moves: Sequence[str]) -> Table:
             if joint.limits_rad is not None:
                 least, most = np.degrees(joint.limits_rad)
                 limits = f"{least:.0f}..{most:.0f}°" + (" !" if joint.outside else "")
-            table.add_row(
+            row = [
                 leg.leg if j == 0 else "",
                 "" if j or leg.rate_hz is None else f"{leg.rate_hz:.1f}",
                 f"{joint.joint} ({joint.axis})",
@@ -265,7 +266,8 @@ def _table(legs: Sequence[LegView], moves: Sequence[str]) -> Table:
                 f"{joint.direction:+d}",
                 limits,
                 where[j] if j < len(where) else "",
-            )
+            ]
+            table.add_row(*row[: len(table.columns)])
     if moves:
         table.caption = Text("\n".join(moves), style="not dim not italic")
     return table

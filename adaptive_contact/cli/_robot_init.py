@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -44,10 +45,13 @@ def write_description(wishes: Wishes) -> None:
     devices = {port: str(Path(path).absolute()) for port, path in devices_of(wishes.device).items()}
     out = wishes.out
     if not devices and wishes.urdf is None and wishes.joints is None:
-        raise ConfigurationError(
-            "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on no "
-            "such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
-        )
+        if wishes.legs is None or not _is_asked():
+            raise ConfigurationError(
+                "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on "
+                "no such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
+            )
+        joints = "joints of a leg, from the body outwards: their number, or NAME,NAME,..."
+        wishes = dataclasses.replace(wishes, joints=typer.prompt(joints, err=True))
     if holds_content(out) and not wishes.force:
         raise ConfigurationError(f"{out} is there already; give another --out, or --force")
     check_output(out, "--out", [wishes.urdf])
@@ -165,22 +169,24 @@ def _lengths(text: str, joints: int) -> tuple[float, ...]:
     return lengths
 
 
-def _point(text: str | None) -> Vector:
-    if text is None:
-        return (0.0, 0.0, 0.0)
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        x = y = z = float("nan")
-    if not all(abs(part) <= 5.0 for part in (x, y, z)):
-        raise ConfigurationError(f"--tip {text}: expected X,Y,Z in m, such as 0,0,-0.1")
-    return x, y, z
+def _points(text: str) -> list[Vector]:
+    points = []
+    for part in text.split("/"):
+        try:
+            x, y, z = (float(number) for number in part.split(","))
+        except ValueError:
+            x = y = z = float("nan")
+        if not all(abs(number) <= 5.0 for number in (x, y, z)):
+            raise ConfigurationError(f"--tip {text}: expected X,Y,Z in m, such as 0,0,-0.1")
+        points.append((x, y, z))
+    return points
 
 
 def _read_urdf(wishes: Wishes, path: Path, feet: Mapping[str, str]) -> UrdfLegs:
     if wishes.joints is not None:
         raise ConfigurationError("--joints and --urdf both give the joints; leave --joints out")
-    return read_urdf(path).legs(feet, base=wishes.base, tip_m=_point(wishes.tip))
+    tips = [] if wishes.tip is None else _points(wishes.tip)
+    return read_urdf(path).legs(feet, base=wishes.base, tips_m=tips)
 
 
 # -- robots --------------------------------------------------------------------------------------
@@ -317,7 +323,8 @@ def _of_answers(
         own = tuple(f"joint{k + 1}" for k in range(names)) if isinstance(names, int) else names
         made = [Leg(id=leg, joints=own) for leg in ids]
         legs = tuple(msgspec.structs.replace(leg, axes=leg.joint_axes) for leg in made)
-    return Robot(name=wishes.name or "my-robot", period_s=1.0 / rate, quantum_rad=step, legs=legs)
+    name = wishes.name or (read.name if read is not None else "") or "my-robot"
+    return Robot(name=name, period_s=1.0 / rate, quantum_rad=step, legs=legs)
 
 
 def _asked(given: float | None, what: str, option: str, least: float, most: float) -> float:

@@ -68,8 +68,9 @@ class Wishes:
         str | None,
         option(
             "--tip",
-            "The foot's tip in the frame of its link, m, where a URDF has no link there.",
-            "X,Y,Z",
+            "The foot's tip in the frame of its link, m, where a URDF has no link there; one for "
+            "all legs, or one each.",
+            "X,Y,Z[/...]",
         ),
     ] = None
     name: Annotated[str | None, option("--name", "Of the robot.")] = None

@@ -53,8 +53,8 @@ _POSTURES: Final = 16
 
 
 def axis_text(axis: str | Vector) -> str:
-    """An axis for a person: its word, or ``(0, 0.5, 0.87)``."""
-    return axis if isinstance(axis, str) else f"({', '.join(f'{x:.3g}' for x in axis)})"
+    """An axis for a person: its word, or ``0 0.5 0.87``."""
+    return axis if isinstance(axis, str) else " ".join(f"{x:.3g}" for x in axis)
 
 
 def yaws_then_pitches(axes: Sequence[str | Vector]) -> bool:
@@ -124,7 +124,7 @@ class Chain:
         if not self.is_straight:
             place = np.zeros((*angles.shape[:-1], 3))
             for i in range(len(self.axes) - 1, -1, -1):
-                place = _turned(place + self.origins_m[i], self.vectors[i], angles[..., i])
+                place = turned(place + self.origins_m[i], self.vectors[i], angles[..., i])
             return place
         lengths = np.asarray(self._lengths, dtype=np.float64)
         yaw_mask = np.array([1.0 if axis == "yaw" else 0.0 for axis in self.axes])
@@ -212,10 +212,10 @@ class Chain:
         for i in range(joints):
             axis = np.broadcast_to(self.vectors[i], points[0].shape)
             link = np.broadcast_to(np.array(self.origins_m[i]), points[0].shape)
-            link = _turned(link, self.vectors[i], angles[..., i])
+            link = turned(link, self.vectors[i], angles[..., i])
             for k in range(i - 1, -1, -1):
-                axis = _turned(axis, self.vectors[k], angles[..., k])
-                link = _turned(link, self.vectors[k], angles[..., k])
+                axis = turned(axis, self.vectors[k], angles[..., k])
+                link = turned(link, self.vectors[k], angles[..., k])
             axes.append(axis)
             points.append(points[-1] + link)
         return np.stack(points, axis=-2), np.stack(axes, axis=-2)
@@ -251,7 +251,7 @@ def foot(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str | Vector])
     return straight(lengths_m, axes).foot(q)
 
 
-def _turned(vectors: Array, axis: Array, angles: Array) -> Array:
+def turned(vectors: Array, axis: Array, angles: Array) -> Array:
     """(..., 3) vectors, turned about an axis by (...) rad (Rodrigues)."""
     cos, sin = np.cos(angles)[..., None], np.sin(angles)[..., None]
     along = (vectors @ axis)[..., None] * (1.0 - cos)

@@ -37,8 +37,9 @@ from adaptive_contact.wire import is_leg_id
 
 # What one service has been tried with (`make many`).
 MAX_LEGS: Final = 64
-# A link is no longer, m; a direction is no shorter.
+# A link is no longer, m, a leg reaches no less, and a direction is no shorter.
 MOST_M: Final = 5.0
+LEAST_REACH_M: Final = 1e-3
 LEAST_AXIS: Final = 1e-3
 # A Dynamixel bus: 253 is reserved, 254 is broadcast.
 MAX_SERVO_ID: Final = 252
@@ -216,8 +217,15 @@ def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
     chain = leg.chain
     if chain is None:
         return
-    if not chain.reach_m:
-        fail(f"{where}: origins_m are all 0; expected the way from each joint to the next, m")
+    if chain.reach_m < LEAST_REACH_M:
+        fail(
+            f"{where}: reaches {chain.reach_m:g} m; expected the way from each joint to the next, m"
+        )
+    if not any(chain.origins_m[-1]):
+        fail(
+            f"{where}: origins_m ends with [0, 0, 0], so that '{leg.joints[-1]}' moves nothing; "
+            "expected the way from this joint to the foot's tip, m"
+        )
     if not chain.lifts.any():
         if chain.is_straight:
             fail(f"{where}: no joint pitches, so that its foot never rises; leave lengths_m out")
@@ -418,19 +426,24 @@ def _explain(text: str) -> str:
         wrong = text.split("`")[1]
         if wrong in _TABLES:  # TOML takes what stands below a table for a part of it
             return f"{text}; write it above the first [table], or as a table of its own"
-        near = difflib.get_close_matches(wrong, [name for name in _FIELDS if name != wrong], n=1)
+        if wrong in _FIELDS:
+            return f"{text}; it belongs to another table, see docs/robot.md"
+        near = difflib.get_close_matches(wrong, _FIELDS, n=1)
         hint = f"did you mean `{near[0]}`?" if near else "remove it"
         return f"{text}; {hint}"
     if "missing key" in text:
         name = text.split("`")[1]
         return f"{text}; {_EXAMPLES.get(name, 'docs/robot.md has an example')}"
+    key = re.split(r"[.\[]", text.rstrip("`0123456789[]"))[-1]
     if "Invalid enum value" in text:
-        key = re.split(r"[.\[]", text.rstrip("`0123456789[]"))[-1]
         return f"{text}; expected {_CHOICES.get(key, 'one that docs/robot.md names')}"
-    wrong_type = re.fullmatch(r"Expected `(\S+)`, got `(\S+)` - at `(.+)`", text)
+    wrong_type = re.fullmatch(r"Expected `(.+)`(?: of length 3)?, got `?(\w+)`? - at `(.+)`", text)
     if wrong_type:
         expected, got, where = wrong_type.groups()
-        return f"{where} is {_KINDS.get(got, got)}; expected {_KINDS.get(expected, expected)}"
+        kinds = [_KINDS.get(kind, kind) for kind in expected.split(" | ") if kind != "null"]
+        found = f"has {got} values" if got.isdigit() else f"is {_KINDS.get(got, got)}"
+        wanted = "3 numbers" if got.isdigit() else " or ".join(kinds)
+        return f"{where} {found}; expected {_CHOICES.get(key, wanted)}"
     return text
 
 
@@ -445,7 +458,8 @@ _EXAMPLES: Final = {
 }
 
 _CHOICES: Final = {
-    "axes": f"{', '.join(get_args(AxisWord))}, or a direction such as [0, 1, 0]",
+    "axes": f"{', '.join(get_args(AxisWord))}, or a direction such as [0, 1, 0], for each joint",
+    "origins_m": "the way to the next joint, m, such as [0, 0, -0.2], for each joint",
     "protocol": "1 (AX, RX, MX) or 2 (X-series, MX with that firmware)",
     "distro": ", ".join(get_args(get_type_hints(Ros2)["distro"])),
 }

@@ -15,6 +15,7 @@ Reference:
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -28,16 +29,18 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.printable import did_you_mean, printable
 from adaptive_contact.robot.description import Leg, Limits, Mount
-from adaptive_contact.robot.kinematics import Vector
+from adaptive_contact.robot.kinematics import Vector, turned
 
 Array = NDArray[np.float64]
 
 MOST_BYTES: Final = 8_000_000
 MOST_DEPTH: Final = 64
-# Joints that turn, that do not move, and that carry a body about.
+# Joints that turn, and that leave a leg as it is.
 _TURNING: Final = ("revolute", "continuous")
-_CARRYING: Final = ("floating", "planar")
-_KINDS: Final = (*_TURNING, *_CARRYING, "fixed", "prismatic")
+_NO_LEG_S: Final = ("fixed", "floating", "planar")
+_KINDS: Final = (*_TURNING, *_NO_LEG_S, "prismatic")
+# What only stands below <robot> until xacro has run, with any prefix or none.
+_XACRO: Final = ("arg", "if", "include", "macro", "property", "unless")
 # Digits of what is written, m and parts of an axis: files have pi with as few.
 _DIGITS: Final = 6
 _SNAP: Final = 2e-5
@@ -83,11 +86,13 @@ class UrdfLegs:
     """What a file says of a robot's legs.
 
     Attributes:
+        name: of the robot; empty where it has none.
         base: the link that is the body.
         legs: in the order asked for.
         notes: for a person, one line each.
     """
 
+    name: str
     base: str
     legs: tuple[Leg, ...]
     notes: tuple[str, ...]
@@ -122,10 +127,13 @@ class Urdf:
         parser.StartDoctypeDeclHandler = self._refuse_doctype
         try:
             parser.Parse(data, True)
-        except expat.ExpatError as error:
-            reason = expat.errors.messages.get(error.code, "unknown")
+        except (expat.ExpatError, LookupError, ValueError) as error:
+            # The latter two are of an encoding that the parser does not know.
+            code = error.code if isinstance(error, expat.ExpatError) else 0
+            reason = expat.errors.messages.get(code, printable(str(error)))
             raise self._error(
-                f"line {error.lineno}: not well-formed XML ({reason}); expected a URDF"
+                f"line {self._line()}: no XML that can be read ({reason}); expected a URDF: "
+                "correct the line, or save the file as UTF-8"
             ) from error
         self._parents = self._tree()
 
@@ -140,14 +148,14 @@ class Urdf:
         ]
 
     def legs(
-        self, feet: Mapping[str, str], *, base: str | None = None, tip_m: Vector = (0.0, 0.0, 0.0)
+        self, feet: Mapping[str, str], *, base: str | None = None, tips_m: Sequence[Vector] = ()
     ) -> UrdfLegs:
         """Read off legs.
 
         Args:
             feet: the foot's link by leg id.
             base: the link that is the body; without it, the last one that all legs hang on.
-            tip_m: of the foot's tip in the frame of its link.
+            tips_m: of the feet's tips in the frames of their links, one for all or one each.
 
         Raises:
             ConfigurationError: the file has no such legs, or no chain describes one.
@@ -160,16 +168,16 @@ class Urdf:
                 "links: join them by a fixed joint"
             )
         body = self._body(paths, roots.pop(), base)
-        notes: list[str] = []
-        above = [j.name for j in self._above(body) if j.kind in _TURNING]
-        if above:
-            notes.append(
-                f"the body is link '{body}': joints above it ({', '.join(above)}) are no leg's"
-            )
         owners: dict[str, str] = {}
         legs, free, raised, odd = [], [], [], []
-        for leg, path in paths.items():
-            chain = path[_below(path, body) :]
+        tips = list(tips_m) or [(0.0, 0.0, 0.0)]
+        if len(tips) not in (1, len(feet)):
+            raise ConfigurationError(
+                f"--tip has {len(tips)} points for {len(feet)} legs; give one, or X,Y,Z/X,Y,Z/... "
+                "in the order of --legs"
+            )
+        for (leg, path), tip_m in zip(paths.items(), tips * (len(feet) // len(tips)), strict=True):
+            chain = list(itertools.dropwhile(lambda joint: joint.parent != body, path))
             for joint in chain:
                 if joint.kind in _TURNING and owners.setdefault(joint.name, leg) != leg:
                     raise self._error(
@@ -181,21 +189,18 @@ class Urdf:
             free += [j.name for j in chain if j.kind in _TURNING and j.limits is None]
             odd += [joint.odd for joint in chain if joint.odd is not None]
             raised += [leg] if _is_raised(legs[-1]) else []
-        if free:
-            notes.append(
-                f"no limits for joint {', '.join(free)}; fill in limits before the bridge drives it"
-            )
-        if odd:
-            notes.append(
-                f"{len(odd)} joints such as {odd[0]}: expected rad within a turn, lower below "
-                "upper; are they degrees? correct them"
-            )
-        if raised:
-            notes.append(
-                f"leg {', '.join(raised)}: the foot is above its first joint, at 0 and in "
-                f"mid-range; is z of link '{body}' up? if not, give --base a link whose z is"
-            )
-        return UrdfLegs(body, tuple(legs), tuple(notes))
+        above = ", ".join(j.name for j in self._above(body) if j.kind not in _NO_LEG_S)
+        notes = {
+            f"the body is link '{body}': joints above it ({above}) are no leg's": above,
+            f"no limits for joint {', '.join(free)}; fill in limits before the bridge drives "
+            "it": free,
+            f"{len(odd)} joints such as {'; '.join(odd[:1])}: expected rad within a turn, lower "
+            "below upper; limits are cut to a turn each way, degrees have to be corrected": odd,
+            f"leg {', '.join(raised)}: the foot is above its first joint, at 0 and in mid-range; "
+            f"is z of link '{body}' up? if not, give --base a link whose z is": raised,
+        }
+        said = tuple(note for note, found in notes.items() if found)
+        return UrdfLegs(self.name, body, tuple(legs), said)
 
     # -- the file ----------------------------------------------------------------------------------
 
@@ -204,26 +209,37 @@ class Urdf:
         line = self._line()
         if depth >= MOST_DEPTH:
             raise self._error(f"line {line}: nested more than {MOST_DEPTH} deep; expected a URDF")
-        if tag.startswith("xacro:"):
+        of_joint = depth == 2 and self._open[1] == "joint"
+        text = " ".join(attributes.values()) if depth == 1 or of_joint else ""
+        if (
+            tag.startswith("xacro:")
+            or "${" in text
+            or "$(" in text
+            or (depth == 1 and tag.rpartition(":")[2] in _XACRO)
+        ):
             raise self._error(
                 f"line {line}: <{printable(tag)}> is xacro, not expanded; run `xacro FILE > "
                 "robot.urdf` where ROS is installed, and give that file"
             )
         if depth == 0:
             if tag != "robot":
-                raise self._error(f"begins with <{printable(tag)}>; expected a URDF's <robot>")
-            self.name = printable(attributes.get("name", ""))
+                raise self._error(
+                    f"begins with <{printable(tag)}>; expected a URDF's <robot>: give a URDF, or "
+                    "write axes and origins_m by hand (docs/robot.md)"
+                )
+            self.name = printable(attributes.get("name", "")).strip()
         self._open.append(tag)
         if depth == 1 and tag == "link":
             self.links.append(self._named(tag, attributes, line))
         elif depth == 1 and tag == "joint":
             self._add_joint(attributes, line)
-        elif depth == 2 and self._open[1] == "joint":
+        elif of_joint:
             self._fill(self._joints[-1], tag, attributes, line)
 
-    def _refuse_doctype(self, *_: object) -> None:
+    def _refuse_doctype(self, root: str, *_: object) -> None:
         raise self._error(
-            f"line {self._line()}: has a DOCTYPE; a URDF needs none, and no entities: remove it"
+            f"line {self._line()}: has <!DOCTYPE {printable(root)}>; expected a URDF's <robot>, "
+            "with no DOCTYPE and so no entities: remove it"
         )
 
     def _named(self, tag: str, attributes: Mapping[str, str], line: int) -> str:
@@ -232,10 +248,6 @@ class Urdf:
             raise self._error(f"line {line}: a <{tag}> has no name; give it one")
         if not name.isprintable():
             raise self._error(f"line {line}: <{tag}> has a name that cannot be printed; rename it")
-        if "${" in name:
-            raise self._error(
-                f"line {line}: name {name!r} is xacro, not expanded; run `xacro FILE > robot.urdf`"
-            )
         return name
 
     def _add_joint(self, attributes: Mapping[str, str], line: int) -> None:
@@ -253,7 +265,7 @@ class Urdf:
         elif tag == "origin":
             joint.xyz = self._vector(joint, attributes, "xyz", line)
             joint.rpy = self._vector(joint, attributes, "rpy", line)
-        elif tag == "axis":
+        elif tag == "axis" and "xyz" in attributes:
             joint.axis = self._vector(joint, attributes, "xyz", line)
         elif tag == "limit" and joint.kind == "revolute":
             joint.lower, joint.upper = (
@@ -278,11 +290,9 @@ class Urdf:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            why = "a number"
-            if "${" in text:
-                why = "a number: xacro is not expanded, run `xacro FILE > robot.urdf`"
             raise self._error(
-                f"line {line}: joint '{joint.name}': {name} has {printable(text)!r}; expected {why}"
+                f"line {line}: joint '{joint.name}': {name} has {printable(text)!r}; expected a "
+                "number such as 0.05"
             )
         return value
 
@@ -338,7 +348,7 @@ class Urdf:
         """The links that carry no other, for a person."""
         tips = sorted(self.tips, key=lambda link: not _FOOT.search(link))
         more = f" and {len(tips) - _LISTED} more" if len(tips) > _LISTED else ""
-        return ", ".join(tips[:_LISTED]) + more
+        return ", ".join(tips[:_LISTED] or ["none"]) + more
 
     def _above(self, link: str) -> list[_Joint]:
         above = []
@@ -362,7 +372,7 @@ class Urdf:
             len({own[shared + 1] for own in links}) == 1
         ):
             # Of one leg alone, its own joints are above all its links.
-            if len(links) == 1 and self._parents[links[0][shared + 1]].kind in _TURNING:
+            if len(links) == 1 and self._parents[links[0][shared + 1]].kind not in _NO_LEG_S:
                 break
             shared += 1
         return links[0][shared]
@@ -380,18 +390,19 @@ class Urdf:
             turn = turn @ _rotation(joint.rpy)
             if joint.kind != "fixed":
                 length = math.hypot(*joint.axis)
-                if length < 1e-6:
+                if not 1e-6 <= length < math.inf:
+                    shown = " ".join(f"{part:g}" for part in joint.axis)
                     raise self._error(
-                        f"line {joint.line}: joint '{joint.name}' has the axis 0 0 0; expected a "
-                        "direction"
+                        f"line {joint.line}: joint '{joint.name}' has the axis {shown}; expected a "
+                        "direction such as 0 1 0"
                     )
                 joints.append(joint)
                 axes.append(turn @ np.array(joint.axis) / length)
                 points.append(place)
         if not joints:
             raise self._error(
-                f"leg '{leg}': no joint turns between link '{body}' and link '{foot}'; give the "
-                "link of its foot, and --base the link of the body"
+                f"leg '{leg}': no joint below link '{body}' turns link '{foot}'; give the link of "
+                f"its foot, and --base the link of the body; last links: {self.last_links()}"
             )
         points.append(place + turn @ np.array(tip_m))
         origins = np.diff(points, axis=0)
@@ -419,18 +430,16 @@ class Urdf:
 
     def _check_kind(self, leg: str, joint: _Joint) -> None:
         where = f"line {joint.line}: leg '{leg}': joint '{joint.name}'"
-        if joint.kind in _CARRYING:
+        if joint.kind not in (*_TURNING, "fixed"):
             raise self._error(
-                f"{where} is {joint.kind}, which is no servo; give --base a link below it"
-            )
-        if joint.kind == "prismatic":
-            raise self._error(
-                f"{where} is prismatic; expected joints that turn: the chain of a leg has no other"
+                f"{where} is {joint.kind}; expected revolute, continuous or fixed in a leg: give "
+                "--base a link below it, or another foot"
             )
         if joint.mimics is not None and joint.kind in _TURNING:
             raise self._error(
-                f"{where} follows joint '{printable(joint.mimics)}' (mimic), so that no servo of "
-                "its own turns it: see docs/robot.md, What a chain cannot describe"
+                f"{where} follows joint '{printable(joint.mimics)}' (mimic); remove its <mimic> if "
+                "your source publishes this joint's own angle (docs/robot.md, What a chain cannot "
+                "describe)"
             )
 
     def _error(self, what: str) -> ConfigurationError:
@@ -453,21 +462,12 @@ def read_urdf(path: Path) -> Urdf:
     return Urdf(data, str(path))
 
 
-def _below(path: Sequence[_Joint], body: str) -> int:
-    """Where in a path the joints below the body begin."""
-    return next((k for k, joint in enumerate(path) if joint.parent == body), len(path))
-
-
 def _rotation(rpy: Vector) -> Array:
     """(3, 3) of fixed-axis roll, pitch and yaw."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    rows = np.eye(3)
+    for axis, angle in zip(np.eye(3), rpy, strict=True):
+        rows = turned(rows, axis, np.asarray(angle))
+    return rows.T
 
 
 def _written(vector: Array) -> Vector:

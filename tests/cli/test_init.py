@@ -59,6 +59,7 @@ def test_a_urdf_becomes_a_robot() -> None:
     said = invoke("robot", "init", "--urdf", "walker.urdf", "--legs", FEET, *STEPS)
     assert "wrote robot.toml: 4 legs of 3 joints; run `adaptive-contact robot check --live" in said
     robot = load_robot("robot.toml")
+    assert robot.name == "walker"
     assert robot.leg_ids == ("fl", "fr", "hl", "hr")
     assert (robot.period_s, robot.quantum_rad) == (0.01, 0.00153)
     leg = robot.leg("hr")
@@ -90,6 +91,10 @@ def test_what_is_not_given_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None
     assert "0: expected 1 to 10000" in said
     robot = load_robot("robot.toml")
     assert (robot.period_s, robot.quantum_rad) == (0.02, 0.003)
+    assert "joints of a leg" not in said
+    said = invoke("robot", "init", "--legs", "l", "--force", answers="hip,knee\n50\n0.003\n")
+    assert "joints of a leg, from the body outwards" in said
+    assert load_robot("robot.toml").leg("l").joints == ("hip", "knee")
 
 
 @pytest.mark.parametrize(
@@ -104,6 +109,7 @@ def test_what_is_not_given_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None
         (("--urdf", "walker.urdf", "--legs", FEET, "--joints", "3"), "both give the joints"),
         (("--urdf", "walker.urdf", "--legs", FEET, "--lengths", "1"), "both give the geometry"),
         (("--urdf", "walker.urdf", "--legs", FEET, "--tip", "0,1"), "--tip 0,1: expected X,Y,Z"),
+        (("--urdf", "walker.urdf", "--legs", FEET, "--tip", "0,0,1/0,0,1"), "--tip has 2 points"),
         (("--legs", "a=x", "--joints", "3"), "links go with --urdf FILE"),
         (("--legs", "a", "--joints", "3", "--base", "x"), "--base and --tip go with --urdf"),
         (("--joints", "3"), r"which legs\? give --legs lf,rf"),

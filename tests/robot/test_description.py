@@ -75,7 +75,32 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
             'lengths_m = [0.1, 0.1, 0.1]\naxes = ["yaw", "yaw", "yaw"]',
             "no joint pitches, so that its foot never rises; leave lengths_m out",
         ),
-        ("lengths_m = [0.052, 0.066, 0.138]", 'axes = [[0, 1], "yaw", "yaw"]', "length 3"),
+        *(
+            (
+                "lengths_m = [0.052, 0.066, 0.138]",
+                wrong,
+                f"leg[0].{found}; expected ",
+            )
+            for wrong, found in (
+                ('axes = [[0, 1], "yaw", "yaw"]', "axes[0] has 2 values"),
+                ("axes = [0, 1, 0]", "axes[0] is a whole number"),
+                ('axes = "roll"', 'axes is a text ("...")'),
+                ('axes = ["roll", [0, true, 0], "pitch"]', "axes[1][1] is true or false"),
+                ("origins_m = [0.1, 0.2, 0.2]", "origins_m[0] is a number"),
+                ("origins_m = [[0, 1], [0, 0, 1], [0, 0, 1]]", "origins_m[0] has 2 values"),
+            )
+        ),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            "origins_m = [[0.1, 0, 0], [0.1, 0, 0], [0, 0, 0]]",
+            "ends with [0, 0, 0], so that 'tibia' moves nothing; expected the way from this joint",
+        ),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            "origins_m = [[1e-9, 0, 0], [0, 0, 0], [1e-9, 0, 0]]",
+            "reaches 2e-09 m; expected the way",
+        ),
+        ("period_s = 0.02", "period_s = 0.02\naxes = []", "it belongs to another table"),
         (
             "lengths_m = [0.052, 0.066, 0.138]",
             'axes = ["roll", [0, 0, 0], "pitch"]',
@@ -100,7 +125,7 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
         (
             "lengths_m = [0.052, 0.066, 0.138]",
             "origins_m = [[0, 0, 0], [0, 0, 0], [0, 0, 0]]",
-            "origins_m are all 0",
+            "reaches 0 m; expected the way from each joint to the next",
         ),
         (
             "lengths_m = [0.052, 0.066, 0.138]",

@@ -95,7 +95,6 @@ def test_the_foot_is_where_transforms_down_the_tree_put_it(
     tree: tuple[bytes, list[dict[str, object]]], q: list[float]
 ) -> None:
     data, rows = tree
-    leg = leg_of(data, f"l{len(rows)}", base="l0")
     frame, angles = np.eye(4), iter(q)
     for row in rows:
         step, spin = np.eye(4), np.eye(4)
@@ -105,10 +104,15 @@ def test_the_foot_is_where_transforms_down_the_tree_put_it(
             axis = np.array(row["axis"]) / np.linalg.norm(row["axis"])
             spin[:3, :3] = Rotation.from_rotvec(next(angles) * axis).as_matrix()
         frame = frame @ step @ spin
-    assert leg.chain is not None
-    place = leg.chain.foot(q[: len(leg.joints)]) + np.array(leg.mount.xyz_m)
     # A description has micrometres, and what truncated pi has made is taken out of it.
-    np.testing.assert_allclose(place, frame[:3, 3], atol=5e-4)
+    for digits, snap, near in ((6, 2e-5, 5e-4), (15, 0.0, 1e-9)):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("adaptive_contact.robot.urdf._DIGITS", digits)
+            patch.setattr("adaptive_contact.robot.urdf._SNAP", snap)
+            leg = leg_of(data, f"l{len(rows)}", base="l0")
+        assert leg.chain is not None
+        place = leg.chain.foot(q[: len(leg.joints)]) + np.array(leg.mount.xyz_m)
+        np.testing.assert_allclose(place, frame[:3, 3], atol=near)
 
 
 def test_what_is_read_is_read_back_from_what_is_written() -> None:
@@ -149,8 +153,32 @@ def test_a_tip_is_told_where_no_link_is_there() -> None:
     data = robot_of(HIP, THIGH, KNEE, links="body hip thigh shank")
     with pytest.raises(ConfigurationError, match=r"begins in joint 'kfe'.*or --tip X,Y,Z"):
         leg_of(data, "shank")
-    leg = leg_of(data, "shank", tip_m=(0.0, 0.0, -0.25))
+    leg = leg_of(data, "shank", tips_m=[(0.0, 0.0, -0.25)])
     assert leg.origins_m == leg_of(robot_of(HIP, THIGH, KNEE, FOOT)).origins_m
+
+
+def test_each_leg_may_have_a_tip_of_its_own() -> None:
+    """Frames that a drawing program has mirrored."""
+    data = robot_of(HIP, joint("other", "body", "thigh", xyz=(0.2, -0.05, 0)))
+    feet = {"l": "hip", "r": "thigh"}
+    found = Urdf(data, "x").legs(feet, tips_m=[(0, 0.1, -0.2), (0, -0.1, -0.2)])
+    assert [leg.origins_m for leg in found.legs] == [((0.0, 0.1, -0.2),), ((0.0, -0.1, -0.2),)]
+    with pytest.raises(ConfigurationError, match="--tip has 3 points for 2 legs; give one, or"):
+        Urdf(data, "x").legs(feet, tips_m=[(0, 0.1, -0.2)] * 3)
+
+
+@pytest.mark.parametrize("without", ['<axis xyz="1 0 0"/>', ' xyz="1 0 0"'])
+def test_an_axis_that_is_missing_is_x(without: str) -> None:
+    assert without in HIP
+    assert leg_of(robot_of(HIP.replace(without, ""), THIGH, KNEE, FOOT)).joint_axes[0] == "roll"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "cp1252"])
+def test_files_of_other_systems_are_read(encoding: str) -> None:
+    plain = robot_of(HIP, THIGH, KNEE.replace("kfe", "knee é/1"), FOOT).decode()
+    said = f'<?xml version="1.0" encoding="{encoding.removesuffix("-sig")}"?>'
+    text = plain.replace('<?xml version="1.0"?>', said).replace("><", ">\r\n<")
+    assert leg_of(text.encode(encoding)).joints == ("haa", "hfe", "knee é/1")
 
 
 def test_limits_that_are_missing_are_said() -> None:
@@ -178,7 +206,7 @@ def test_angles_that_no_joint_has_are_said(wrong: tuple[str, str], upper: float,
     assert found.legs[0].limits.upper_rad[2] == pytest.approx(upper, abs=1e-5)
     assert found.notes[-1].startswith("1 joints such as kfe (rpy ")
     assert says in found.notes[-1]
-    assert found.notes[-1].endswith("are they degrees? correct them")
+    assert found.notes[-1].endswith("degrees have to be corrected")
     once = [part.replace(*wrong) for part in (HIP, THIGH, KNEE)]
     note = Urdf(robot_of(*once, FOOT), "x").legs({"l": "foot"}).notes[-1]
     assert note.startswith("3 joints such as haa (rpy ")
@@ -199,17 +227,17 @@ def test_a_body_that_is_upside_down_is_doubted() -> None:
 @pytest.mark.parametrize(
     ("data", "foot", "says"),
     [
-        (b"", "foot", "not well-formed XML (no element found)"),
-        (b"<robot><link", "foot", "line 1: not well-formed XML"),
+        (b"", "foot", "no XML that can be read (no element found)"),
+        (b"<robot><link", "foot", "line 1: no XML that can be read"),
         (b"<sdf/>", "foot", "begins with <sdf>; expected a URDF's <robot>"),
         (b"<robot/>", "foot", "has no <link>"),
         (
             b'<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><robot>&b;</robot>',
             "foot",
-            "has a DOCTYPE; a URDF needs none",
+            "has <!DOCTYPE r>; expected a URDF's <robot>, with no DOCTYPE",
         ),
-        (b'<!DOCTYPE r SYSTEM "http://example.org/x"><robot/>', "foot", "has a DOCTYPE"),
-        (b"<robot>&xxe;</robot>", "foot", "not well-formed XML (undefined entity)"),
+        (b'<!DOCTYPE r SYSTEM "http://example.org/x"><robot/>', "foot", "has <!DOCTYPE r>"),
+        (b"<robot>&xxe;</robot>", "foot", "no XML that can be read (undefined entity)"),
         (
             b'<robot xmlns:xacro="x"><xacro:macro name="leg"/></robot>',
             "foot",
@@ -218,7 +246,25 @@ def test_a_body_that_is_upside_down_is_doubted() -> None:
         (
             robot_of(HIP.replace('xyz="0.2', 'xyz="${length}'), THIGH, KNEE, FOOT),
             "foot",
-            "expected a number: xacro is not expanded",
+            "<origin> is xacro, not expanded; run `xacro",
+        ),
+        (
+            b'<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:property name="a"/></robot>',
+            "foot",
+            "<x:property> is xacro",
+        ),
+        (b'<robot><macro name="leg"/></robot>', "foot", "<macro> is xacro"),
+        (robot_of(HIP.replace('link="body', 'link="${of}body')), "hip", "<parent> is xacro"),
+        (robot_of(HIP.replace('lower="-1', 'lower="$(arg low)')), "hip", "<limit> is xacro"),
+        (b'<?xml version="1.0" encoding="GB2312"?><robot/>', "foot", "multi-byte encodings"),
+        (b'<?xml version="1.0" encoding="none"?><robot/>', "foot", "unknown encoding: none"),
+        (b"<!DOCTYPE html><html/>", "foot", "has <!DOCTYPE html>; expected a URDF's <robot>"),
+        (b"<mujoco/>", "foot", "begins with <mujoco>; expected a URDF's <robot>: give a URDF, or"),
+        (robot_of(HIP.replace('"1 0 0"', '"1.7e308 1.7e308 0"')), "hip", "has the axis 1.7e+308"),
+        (
+            robot_of(HIP.replace("revolute", "prismatic"), THIGH, KNEE, FOOT),
+            "foot",
+            "joint 'haa' is prismatic; expected revolute, continuous or fixed in a leg: give",
         ),
         (robot_of(HIP.replace('xyz="0.2', 'xyz="nan')), "foot", "xyz has 'nan'; expected a number"),
         (robot_of(HIP.replace('xyz="0.2', 'xyz="0')), "toot", "there is no link 'toot'; did you"),
@@ -240,21 +286,21 @@ def test_a_body_that_is_upside_down_is_doubted() -> None:
         (
             robot_of(HIP, THIGH, KNEE.replace("<limit", '<mimic joint="hfe"/><limit'), FOOT),
             "foot",
-            "joint 'kfe' follows joint 'hfe' (mimic)",
+            "joint 'kfe' follows joint 'hfe' (mimic); remove its <mimic> if your source publishes",
         ),
         (
             robot_of(HIP, THIGH, KNEE.replace("revolute", "prismatic"), FOOT),
             "foot",
-            "joint 'kfe' is prismatic; expected joints that turn",
+            "joint 'kfe' is prismatic; expected revolute, continuous or fixed in a leg",
         ),
         (
             robot_of(HIP, THIGH, KNEE.replace("revolute", "floating"), FOOT),
             "foot",
-            "joint 'kfe' is floating, which is no servo",
+            "joint 'kfe' is floating; expected revolute",
         ),
         (robot_of(HIP.replace("revolute", "screw")), "hip", "has type 'screw'; expected one of"),
         (robot_of(HIP, THIGH, KNEE.replace("0 1 0", "0 0 0"), FOOT), "foot", "has the axis 0 0 0"),
-        (robot_of(FOOT), "foot", "no joint turns between link 'foot' and link 'foot'"),
+        (robot_of(FOOT), "foot", "no joint below link 'foot' turns link 'foot'"),
         (
             robot_of(joint("a", "body", "hip", axis=(0, 0, 1)), joint("b", "hip", "foot",
                      kind="fixed", xyz=(0.1, 0, 0), more="")),
@@ -287,7 +333,7 @@ def test_several_roots_and_shared_joints_are_refused() -> None:
         links=links,
     )
     with pytest.raises(ConfigurationError, match="joint 'spine' moves leg 'a' and leg 'b'"):
-        Urdf(spine, "x").legs({"a": "a", "b": "b", "c": "c"}, tip_m=(0.1, 0.0, -0.1))
+        Urdf(spine, "x").legs({"a": "a", "b": "b", "c": "c"}, tips_m=[(0.1, 0.0, -0.1)])
     with pytest.raises(ConfigurationError, match="--base 'spare' carries no leg 'a'"):
         Urdf(spine, "x").legs({"a": "a"}, base="spare")
 

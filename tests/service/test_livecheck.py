@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import json
 import math
 import threading
@@ -12,10 +13,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
-from adaptive_contact.cli._robot_check import report_lines
+from adaptive_contact.cli._robot_check import _table, report_lines
 from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
@@ -180,12 +182,27 @@ def test_a_chain_that_no_motion_confirms_is_said_to_be_checked_by_hand() -> None
     found = report([("lf", sample(k, pose)) for k, pose in enumerate(poses)], hanging())
     assert found.open == found.by_hand == ["lf"]
     assert found.confirmed == []
-    assert [joint.axis for joint in found.legs[0].joints] == ["roll", "(0, 1, 0)", "(0, 1, 0)"]
+    assert [joint.axis for joint in found.legs[0].joints] == ["roll", "0 1 0", "0 1 0"]
     [line] = [line for line in report_lines(found) if "by hand" in line]
     assert line.startswith("signs, order and zeros of leg lf: not confirmed by the motion")
     place = hanging().leg("lf").chain.foot(poses[-1])  # type: ignore[union-attr]
     assert found.legs[0].forward_m == pytest.approx(0.2 + place[0])
     assert found.legs[0].left_m == pytest.approx(0.1 + place[1])
+
+
+@pytest.mark.parametrize("width", [80, 96, 120])
+def test_no_number_is_cut_where_names_are_those_of_a_urdf(width: int) -> None:
+    robot = hanging()
+    names = tuple(f"front_left_{name}_joint_of_a_long_file" for name in robot.legs[0].joints)
+    legs = (msgspec.structs.replace(robot.legs[0], joints=names),)
+    robot = msgspec.structs.replace(robot, legs=legs)
+    legs_seen = report([("lf", sample(k, (0.17, 1.09, -1.88))) for k in range(60)], robot).legs
+    console = Console(width=width, file=io.StringIO())
+    console.print(_table(legs_seen, [], console.width))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert all(number in text for number in ("50.0", "-1.88", "-107.7°", "+62..+62°"))
+    assert "…" not in text
+    assert ("below" in text) == (width >= 96)
 
 
 def still(poses: dict[str, Sequence[float]], ticks: int = 60) -> list[tuple[str, ServoSample]]:
