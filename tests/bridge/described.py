@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
+from dynamixel_sdk import GroupSyncRead
 from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
@@ -13,6 +14,8 @@ from adaptive_contact.robot import Robot, load_robot, parse_robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact_sim.virtual import VirtualServo
 
+# Before 3.8 the DynamixelSDK has none.
+KNOWS_FAST = hasattr(GroupSyncRead, "fastSyncRead")
 # Serves the servos of SPECs (see ``anybus``) on a port: its device, and they.
 Serve = Callable[..., tuple[Path, Sequence[VirtualServo]]]
 
