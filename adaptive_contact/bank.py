@@ -136,8 +136,7 @@ class LegGroup:
                     learner.take_up_model()
                 except Exception as fault:
                     self._reset(learner, fault)
-            if taking_over:
-                self._regroup()
+        self._regroup()
 
     def _reset(self, learner: ContactLearner, fault: Exception) -> None:
         """Reset the leg whose step raised, so that the others go on.

@@ -27,6 +27,7 @@ from adaptive_contact.detect.layout import (
     ENTERED,
     TOUCH_TICKS,
     TOUCHED,
+    TOUCHING,
 )
 from adaptive_contact.detect.swing import LEAST_WAY_M, height_gradient
 from adaptive_contact.model.noise import SPEED_EDGES_QUANTA, UNFIT_LEVEL
@@ -243,7 +244,7 @@ def break_off(leg):
 
 @compiled
 def keep_touch(leg, touch, thetas, history, whiten, unit, limits, awaited):
-    """Keep a tick of a contact with the two before it, as a ``Touch`` has them."""
+    """Keep a tick of a contact with the two before it, as a ``Touch`` has them; flag the last."""
     depth, joints = history.shape[1:]
     at = leg.touch_n * (len(touch) // TOUCH_TICKS)
     known = min(leg.usable, leg.thetas_n)
@@ -265,6 +266,9 @@ def keep_touch(leg, touch, thetas, history, whiten, unit, limits, awaited):
         at += 1
     touch[at] = known
     leg.touch_n += 1
+    if leg.touch_n == TOUCH_TICKS:
+        leg.touching = False
+        leg.found |= TOUCHING
 
 
 @compiled

@@ -46,9 +46,7 @@ from adaptive_contact.detect.layout import (
     RESTARTED,
     SLOT,
     TOPPED,
-    TOUCH_TICKS,
     TOUCHED,
-    TOUCHING,
 )
 from adaptive_contact.detect.regressors import predict, regressors
 from adaptive_contact.detect.source import (
@@ -388,9 +386,6 @@ def judge_tick(
                     leg, vector(floats, places, i, SLOT.touch), thetas[i], history[i], whiten[i],
                     unit, limits, limits_awaited,
                 )  # fmt: skip
-                if leg.touch_n == TOUCH_TICKS:
-                    leg.touching = False
-                    leg.found |= TOUCHING
             if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],

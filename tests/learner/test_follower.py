@@ -153,10 +153,10 @@ def test_six_legs_make_their_covariances_anew_in_ticks_of_their_own(baseline: Ba
         adapter = Adapter(leg, known, recent, LearnerMode.RLS, InlineRefitter())
         for _ in range(REFRESH_SWINGS):
             adapter.learn(LabelledSwing(Label.END))
-        before = recent.thresholds
+        before = recent.whiten
         for tick in range(REFRESH_TICKS):
             adapter.tick(3)
-            if recent.thresholds is not before:
+            if recent.whiten is not before:
                 due.setdefault(tick, []).append(leg)
                 break
     assert sum(map(len, due.values())) == 6
