@@ -175,6 +175,17 @@ def test_files_and_members_named_exist(page: Path) -> None:
             assert name not in members or member in members[name], f"{name} has no {member}"
 
 
+def test_every_decision_is_listed() -> None:
+    folder = ROOT / "docs" / "decisions"
+    listed = (folder / "README.md").read_text()
+    notes = sorted(folder.glob("0*.md"))
+    assert len(notes) > 40
+    for note in notes:
+        title = note.read_text().splitlines()[0].removeprefix("# ")
+        assert f"- [{title}]({note.name})" in listed
+    assert listed.count("](0") == len(notes)
+
+
 def test_extras_named_exist() -> None:
     there = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     named = {

@@ -278,7 +278,7 @@ ConfigOption = Annotated[
 ]
 BaselineOption = Annotated[
     Path | None,
-    option("--baseline", "Model file to start from, made by `adaptive-contact fit`.", "FILE"),
+    option("--baseline", "Model file to start from, made by `fit` or `robot learn`.", "FILE"),
 ]
 StateOption = Annotated[
     Path | None,

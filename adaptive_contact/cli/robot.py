@@ -34,8 +34,9 @@ class Wishes:
         str | None,
         option(
             "--ids",
-            "Servos of each leg, from the body outwards, such as 2,4,6/8,10,12; all others, "
-            "such as a head's, are ignored.  Without it, all are taken in the order of their ids.",
+            "Servos of each leg, from the body outwards, such as 2,4,6/8,10,12, or of several "
+            "ports left:2,4,6/right:8,10,12; all others, such as a head's, are ignored.  Without "
+            "it, all are taken in the order of their ids.",
             "ID,ID,.../ID,...",
         ),
     ] = None

@@ -61,7 +61,9 @@ app = opt.Commands(help="The simulated robot: in pose, walking, drifting.", no_a
 @opt.flatten
 def pose(
     *,
-    leg: Annotated[str | None, option("--leg", "Which leg moves. [rf]", "LEG|all")] = None,
+    leg: Annotated[
+        str | None, option("--leg", "Which legs move. [hexapod rf, leg5 leg]", "LEG,...|all")
+    ] = None,
     obstacles: Annotated[
         float | None, option("--obstacles", "Share of descents onto an obstacle. [0]")
     ] = None,
@@ -78,7 +80,7 @@ def pose(
     network: opt.Network,
     json: opt.JsonPayloadOption = False,
 ) -> None:
-    """Stand on five legs and move one, in free air or onto obstacles (the paper's set-up)."""
+    """Stand and move one leg or several, in free air or onto obstacles (the paper's set-up)."""
     make_stdout_optional()
     stop = opt.stoppable()
     with needs_simulator():

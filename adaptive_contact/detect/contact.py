@@ -2,11 +2,11 @@
 
 *Statistic.*  Residuals against their variance, over up to three ticks.
 
-*State.*  The phase gates and never causes: outside a swing nothing is decided.  A swing begins
-*loaded*: after a pressed stance the foot comes off the ground 100 ms and more after its command
-does.  It is *free* once the leg has followed the model for some ticks, or when the descent begins;
-only a free leg can touch.  A contact ends in the next swing when the leg is free, or within its own
-when the leg has followed the model again.
+*State.*  The phase only gates: it never makes a contact by itself, and outside a swing nothing is
+decided.  A swing begins *loaded*: after a pressed stance the foot comes off the ground 100 ms and
+more after its command does.  It is *free* once the leg has followed the model for some ticks, or
+when the descent begins; only a free leg can touch.  A contact ends in the next swing when the leg
+is free, or within its own when the leg has followed the model again.
 
 *Rows.*  What may be learned of a swing is held back until the swing is resolved:
 ``swing_labels.py`` says what it was.
