@@ -293,16 +293,19 @@ class Bus:
     def put(self, servo: int, register: Register, value: int) -> bool:
         """Write one register; True when the servo holds the value after.
 
-        What it confirms says little: a locked EEPROM may be silent on it, an alarm sets error bits
-        of protocol 1.0 in a confirmation, and at a status return level of 0 or 1 there is none.
+        A confirmation says little: a locked EEPROM may have one, an alarm sets its error bits, and
+        at a status return level of 0 or 1 there is none.
         """
         data = list(value.to_bytes(register.size, "little", signed=register.signed))
-        place = register.block
+        place, write = register.block, self._packets.writeTxRx
         for _ in range(_TRIES):
-            self._guarded(lambda: self._packets.writeTxRx(self._port, servo, *place, data))
+            self._awaited.ask(servo, 0, time.monotonic())
+            if self._guarded(lambda: write(self._port, servo, *place, data))[0] == COMM_SUCCESS:
+                self._awaited.strike(servo, 0)
             now = self._ask(servo, register.block).data
             if now is not None and register.value(now) == value:
                 return True
+            self.settle()
         return False
 
     def put_all(self, register: Register, values: Mapping[int, int]) -> bool:
@@ -319,8 +322,6 @@ class Bus:
             )
         )
         return bool(result == COMM_SUCCESS)
-
-    # -- private -------------------------------------------------------------------------------
 
     def _guarded(self, work: Callable[[], T]) -> T:
         """Run a transaction; an error of the device closes the port.

@@ -284,8 +284,9 @@ class Protocol2:
 
 # An answer that has not come within this time does not come.
 _LATEST_S: Final = 1.0
-# A dead servo is asked five times in that time; a disturbed line need not make all questions long.
-_MOST_AWAITED: Final = 7
+# A dead servo is asked five times in that time, with all others and alone; a disturbed line need
+# not make all questions long.
+_MOST_AWAITED: Final = 15
 
 
 class Awaited:

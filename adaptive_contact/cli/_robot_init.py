@@ -19,6 +19,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content, write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
 from adaptive_contact.robot.kinematics import Vector
+from adaptive_contact.robot.load import recorded_as
 from adaptive_contact.robot.urdf import UrdfLegs, read_urdf
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import is_leg_id
@@ -251,7 +252,7 @@ def _of_bus(
         say(line)
     own_names = () if isinstance(names, int) else names
     robot = group(found, joints, ids, own_names, wanted=wanted)
-    robot = msgspec.structs.replace(robot, name=wishes.name or "my-robot")
+    robot = msgspec.structs.replace(robot, name=_name(wishes, read))
     for port, settings in robot.ports.items():
         if settings.ignore:
             say(f"port {port}: servo {', '.join(map(str, settings.ignore))} is no leg's: ignored")
@@ -323,8 +324,13 @@ def _of_answers(
         own = tuple(f"joint{k + 1}" for k in range(names)) if isinstance(names, int) else names
         made = [Leg(id=leg, joints=own) for leg in ids]
         legs = tuple(msgspec.structs.replace(leg, axes=leg.joint_axes) for leg in made)
-    name = wishes.name or (read.name if read is not None else "") or "my-robot"
-    return Robot(name=name, period_s=1.0 / rate, quantum_rad=step, legs=legs)
+    return Robot(name=_name(wishes, read), period_s=1.0 / rate, quantum_rad=step, legs=legs)
+
+
+def _name(wishes: Wishes, read: UrdfLegs | None) -> str:
+    """Of the robot; a file's own, unless recordings would pass for those of one that ships."""
+    own = "" if read is None or recorded_as(read.name) else read.name
+    return wishes.name or own or "my-robot"
 
 
 def _asked(given: float | None, what: str, option: str, least: float, most: float) -> float:

@@ -24,10 +24,11 @@ from adaptive_contact.wire import ContactTruth, Message, ServoSample
 _NS: Final = 1_000_000_000
 # Distinct sets of joint names of one topic that are kept.
 _MOST_LAYOUTS: Final = 64
-# A leg that has moved by so much, this long after its last command, follows commands that do not
-# arrive.  A leg that holds its pose needs none.
+# A leg that goes so far away from its last command, this long after it, follows commands that do
+# not arrive.  One that holds its pose, or is still on its way, needs none.
 _NO_COMMAND_S: Final = 1.0
 _MOVED_RAD: Final = 0.2
+_FURTHER: Final = 3  # one reading may be wrong
 
 # Reads a message of a type and a hash of its definition.
 Decode = Callable[[str, str, bytes], Any]
@@ -63,10 +64,10 @@ class _LegState:
         self.touches: bool | None = None
         self.commanded = False
         self.samples = 0
-        # Readings since the last command, and where the leg was when they became too many.
-        self.waited = 0
-        self.held: list[float] | None = None
-        self.left = False
+        self.waited = self.further = (
+            0  # readings since the last command; in a row, of a leg further
+        )
+        self.nearest = math.inf  # off than this, rad: how near it came once they were too many
 
 
 class _Roles:
@@ -335,20 +336,21 @@ class Intake:
         )
 
     def _moves_without_command(self, topic: str, leg: _LegState, measured: list[float]) -> bool:
-        """Whether the command in force is not known: the leg goes elsewhere, and none came."""
+        """Whether the command in force is not known: the leg leaves the last, and none came."""
         leg.waited += 1
-        if leg.waited == self._no_command_ticks:
-            leg.held = measured
-        if leg.held is not None and math.dist(measured, leg.held) > _MOVED_RAD:
-            leg.left = True
-        if leg.left:
+        if leg.waited >= self._no_command_ticks and leg.further < _FURTHER:
+            off = math.dist(measured, leg.desired)
+            leg.nearest = min(leg.nearest, off)
+            leg.further = leg.further + 1 if off > leg.nearest + _MOVED_RAD else 0
+        if leg.further == _FURTHER:
             self._refuse(
                 topic,
                 Reason.NO_COMMAND,
-                f"leg '{leg.id}' moves, and its last command is more than {_NO_COMMAND_S:g} s old; "
-                "no samples meanwhile: look whether the command topic is still published",
+                f"leg '{leg.id}' goes elsewhere, and its last command is more than "
+                f"{_NO_COMMAND_S:g} s old; no samples meanwhile: look whether the command topic is "
+                "still published",
             )
-        return leg.left
+        return leg.further == _FURTHER
 
     def _not_finite(self, topic: str, leg: _LegState, good: list[bool], what: str) -> None:
         names = [name for name, finite in zip(leg.names, good, strict=True) if not finite]
@@ -426,8 +428,8 @@ class Intake:
         if values is None:
             return
         known = {name for leg in roles.commands for name in leg.names}
-        if known.isdisjoint(values):
-            self._ignore(topic, list(values) or ["a command without joints"])
+        if values and known.isdisjoint(values):
+            self._ignore(topic, list(values))
         bad = [name for name, value in values.items() if not math.isfinite(value)]
         if bad:
             self._refuse(
@@ -439,7 +441,7 @@ class Intake:
             for j, name in enumerate(leg.names):
                 if name in values and math.isfinite(values[name]):
                     leg.desired[j] = values[name]
-                    leg.waited, leg.held, leg.left = 0, None, False
+                    leg.waited, leg.further, leg.nearest = 0, 0, math.inf
 
     def _command_values(
         self, topic: str, type_name: str, message: Any, roles: _Roles
@@ -478,8 +480,6 @@ class Intake:
             self._refuse_twice(topic, sorted(twice))
         pairs = zip(names, positions, strict=True)
         return {name: float(value) for name, value in pairs if name not in twice}
-
-    # -- truth -------------------------------------------------------------------------------------
 
     def _truth(self, leg: _LegState, touches: bool, origin: Origin) -> list[tuple[str, Message]]:
         """A change of a foot switch, on the clock of the samples' stamps."""

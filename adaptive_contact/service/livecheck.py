@@ -47,7 +47,7 @@ class JointView(msgspec.Struct, frozen=True, kw_only=True):
     """One joint, in the description's angles."""
 
     joint: str
-    axis: str  # `yaw`, `pitch`, `roll`, or a direction such as `(0, 1, 0)`
+    axis: str  # `yaw`, `pitch`, `roll`, or a direction such as `0 1 0`
     # angle_rad, goal_rad: of the newest sample
     angle_rad: float
     goal_rad: float

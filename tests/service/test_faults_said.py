@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import re
+import string
 from pathlib import Path
 
 from adaptive_contact.service import findings
 
 
+def _checks() -> list[tuple[Path, str]]:
+    """The modules of checks: not the one that has a name for each cause."""
+    own = Path(findings.__file__)
+    return [(p, p.read_text("utf-8")) for p in sorted(own.parent.glob("*.py")) if p != own]
+
+
 def test_every_name_is_said_and_used() -> None:
-    source = "".join(p.read_text("utf-8") for p in Path(findings.__file__).parent.glob("*.py"))
+    source = "".join(text for _, text in _checks())
     names = [name for name, words in findings.said().items() if "what" in words]
     assert {name for name in names if f'"{name}"' not in source} == set()
     # Where a name is chosen it stands in a condition, or in a table.
@@ -22,3 +30,24 @@ def test_every_name_begins_with_its_cause() -> None:
             assert findings.Cause(name.partition("-")[0])
             assert set(words) == {"level", "what", "remedy"}
             assert words["level"] in ("error", "warning", "note")
+
+
+def test_every_figure_is_given() -> None:
+    given_by, beside = 0, {"detail", "size", "key", "level"}
+    for path, text in _checks():
+        for call in ast.walk(ast.parse(text)):
+            if not (isinstance(call, ast.Call) and ast.unparse(call.func) == "Fault.of"):
+                continue
+            names = [n.value for n in ast.walk(call.args[0]) if isinstance(n, ast.Constant)]
+            given = {str(keyword.arg) for keyword in call.keywords} - beside
+            for name in set(names) & findings.said().keys():
+                words = findings.said()[str(name)]
+                asked = {
+                    field
+                    for part in ("what", "remedy")
+                    for _, field, _, _ in string.Formatter().parse(words[part])
+                    if field is not None
+                }
+                assert asked == given, f"{path.name}:{call.lineno}: {name}"
+                given_by += 1
+    assert given_by > 50

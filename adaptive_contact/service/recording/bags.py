@@ -121,8 +121,10 @@ class Bag(Recording):
         path = self.path
         if not path.exists():
             raise RecordingError(f"{path}: cannot be read (no such file); give a bag")
-        old = [path] if not path.is_dir() else sorted(path.glob("*.bag*"))
-        for file in filter(_is_ros_1, old):
+        files = sorted((*path.glob("*.mcap"), *path.glob("*.db3")), key=_number)
+        described = (path / "metadata.yaml").is_file()
+        old = sorted(path.glob("*.bag*")) if path.is_dir() else [path]
+        for file in () if files or described else filter(_is_ros_1, old):
             raise RecordingError(
                 f"{file}: a bag of ROS 1; convert it with `rosbags-convert --src {file} --dst DIR`"
             )
@@ -133,8 +135,6 @@ class Bag(Recording):
             )
         if not path.is_dir():
             return [path]
-        files = sorted((*path.glob("*.mcap"), *path.glob("*.db3")), key=_number)
-        described = (path / "metadata.yaml").is_file()
         if described and not any(file.suffix == ".mcap" for file in files):
             return [path]
         return files or [path]
