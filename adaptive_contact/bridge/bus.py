@@ -285,23 +285,18 @@ class Bus:
     def get(self, servo: int, register: Register) -> int | None:
         """One register's value, None if the servo does not send it within some tries."""
         for _ in range(_TRIES):
-            data = self._ask(servo, register.block).data
-            if data is not None:
+            if (data := self._ask(servo, register.block).data) is not None:
                 return register.value(data)
         return None
 
     def put(self, servo: int, register: Register, value: int) -> bool:
         """Write one register; True when the servo holds the value after.
 
-        A confirmation says little: a locked EEPROM may have one, an alarm sets its error bits, and
-        at a status return level of 0 or 1 there is none.
+        A confirmation says little: a locked EEPROM may have one, an alarm sets its error bits.
         """
         data = list(value.to_bytes(register.size, "little", signed=register.signed))
-        place, write = register.block, self._packets.writeTxRx
         for _ in range(_TRIES):
-            self._awaited.ask(servo, 0, time.monotonic())
-            if self._guarded(lambda: write(self._port, servo, *place, data))[0] == COMM_SUCCESS:
-                self._awaited.strike(servo, 0)
+            self._guarded(lambda: self._exchange(servo, [register.address], data))
             now = self._ask(servo, register.block).data
             if now is not None and register.value(now) == value:
                 return True
@@ -402,34 +397,41 @@ class Bus:
         number = payload[0] + (payload[1] << 8) if len(payload) >= MODEL_NUMBER.size else None
         return int(result), number
 
-    def _read_one(self, servo: int, block: Block) -> Reading:
+    def _exchange(self, servo: int, words: Sequence[int], data: Sequence[int] = ()) -> Any:
+        """Read at an address, or write there: the status packet, and the SDK's result."""
         self._drain()
-        at_s = time.monotonic()
+        instruction, size = (Instruction.WRITE, 0) if data else (Instruction.READ, words[1])
         if self.protocol == 1:
-            packet = [0, 0, servo, 4, Instruction.READ, *block, 0]
+            rest = [*words, *data]
+            packet = [0, 0, servo, len(rest) + 2, instruction, *rest, 0]
         else:
-            words = [byte for value in block for byte in (value & 0xFF, value >> 8)]
-            packet = [0, 0, 0, 0, servo, 7, 0, Instruction.READ, *words, 0, 0]
-        self._awaited.ask(servo, block.size, at_s)
+            rest = [*(byte for word in words for byte in (word & 0xFF, word >> 8)), *data]
+            packet = [0, 0, 0, 0, servo, len(rest) + 3, 0, instruction, *rest, 0, 0]
+        self._awaited.ask(servo, size, time.monotonic())
         answer, result, _ = self._packets.txRxPacket(self._port, packet)
-        while result == COMM_SUCCESS and self._is_late(servo, answer, block):
+        while result == COMM_SUCCESS and self._is_late(servo, answer, size):
             answer, result = self._packets.rxPacket(self._port, *self._slow)
         self._count_late(servo)
+        return answer, result
+
+    def _read_one(self, servo: int, block: Block) -> Reading:
+        at_s = time.monotonic()
+        answer, result = self._exchange(servo, block)
         if result != COMM_SUCCESS:
             return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
         error = answer[_ERROR1 if self.protocol == 1 else _ERROR2]
         return self._reading(self._data(answer), error, block, at_s)
 
-    def _is_late(self, servo: int, packet: Sequence[int], block: Block) -> bool:
+    def _is_late(self, servo: int, packet: Sequence[int], wanted: int) -> bool:
         """Whether a packet is another servo's, or answers an earlier question than the last."""
         if packet[_ID1 if self.protocol == 1 else _ID2] != servo:
             return True
         size = len(self._data(packet))
-        if not self._awaited.strike(servo, size, late=size != block.size):
+        if not self._awaited.strike(servo, size, late=size != wanted):
             if not size:  # it refuses
-                self._awaited.strike(servo, block.size)
+                self._awaited.strike(servo, wanted)
             return False
-        return size != block.size
+        return size != wanted
 
     def _data(self, packet: Sequence[int]) -> Sequence[int]:
         """A status packet's data.  Unstuffing leaves its spare bytes at the end: cut to size."""
@@ -487,7 +489,7 @@ class Bus:
             servo = packet[_ID2]
             if servo not in servos or servo > MAX_ID or packet[7] != Instruction.STATUS:
                 continue
-            if not self._is_late(servo, packet, block):
+            if not self._is_late(servo, packet, block.size):
                 found[servo] = self._reading(self._data(packet), packet[_ERROR2], block, at_s)
         return found, self._port.received - before > understood
 

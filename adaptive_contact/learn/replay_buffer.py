@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 # the paper's library are 20 MB.
 MOST_SEGMENTS: Final = 1000
 # Swings of many seconds bring hundreds of rows each: so many, 5 MB of the shipped library, are kept
-# in all.  Segments of a walk hold a dozen, and a thousand of those are as many.
+# in all, with room for half as many more.  A thousand segments of a walk, of a dozen, are as many.
 MOST_ROWS: Final = 12_000
 # Room for rows at first; and once it is used up, for so many times those that there are.
 FIRST_ROOM: Final = 128

@@ -6,7 +6,7 @@ checked for form and for sense before anything is changed: a snapshot is used wh
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +137,7 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
     if not np.allclose(of_baseline, baseline.coefficients, rtol=0, atol=1e-9):
         raise ImplausibleError("it was learned from another baseline")
     version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
-    if not (isinstance(version, int) and isinstance(era, int) and version >= 0):
+    if not (isinstance(version, int) and version >= 0 and _is_era(era)):
         raise ImplausibleError("its version or era is no number")
     if not (isinstance(level, float) and LEVEL_RANGE[0] <= level <= LEVEL_RANGE[1]):
         raise ImplausibleError(f"its level is {level!r}")
@@ -157,6 +157,10 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
         kind=next((kind for kind in KINDS if kind == saved.get("kind")), None),
         inflated=bool(saved.get("loosened", False)),
     )
+
+
+def _is_era(value: object) -> TypeGuard[int]:
+    return isinstance(value, int) and 0 <= value < 2**62
 
 
 def _lifts_assessed(value: object) -> tuple[int, int]:
@@ -189,7 +193,7 @@ def _unpack_segment(value: object, terms: int, joints: int, contexts: int) -> Se
         isinstance(cell, list | tuple) and len(cell) == 2 and all(isinstance(c, int) for c in cell)
     ):
         raise ImplausibleError("a segment's cell is no pair")
-    if not (isinstance(era, int) and isinstance(t_ns, int)):
+    if not (_is_era(era) and isinstance(t_ns, int)):
         raise ImplausibleError("a segment's era or time is no number")
     place = (int(cell[0]), int(cell[1]))
     return Segment(theta, target, context.astype(np.int64), place, era, t_ns)

@@ -57,6 +57,8 @@ def damage(saved: dict[str, Any], name: str, value: object) -> dict[str, Any]:
         ("status", "happy", "its status is 'happy'"),
         ("segments", [{}], "is no array"),
         ("version", -1, "version or era"),
+        ("era", -1, "version or era"),
+        ("era", 2**70, "version or era"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(
