@@ -188,11 +188,10 @@ class Adapter:
         noise, active = self._noise_tracker, self._active
         # First, as an implausible model is replaced when its coefficients are asked for.
         coefficients = active.coefficients if wanted else None
-        variance = self.variance_in_force
-        changed = active.inflated or variance > 1.0
+        changed = self.changed
         return FreeMotion(
             coefficients,
-            variance,
+            self.variance_in_force,
             active.covariance,
             active.from_prior,
             changed,

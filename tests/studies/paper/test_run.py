@@ -20,7 +20,8 @@ from adaptive_contact_studies.evaluate import play
 from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.evaluation import play_streams
 from adaptive_contact_studies.paper.plan import QUICK
-from adaptive_contact_studies.paper.run import run_paper, write_document
+from adaptive_contact_studies.paper.run import run_paper
+from adaptive_contact_studies.paper.tables import write_document
 
 TINY = dataclasses.replace(QUICK, train_segments=120, test_segments=40)
 

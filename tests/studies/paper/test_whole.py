@@ -17,7 +17,8 @@ from adaptive_contact_studies import cache
 from adaptive_contact_studies.paper import identification, models
 from adaptive_contact_studies.paper.analytical import Gains
 from adaptive_contact_studies.paper.plan import QUICK
-from adaptive_contact_studies.paper.run import STAGES, run_paper, write_document
+from adaptive_contact_studies.paper.run import STAGES, run_paper
+from adaptive_contact_studies.paper.tables import write_document
 
 TINY = dataclasses.replace(
     QUICK,
