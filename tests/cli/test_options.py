@@ -64,7 +64,7 @@ def test_square_brackets_of_a_help_are_shown(program: Any, monkeypatch: Any) -> 
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("NO_COLOR", "1")
     text = CliRunner().invoke(main.app, ["sim", "pose", "--help"]).output
-    assert "Which leg moves. [rf]" in text
+    assert "Which legs move. [hexapod rf, leg5 leg]" in text
     assert "[walk 60, pose never]" in text
 
 
