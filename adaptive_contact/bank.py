@@ -5,13 +5,13 @@ is what makes six legs cost little more than one.  A tick has two halves.  The f
 :meth:`LegGroup.judge`, goes from samples to contact events.  The second, :meth:`LegGroup.finish`,
 learns from the tick and predicts the next; no event waits for it.
 
-Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._reset`).
+Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._step`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -29,6 +29,8 @@ from adaptive_contact.model.library import Library, with_changes
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
+
+T = TypeVar("T")
 
 __all__ = ["MAX_LEGS", "LearnerBank", "LegGroup", "OnFault", "compile_ahead"]
 
@@ -92,11 +94,8 @@ class LegGroup:
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
             if sample is None:
                 continue
-            try:
-                if learner.take(sample):
-                    here.append(i)
-            except Exception as fault:  # of any kind, as the other legs must go on
-                self._reset(learner, fault)
+            if self._step(learner, learner.take, sample):
+                here.append(i)
         if not here:
             return events
         self._open.update(here)
@@ -105,10 +104,7 @@ class LegGroup:
             for i, flags in zip(members, batch.flags, strict=True):
                 learner = self.learners[i]
                 if flags & EVENTS and batch.accepted[learner.place.row]:
-                    try:
-                        events[i] = learner.event_of(flags)
-                    except Exception as fault:
-                        self._reset(learner, fault)
+                    events[i] = self._step(learner, learner.event_of, flags)
         return events
 
     def finish(self) -> None:
@@ -124,30 +120,28 @@ class LegGroup:
                     if i not in self._open:
                         continue
                     learner = self.learners[i]
-                    try:
-                        if learner.finish(flags):
-                            taking_over.append(learner)
-                    except Exception as fault:
-                        self._reset(learner, fault)
+                    if self._step(learner, learner.finish, flags):
+                        taking_over.append(learner)
                 batch.finish()
             self._open.clear()
             for learner in taking_over:
-                try:
-                    learner.take_up_model()
-                except Exception as fault:
-                    self._reset(learner, fault)
+                self._step(learner, learner.take_up_model)
         self._regroup()
 
-    def _reset(self, learner: ContactLearner, fault: Exception) -> None:
-        """Reset the leg whose step raised, so that the others go on.
+    def _step(self, learner: ContactLearner, step: Callable[..., T], *given: object) -> T | None:
+        """Make one leg's step; reset that leg if it raises, so that the others go on.
 
-        Raises:
-            Exception: what the step raised, again, where nobody asked for faults.
+        Returns:
+            What the step does; None where it raised.  Without ``on_fault`` it is raised again.
         """
-        if self._on_fault is None:
-            raise fault
-        learner.reset_after_fault(fault)
-        self._on_fault(learner.leg.id, fault)
+        try:
+            return step(*given)
+        except Exception as fault:  # of any kind, as the other legs must go on
+            if self._on_fault is None:
+                raise
+            learner.reset_after_fault(fault)
+            self._on_fault(learner.leg.id, fault)
+            return None
 
     def _regroup(self) -> None:
         """Put learners of equal libraries into one batch, where a leg's batch is another now."""

@@ -31,6 +31,7 @@ from adaptive_contact.bridge.packets import (
     Protocol2,
     alarm_names,
     split_fast_sync,
+    unsent,
 )
 from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.tables import Block, Register
@@ -296,7 +297,9 @@ class Bus:
         """
         data = list(value.to_bytes(register.size, "little", signed=register.signed))
         for _ in range(_TRIES):
-            self._guarded(lambda: self._exchange(servo, [register.address], data))
+            self._guarded(
+                lambda: self._exchange(servo, Instruction.WRITE, 0, [register.address], data)
+            )
             now = self._ask(servo, register.block).data
             if now is not None and register.value(now) == value:
                 return True
@@ -383,30 +386,26 @@ class Bus:
         Returns:
             The SDK's result, and the model number where the answer holds it (protocol 2.0).
         """
-        self._drain()
-        if self.protocol == 1:
-            packet = [0, 0, servo, 2, Instruction.PING, 0]
-        else:
-            packet = [0, 0, 0, 0, servo, 3, 0, Instruction.PING, 0, 0]
-        self._awaited.ask(servo, _PONG_BYTES[self.protocol], time.monotonic())
-        answer, result, _ = self._packets.txRxPacket(self._port, packet)
-        self._count_late(servo)
+        answer, result = self._exchange(servo, Instruction.PING, _PONG_BYTES[self.protocol])
         payload = self._data(answer) if result == COMM_SUCCESS else ()
-        if result == COMM_SUCCESS:
-            self._awaited.strike(servo, len(payload))
         number = payload[0] + (payload[1] << 8) if len(payload) >= MODEL_NUMBER.size else None
         return int(result), number
 
-    def _exchange(self, servo: int, words: Sequence[int], data: Sequence[int] = ()) -> Any:
-        """Read at an address, or write there: the status packet, and the SDK's result."""
+    def _exchange(
+        self,
+        servo: int,
+        instruction: Instruction,
+        size: int,
+        words: Sequence[int] = (),
+        data: Sequence[int] = (),
+    ) -> tuple[Sequence[int], int]:
+        """Send an instruction, and wait for the answer to it, which has so many bytes of data.
+
+        Returns:
+            The status packet, and the SDK's result.
+        """
         self._drain()
-        instruction, size = (Instruction.WRITE, 0) if data else (Instruction.READ, words[1])
-        if self.protocol == 1:
-            rest = [*words, *data]
-            packet = [0, 0, servo, len(rest) + 2, instruction, *rest, 0]
-        else:
-            rest = [*(byte for word in words for byte in (word & 0xFF, word >> 8)), *data]
-            packet = [0, 0, 0, 0, servo, len(rest) + 3, 0, instruction, *rest, 0, 0]
+        packet = unsent(self.protocol, servo, instruction, words, data)
         self._awaited.ask(servo, size, time.monotonic())
         answer, result, _ = self._packets.txRxPacket(self._port, packet)
         while result == COMM_SUCCESS and self._is_late(servo, answer, size):
@@ -416,7 +415,7 @@ class Bus:
 
     def _read_one(self, servo: int, block: Block) -> Reading:
         at_s = time.monotonic()
-        answer, result = self._exchange(servo, block)
+        answer, result = self._exchange(servo, Instruction.READ, block.size, block)
         if result != COMM_SUCCESS:
             return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
         error = answer[_ERROR1 if self.protocol == 1 else _ERROR2]

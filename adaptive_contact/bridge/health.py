@@ -239,8 +239,8 @@ class News:
         """
         said: list[str] = []
         silent = {servo for servo, record in health.items() if record.silent}
-        heard = {servo for servo, record in health.items() if not record.misses}
-        self._silences(said, silent, heard, self._crowded(said, dict(late or {})))
+        answering = {servo for servo, record in health.items() if not record.misses}
+        self._silences(said, silent, answering, self._crowded(said, dict(late or {})))
         by_words: dict[str, list[int]] = {}
         for servo, record in health.items():
             now = frozenset(record.alarms & _TOLD)
@@ -284,7 +284,7 @@ class News:
         return now_late
 
     def _silences(
-        self, said: list[str], silent: set[int], heard: set[int], now_late: set[int]
+        self, said: list[str], silent: set[int], answering: set[int], now_late: set[int]
     ) -> None:
         """Say who has fallen silent, and who answers again.
 
@@ -303,7 +303,7 @@ class News:
             self._say(said, sorted(slow - self._told_late), _LATE.format(port=self._plan.name))
             self._told_late |= slow
         back = []
-        for servo in sorted(self._silent & heard):
+        for servo in sorted(self._silent & answering):
             self._answered[servo] = self._answered.get(servo, 0) + 1
             if self._answered[servo] >= _BACK_LOOKS:
                 back.append(servo)

@@ -293,7 +293,7 @@ class Awaited:
     """Answers that may still come.
 
     An answer says who gives it and how long it is, not to which question.  Where one is late, the
-    next question to its servo asks for another number of bytes, so that the two are told apart.
+    next question to its servo asks for another number of bytes, so that the two differ.
 
     Attributes:
         late: answers that came after they were waited for, by servo; one that is dead has none,
@@ -324,6 +324,29 @@ class Awaited:
         if late:
             self.late[servo] += 1
         return True
+
+
+def unsent(
+    protocol: int,
+    servo: int,
+    instruction: Instruction,
+    words: Sequence[int] = (),
+    data: Sequence[int] = (),
+) -> list[int]:
+    """A packet as the SDK takes it: header, stuffing and check bytes are left for it to fill in.
+
+    Args:
+        protocol: 1 or 2.
+        servo: its id.
+        instruction: what is asked.
+        words: parameters of two bytes each, of one in protocol 1.0.
+        data: bytes that follow them.
+    """
+    if protocol == 1:
+        rest = [*words, *data]
+        return [0, 0, servo, len(rest) + 2, instruction, *rest, 0]
+    rest = [*(byte for word in words for byte in (word & 0xFF, word >> 8)), *data]
+    return [0, 0, 0, 0, servo, len(rest) + 3, 0, instruction, *rest, 0, 0]
 
 
 def fast_sync_status(answers: Sequence[Status]) -> bytes:

@@ -29,8 +29,9 @@ MOST_SEGMENTS: Final = 1000
 # Swings of many seconds bring hundreds of rows each: so many, 5 MB of the shipped library, are kept
 # in all, with room for half as many more.  A thousand segments of a walk, of a dozen, are as many.
 MOST_ROWS: Final = 12_000
-# Room for rows at first; and once it is used up, for so many times those that there are.
+# Room for rows at first; and once more than this share of it is kept, for so many times those.
 FIRST_ROOM: Final = 128
+FULL: Final = 0.8
 SPARE: Final = 1.5
 _EVICTED: Final = -1  # era of rows that are kept no more
 
@@ -151,26 +152,20 @@ class ReplayBuffer:
         self._held += count
 
     def _make_room(self, count: int, terms: int, joints: int) -> None:
-        """Move what is kept together, into larger arrays where it nearly fills these."""
-        alive = self._eras[: self._used] != _EVICTED
-        room = len(self._eras)
-        if SPARE * (self._held + count) > 1.2 * room:
+        """Move what is kept together; into larger arrays, where it nearly fills these."""
+        arrays = before = self._theta, self._target, self._context, self._eras
+        if self._held + count > FULL * len(self._eras):
             room = max(FIRST_ROOM, int(SPARE * (self._held + count)))
-        for name, shape in (
-            ("_theta", (terms,)),
-            ("_target", (joints,)),
-            ("_context", ()),
-            ("_eras", ()),
-        ):
-            before = getattr(self, name)
-            of = before if len(before) == room else np.zeros((room, *shape), before.dtype)
-            if self._used:
-                of[: self._held] = before[: self._used][alive]
-            setattr(self, name, of)
+            self._theta, self._target = np.zeros((room, terms)), np.zeros((room, joints))
+            self._context, self._eras = np.zeros(room, np.int64), np.zeros(room, np.int64)
+            arrays = self._theta, self._target, self._context, self._eras
         self._used = 0
         for segment in self._segments:
-            segment.first = self._used
-            self._used += segment.count
+            # One by one: a copy of all in between would leave holes in the process's memory.
+            at = slice(self._used, self._used + segment.count)
+            for of, rows in zip(arrays, before, strict=True):
+                of[at] = rows[segment.first : segment.first + segment.count]
+            segment.first, self._used = at.start, at.stop
 
     def _drop(self, segment: _Place) -> None:
         self._eras[segment.first : segment.first + segment.count] = _EVICTED

@@ -213,7 +213,7 @@ horn = st.one_of(st.floats(-2.5, 2.5), st.floats(-12.0, 12.0))
 wish = st.one_of(st.floats(-3.0, 3.0), st.floats(-15.0, 15.0))
 EVENTS = (
     "nothing", "nothing", "reboot", "reboot elsewhere", "let go", "switched on", "another's goal",
-    "overload", "recovers", "deaf", "short", "late", "cable", "silence", "set anew", "cleared",
+    "overload", "recovers", "deaf", "short", "late", "cable", "silence", "set again", "cleared",
 )  # fmt: skip
 script = st.lists(st.tuples(st.sampled_from(EVENTS), wish, st.integers(1, 7), horn), max_size=6)
 
@@ -261,7 +261,7 @@ def happen(stage: Stage, what: str, where: float) -> None:
         stage.cycle.restart()
     elif what == "cleared" and not servo.model.compact:
         servo.clear()
-    elif what == "set anew" and not servo.drives:
+    elif what == "set again" and not servo.drives:
         put("upper_limit", max(servo.value("upper_limit") // 2, 1))
 
 
