@@ -75,17 +75,12 @@ def check_sample(sample: object) -> None:
 
 
 class JudgedTick(NamedTuple):
-    """Holds how a tick was judged: as in a swing, before leverage.
+    """Holds how a tick was judged: as in a swing, before leverage."""
 
-    Attributes:
-        residual: (J,) rad.
-        scores: (windows,) statistic over threshold, NaN where it reaches too far back.
-        thresholds: (windows,) of the statistic, for the baseline's variance.
-    """
-
-    residual: NDArray[np.float64]
+    residual: NDArray[np.float64]  # (J,) rad
+    # (windows,) statistic over threshold, NaN where it reaches too far back
     scores: NDArray[np.float64]
-    thresholds: NDArray[np.float64]
+    thresholds: NDArray[np.float64]  # (windows,) of the statistic, for the baseline's variance
 
 
 class ContactLearner:

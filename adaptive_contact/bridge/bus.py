@@ -74,37 +74,24 @@ class Fault(enum.StrEnum):
 
 
 class Reading(NamedTuple):
-    """What came of a read.
+    """What came of a read."""
 
-    Attributes:
-        data: the block's bytes, None with a fault.
-        alarms: names of the error bits.
-        fault: what went wrong.
-        at_s, till_s: monotonic times at which the servo was asked and had answered; the reading is
-            of a moment between the two.
-    """
-
-    data: bytes | None
-    alarms: tuple[str, ...] = ()
-    fault: Fault | None = None
+    data: bytes | None  # the block's bytes, None with a fault
+    alarms: tuple[str, ...] = ()  # names of the error bits
+    fault: Fault | None = None  # what went wrong
+    # at_s, till_s: monotonic times at which the servo was asked and had answered; the reading is of
+    # a moment between the two
     at_s: float = 0.0
     till_s: float = 0.0
 
 
 class Pong(NamedTuple):
-    """A servo that answered a ping.
+    """A servo that answered a ping."""
 
-    Attributes:
-        model_number: None where neither a ping (of protocol 2.0) nor a read gives it.
-        doubled: several seem to answer.
-        reads: it answers reads; at a status return level of 0 it does not.
-        brand: what it is in words, where that is no Dynamixel.
-    """
-
-    model_number: int | None
-    doubled: bool = False
-    reads: bool = True
-    brand: str | None = None
+    model_number: int | None  # None where neither a ping (of protocol 2.0) nor a read gives it
+    doubled: bool = False  # several seem to answer
+    reads: bool = True  # it answers reads; at a status return level of 0 it does not
+    brand: str | None = None  # what it is in words, where that is no Dynamixel
 
 
 class Bus:

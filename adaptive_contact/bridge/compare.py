@@ -58,21 +58,13 @@ _ACCELERATION_RAD_S2: Final = 214.577 * 2 * math.pi / 3600
 
 
 class Servo(NamedTuple):
-    """A servo's registers.
+    """A servo's registers."""
 
-    Attributes:
-        id: on its port.
-        where: leg and joint.
-        model: what it is.
-        values: registers by name, those that it has and reports.
-        port: its name, where the robot has several.
-    """
-
-    id: int
-    where: str
-    model: ServoModel
-    values: Mapping[str, int]
-    port: str = ""
+    id: int  # on its port
+    where: str  # leg and joint
+    model: ServoModel  # what it is
+    values: Mapping[str, int]  # registers by name, those that it has and reports
+    port: str = ""  # its name, where the robot has several
 
 
 def read_servos(plans: Sequence[PortPlan]) -> list[Servo]:

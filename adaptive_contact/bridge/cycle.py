@@ -44,32 +44,22 @@ _ASK_SHARE: Final = 0.3
 
 @dataclasses.dataclass
 class _Servo:
-    """What is known of a servo.
+    """What is known of a servo."""
 
-    Attributes:
-        joint: it is of.
-        waker: says whether it may be moved.
-        steps: position, as it was last read.
-        goal: in force, steps.
-        fresh: it has answered in this tick.
-        stands: how, as far as this tick's readings say.
-        register: what its goal register held against what was written.
-        look_at: cycle from which on a servo that has shut itself down is looked at again.
-    """
-
-    joint: JointPlan
-    waker: Waker
-    steps: int | None = None
+    joint: JointPlan  # it is of
+    waker: Waker  # says whether it may be moved
+    steps: int | None = None  # position, as it was last read
     off_rad: float = 0.0  # from the position read to where it was at its moment of the tick
     speed_rad_s: float = 0.0
-    goal: int | None = None
+    goal: int | None = None  # in force, steps
     last_goal: int | None = None
     valid: bool = False
-    fresh: bool = False
-    stands: Standing | None = None
+    fresh: bool = False  # it has answered in this tick
+    stands: Standing | None = None  # how, as far as this tick's readings say
+    # what its goal register held against what was written
     register: GoalRegister = GoalRegister.TAKEN
     shut_seen: bool = False
-    look_at: int = 0
+    look_at: int = 0  # cycle from which on a servo that has shut itself down is looked at again
     punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
 
     @property

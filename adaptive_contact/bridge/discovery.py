@@ -34,27 +34,18 @@ _BEYOND: Final = 8
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """What answers on a port.
+    """What answers on a port."""
 
-    Attributes:
-        name: of the port.
-        port: device, baud rate and protocol at which they answer.
-        servos: model by id; None for one without a control table here.
-        names: what each is, in words, by id.
-        slopes_rad: how steep each servo's controller is, by id, where it reports that.
-        mute: ids of those that answer pings and no reads.
-        elsewhere: ids that answer at another baud rate and protocol, by these.
-        done: what was written.
-    """
-
-    name: str
-    port: Port
-    servos: dict[int, ServoModel | None]
-    names: dict[int, str]
+    name: str  # of the port
+    port: Port  # device, baud rate and protocol at which they answer
+    servos: dict[int, ServoModel | None]  # model by id; None for one without a control table here
+    names: dict[int, str]  # what each is, in words, by id
+    # how steep each servo's controller is, by id, where it reports that
     slopes_rad: dict[int, float] = dataclasses.field(default_factory=dict)
-    mute: tuple[int, ...] = ()
+    mute: tuple[int, ...] = ()  # ids of those that answer pings and no reads
+    # ids that answer at another baud rate and protocol, by these
     elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
-    done: tuple[str, ...] = ()
+    done: tuple[str, ...] = ()  # what was written
 
 
 class Wanted(NamedTuple):

@@ -189,16 +189,11 @@ _HEEDLESS_TICKS: Final = 25
 
 
 class Standing(NamedTuple):
-    """How a servo stands.
+    """How a servo stands."""
 
-    Attributes:
-        torque: it drives to its goal.
-        shut: it has shut itself down.
-        alarms: names of what is behind the alert of protocol 2.0, where the block holds them.
-    """
-
-    torque: bool
-    shut: bool = False
+    torque: bool  # it drives to its goal
+    shut: bool = False  # it has shut itself down
+    # names of what is behind the alert of protocol 2.0, where the block holds them
     alarms: tuple[str, ...] = ()
 
 
@@ -225,17 +220,11 @@ def standing(model: ServoModel, block: Block, data: bytes) -> Standing:
 
 
 class Place(NamedTuple):
-    """From where a servo can be moved.
+    """From where a servo can be moved."""
 
-    Attributes:
-        steps: the goal in force where it has torque, else its position.
-        torque: it drives.
-        at_goal: without torque, the goal register holds where it is.
-    """
-
-    steps: int
-    torque: bool
-    at_goal: bool
+    steps: int  # the goal in force where it has torque, else its position
+    torque: bool  # it drives
+    at_goal: bool  # without torque, the goal register holds where it is
 
 
 class GoalRegister(enum.Enum):

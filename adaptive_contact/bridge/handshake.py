@@ -62,16 +62,13 @@ _LEAST_CROWD: Final = 2
 
 @dataclasses.dataclass
 class Findings:
-    """What a handshake found.
+    """What a handshake found."""
 
-    Attributes:
-        errors: why the bridge cannot run, one line each.
-        advice: what to set for it to run well, one line each.
-        done: what was written, with ``configure``.
-    """
-
+    # why the bridge cannot run, one line each
     errors: list[str] = dataclasses.field(default_factory=list)
+    # what to set for it to run well, one line each
     advice: list[str] = dataclasses.field(default_factory=list)
+    # what was written, with ``configure``
     done: list[str] = dataclasses.field(default_factory=list)
 
     def add(self, other: Findings) -> None:

@@ -43,17 +43,11 @@ _SHUTTING: Final = {"overload", "overheating", "electrical_shock", "voltage", "h
 
 @dataclasses.dataclass
 class ServoHealth:
-    """One servo's record.
+    """One servo's record."""
 
-    Attributes:
-        misses: cycles in a row without a reading.
-        faults: by kind, since the start.
-        shut: it has shut itself down, and does not drive.
-    """
-
-    misses: int = 0
-    shut: bool = False
-    faults: Counter[str] = dataclasses.field(default_factory=Counter)
+    misses: int = 0  # cycles in a row without a reading
+    shut: bool = False  # it has shut itself down, and does not drive
+    faults: Counter[str] = dataclasses.field(default_factory=Counter)  # by kind, since the start
     _alarms: dict[str, int] = dataclasses.field(default_factory=dict)
 
     @property

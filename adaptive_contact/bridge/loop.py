@@ -47,13 +47,10 @@ class PhaseLock:
 
     Args:
         period_s: control tick.
-
-    Attributes:
-        locked: the writes come right before the reading, as far as could be seen.
     """
 
     period_s: float
-    locked: bool = False
+    locked: bool = False  # the writes come right before the reading, as far as could be seen
     _near: bool = False
     _unconfirmed: int = 0
 

@@ -91,25 +91,20 @@ class DriveMode:
 
 
 class Setting(NamedTuple):
-    """How a servo is set.
+    """How a servo is set."""
 
-    Attributes:
-        lowest, highest: goals that it takes and that are of its one turn, steps.
-        ends: positions at which its encoder ends, or begins its turn again, None where it counts
-            on.  An AX servo says one of them for all of the 60 degrees that it cannot see; the
-            others may say either of them for one place.
-        wrong: why its goals say nothing of its movements, and what to do; None where they do.
-        undriven: why it is not driven although it may be observed; None where it may be.
-        advice: what to set differently; None without.
-        values: registers by name; a servo in which they change is not the one it was.
-    """
-
+    # lowest, highest: goals that it takes and that are of its one turn, steps
     lowest: int
     highest: int
-    values: dict[str, int]
+    values: dict[str, int]  # registers by name; a servo in which they change is not the one it was
+    # why its goals say nothing of its movements, and what to do; None where they do
     wrong: str | None = None
+    # why it is not driven although it may be observed; None where it may be
     undriven: str | None = None
-    advice: str | None = None
+    advice: str | None = None  # what to set differently; None without
+    # positions at which its encoder ends, or begins its turn again, None where it counts on.  An AX
+    # servo says one of them for all of the 60 degrees that it cannot see; the others may say either
+    # of them for one place.
     ends: tuple[int, int] | None = None
 
 

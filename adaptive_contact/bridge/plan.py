@@ -20,21 +20,16 @@ DEFAULT_PORT: Final = "main"
 
 @dataclass(frozen=True)
 class JointPlan:
-    """One servo, as a joint.
+    """One servo, as a joint."""
 
-    Attributes:
-        servo: id on the bus.
-        name: of the joint.
-        models: what the servo may answer to be; all have the same control table.
-        direction, offset_rad: angle = direction * (position - centre) + offset.
-        lower_rad, upper_rad: how far goals may go.
-    """
-
-    servo: int
-    name: str
+    servo: int  # id on the bus
+    name: str  # of the joint
+    # what the servo may answer to be; all have the same control table
     models: tuple[ServoModel, ...]
+    # direction, offset_rad: angle = direction * (position - centre) + offset
     direction: int
     offset_rad: float
+    # lower_rad, upper_rad: how far goals may go
     lower_rad: float
     upper_rad: float
 

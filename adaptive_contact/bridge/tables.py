@@ -28,18 +28,13 @@ from adaptive_contact.errors import ConfigurationError
 
 
 class Register(NamedTuple):
-    """A value in the control table.
+    """A value in the control table."""
 
-    Attributes:
-        address, size: bytes.
-        eeprom: survives power-off, and wears out; written with ``--configure`` only.
-        signed: two's complement.
-    """
-
+    # address, size: bytes
     address: int
     size: int
-    eeprom: bool = False
-    signed: bool = False
+    eeprom: bool = False  # survives power-off, and wears out; written with ``--configure`` only
+    signed: bool = False  # two's complement
 
     @property
     def block(self) -> Block:
@@ -70,30 +65,20 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A kind of servo.
+    """A kind of servo."""
 
-    Attributes:
-        name: as ROBOTIS writes it.
-        number: what the servo answers to a ping.
-        protocol: 1 or 2.
-        registers: its control table.
-        lowest, highest, centre: position steps; ``centre`` is the middle of the horn's travel.
-        step_rad: one position step.
-        speed_rad_s: one step of present speed.
-        manual: address of its page in the e-manual.
-        error_bits: names of the bits of ``hardware_error``, where it has that register.
-    """
-
-    name: str
-    number: int
-    protocol: int
-    registers: dict[str, Register]
+    name: str  # as ROBOTIS writes it
+    number: int  # what the servo answers to a ping
+    protocol: int  # 1 or 2
+    registers: dict[str, Register]  # its control table
+    # lowest, highest, centre: position steps; ``centre`` is the middle of the horn's travel
     lowest: int
     highest: int
     centre: int
-    step_rad: float
-    speed_rad_s: float
-    manual: str
+    step_rad: float  # one position step
+    speed_rad_s: float  # one step of present speed
+    manual: str  # address of its page in the e-manual
+    # names of the bits of ``hardware_error``, where it has that register
     error_bits: Mapping[int, str] = field(default_factory=dict)
 
     @property

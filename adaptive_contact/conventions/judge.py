@@ -63,28 +63,19 @@ _ZEROS: Final = "zeros are not where robot.toml says"
 
 @dataclasses.dataclass(frozen=True)
 class ConventionFinding:
-    """One leg whose angles do not mean what its description says.
+    """One leg whose angles do not mean what its description says."""
 
-    Attributes:
-        leg: its id.
-        joints: names of the joints concerned.
-        message: what was seen, one line without the leg's name.
-        advice: what to write into ``robot.toml``, one line.
-        directions: (J,) to write as ``[leg.angles] directions``; those in force included.
-        offsets_rad: (J,) likewise.
-        certain: False where another choice explains the motion as well.
-        grave: heights of the foot are wrong, so that nothing can be judged or learned by them.
-        order: (J,) which of the source's values is each joint's; None where they come in order.
-    """
-
-    leg: str
-    joints: tuple[str, ...]
-    message: str
-    advice: str
+    leg: str  # its id
+    joints: tuple[str, ...]  # names of the joints concerned
+    message: str  # what was seen, one line without the leg's name
+    advice: str  # what to write into ``robot.toml``, one line
+    # (J,) to write as ``[leg.angles] directions``; those in force included
     directions: tuple[int, ...]
-    offsets_rad: tuple[float, ...]
-    certain: bool = True
+    offsets_rad: tuple[float, ...]  # (J,) likewise
+    certain: bool = True  # False where another choice explains the motion as well
+    # heights of the foot are wrong, so that nothing can be judged or learned by them
     grave: bool = True
+    # (J,) which of the source's values is each joint's; None where they come in order
     order: tuple[int, ...] | None = None
 
     def agrees(self, other: ConventionFinding | None) -> bool:
@@ -122,15 +113,11 @@ class ConventionFinding:
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """What the motion so far says.
+    """What the motion so far says."""
 
-    Attributes:
-        findings: legs that are described wrong, in the robot's order.
-        fits: legs whose description the motion confirms.
-    """
-
+    # legs that are described wrong, in the robot's order
     findings: tuple[ConventionFinding, ...] = ()
-    fits: tuple[str, ...] = ()
+    fits: tuple[str, ...] = ()  # legs whose description the motion confirms
 
 
 def speaks_of_angles(note: str) -> bool:

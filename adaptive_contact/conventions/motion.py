@@ -22,21 +22,14 @@ MOST_SEQ: Final = 2**60
 
 @dataclasses.dataclass(frozen=True)
 class LegMotion:
-    """One leg's samples, in the frame of its description.
+    """One leg's samples, in the frame of its description."""
 
-    Attributes:
-        t_ns: (n,) times.
-        measured: (n, J) rad.
-        desired: (n, J) rad.
-        swing: (n,) as the source reports; None where it does not.
-        seq: (n,) the source's count of control ticks, from any number on; None where only stamps
-            distinguish them.
-    """
-
-    t_ns: NDArray[np.int64]
-    measured: Array
-    desired: Array
-    swing: Mask | None = None
+    t_ns: NDArray[np.int64]  # (n,) times
+    measured: Array  # (n, J) rad
+    desired: Array  # (n, J) rad
+    swing: Mask | None = None  # (n,) as the source reports; None where it does not
+    # (n,) the source's count of control ticks, from any number on; None where only stamps
+    # distinguish them
     seq: NDArray[np.int64] | None = None
 
     def between(self, first_ns: int, last_ns: int) -> LegMotion:

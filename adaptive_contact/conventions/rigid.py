@@ -67,17 +67,11 @@ _SETTLED_RAD: Final = 1e-3
 
 
 class Reading(NamedTuple):
-    """How a source's angles are read: ``directions * angles[order] + offsets_rad``.
+    """How a source's angles are read: ``directions * angles[order] + offsets_rad``."""
 
-    Attributes:
-        order: (J,) which of the source's values is each joint's.
-        directions: (J,) 1 or -1.
-        offsets_rad: (J,) rad.
-    """
-
-    order: tuple[int, ...]
-    directions: tuple[int, ...]
-    offsets_rad: tuple[float, ...]
+    order: tuple[int, ...]  # (J,) which of the source's values is each joint's
+    directions: tuple[int, ...]  # (J,) 1 or -1
+    offsets_rad: tuple[float, ...]  # (J,) rad
 
     @staticmethod
     def plain(joints: int) -> Reading:
@@ -97,19 +91,12 @@ class Reading(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Stream:
-    """What one leg was commanded.
+    """What one leg was commanded."""
 
-    Attributes:
-        leg: its description, with geometry and mount.
-        desired: (n, J) rad.
-        grid: (n,) control ticks.
-        swing: (n,) as the source reports; None where it does not.
-    """
-
-    leg: Leg
-    desired: Array
-    grid: Ints
-    swing: Mask | None
+    leg: Leg  # its description, with geometry and mount
+    desired: Array  # (n, J) rad
+    grid: Ints  # (n,) control ticks
+    swing: Mask | None  # (n,) as the source reports; None where it does not
 
     def place(self, reading: Reading, rows: Ints | None = None) -> Array:
         """(n, 3) m, the commanded foot in the leg's frame."""
@@ -270,15 +257,11 @@ class Feet:
 
 
 class Refined(NamedTuple):
-    """Zeros near a start for which the feet are most rigid.
+    """Zeros near a start for which the feet are most rigid."""
 
-    Attributes:
-        moved_rad: (n, J) rad by which the zeros of every leg have moved.
-        spread_rad: the largest standard deviation of a parameter, rad: where the motion does not
-            show a zero, as that of feet that go to and fro in a line, it is large.
-    """
-
-    moved_rad: Array
+    moved_rad: Array  # (n, J) rad by which the zeros of every leg have moved
+    # the largest standard deviation of a parameter, rad: where the motion does not show a zero, as
+    # that of feet that go to and fro in a line, it is large
     spread_rad: float
 
 

@@ -38,17 +38,11 @@ MOST_FLIPS: Final = 5
 
 
 class Alone(NamedTuple):
-    """What one leg shows by itself: its signs are wrong.
+    """What one leg shows by itself: its signs are wrong."""
 
-    Attributes:
-        pattern: the signs that explain its motion.
-        others: those that explain it as well.
-        pushed: it is the ground's push that shows it.
-    """
-
-    pattern: int
-    others: tuple[int, ...]
-    pushed: bool
+    pattern: int  # the signs that explain its motion
+    others: tuple[int, ...]  # those that explain it as well
+    pushed: bool  # it is the ground's push that shows it
 
 
 class LegChoices:

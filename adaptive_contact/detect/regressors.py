@@ -30,22 +30,14 @@ PRODUCT: Final = 6
 
 
 class TermTable(NamedTuple):
-    """Tabulates the terms of a library without changes, and where its changes come from.
+    """Tabulates the terms of a library without changes, and where its changes come from."""
 
-    Attributes:
-        kind: (q,) function of each term.
-        first: (q + 1,) where each term's entries begin.
-        entry: (n,) places in the flat window.
-        weight: (n,) of each entry.
-        knee: (K,) rad, of friction against the predicted movement; none without changes.
-        law: (2,) first and last + 1 of the terms of the control law; equal where unknown.
-    """
-
-    kind: NDArray[np.int64]
-    first: NDArray[np.int64]
-    entry: NDArray[np.int64]
-    weight: Array
-    knee: Array
+    kind: NDArray[np.int64]  # (q,) function of each term
+    first: NDArray[np.int64]  # (q + 1,) where each term's entries begin
+    entry: NDArray[np.int64]  # (n,) places in the flat window
+    weight: Array  # (n,) of each entry
+    knee: Array  # (K,) rad, of friction against the predicted movement; none without changes
+    # (2,) first and last + 1 of the terms of the control law; equal where unknown
     law: NDArray[np.int64]
 
 

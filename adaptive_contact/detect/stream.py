@@ -53,32 +53,21 @@ SHORT_RUNS: Final = 3
 
 
 class Accepted(NamedTuple):
-    """Holds how an accepted sample connects to its stream.
+    """Holds how an accepted sample connects to its stream."""
 
-    Attributes:
-        missed: samples lost between the last accepted one and this one.
-        restart: the source has restarted; what came before does not connect.
-    """
-
-    missed: int
-    restart: bool
+    missed: int  # samples lost between the last accepted one and this one
+    restart: bool  # the source has restarted; what came before does not connect
 
 
 _NEXT: Final = Accepted(missed=0, restart=False)  # what nearly every sample is
 
 
 class _Newcomer(NamedTuple):
-    """Holds a run that is not accepted yet.
+    """Holds a run that is not accepted yet."""
 
-    Attributes:
-        newest: sample of it.
-        in_a_row: samples of it that follow each other.
-        accepted: samples of others accepted by then.
-    """
-
-    newest: ServoSample
-    in_a_row: int
-    accepted: int
+    newest: ServoSample  # sample of it
+    in_a_row: int  # samples of it that follow each other
+    accepted: int  # samples of others accepted by then
 
 
 class _Jump(NamedTuple):

@@ -59,17 +59,12 @@ REFRESH_TICKS: Final = 16
 
 
 class Standing(NamedTuple):
-    """Holds what the learning says of a leg, as its events report it.
+    """Holds what the learning says of a leg, as its events report it."""
 
-    Attributes:
-        status: learning where a leg has no model, or began with a prior and is not known yet.
-        doubt: why the leg is ambiguous; None where it is not.
-        version: of the model in force.
-    """
-
+    # learning where a leg has no model, or began with a prior and is not known yet
     status: Status = "learning"
-    doubt: Doubt | None = None
-    version: int = 0
+    doubt: Doubt | None = None  # why the leg is ambiguous; None where it is not
+    version: int = 0  # of the model in force
 
 
 class Adapter:

@@ -76,17 +76,12 @@ EARLY_END: Final = 15
 
 
 class LiftAssessment(NamedTuple):
-    """Holds the assessment of a lift.
+    """Holds the assessment of a lift."""
 
-    Attributes:
-        rows: to learn from now; none where the lift is suspected.
-        changed: the covariance is to be inflated: for a first change, or for one that lasts.
-        first: the leg was not known to have changed.
-    """
-
-    rows: Rows
+    rows: Rows  # to learn from now; none where the lift is suspected
+    # the covariance is to be inflated: for a first change, or for one that lasts
     changed: bool = False
-    first: bool = False
+    first: bool = False  # the leg was not known to have changed
 
 
 class DriftMonitor:

@@ -37,22 +37,14 @@ _EVICTED: Final = -1  # era of rows that are kept no more
 
 
 class Segment(NamedTuple):
-    """Holds the confirmed rows of one lift or one descent; the buffer's are views.
+    """Holds the confirmed rows of one lift or one descent; the buffer's are views."""
 
-    Attributes:
-        theta: (n, p); target: (n, J) rad.
-        context: (n,) by which the rows' covariances were chosen.
-        cell: direction and region it counts towards.
-        era: which state of the leg it belongs to; raised by the drift monitor.
-        t_ns: of its last row.
-    """
-
-    theta: Array
-    target: Array
-    context: NDArray[np.int64]
-    cell: tuple[int, int]
-    era: int
-    t_ns: int
+    theta: Array  # (n, p)
+    target: Array  # (n, J) rad
+    context: NDArray[np.int64]  # (n,) by which the rows' covariances were chosen
+    cell: tuple[int, int]  # direction and region it counts towards
+    era: int  # which state of the leg it belongs to; raised by the drift monitor
+    t_ns: int  # of its last row
 
 
 @dataclasses.dataclass(slots=True)
@@ -68,15 +60,10 @@ class _Place:
 
 @dataclasses.dataclass
 class ReplayBuffer:
-    """Buffers the confirmed segments of one leg.
+    """Buffers the confirmed segments of one leg."""
 
-    Attributes:
-        limit: segments kept, more where they hold less than ``rows`` rows.
-        rows: that a refit wants.
-    """
-
-    limit: int = SEGMENTS
-    rows: int = 0
+    limit: int = SEGMENTS  # segments kept, more where they hold less than ``rows`` rows
+    rows: int = 0  # that a refit wants
     _segments: deque[_Place] = dataclasses.field(default_factory=deque)
     _cells: Counter[tuple[int, int]] = dataclasses.field(default_factory=Counter)
     _held: int = 0  # rows

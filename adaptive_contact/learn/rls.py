@@ -37,21 +37,16 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class RlsSettings:
-    """Holds the settings of the recursion.
+    """Holds the settings of the recursion."""
 
-    Attributes:
-        forgetting: λ per row in the direction of the row; 0.998 remembers about 500 rows of
-            equal excitation, some 40 swings.
-        prior: standard deviation of a coefficient at the start, in noise units: how far one
-            term may move the prediction.
-        bound: no standard deviation grows above this, in the same units.
-        huber: innovations beyond this many of their own standard deviations count less.
-    """
-
+    # λ per row in the direction of the row; 0.998 remembers about 500 rows of equal excitation,
+    # some 40 swings
     forgetting: float = 0.998
+    # standard deviation of a coefficient at the start, in noise units: how far one term may move
+    # the prediction
     prior: float = 0.03
-    bound: float = 20.0
-    huber: float = 3.0
+    bound: float = 20.0  # no standard deviation grows above this, in the same units
+    huber: float = 3.0  # innovations beyond this many of their own standard deviations count less
 
 
 class RecursiveLeastSquares:

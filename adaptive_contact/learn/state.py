@@ -93,28 +93,21 @@ def segment_of(segment: Segment) -> dict[str, Any]:
 
 
 class SavedState(NamedTuple):
-    """Holds a snapshot of an adapter, read and checked.
+    """Holds a snapshot of an adapter, read and checked."""
 
-    Attributes:
-        coefficients: (p, J) of the model that was in force.
-        support: (p, J) of its recursion.
-        segments: of the buffer, oldest first.
-        version, era: of the model, and of the leg as it was.
-        level, status, held, lifts_assessed, kind: of the drift monitor.
-        inflated: whether the recursion's covariance was.
-    """
-
-    coefficients: Array
-    support: NDArray[np.bool_]
-    segments: list[Segment]
+    coefficients: Array  # (p, J) of the model that was in force
+    support: NDArray[np.bool_]  # (p, J) of its recursion
+    segments: list[Segment]  # of the buffer, oldest first
+    # version, era: of the model, and of the leg as it was
     version: int
     era: int
+    # level, status, held, lifts_assessed, kind: of the drift monitor
     level: float
     status: Status
     held: bool
     lifts_assessed: tuple[int, int]
     kind: str | None
-    inflated: bool
+    inflated: bool  # whether the recursion's covariance was
 
 
 def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> SavedState:

@@ -19,43 +19,25 @@ Array = NDArray[np.float64]
 
 
 class Covariance(NamedTuple):
-    """Holds the covariance of a model's coefficients, over the noise's variance.
+    """Holds the covariance of a model's coefficients, over the noise's variance."""
 
-    Attributes:
-        terms: (J, n) which of the p terms each joint's recursion moves.
-        per_scale: (J, n) reciprocal scale of each.
-        root: (J, n, n) square root of their covariance.
-    """
-
-    terms: NDArray[np.int64]
-    per_scale: Array
-    root: Array
+    terms: NDArray[np.int64]  # (J, n) which of the p terms each joint's recursion moves
+    per_scale: Array  # (J, n) reciprocal scale of each
+    root: Array  # (J, n, n) square root of their covariance
 
 
 class FreeMotion(NamedTuple):
-    """Holds all that a tick needs to judge a leg: model, whitening, thresholds, variance scale.
+    """Holds all that a tick needs to judge a leg: model, whitening, thresholds, variance scale."""
 
-    Attributes:
-        coefficients: (p, J) of the model in force; None while the leg stands, when no tick needs
-            them.
-        variance_scale: of the residuals, over the baseline's; 1 for a leg as it was first known.
-        covariance: of the coefficients while it is inflated, else None.
-        from_prior: the model goes on from a prior; less of a swing's end is learned.
-        changed: the leg may differ from its model, which is of before a change, or of a prior.
-        sure: it does not, and its status is valid.
-        whiten: (contexts, windows, J, J) of sums of residuals.
-        thresholds: (windows,) of the statistic.
-        awaited: the same for ticks after the turn to stance, in which a touch is expected.
-        domain: where the model has been; None if that is not known.
-    """
-
+    # (p, J) of the model in force; None while the leg stands, when no tick needs them
     coefficients: Array | None
+    # of the residuals, over the baseline's; 1 for a leg as it was first known
     variance_scale: float
-    covariance: Covariance | None
-    from_prior: bool
-    changed: bool
-    sure: bool
-    whiten: Array
-    thresholds: Array
-    awaited: Array
-    domain: Domain | None
+    covariance: Covariance | None  # of the coefficients while it is inflated, else None
+    from_prior: bool  # the model goes on from a prior; less of a swing's end is learned
+    changed: bool  # the leg may differ from its model, which is of before a change, or of a prior
+    sure: bool  # it does not, and its status is valid
+    whiten: Array  # (contexts, windows, J, J) of sums of residuals
+    thresholds: Array  # (windows,) of the statistic
+    awaited: Array  # the same for ticks after the turn to stance, in which a touch is expected
+    domain: Domain | None  # where the model has been; None if that is not known

@@ -29,16 +29,12 @@ Ints = NDArray[np.int64]
 
 
 class Statistic(NamedTuple):
-    """Holds the statistic of a tick's residuals.
+    """Holds the statistic of a tick's residuals."""
 
-    Attributes:
-        value: (..., windows) T, zero where it does not oppose the motion, NaN where the window
-            reaches further back than the sound residuals.
-        distance: (...,) T of the last tick alone, whatever its direction.
-    """
-
+    # (..., windows) T, zero where it does not oppose the motion, NaN where the window reaches
+    # further back than the sound residuals
     value: Array
-    distance: Array
+    distance: Array  # (...,) T of the last tick alone, whatever its direction
 
 
 def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) -> Statistic:

@@ -37,15 +37,10 @@ _MOST_PARTS: Final = 729
 
 
 class GravityAngle(NamedTuple):
-    """An angle that gravity acts by, a signed sum of joints.
+    """An angle that gravity acts by, a signed sum of joints."""
 
-    Attributes:
-        name: ``φ_knee``, or ``φ(roll+hip-knee)``.
-        weights: (J,) 1, -1 or 0.
-    """
-
-    name: str
-    weights: tuple[float, ...]
+    name: str  # ``φ_knee``, or ``φ(roll+hip-knee)``
+    weights: tuple[float, ...]  # (J,) 1, -1 or 0
 
 
 def gravity_angles(joints: Sequence[str], axes: Sequence[Axis]) -> tuple[GravityAngle, ...]:

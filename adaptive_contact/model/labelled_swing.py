@@ -42,17 +42,11 @@ ROW: Final = np.dtype(
 
 
 class Row(NamedTuple):
-    """Holds one tick to learn from.
+    """Holds one tick to learn from."""
 
-    Attributes:
-        theta: (p,) regressors that predicted it.
-        target: (J,) rad, the movement that was measured.
-        t_ns: of the tick.
-    """
-
-    theta: Array
-    target: Array
-    t_ns: int
+    theta: Array  # (p,) regressors that predicted it
+    target: Array  # (J,) rad, the movement that was measured
+    t_ns: int  # of the tick
 
 
 class Rows:
@@ -107,21 +101,13 @@ NO_ROWS: Final = Rows(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, ROW), np.z
 
 
 class Touch(NamedTuple):
-    """Holds n ticks in contact, each with the two before it, and how they were judged.
+    """Holds n ticks in contact, each with the two before it, and how they were judged."""
 
-    Attributes:
-        theta: (n, 3, p) regressors, lag 0 first; zero before the first usable one.
-        target: (n, 3, J) rad, movements that were measured.
-        whiten: (n, windows, J, J).
-        limits: (n, windows) thresholds.
-        usable: (n,) how many of the three count.
-    """
-
-    theta: Array
-    target: Array
-    whiten: Array
-    limits: Array
-    usable: Array
+    theta: Array  # (n, 3, p) regressors, lag 0 first; zero before the first usable one
+    target: Array  # (n, 3, J) rad, movements that were measured
+    whiten: Array  # (n, windows, J, J)
+    limits: Array  # (n, windows) thresholds
+    usable: Array  # (n,) how many of the three count
 
     @classmethod
     def of(cls, kept: Array, count: int, terms: int, joints: int) -> Touch:
@@ -161,27 +147,16 @@ class Label(enum.Enum):
 
 
 class LabelledSwing(NamedTuple):
-    """Holds a part of a swing and its label.
+    """Holds a part of a swing and its label."""
 
-    Attributes:
-        label: what; says which of the others are given.
-        rows: of a lift, of a descent, or ungated.
-        region: of the workspace, 0 to 5.
-        t_ns: of the newest tick.
-        touch: ticks of a contact.
-        nis: of a tick, per joint and in units of the baseline's variance.
-        obstructed: the foot did not follow its command.
-        travel_ratio: share of its command's way that the foot went.
-        early: the swing's contact was reported before the foot had begun to come down; None where
-            that is not known.
-    """
-
-    label: Label
-    rows: Rows = NO_ROWS
-    region: int = 0
-    t_ns: int = 0
-    touch: Touch | None = None
-    nis: float = math.nan
-    obstructed: bool = False
-    travel_ratio: float = 1.0
+    label: Label  # what; says which of the others are given
+    rows: Rows = NO_ROWS  # of a lift, of a descent, or ungated
+    region: int = 0  # of the workspace, 0 to 5
+    t_ns: int = 0  # of the newest tick
+    touch: Touch | None = None  # ticks of a contact
+    nis: float = math.nan  # of a tick, per joint and in units of the baseline's variance
+    obstructed: bool = False  # the foot did not follow its command
+    travel_ratio: float = 1.0  # share of its command's way that the foot went
+    # the swing's contact was reported before the foot had begun to come down; None where that is
+    # not known
     early: bool | None = None

@@ -24,17 +24,11 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class LegModel:
-    """Predicts one leg's contact-free motion, one tick ahead.
+    """Predicts one leg's contact-free motion, one tick ahead."""
 
-    Attributes:
-        library: the terms.
-        coefficients: (p, J), zero outside the support.
-        version: 0 for a baseline, 1 once it moves, +1 with every model that takes its place.
-    """
-
-    library: Library
-    coefficients: Array
-    version: int = 0
+    library: Library  # the terms
+    coefficients: Array  # (p, J), zero outside the support
+    version: int = 0  # 0 for a baseline, 1 once it moves, +1 with every model that takes its place
 
     def __post_init__(self) -> None:
         expected = (self.library.size, len(self.library.joints))

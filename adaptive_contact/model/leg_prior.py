@@ -64,47 +64,33 @@ _ANGLES: Final = ("θ", "v_", "Δu")
 
 
 class FamilyFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Holds the family as it ships; in units of the slope.
+    """Holds the family as it ships; in units of the slope."""
 
-    Attributes:
-        origin: one line on how it was made.
-        forms: (q,) of a joint's own terms.
-        mean: (q, 5) M.
-        covariance: (q, q) C.
-        constant, gravity: deviations.
-        others: deviations of :data:`OTHERS`, of a neighbour in the chain and of joints beyond.
-        scale: (q,) typical size of the own terms.
-        noise_quanta, noise_slopes: deviation of a residual is the root of the sum of squares of
-            these shares of the position step and of the slope.
-        sums: variance of sums of 1, 2 and 3 residuals over that of one.
-    """
-
-    origin: str
-    forms: tuple[str, ...]
-    mean: list[list[float]]
-    covariance: list[list[float]]
+    origin: str  # one line on how it was made
+    forms: tuple[str, ...]  # (q,) of a joint's own terms
+    mean: list[list[float]]  # (q, 5) M
+    covariance: list[list[float]]  # (q, q) C
+    # constant, gravity: deviations
     constant: float
     gravity: float
+    # deviations of `OTHERS`, of a neighbour in the chain and of joints beyond
     others: tuple[tuple[float, ...], tuple[float, ...]]
-    scale: tuple[float, ...]
+    scale: tuple[float, ...]  # (q,) typical size of the own terms
+    # noise_quanta, noise_slopes: deviation of a residual is the root of the sum of squares of these
+    # shares of the position step and of the slope
     noise_quanta: float
     noise_slopes: float
-    sums: tuple[float, float, float]
+    sums: tuple[float, float, float]  # variance of sums of 1, 2 and 3 residuals over that of one
 
 
 class OwnColumns(NamedTuple):
-    """Holds the columns of a library that one joint's prior covers, each with its unit.
+    """Holds the columns of a library that one joint's prior covers, each with its unit."""
 
-    Attributes:
-        own: (q,) the joint's own, and ``own_unit``.
-        common: (g,) the constant and gravity's.
-        others: (r,) other joints', ``other_unit``, and ``kind``, the place in the file's deviations
-            laid end to end.
-    """
-
-    own: Ints
+    own: Ints  # (q,) the joint's own, and ``own_unit``
     own_unit: Array
-    common: Ints
+    common: Ints  # (g,) the constant and gravity's
+    # (r,) other joints', ``other_unit``, and ``kind``, the place in the file's deviations laid end
+    # to end
     others: Ints
     other_unit: Array
     kind: Ints

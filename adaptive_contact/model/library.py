@@ -62,52 +62,31 @@ _UNBOUNDED: Final = ("e_", "Δu_", "u_")
 
 
 class _ServoShape(NamedTuple):
-    """The ``servo`` library as one product and a few functions of ranges of its columns.
+    """The ``servo`` library as one product and a few functions of ranges of its columns."""
 
-    Attributes:
-        linear: (window, p), what each column is of the flat window before any function.
-        clipped: columns that saturate at ±1.
-        curved: ranges of columns, each with its function.
-    """
-
-    linear: Array
-    clipped: slice
-    curved: tuple[tuple[slice, np.ufunc], ...]
+    linear: Array  # (window, p), what each column is of the flat window before any function
+    clipped: slice  # columns that saturate at ±1
+    curved: tuple[tuple[slice, np.ufunc], ...]  # ranges of columns, each with its function
 
 
 class TermGroup(NamedTuple):
-    """Describes terms of one form, one of every joint, side by side.
+    """Describes terms of one form, one of every joint, side by side."""
 
-    Attributes:
-        form: name, with ``{}`` for the joint.
-        first: column of the first joint's.
-        bounded: a joint's range or its servo's law bound it; a command's step has no bound.
-    """
-
-    form: str
-    first: int
-    bounded: bool
+    form: str  # name, with ``{}`` for the joint
+    first: int  # column of the first joint's
+    bounded: bool  # a joint's range or its servo's law bound it; a command's step has no bound
 
 
 @dataclasses.dataclass(frozen=True)
 class Library:
-    """Evaluates a named set of terms over a window.
+    """Evaluates a named set of terms over a window."""
 
-    Attributes:
-        name: which of the libraries above.
-        joints: (J,) names, from the body outwards.
-        axes: (J,) a word or a unit vector, with all angles 0.
-        window: past and future it looks at.
-        slope_rad: s of the servo's control law.
-        period_s: control tick, for the friction knee.
-    """
-
-    name: LibraryName
-    joints: tuple[str, ...]
-    axes: tuple[Axis, ...]
-    window: Window = dataclasses.field(default_factory=Window)
-    slope_rad: float = 0.164
-    period_s: float = 0.02
+    name: LibraryName  # which of the libraries above
+    joints: tuple[str, ...]  # (J,) names, from the body outwards
+    axes: tuple[Axis, ...]  # (J,) a word or a unit vector, with all angles 0
+    window: Window = dataclasses.field(default_factory=Window)  # past and future it looks at
+    slope_rad: float = 0.164  # s of the servo's control law
+    period_s: float = 0.02  # control tick, for the friction knee
 
     def __post_init__(self) -> None:
         if self.name not in get_args(LibraryName):

@@ -50,43 +50,28 @@ _BRIEF: Final = 40
 
 @dataclasses.dataclass(frozen=True)
 class LegBaseline:
-    """Holds what is known of one leg's free motion.
+    """Holds what is known of one leg's free motion."""
 
-    Attributes:
-        model: one step ahead.
-        noise: residuals on free ticks.
-        scale: (p,) root mean square of every regressor on free ticks.
-        rows: ticks the model was fitted to.
-        domain: where these have been; None for what was learned before it was kept.
-        spread: (J, d, p) of a prior, standard deviations of the coefficients along d directions, in
-            raw units; None of what was fitted to a leg.
-    """
-
-    model: LegModel
-    noise: NoiseModel
-    scale: Array
-    rows: int
+    model: LegModel  # one step ahead
+    noise: NoiseModel  # residuals on free ticks
+    scale: Array  # (p,) root mean square of every regressor on free ticks
+    rows: int  # ticks the model was fitted to
+    # where these have been; None for what was learned before it was kept
     domain: Domain | None = None
+    # (J, d, p) of a prior, standard deviations of the coefficients along d directions, in raw
+    # units; None of what was fitted to a leg
     spread: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Baseline:
-    """Holds what is known of a robot's legs.
+    """Holds what is known of a robot's legs."""
 
-    Attributes:
-        robot: name of the robot it belongs to.
-        origin: one line on how it was made.
-        quantum_rad: position step of the servos it was learned with.
-        legs: by id.
-        tails: of the statistic on free ticks, one per window, pooled over legs.
-    """
-
-    robot: str
-    origin: str
-    quantum_rad: float
-    legs: dict[str, LegBaseline]
-    tails: tuple[Tail, ...]
+    robot: str  # name of the robot it belongs to
+    origin: str  # one line on how it was made
+    quantum_rad: float  # position step of the servos it was learned with
+    legs: dict[str, LegBaseline]  # by id
+    tails: tuple[Tail, ...]  # of the statistic on free ticks, one per window, pooled over legs
 
     def thresholds(self, false_alarms_per_hour: float) -> Array:
         """Compute (windows,) thresholds for a rate of false alarms.

@@ -80,16 +80,11 @@ def lagged(values: Array, depth: int) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class NoiseModel:
-    """Holds the covariances of residual sums on free ticks.
+    """Holds the covariances of residual sums on free ticks."""
 
-    Attributes:
-        covariance: (contexts, windows, J, J) rad².
-        ticks: (contexts,) free ticks behind each.
-        whiten: (contexts, windows, J, J), inverse Cholesky factors of the covariances.
-    """
-
-    covariance: Array
-    ticks: Array
+    covariance: Array  # (contexts, windows, J, J) rad²
+    ticks: Array  # (contexts,) free ticks behind each
+    # (contexts, windows, J, J), inverse Cholesky factors of the covariances
     whiten: Array = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:

@@ -39,21 +39,13 @@ PRIOR_EXCEEDANCES: Final = 200
 
 @dataclasses.dataclass(frozen=True)
 class Tail:
-    """Models the upper tail of a statistic.
+    """Models the upper tail of a statistic."""
 
-    Attributes:
-        level: t0, in the unit of the statistic.
-        rate: share of ticks above it.
-        scale: β.
-        shape: ξ.
-        ticks: how many free ticks it was fitted to.
-    """
-
-    level: float
-    rate: float
-    scale: float
-    shape: float
-    ticks: int
+    level: float  # t0, in the unit of the statistic
+    rate: float  # share of ticks above it
+    scale: float  # β
+    shape: float  # ξ
+    ticks: int  # how many free ticks it was fitted to
 
     def cautious(self) -> Tail:
         """Return the tail with its shape at the upper end of its one-sided 95 % interval.

@@ -42,21 +42,16 @@ BEYOND_DEVIATIONS: Final = 1e-4
 
 @dataclasses.dataclass(frozen=True)
 class Domain:
-    """Describes where in the space of its regressors a fit has been.
+    """Describes where in the space of its regressors a fit has been."""
 
-    Attributes:
-        triangle: (p, p) upper triangle R with :math:`R^T R` the sum over rows of the regressors'
-            outer products, each regressor in units of its scale.
-        scale: (p,) typical size of each regressor, above 0.
-        beyond: further terms of the library, of which it says nothing: they were no part of the
-            fit.
-        inflation: (p,) factor on each term's part of h, beyond the part of terms of less
-            inflation; 1 for each where absent.
-    """
-
+    # (p, p) upper triangle R with :math:`R^T R` the sum over rows of the regressors' outer
+    # products, each regressor in units of its scale
     triangle: Array
-    scale: Array
+    scale: Array  # (p,) typical size of each regressor, above 0
+    # further terms of the library, of which it says nothing: they were no part of the fit
     beyond: int = 0
+    # (p,) factor on each term's part of h, beyond the part of terms of less inflation; 1 for each
+    # where absent
     inflation: Array | None = None
     _reach: Array = dataclasses.field(init=False, repr=False)
 

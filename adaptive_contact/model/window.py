@@ -42,21 +42,13 @@ class Window:
 
 
 class Rows(NamedTuple):
-    """Holds windows cut from a stream, each with what came next.
+    """Holds windows cut from a stream, each with what came next."""
 
-    Attributes:
-        measured: (n, N + 1, J) rad, lag 0 first.
-        desired: (n, N' + 1, J) rad, lag 0 first.
-        preview: (n, M, J) rad, the next command first.
-        increment: (n, J) rad, measured[k + 1] - measured[k], what a model predicts.
-        tick: (n,) the index k of each row in the stream.
-    """
-
-    measured: Array
-    desired: Array
-    preview: Array
-    increment: Array
-    tick: NDArray[np.int64]
+    measured: Array  # (n, N + 1, J) rad, lag 0 first
+    desired: Array  # (n, N' + 1, J) rad, lag 0 first
+    preview: Array  # (n, M, J) rad, the next command first
+    increment: Array  # (n, J) rad, measured[k + 1] - measured[k], what a model predicts
+    tick: NDArray[np.int64]  # (n,) the index k of each row in the stream
 
 
 def stack(measured: Array, desired: Array, window: Window) -> Rows:

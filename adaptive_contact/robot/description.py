@@ -121,15 +121,10 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Angles(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a source's angles become the description's: ``direction * wire + offset``.
+    """How a source's angles become the description's: ``direction * wire + offset``."""
 
-    Attributes:
-        directions: (J,) 1 or -1; all 1 where absent.
-        offsets_rad: (J,) the description's angle of a joint whose source says 0; all 0 where
-            absent.
-    """
-
-    directions: tuple[int, ...] | None = None
+    directions: tuple[int, ...] | None = None  # (J,) 1 or -1; all 1 where absent
+    # (J,) the description's angle of a joint whose source says 0; all 0 where absent
     offsets_rad: tuple[float, ...] | None = None
 
 
@@ -138,22 +133,16 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     A joint's angle is ``direction * (position - centre) + offset``, the servo's position and
     centre being those of its horn.
-
-    Attributes:
-        ids: (J,) on the bus.
-        model: of all of them, or their family, such as ``XL-330``; or (J,), one of each.
-        directions: (J,) 1 or -1.
-        offsets_rad: (J,) angle of the joint with the horn in its centre.
-        port: name of a ``[port.NAME]``; may be left out where there is one.
-        max_step_rad: how far the bridge lets a goal move in one control tick.
     """
 
-    ids: tuple[int, ...]
+    ids: tuple[int, ...]  # (J,) on the bus
+    # of all of them, or their family, such as ``XL-330``; or (J,), one of each
     model: str | tuple[str, ...] = "AX-12A"
-    directions: tuple[int, ...] | None = None
+    directions: tuple[int, ...] | None = None  # (J,) 1 or -1
+    # (J,) angle of the joint with the horn in its centre
     offsets_rad: tuple[float, ...] | None = None
-    port: str | None = None
-    max_step_rad: float = 0.15
+    port: str | None = None  # name of a ``[port.NAME]``; may be left out where there is one
+    max_step_rad: float = 0.15  # how far the bridge lets a goal move in one control tick
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -162,17 +151,13 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LegRos2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A leg's names in ROS 2.
+    """A leg's names in ROS 2."""
 
-    Attributes:
-        joints: (J,) ROS names of the leg's joints, in the order of ``joints``.
-        state, command, phase, truth: topics of this leg alone, instead of those of ``[ros2]``.
-        command_joints: joints of this leg's command topic, in the order of its values.
-    """
-
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # (J,) ROS names of the leg's joints, in the order of ``joints``
+    # state, command, phase, truth: topics of this leg alone, instead of those of ``[ros2]``
     state: str | None = None
     command: str | None = None
+    # joints of this leg's command topic, in the order of its values
     command_joints: tuple[str, ...] | None = None
     phase: str | None = None
     truth: str | None = None
@@ -182,65 +167,46 @@ class Ros2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Topics of ROS 2 that carry the legs' readings and commands.
 
     ``{leg}`` in a topic stands for the leg's id.
-
-    Attributes:
-        state: ``control_msgs/JointTrajectoryControllerState``, which holds readings and commands,
-            or ``sensor_msgs/JointState``, which holds readings.
-        command: where the commands are, if ``state`` holds readings only.
-        command_joints: the joints of a command topic that names none, in the order of its values.
-        phase: ``std_msgs/Bool``, true in swing.
-        truth: ``std_msgs/Bool`` of a foot switch, used from bags only.
-        distro: of the ROS 2 that is talked to; Humble writes no type hashes into keys.
-        domain: ``ROS_DOMAIN_ID``.
-        node: name of the gateway's node; its topics begin with it.
     """
 
+    # ``control_msgs/JointTrajectoryControllerState``, which holds readings and commands, or
+    # ``sensor_msgs/JointState``, which holds readings
     state: str | None = None
-    command: str | None = None
+    command: str | None = None  # where the commands are, if ``state`` holds readings only
+    # the joints of a command topic that names none, in the order of its values
     command_joints: tuple[str, ...] | None = None
-    phase: str | None = None
-    truth: str | None = None
+    phase: str | None = None  # ``std_msgs/Bool``, true in swing
+    truth: str | None = None  # ``std_msgs/Bool`` of a foot switch, used from bags only
+    # of the ROS 2 that is talked to; Humble writes no type hashes into keys
     distro: Literal["humble", "iron", "jazzy", "kilted", "lyrical", "rolling"] = "jazzy"
-    domain: int = 0
-    node: str = "adaptive_contact"
+    domain: int = 0  # ``ROS_DOMAIN_ID``
+    node: str = "adaptive_contact"  # name of the gateway's node; its topics begin with it
 
 
 class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The servo's control law as far as the robot's owner can read it off the registers.
+    """The servo's control law as far as the robot's owner can read it off the registers."""
 
-    Attributes:
-        slope_rad: position error at which the drive saturates (AX-12A: compliance slope 32 of
-            1023 steps over 300 degrees, 0.164 rad).  The library offers its neighbours too, so
-            a rough value is enough.
-    """
-
+    # position error at which the drive saturates (AX-12A: compliance slope 32 of 1023 steps over
+    # 300 degrees, 0.164 rad).  The library offers its neighbours too, so a rough value is enough.
     slope_rad: float = 0.164
 
 
 class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the owner asks of the detector.
+    """What the owner asks of the detector."""
 
-    Attributes:
-        false_alarms_per_hour: target per robot-hour (540,000 swing leg-ticks).
-    """
-
-    false_alarms_per_hour: float = 1.0
+    false_alarms_per_hour: float = 1.0  # target per robot-hour (540,000 swing leg-ticks)
 
 
 class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
-    """One leg: its joints from the body outwards, and what is known of them.
-
-    Attributes:
-        lengths_m: (J,) m, of links that lie along x with all angles 0.
-        axes: (J,) of the joints, with all angles 0.
-        origins_m: (J,) m from each joint to the next, the last to the foot's tip, with all angles
-            0; in place of ``lengths_m``.
-    """
+    """One leg: its joints from the body outwards, and what is known of them."""
 
     id: str
     joints: tuple[str, ...]
+    # (J,) m, of links that lie along x with all angles 0
     lengths_m: tuple[float, ...] | None = None
-    axes: tuple[Axis, ...] | None = None
+    axes: tuple[Axis, ...] | None = None  # (J,) of the joints, with all angles 0
+    # (J,) m from each joint to the next, the last to the foot's tip, with all angles 0; in place of
+    # ``lengths_m``
     origins_m: tuple[Vector, ...] | None = None
     quantum_rad: float | None = None
     mount: Mount = Mount()
@@ -277,22 +243,15 @@ def _axis(direction: Vector) -> Axis:
 
 
 class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A serial port of the bridge.
+    """A serial port of the bridge."""
 
-    Attributes:
-        device: such as ``/dev/ttyUSB0``.
-        baud: bits per second.
-        protocol: Dynamixel protocol, 1 (AX, RX, MX) or 2 (X-series, MX with that firmware).
-        fast: read with fast sync read (X-series, firmware 45 or newer).
-        timeout_ms: how long an answer may take beyond its bytes.
-        ignore: ids of servos that are no joint of a leg, such as a head's: they are left alone.
-    """
-
-    device: str
-    baud: int = 1_000_000
+    device: str  # such as ``/dev/ttyUSB0``
+    baud: int = 1_000_000  # bits per second
+    # Dynamixel protocol, 1 (AX, RX, MX) or 2 (X-series, MX with that firmware)
     protocol: Literal[1, 2] = 1
-    fast: bool = False
-    timeout_ms: float = 5.0
+    fast: bool = False  # read with fast sync read (X-series, firmware 45 or newer)
+    timeout_ms: float = 5.0  # how long an answer may take beyond its bytes
+    # ids of servos that are no joint of a leg, such as a head's: they are left alone
     ignore: tuple[int, ...] = ()
 
 

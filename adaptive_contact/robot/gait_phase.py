@@ -40,15 +40,10 @@ class Direction(enum.IntEnum):
 
 @dataclasses.dataclass
 class PhaseTracker:
-    """Follows the height of one leg's commanded foot, one tick at a time.
+    """Follows the height of one leg's commanded foot, one tick at a time."""
 
-    Attributes:
-        phase: at the last tick.
-        size: of the leg, in the hexapod's.
-    """
-
-    phase: Phase = "stance"
-    size: float = 1.0
+    phase: Phase = "stance"  # at the last tick
+    size: float = 1.0  # of the leg, in the hexapod's
     _heights: deque[float] = dataclasses.field(default_factory=lambda: deque(maxlen=LOW_TICKS))
     _apex: float = -np.inf
     _still: int = 0

@@ -68,14 +68,11 @@ def yaws_then_pitches(axes: Sequence[str | Vector]) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Chain:
-    """The geometry of one leg.
+    """The geometry of one leg."""
 
-    Attributes:
-        axes: (J,) a word of :data:`AXES`, or a unit vector of the leg's frame, with all angles 0.
-        origins_m: (J,) m from each joint to the next, the last to the foot's tip, likewise.
-    """
-
+    # (J,) a word of `AXES`, or a unit vector of the leg's frame, with all angles 0
     axes: tuple[str | Vector, ...]
+    # (J,) m from each joint to the next, the last to the foot's tip, likewise
     origins_m: tuple[Vector, ...]
 
     @cached_property

@@ -83,19 +83,12 @@ class _Joint:
 
 @dataclasses.dataclass(frozen=True)
 class UrdfLegs:
-    """What a file says of a robot's legs.
+    """What a file says of a robot's legs."""
 
-    Attributes:
-        name: of the robot; empty where it has none.
-        base: the link that is the body.
-        legs: in the order asked for.
-        notes: for a person, one line each.
-    """
-
-    name: str
-    base: str
-    legs: tuple[Leg, ...]
-    notes: tuple[str, ...]
+    name: str  # of the robot; empty where it has none
+    base: str  # the link that is the body
+    legs: tuple[Leg, ...]  # in the order asked for
+    notes: tuple[str, ...]  # for a person, one line each
 
 
 class Urdf:

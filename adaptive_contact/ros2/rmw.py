@@ -50,45 +50,27 @@ _ID_BYTES: Final = 16
 
 
 class Address(NamedTuple):
-    """What a key of rmw_zenoh says.
+    """What a key of rmw_zenoh says."""
 
-    Attributes:
-        topic: with a leading slash.
-        type: such as ``sensor_msgs/msg/JointState``.
-        hash: of the type's definition.
-    """
-
-    topic: str
-    type: str
-    hash: str
+    topic: str  # with a leading slash
+    type: str  # such as ``sensor_msgs/msg/JointState``
+    hash: str  # of the type's definition
 
 
 class Attachment(NamedTuple):
-    """What a publisher says of a message.
+    """What a publisher says of a message."""
 
-    Attributes:
-        seq: +1 with every message of the publisher.
-        time_ns: when it was published, ns since 1970.
-        publisher: (16 bytes) its id.
-    """
-
-    seq: int
-    time_ns: int
-    publisher: bytes
+    seq: int  # +1 with every message of the publisher
+    time_ns: int  # when it was published, ns since 1970
+    publisher: bytes  # (16 bytes) its id
 
 
 class Node(NamedTuple):
-    """A node as its tokens name it.
+    """A node as its tokens name it."""
 
-    Attributes:
-        domain: ``ROS_DOMAIN_ID``.
-        session: Zenoh id of its session.
-        name: without namespace.
-    """
-
-    domain: int
-    session: str
-    name: str
+    domain: int  # ``ROS_DOMAIN_ID``
+    session: str  # Zenoh id of its session
+    name: str  # without namespace
 
     @property
     def token(self) -> str:

@@ -20,17 +20,11 @@ _GAP_PERIODS: Final = 1.5
 
 
 class Origin(NamedTuple):
-    """Where a message comes from.
+    """Where a message comes from."""
 
-    Attributes:
-        publisher: its id; empty where it is not known.
-        seq: the message's number, None where it has none.
-        time_ns: when it was published or recorded, ns since 1970.
-    """
-
-    publisher: bytes
-    seq: int | None
-    time_ns: int
+    publisher: bytes  # its id; empty where it is not known
+    seq: int | None  # the message's number, None where it has none
+    time_ns: int  # when it was published or recorded, ns since 1970
 
 
 class Publisher:

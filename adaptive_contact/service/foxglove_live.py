@@ -64,23 +64,18 @@ _STREAMS: Final = (ALL_SERVO, ALL_LEARNER, ALL_TRUTH, command_key("*"), bridge_s
 
 
 class JudgedTick(Message, frozen=True, kw_only=True):
-    """A tick of a leg as its learner judged it; one entry of a LegTrace.
+    """A tick of a leg as its learner judged it; one entry of a LegTrace."""
 
-    Attributes:
-        t_ns, seq: of the sample.
-        swing: whether the sample says so, or else its commands; None where nothing does.
-        desired, measured: (J,) rad, in the source's angles.
-        predicted: (J,) rad, what ``measured`` was expected to be; None where it was not judged.
-        test_ratio: statistic over threshold, above 1 for a contact; None likewise.
-    """
-
+    # t_ns, seq: of the sample
     t_ns: int
     seq: int
-    swing: bool | None
+    swing: bool | None  # whether the sample says so, or else its commands; None where nothing does
+    # desired, measured: (J,) rad, in the source's angles
     desired: list[float]
     measured: list[float]
+    # (J,) rad, what ``measured`` was expected to be; None where it was not judged
     predicted: list[float] | None
-    test_ratio: float | None
+    test_ratio: float | None  # statistic over threshold, above 1 for a contact; None likewise
 
 
 class FoxgloveServer:

@@ -62,18 +62,13 @@ ModelOf = Callable[[str], Awaitable[bytes | None]]
 class WebSettings:
     """Where the page is served.
 
-    Attributes:
-        host: address to listen on, or a name of this computer.
-        port: 0 takes a free one.
-        token: that a browser must show; made beyond loopback where none is given.
-
     Raises:
         ConfigurationError: the port cannot be one.
     """
 
-    host: str = "127.0.0.1"
-    port: int = 0
-    token: str | None = None
+    host: str = "127.0.0.1"  # address to listen on, or a name of this computer
+    port: int = 0  # 0 takes a free one
+    token: str | None = None  # that a browser must show; made beyond loopback where none is given
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65_535:
@@ -93,17 +88,12 @@ class WebSettings:
 
 @dataclass
 class History:
-    """Frames of the last minutes, shared by all streams.
+    """Frames of the last minutes, shared by all streams."""
 
-    Attributes:
-        session: names this run of the server; numbers of another mean nothing.
-        view: the last table of legs, as an event of a stream.
-        views: how many there have been.
-    """
-
+    # names this run of the server; numbers of another mean nothing
     session: str = field(default_factory=lambda: secrets.token_hex(4))
-    view: bytes = b""
-    views: int = 0
+    view: bytes = b""  # the last table of legs, as an event of a stream
+    views: int = 0  # how many there have been
     farewell: bytes | None = None
     _frames: deque[bytes] = field(default_factory=deque)
     _bytes: int = 0

@@ -98,21 +98,13 @@ NOISE_STEPS: Final = {1: 0.5, 2: 0.5}
 
 @dataclasses.dataclass(frozen=True)
 class VirtualSettings:
-    """How a virtual bus behaves.
+    """How a virtual bus behaves."""
 
-    Attributes:
-        faults: what goes wrong, and when.
-        seed: of reading noise and faults.
-        noise_steps: of a reading, None for the model's.
-        return_delay: register of all servos, 2 us each.
-        wire_time: let answers take as long as on a real wire.
-    """
-
-    faults: tuple[FaultSpec, ...] = ()
-    seed: int = 0
-    noise_steps: float | None = None
-    return_delay: int = 0
-    wire_time: bool = True
+    faults: tuple[FaultSpec, ...] = ()  # what goes wrong, and when
+    seed: int = 0  # of reading noise and faults
+    noise_steps: float | None = None  # of a reading, None for the model's
+    return_delay: int = 0  # register of all servos, 2 us each
+    wire_time: bool = True  # let answers take as long as on a real wire
 
 
 def with_ports(robot: Robot, directory: Path, ports: int | None) -> Robot:

@@ -36,18 +36,12 @@ _BEFORE_NS = 1_000_000_000
 
 
 class Comparison(NamedTuple):
-    """Scores of one run.
+    """Scores of one run."""
 
-    Attributes:
-        direct: the simulator's own samples, through learners here.
-        direct_no_phase: the same without the phase, which a bridge that observes cannot know.
-        bridged: samples of the bridge, through learners here.
-        live: samples of the bridge, with the events that the service sent; None without any.
-    """
-
-    direct: Score
-    direct_no_phase: Score
-    bridged: Score
+    direct: Score  # the simulator's own samples, through learners here
+    direct_no_phase: Score  # the same without the phase, which a bridge that observes cannot know
+    bridged: Score  # samples of the bridge, through learners here
+    # samples of the bridge, with the events that the service sent; None without any
     live: Score | None
 
 

@@ -38,26 +38,17 @@ _EXAMPLE: Final = "silent:id=3@5+2"
 
 @dataclasses.dataclass(frozen=True)
 class FaultSpec:
-    """A fault.
+    """A fault."""
 
-    Attributes:
-        kind: what happens.
-        servo: to which, None for all.
-        probability: per answer.
-        start_s, end_s: since the start of the bus.
-        ms: of a late answer.
-        bits: names of error bits.
-        port: of a hang-up, None for all.
-    """
-
-    kind: FaultKind
-    servo: int | None = None
-    probability: float = 1.0
+    kind: FaultKind  # what happens
+    servo: int | None = None  # to which, None for all
+    probability: float = 1.0  # per answer
+    # start_s, end_s: since the start of the bus
     start_s: float = 0.0
     end_s: float = float("inf")
-    ms: float = 30.0
-    bits: tuple[str, ...] = ("overload",)
-    port: str | None = None
+    ms: float = 30.0  # of a late answer
+    bits: tuple[str, ...] = ("overload",)  # names of error bits
+    port: str | None = None  # of a hang-up, None for all
 
     def error(self, model: ServoModel) -> int:
         """Its bits in a model's Hardware Error Status, or in protocol 1.0's error byte."""

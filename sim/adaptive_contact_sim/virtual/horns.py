@@ -27,14 +27,10 @@ class Horns:
     """Mounting of a robot's servos, in the order of the simulator's joints.
 
     A joint's angle is ``direction * horn + offset``, as in ``robot.toml``.
-
-    Attributes:
-        direction: (n,) 1 or -1.
-        offset_rad: (n,) joint angle with the horn in its centre.
     """
 
-    direction: Array
-    offset_rad: Array
+    direction: Array  # (n,) 1 or -1
+    offset_rad: Array  # (n,) joint angle with the horn in its centre
 
     @classmethod
     def of(cls, plans: Sequence[PortPlan], order: Sequence[tuple[str, str]]) -> Horns:

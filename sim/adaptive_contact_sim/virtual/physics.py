@@ -42,16 +42,12 @@ _END_S: Final = 5.0
 
 
 class MadeTick(NamedTuple):
-    """One control tick of a simulation.
+    """One control tick of a simulation."""
 
-    Attributes:
-        angles, speeds: (20, 18) rad and rad/s in the servos' frames, after each physics step.
-        goals: (18,) rad, in force from the tick's start on.
-    """
-
+    # angles, speeds: (20, 18) rad and rad/s in the servos' frames, after each physics step
     angles: Array
     speeds: Array
-    goals: Array
+    goals: Array  # (18,) rad, in force from the tick's start on
 
 
 class LocalSource:

@@ -38,37 +38,22 @@ _LOCK: Final = ".in-use"
 
 @dataclasses.dataclass(frozen=True)
 class VirtualPlan:
-    """What to run.
+    """What to run."""
 
-    Attributes:
-        robot: its description: ids, models, mounting of the servos.
-        simulated: name of the shipped robot that moves.
-        directory: where the ports' links go.
-        ports: how many, for a description without any; None for one.
-        bus: how the bus behaves.
-        scenario: the robot moves by itself; None for one on a stand that the bus moves.
-        height_m: of the stand.
-        seed: of the scenario; 0 for the scenario's own.
-        robot_seed: which robot of its kind.
-        seconds: how long, None for until stopped.
-        record: MCAP file of a scenario's own samples and truth.
-        write_config: where to write the robot.toml of the bus.
-        link: where truth is published, None for nowhere.
-    """
-
-    robot: Robot
-    simulated: str
-    directory: Path
-    ports: int | None
-    bus: VirtualSettings
+    robot: Robot  # its description: ids, models, mounting of the servos
+    simulated: str  # name of the shipped robot that moves
+    directory: Path  # where the ports' links go
+    ports: int | None  # how many, for a description without any; None for one
+    bus: VirtualSettings  # how the bus behaves
+    # the robot moves by itself; None for one on a stand that the bus moves
     scenario: str | None = None
-    height_m: float = 1.0
-    seed: int = 0
-    robot_seed: int = 0
-    seconds: float | None = None
-    record: Path | None = None
-    write_config: Path | None = None
-    link: LinkSettings | None = None
+    height_m: float = 1.0  # of the stand
+    seed: int = 0  # of the scenario; 0 for the scenario's own
+    robot_seed: int = 0  # which robot of its kind
+    seconds: float | None = None  # how long, None for until stopped
+    record: Path | None = None  # MCAP file of a scenario's own samples and truth
+    write_config: Path | None = None  # where to write the robot.toml of the bus
+    link: LinkSettings | None = None  # where truth is published, None for nowhere
 
     def __post_init__(self) -> None:
         if self.record is not None and self.scenario is None:
