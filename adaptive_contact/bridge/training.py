@@ -20,8 +20,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.transport import Mailbox
@@ -29,8 +29,6 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.priority import take_priority
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, ServoSample, encode
-
-Array = NDArray[np.float64]
 
 REST_TICKS: Final = 4
 # Now and then a leg is held until its servos rest, so that gravity shows which way is down.

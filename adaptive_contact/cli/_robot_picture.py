@@ -11,15 +11,13 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.cli._output import say
 from adaptive_contact.conventions.rigid import on_body
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Mount, Robot
-
-Array = NDArray[np.float64]
 
 # With mounts of so many legs given, the robot is drawn as a whole.
 _LEAST_PLACED: Final = 2

@@ -7,12 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.wire import ServoSample
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Where stamps and seq grow by amounts this far apart, s, another run of the source begins: no loop
 # is as late.
@@ -24,13 +21,13 @@ MOST_SEQ: Final = 2**60
 class LegMotion:
     """One leg's samples, in the frame of its description."""
 
-    t_ns: NDArray[np.int64]  # (n,) times
+    t_ns: Ints  # (n,) times
     measured: Array  # (n, J) rad
     desired: Array  # (n, J) rad
     swing: Mask | None = None  # (n,) as the source reports; None where it does not
     # (n,) the source's count of control ticks, from any number on; None where only stamps
     # distinguish them
-    seq: NDArray[np.int64] | None = None
+    seq: Ints | None = None
 
     def between(self, first_ns: int, last_ns: int) -> LegMotion:
         """The samples from one time up to another."""
@@ -52,9 +49,7 @@ class LegMotion:
         )
 
 
-def control_ticks(
-    motions: Mapping[str, LegMotion], period_s: float
-) -> dict[str, NDArray[np.int64]]:
+def control_ticks(motions: Mapping[str, LegMotion], period_s: float) -> dict[str, Ints]:
     """Number the control tick of every sample, alike for all legs.
 
     Within a run of the source a leg's ticks are counted by ``seq``, so that stamps that jitter
@@ -95,7 +90,7 @@ class _Run:
         ticks: (n,) ticks, alike for all legs, once they are known.
     """
 
-    def __init__(self, stamps: Array, count: NDArray[np.int64]) -> None:
+    def __init__(self, stamps: Array, count: Ints) -> None:
         self.count, self.ticks = count, count
         self._stamps = stamps
         self.span = float(stamps[0]), float(stamps[-1])

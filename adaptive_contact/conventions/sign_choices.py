@@ -11,14 +11,11 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import Reading, Stream, standing
 from adaptive_contact.robot.description import Leg
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # A leg's foot counts as above its axis, or below, in this share of its ticks.
 SURE_SHARE: Final = 0.9
@@ -62,9 +59,7 @@ class LegChoices:
         stream: what it was commanded.
     """
 
-    def __init__(
-        self, leg: Leg, motion: LegMotion, grid: NDArray[np.int64], period_s: float
-    ) -> None:
+    def __init__(self, leg: Leg, motion: LegMotion, grid: Ints, period_s: float) -> None:
         self.leg, self.motion = leg, motion
         self.stream = Stream(leg, motion.desired, grid, motion.swing)
         assert leg.chain is not None

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.conventions.rigid import (
     BETTER,
     FLOOR,
@@ -31,8 +31,6 @@ from adaptive_contact.conventions.rigid import (
     rigidity,
 )
 from adaptive_contact.conventions.sign_choices import LegChoices
-
-Array = NDArray[np.float64]
 
 # Displacements are taken over this time, s: long against the jitter of a command's rounding, short
 # against a stance.
@@ -70,7 +68,7 @@ class Pairs:
 
     def __init__(self, legs: Sequence[LegChoices], lag: int) -> None:
         self.legs, self._lag = legs, lag
-        self._standing: dict[tuple[int, int], tuple[Array, NDArray[np.int64]]] = {}
+        self._standing: dict[tuple[int, int], tuple[Array, Ints]] = {}
         self._known: dict[tuple[int, int, int, int], tuple[float, float]] = {}
 
     def cost(self, chosen: Sequence[int], i: int, least_partners: int = 2) -> float:
@@ -117,7 +115,7 @@ class Pairs:
             self._known[key] = self._compare(*key)
         return self._known[key]
 
-    def _stands(self, i: int, pattern: int) -> tuple[Array, NDArray[np.int64]]:
+    def _stands(self, i: int, pattern: int) -> tuple[Array, Ints]:
         """Ticks in which a leg stands: (m, 2, 3) m where its foot is and was, (m,) their number."""
         key = (i, pattern)
         if key not in self._standing:

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
 from adaptive_contact.detect.layout import (
@@ -35,8 +36,6 @@ from adaptive_contact.robot import Leg
 from adaptive_contact.wire import ServoSample
 
 __all__ = ["LegBatch", "LegPlace"]
-
-Array = NDArray[np.float64]
 
 STATUS_TICKS: Final = 256
 
@@ -68,14 +67,14 @@ class LegBatch:
     # Those of the vectors that swings' judgements read.
     measured: Array
     desired: Array
-    valid: NDArray[np.bool_]
-    echoing: NDArray[np.bool_]
+    valid: Mask
+    echoing: Mask
     asked: Array
     start: Array
     foot: Array
     heights: Array
-    lengths_ticks: NDArray[np.int64]
-    turns: NDArray[np.int64]
+    lengths_ticks: Ints
+    turns: Ints
     window: Array
     began_window: Array
     sigma: Array

@@ -11,14 +11,12 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.compiled import compiled
 from adaptive_contact.model.library import CHANGE_KNEES_RAD_S, ChangeLibrary, Library
 
 __all__ = ["TermTable", "predict", "regressors", "term_table"]
-
-Array = NDArray[np.float64]
 
 ONE: Final = 0
 LINEAR: Final = 1
@@ -32,13 +30,13 @@ PRODUCT: Final = 6
 class TermTable(NamedTuple):
     """Tabulates the terms of a library without changes, and where its changes come from."""
 
-    kind: NDArray[np.int64]  # (q,) function of each term
-    first: NDArray[np.int64]  # (q + 1,) where each term's entries begin
-    entry: NDArray[np.int64]  # (n,) places in the flat window
+    kind: Ints  # (q,) function of each term
+    first: Ints  # (q + 1,) where each term's entries begin
+    entry: Ints  # (n,) places in the flat window
     weight: Array  # (n,) of each entry
     knee: Array  # (K,) rad, of friction against the predicted movement; none without changes
     # (2,) first and last + 1 of the terms of the control law; equal where unknown
-    law: NDArray[np.int64]
+    law: Ints
 
 
 def term_table(library: Library) -> TermTable:

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, moves_at_most
 from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
 from adaptive_contact.model.change_prior import change_directions, core_support
@@ -21,8 +21,6 @@ from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 
 __all__ = ["ActiveModel", "FirstSwings"]
-
-Array = NDArray[np.float64]
 
 # A leg that began with a prior is known after so many swings at least, when its coefficients have
 # added less than this share of the noise's variance in each of the last.
@@ -248,9 +246,7 @@ class ActiveModel:
             rls.inflate(self._spread)
         return _Good(model.coefficients, model.version, rls, self._spread is not None)
 
-    def _recursion(
-        self, model: LegModel, more: NDArray[np.bool_] | None = None
-    ) -> RecursiveLeastSquares:
+    def _recursion(self, model: LegModel, more: Mask | None = None) -> RecursiveLeastSquares:
         """Return a recursion at a model, over its terms and (p, J) more of them."""
         support = core_support(model)
         if more is not None:

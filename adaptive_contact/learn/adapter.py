@@ -11,9 +11,6 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from adaptive_contact.diagnose.change_classifier import ChangeClassifier
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel, FirstSwings
@@ -40,8 +37,6 @@ from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.wire import Doubt, RefitCounts, Status
 
 __all__ = ["Adapter", "Standing"]
-
-Array = NDArray[np.float64]
 
 # Rows that may wait while nothing has changed: those of one long swing.
 CALM_QUEUE: Final = 24

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.fit.refit_job import RefitJob, RefitResult, Refitter
 from adaptive_contact.fit.sparse_regression import FitStatus
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
@@ -23,8 +23,6 @@ from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.wire import RefitCounts
 
 __all__ = ["Candidate", "StoredContacts", "first_refit_after", "rows_for_refit"]
-
-Array = NDArray[np.float64]
 
 # Contacts stored: as many as a minute of walking brings, half of them of the ground.
 MOST_CONTACTS: Final = 40
@@ -95,7 +93,7 @@ class StoredContacts:
         """Drop all, as the leg has changed: they may have been the change."""
         self._kept.clear()
 
-    def found(self, coefficients: Array) -> NDArray[np.bool_]:
+    def found(self, coefficients: Array) -> Mask:
         """Return which of them a model reports, whatever happened before.
 
         In any of their ticks: an alarm that came too early, which a better model would not raise,

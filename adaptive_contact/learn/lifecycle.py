@@ -10,8 +10,8 @@ import dataclasses
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.adapter import Adapter
 from adaptive_contact.learn.mode import LearnerMode
@@ -24,8 +24,6 @@ from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 
 __all__ = ["Lifecycle", "ready_for_changes"]
-
-Array = NDArray[np.float64]
 
 # A prior that does not fit a leg is widened so many times, and again, up to the most.
 WIDER: Final = 3.0

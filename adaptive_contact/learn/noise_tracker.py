@@ -22,8 +22,8 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.compiled import compiled
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.model_file import thresholds_of
@@ -32,8 +32,6 @@ from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
 
 __all__ = ["NoiseTracker"]
-
-Array = NDArray[np.float64]
 
 # The baseline's covariance weighs like so many ticks; the buffer holds some 700 (decision 9).
 SHRINK_TICKS: Final = 1000.0
@@ -116,7 +114,7 @@ class NoiseTracker:
             self._above *= fade
             self._excess *= fade
 
-    def refresh(self, residuals: Array, context: NDArray[np.int64]) -> None:
+    def refresh(self, residuals: Array, context: Ints) -> None:
         """Recompute covariances and thresholds at once.
 
         Args:
@@ -126,7 +124,7 @@ class NoiseTracker:
         self.begin_refresh(residuals, context, 0)
         self.go_on()
 
-    def begin_refresh(self, residuals: Array, context: NDArray[np.int64], segments: int) -> None:
+    def begin_refresh(self, residuals: Array, context: Ints, segments: int) -> None:
         """Recompute covariances, to be in force after some calls of :meth:`go_on`.
 
         Args:
@@ -205,7 +203,7 @@ def whiten_rows(whiten, context, residuals, z, size):
         size[i] = math.sqrt(square / joints)
 
 
-def _turned(whiten: Array, residuals: Array, context: NDArray[np.int64]) -> Array:
+def _turned(whiten: Array, residuals: Array, context: Ints) -> Array:
     """Turn and stretch a baseline's whitening by the scatter of confirmed ticks.
 
     Args:

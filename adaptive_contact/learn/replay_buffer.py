@@ -13,15 +13,13 @@ from collections import Counter, deque
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 from adaptive_contact.wire import BufferCounts
 
 __all__ = ["ReplayBuffer", "Segment"]
-
-Array = NDArray[np.float64]
 
 # A large library needs more rows than that, and its segments are kept for longer; 1,000 segments of
 # the paper's library are 20 MB.
@@ -41,7 +39,7 @@ class Segment(NamedTuple):
 
     theta: Array  # (n, p)
     target: Array  # (n, J) rad
-    context: NDArray[np.int64]  # (n,) by which the rows' covariances were chosen
+    context: Ints  # (n,) by which the rows' covariances were chosen
     cell: tuple[int, int]  # direction and region it counts towards
     era: int  # which state of the leg it belongs to; raised by the drift monitor
     t_ns: int  # of its last row
@@ -71,8 +69,8 @@ class ReplayBuffer:
     _used: int = 0  # rows of the arrays, those evicted among them
     _theta: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     _target: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
-    _context: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
-    _eras: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
+    _context: Ints = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
+    _eras: Ints = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def segments(self) -> list[Segment]:
@@ -108,7 +106,7 @@ class ReplayBuffer:
             self._evict()
         self._bound()
 
-    def residuals(self, coefficients: Array, era: int) -> tuple[Array, NDArray[np.int64]]:
+    def residuals(self, coefficients: Array, era: int) -> tuple[Array, Ints]:
         """Compute the (n, J) residuals, rad, of an era's rows under (p, J) coefficients.
 
         Returns:

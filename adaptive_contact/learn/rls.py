@@ -25,14 +25,12 @@ import math
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.compiled import borrow, compiled
 from adaptive_contact.model.free_motion import Covariance
 
 __all__ = ["RecursiveLeastSquares", "RlsSettings"]
-
-Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +61,7 @@ class RecursiveLeastSquares:
     def __init__(
         self,
         coefficients: Array,
-        support: NDArray[np.bool_],
+        support: Mask,
         scale: Array,
         noise: Array,
         settings: RlsSettings | None = None,
@@ -110,12 +108,12 @@ class RecursiveLeastSquares:
         return np.asarray(factor @ factor.transpose(0, 2, 1))
 
     @property
-    def terms(self) -> NDArray[np.int64]:
+    def terms(self) -> Ints:
         """(q,) rows of the coefficients that any joint may move."""
         return np.unique(self._index[self._held])
 
     @property
-    def support(self) -> NDArray[np.bool_]:
+    def support(self) -> Mask:
         """(p, J) terms that may move, per joint."""
         full = np.zeros(self._full.shape, dtype=bool)
         full[self._places] = True

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple, TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact.learn.drift import LEVEL_RANGE
 from adaptive_contact.learn.replay_buffer import Segment
@@ -28,8 +28,6 @@ __all__ = [
     "read_state",
     "segment_of",
 ]
-
-Array = NDArray[np.float64]
 
 FORMAT: Final = 3
 
@@ -96,7 +94,7 @@ class SavedState(NamedTuple):
     """Holds a snapshot of an adapter, read and checked."""
 
     coefficients: Array  # (p, J) of the model that was in force
-    support: NDArray[np.bool_]  # (p, J) of its recursion
+    support: Mask  # (p, J) of its recursion
     segments: list[Segment]  # of the buffer, oldest first
     # version, era: of the model, and of the leg as it was
     version: int

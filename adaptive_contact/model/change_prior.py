@@ -15,14 +15,12 @@ import re
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import friction_terms, soft_term
 
 __all__ = ["change_directions", "core_support", "speaks_of"]
-
-Array = NDArray[np.float64]
 
 # Standard deviation of a change of a whole family of terms, as a share of itself.  A battery that
 # sags from 12 V to 9.4 V takes a fifth off a drive's; a wider prior leaves the end of a descent,
@@ -42,7 +40,7 @@ TERM_UNITS: Final = 0.3
 OTHER_UNITS: Final = 0.1
 
 
-def core_support(model: LegModel) -> NDArray[np.bool_]:
+def core_support(model: LegModel) -> Mask:
     """Return the terms that the recursion may move: the support, and what a change may need.
 
     Returns:

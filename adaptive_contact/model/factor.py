@@ -18,11 +18,10 @@ from typing import Final
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
+
+from adaptive_contact.arrays import Array
 
 __all__ = ["Factor"]
-
-Array = NDArray[np.float64]
 
 # Raw rows wait until there are so many, or until they are needed: a tick that hands its rows over
 # does not pay for the factorisation, and one of a thousand rows costs less than ten of a hundred.

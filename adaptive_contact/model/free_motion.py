@@ -8,20 +8,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.model.training_domain import Domain
 
 __all__ = ["Covariance", "FreeMotion"]
-
-Array = NDArray[np.float64]
 
 
 class Covariance(NamedTuple):
     """Holds the covariance of a model's coefficients, over the noise's variance."""
 
-    terms: NDArray[np.int64]  # (J, n) which of the p terms each joint's recursion moves
+    terms: Ints  # (J, n) which of the p terms each joint's recursion moves
     per_scale: Array  # (J, n) reciprocal scale of each
     root: Array  # (J, n, n) square root of their covariance
 

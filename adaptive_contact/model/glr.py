@@ -18,14 +18,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.model.noise import WINDOWS, NoiseModel
 
 __all__ = ["Statistic", "statistic", "stream_statistic", "whitened"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Statistic(NamedTuple):

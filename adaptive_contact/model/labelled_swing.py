@@ -14,11 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.model.noise import WINDOWS
 
 __all__ = ["NO_ROWS", "ROW", "SEGMENTS", "Label", "LabelledSwing", "Row", "Rows", "Touch"]
-
-Array = NDArray[np.float64]
 
 # 120 segments are the lifts and descents of 60 swings: about a minute of walking.
 SEGMENTS: Final = 120
@@ -68,7 +67,7 @@ class Rows:
     def __len__(self) -> int:
         return len(self.known)
 
-    def __getitem__(self, which: slice | NDArray[np.bool_]) -> Rows:
+    def __getitem__(self, which: slice | Mask) -> Rows:
         return Rows(self.theta[which], self.target[which], self.known[which], self.aside[which])
 
     def __iter__(self) -> Iterator[Row]:
@@ -86,7 +85,7 @@ class Rows:
         return np.asarray(self.target - self.theta @ coefficients)
 
     @property
-    def t_ns(self) -> NDArray[np.int64]:
+    def t_ns(self) -> Ints:
         """(n,) times."""
         return np.asarray(self.known["t_ns"])
 

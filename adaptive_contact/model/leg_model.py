@@ -9,8 +9,8 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.library import ChangeLibrary, Library
 from adaptive_contact.model.window import Rows
@@ -18,8 +18,6 @@ from adaptive_contact.robot import Leg
 from adaptive_contact.wire import MAX_ANGLE_RAD, ModelReport, ModelTerm
 
 __all__ = ["LegModel", "report_of", "rollout"]
-
-Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +43,7 @@ class LegModel:
         return LegModel(self.library, coefficients, version)
 
     @property
-    def support(self) -> NDArray[np.bool_]:
+    def support(self) -> Mask:
         """(p, J) which terms each joint uses."""
         return np.asarray(self.coefficients != 0.0)
 

@@ -23,9 +23,9 @@ from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri  # scipy.stats takes half a second to import
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library
@@ -43,9 +43,6 @@ __all__ = [
     "leg_prior",
     "prior_tails",
 ]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Terms of other joints that a joint may depend on: how they move and push, by inertia.
 OTHERS: Final = (

@@ -26,8 +26,8 @@ from itertools import combinations_with_replacement, pairwise
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model.gravity import GravityAngle, gravity_angles
 from adaptive_contact.model.window import Window
@@ -45,7 +45,6 @@ __all__ = [
     "with_changes",
 ]
 
-Array = NDArray[np.float64]
 LibraryName = Literal["servo", "paper", "linear"]
 
 # Knee of the friction shape, rad per second: the Stribeck region of small gear servos ends at
@@ -157,7 +156,7 @@ class Library:
         return np.concatenate([one, window, np.sin(window), np.cos(window), products], axis=-1)
 
     @cached_property
-    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _pairs(self) -> tuple[Ints, Ints]:
         pairs = combinations_with_replacement(range(len(self._variable_names())), 2)
         first, second = np.array(list(pairs), dtype=np.int64).T
         return first, second
@@ -265,7 +264,7 @@ class Library:
         )
 
     @property
-    def moves(self) -> NDArray[np.bool_]:
+    def moves(self) -> Mask:
         """(p,) terms of how the leg moves; the others are of where it stands."""
         of_motion = np.zeros(self.size, dtype=bool)
         for group in self.groups:

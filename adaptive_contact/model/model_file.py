@@ -16,8 +16,8 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
 from adaptive_contact.files import cannot_write, write_file
 from adaptive_contact.model.leg_model import LegModel
@@ -40,8 +40,6 @@ __all__ = [
     "shipped_baseline",
     "thresholds_of",
 ]
-
-Array = NDArray[np.float64]
 
 FORMAT: Final = 1
 # Characters of a file's value that an error line shows.

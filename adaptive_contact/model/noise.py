@@ -17,14 +17,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 
 __all__ = ["WINDOWS", "NoiseModel", "context", "context_of", "fit_noise", "lagged"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 WINDOWS: Final = (1, 2, 3)
 # Edges of the commanded speed, in position quanta per tick (largest joint): below one step per

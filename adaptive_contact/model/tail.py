@@ -17,13 +17,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 
 __all__ = ["Tail", "fit_tail"]
-
-Array = NDArray[np.float64]
 
 # The level above which the tail is fitted: the largest 1 % of the ticks, but enough of them.
 TAIL_FRACTION: Final = 0.01

@@ -24,14 +24,12 @@ from typing import Final
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.factor import Factor
 
 __all__ = ["Domain"]
-
-Array = NDArray[np.float64]
 
 # A term of typical size that was never seen is assumed to move a tick by less than twenty times
 # the noise (6 degrees for an AX-12A's leg).

@@ -13,13 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import ConfigurationError
 
 __all__ = ["Rows", "Window", "stack"]
-
-Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Rows(NamedTuple):
     desired: Array  # (n, N' + 1, J) rad, lag 0 first
     preview: Array  # (n, M, J) rad, the next command first
     increment: Array  # (n, J) rad, measured[k + 1] - measured[k], what a model predicts
-    tick: NDArray[np.int64]  # (n,) the index k of each row in the stream
+    tick: Ints  # (n,) the index k of each row in the stream
 
 
 def stack(measured: Array, desired: Array, window: Window) -> Rows:

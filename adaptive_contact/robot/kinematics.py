@@ -31,11 +31,11 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 # What the words mean.  A pitch raises a link that points along x: a turn about -y.
@@ -96,7 +96,7 @@ class Chain:
         return self.reach_m / HEXAPOD_REACH_M
 
     @cached_property
-    def lifts(self) -> NDArray[np.bool_]:
+    def lifts(self) -> Mask:
         """(J,) whether a joint can raise the foot in any posture; a yaw on top never does."""
         if self.is_straight:
             return self._pitched
@@ -108,7 +108,7 @@ class Chain:
         )
 
     @cached_property
-    def _pitched(self) -> NDArray[np.bool_]:
+    def _pitched(self) -> Mask:
         return np.array([axis == "pitch" for axis in self.axes])
 
     @cached_property

@@ -24,14 +24,12 @@ from typing import Final
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.printable import did_you_mean, printable
 from adaptive_contact.robot.description import Leg, Limits, Mount
 from adaptive_contact.robot.kinematics import Vector, turned
-
-Array = NDArray[np.float64]
 
 MOST_BYTES: Final = 8_000_000
 MOST_DEPTH: Final = 64

@@ -6,9 +6,6 @@ import math
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 
 class Backend(Protocol):

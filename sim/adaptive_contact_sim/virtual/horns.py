@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.errors import ConfigurationError
-
-Array = NDArray[np.float64]
 
 STEP_S: Final = 0.001
 # Steps made at one call: more would keep the bus waiting.

@@ -11,8 +11,8 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.elements import JOINTS, LEGS, N_SERVOS, PARTS
 from adaptive_contact_sim.plant import Plant
@@ -22,7 +22,6 @@ from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
 
-Array = NDArray[np.float64]
 OnTruth = Callable[[str, ContactTruth], None]
 
 # Of the body over the floor, with the legs out of reach of it.

@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.wire import truth_key
 from adaptive_contact_sim.elements import LEGS
@@ -35,8 +35,6 @@ from adaptive_contact_sim.virtual.horns import STEP_S, Horns
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
-
-Array = NDArray[np.float64]
 
 _END_S: Final = 5.0
 

@@ -22,14 +22,12 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.plant import Touch
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
 from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
-
-Array = NDArray[np.float64]
 
 LEGS: Final = ("fl", "fr", "rl", "rr")
 JOINTS: Final = ("hip", "knee")
