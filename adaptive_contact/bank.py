@@ -32,8 +32,6 @@ from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
 T = TypeVar("T")
 
-__all__ = ["MAX_LEGS", "LearnerBank", "LegGroup", "OnFault", "compile_ahead"]
-
 # Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
 # A leg that is not described is one too many from here on, against a publisher that invents names.

@@ -49,8 +49,6 @@ from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import ContactEvent, LearnerStatus, ModelReport, Reject, ServoSample
 
-__all__ = ["EVENTS", "ContactLearner", "check_sample"]
-
 # Confirmed rows learned per tick, at most (a valid leg learns one): a swing's dozen are spread over
 # the stance that follows.
 ROWS_PER_TICK: Final = 3

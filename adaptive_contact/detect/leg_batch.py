@@ -35,8 +35,6 @@ from adaptive_contact.model.noise import CONTEXTS
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["LegBatch", "LegPlace"]
-
 STATUS_TICKS: Final = 256
 
 

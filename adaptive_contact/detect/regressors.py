@@ -16,8 +16,6 @@ from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.compiled import compiled
 from adaptive_contact.model.library import CHANGE_KNEES_RAD_S, ChangeLibrary, Library
 
-__all__ = ["TermTable", "predict", "regressors", "term_table"]
-
 ONE: Final = 0
 LINEAR: Final = 1
 CLIP: Final = 2

@@ -43,8 +43,6 @@ from adaptive_contact.detect.source import (
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import Doubt, ServoSample
 
-__all__ = ["SOURCE_CAUSES", "EchoWatch", "RateWatch", "Seams", "SourceWatch"]
-
 SOURCE_CAUSES: Final[tuple[Doubt | None, ...]] = (None, "echo", "phase")
 # Step of the coarsest servo known here (AX-12A), by which movements are counted where a servo's own
 # is not known; copies are then detected by equality, to the precision of a 32-bit float.

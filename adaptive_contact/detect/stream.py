@@ -11,8 +11,6 @@ from typing import Any, Final, NamedTuple
 
 from adaptive_contact.wire import MAX_ANGLE_RAD, MAX_PREVIEW_TICKS, Reject, ServoSample
 
-__all__ = ["Accepted", "StreamGuard"]
-
 MAX_TIME_NS: Final = 2**63 - 1
 MIN_RUN: Final = -(2**63)
 MAX_RUN: Final = 2**63 - 1

@@ -19,8 +19,6 @@ from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing import LEAST_WAY_M, LIFT_TICKS, LIFTED_M
 from adaptive_contact.robot import Leg
 
-__all__ = ["Landings", "Rollout", "SwingJudge"]
-
 _Point = tuple[float, float, float]  # of a foot, in its leg's frame, m
 Rollout = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
 

@@ -34,8 +34,6 @@ from adaptive_contact.model.labelled_swing import (
 from adaptive_contact.model.leg_model import LegModel, rollout
 from adaptive_contact.model.noise import UNFIT_LEVEL
 
-__all__ = ["SwingLabels", "confirmed_before", "confirmed_of", "let_go_rows"]
-
 # Whole swings in a row without a lift that could be labelled, after which changes go unseen.
 UNOBSERVED_SWINGS: Final = 20
 # A foot that lets go late shows in residuals that fall by orders of magnitude; a leg that has

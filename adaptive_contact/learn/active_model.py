@@ -20,8 +20,6 @@ from adaptive_contact.model.labelled_swing import Row, Rows
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 
-__all__ = ["ActiveModel", "FirstSwings"]
-
 # A leg that began with a prior is known after so many swings at least, when its coefficients have
 # added less than this share of the noise's variance in each of the last.
 KNOWN_SWINGS: Final = 10

@@ -36,8 +36,6 @@ from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.wire import Doubt, RefitCounts, Status
 
-__all__ = ["Adapter", "Standing"]
-
 # Rows that may wait while nothing has changed: those of one long swing.
 CALM_QUEUE: Final = 24
 # Confirmed ticks whose times are kept for `drain_confirmed`: some 150 swings.

@@ -22,8 +22,6 @@ from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.wire import RefitCounts
 
-__all__ = ["Candidate", "StoredContacts", "first_refit_after", "rows_for_refit"]
-
 # Contacts stored: as many as a minute of walking brings, half of them of the ground.
 MOST_CONTACTS: Final = 40
 REFIT_EVERY_SWINGS: Final = 20

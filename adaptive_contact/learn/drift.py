@@ -22,15 +22,6 @@ from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
 from adaptive_contact.model.noise import UNFIT_LEVEL
 from adaptive_contact.wire import Doubt, DriftLevel, Status
 
-__all__ = [
-    "LEVEL_RANGE",
-    "PATIENCE_SWINGS",
-    "SETTLED_LEVEL",
-    "DriftMonitor",
-    "EarlyContacts",
-    "LiftAssessment",
-]
-
 # The probability with which a good model's lift is suspected.
 SUSPICION_PROBABILITY: Final = 1e-4
 SUSPICIONS: Final = 2  # in a row, for a change

@@ -23,8 +23,6 @@ from adaptive_contact.model.model_file import Baseline, LegBaseline
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 
-__all__ = ["Lifecycle", "ready_for_changes"]
-
 # A prior that does not fit a leg is widened so many times, and again, up to the most.
 WIDER: Final = 3.0
 WIDEST: Final = 9.0

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import enum
 
-__all__ = ["LearnerMode", "WhenAmbiguous"]
-
 
 class LearnerMode(enum.StrEnum):
     """Selects how a learner follows its leg; the lesser ones are there for comparison."""

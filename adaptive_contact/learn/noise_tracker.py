@@ -31,8 +31,6 @@ from adaptive_contact.model.noise import NoiseModel
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
 
-__all__ = ["NoiseTracker"]
-
 # The baseline's covariance weighs like so many ticks; the buffer holds some 700 (decision 9).
 SHRINK_TICKS: Final = 1000.0
 # A residual further out than so many of its deviations counts as if it were there.

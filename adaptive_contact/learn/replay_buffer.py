@@ -19,8 +19,6 @@ from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 from adaptive_contact.wire import BufferCounts
 
-__all__ = ["ReplayBuffer", "Segment"]
-
 # A large library needs more rows than that, and its segments are kept for longer; 1,000 segments of
 # the paper's library are 20 MB.
 MOST_SEGMENTS: Final = 1000

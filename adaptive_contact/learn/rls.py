@@ -30,8 +30,6 @@ from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.compiled import borrow, compiled
 from adaptive_contact.model.free_motion import Covariance
 
-__all__ = ["RecursiveLeastSquares", "RlsSettings"]
-
 
 @dataclasses.dataclass(frozen=True)
 class RlsSettings:

@@ -18,17 +18,6 @@ from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library
 from adaptive_contact.wire import Status
 
-__all__ = [
-    "FORMAT",
-    "ImplausibleError",
-    "SavedState",
-    "array_of",
-    "library_key",
-    "pack",
-    "read_state",
-    "segment_of",
-]
-
 FORMAT: Final = 3
 
 

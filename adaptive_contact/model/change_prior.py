@@ -20,8 +20,6 @@ from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import friction_terms, soft_term
 
-__all__ = ["change_directions", "core_support", "speaks_of"]
-
 # Standard deviation of a change of a whole family of terms, as a share of itself.  A battery that
 # sags from 12 V to 9.4 V takes a fifth off a drive's; a wider prior leaves the end of a descent,
 # where the law saturates, uncertain for ten swings.

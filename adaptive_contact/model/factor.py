@@ -21,8 +21,6 @@ import scipy.linalg
 
 from adaptive_contact.arrays import Array
 
-__all__ = ["Factor"]
-
 # Raw rows wait until there are so many, or until they are needed: a tick that hands its rows over
 # does not pay for the factorisation, and one of a thousand rows costs less than ten of a hundred.
 COMPRESS_ROWS: Final = 4096

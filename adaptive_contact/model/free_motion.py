@@ -11,8 +11,6 @@ from typing import NamedTuple
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.model.training_domain import Domain
 
-__all__ = ["Covariance", "FreeMotion"]
-
 
 class Covariance(NamedTuple):
     """Holds the covariance of a model's coefficients, over the noise's variance."""

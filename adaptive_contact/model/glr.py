@@ -22,8 +22,6 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.model.noise import WINDOWS, NoiseModel
 
-__all__ = ["Statistic", "statistic", "stream_statistic", "whitened"]
-
 
 class Statistic(NamedTuple):
     """Holds the statistic of a tick's residuals."""

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from adaptive_contact.robot.description import Axis
 from adaptive_contact.robot.kinematics import AXES, Vector, yaws_then_pitches
 
-__all__ = ["GravityAngle", "gravity_angles"]
-
 Complex = NDArray[np.complex128]
 
 # Of a link's weight; less moves no servo by a step, and axes in files are off by as much.

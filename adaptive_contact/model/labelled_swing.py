@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.model.noise import WINDOWS
 
-__all__ = ["NO_ROWS", "ROW", "SEGMENTS", "Label", "LabelledSwing", "Row", "Rows", "Touch"]
-
 # 120 segments are the lifts and descents of 60 swings: about a minute of walking.
 SEGMENTS: Final = 120
 

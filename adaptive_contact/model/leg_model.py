@@ -17,8 +17,6 @@ from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import MAX_ANGLE_RAD, ModelReport, ModelTerm
 
-__all__ = ["LegModel", "report_of", "rollout"]
-
 
 @dataclasses.dataclass(frozen=True)
 class LegModel:

@@ -33,17 +33,6 @@ from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.model.noise import CONTEXTS, WINDOWS, NoiseModel
 from adaptive_contact.model.tail import Tail
 
-__all__ = [
-    "OTHERS",
-    "FamilyFile",
-    "OwnColumns",
-    "columns_of",
-    "covariates",
-    "in_family",
-    "leg_prior",
-    "prior_tails",
-]
-
 # Terms of other joints that a joint may depend on: how they move and push, by inertia.
 OTHERS: Final = (
     "v_{}", "v_{}[k-1]", "v_{}[k-2]", "sat(e_{}/s)", "sat(e_{}[k-1]/s)", "sat(e⁻_{}/s)",

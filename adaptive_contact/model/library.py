@@ -34,17 +34,6 @@ from adaptive_contact.model.window import Window
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.description import Axis
 
-__all__ = [
-    "ChangeLibrary",
-    "Library",
-    "LibraryName",
-    "TermGroup",
-    "friction_terms",
-    "leg_library",
-    "soft_term",
-    "with_changes",
-]
-
 LibraryName = Literal["servo", "paper", "linear"]
 
 # Knee of the friction shape, rad per second: the Stribeck region of small gear servos ends at

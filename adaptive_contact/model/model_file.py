@@ -29,18 +29,6 @@ from adaptive_contact.model.window import Window
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 from adaptive_contact.robot.description import Axis
 
-__all__ = [
-    "FORMAT",
-    "Baseline",
-    "LegBaseline",
-    "dump_baseline",
-    "load_baseline",
-    "parse_baseline",
-    "save_baseline",
-    "shipped_baseline",
-    "thresholds_of",
-]
-
 FORMAT: Final = 1
 # Characters of a file's value that an error line shows.
 _BRIEF: Final = 40

@@ -21,8 +21,6 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 
-__all__ = ["WINDOWS", "NoiseModel", "context", "context_of", "fit_noise", "lagged"]
-
 WINDOWS: Final = (1, 2, 3)
 # Edges of the commanded speed, in position quanta per tick (largest joint): below one step per
 # tick a leg sticks and slips, above a dozen it moves as fast as such servos can.

@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike
 
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 
-__all__ = ["Tail", "fit_tail"]
-
 # The level above which the tail is fitted: the largest 1 % of the ticks, but enough of them.
 TAIL_FRACTION: Final = 0.01
 MIN_EXCEEDANCES: Final = 50

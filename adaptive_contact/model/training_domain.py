@@ -29,8 +29,6 @@ from adaptive_contact.arrays import Array
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.factor import Factor
 
-__all__ = ["Domain"]
-
 # A term of typical size that was never seen is assumed to move a tick by less than twenty times
 # the noise (6 degrees for an AX-12A's leg).
 PRIOR_DEVIATIONS: Final = 20.0

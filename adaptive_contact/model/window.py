@@ -17,8 +17,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["Rows", "Window", "stack"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Window:
