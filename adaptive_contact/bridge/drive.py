@@ -53,9 +53,6 @@ class Mode(enum.StrEnum):
 class Driver:
     """One leg's goals.
 
-    Args:
-        leg: its servos and limits.
-
     Attributes:
         mode: what the leg does.
         goal: (J,) rad, in force; None before the first command.

@@ -200,11 +200,7 @@ _FOREIGN: Final = 3
 
 
 class News:
-    """Remembers what was reported of a port's servos.
-
-    Args:
-        plan: what is on the port.
-    """
+    """Remembers what was reported of a port's servos."""
 
     def __init__(self, plan: PortPlan) -> None:
         self._plan = plan

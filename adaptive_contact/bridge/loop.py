@@ -43,11 +43,7 @@ LOST_AFTER: Final = 8
 
 @dataclasses.dataclass
 class PhaseLock:
-    """Where the writes lie against our reading.
-
-    Args:
-        period_s: control tick.
-    """
+    """Where the writes lie against our reading."""
 
     period_s: float
     locked: bool = False  # the writes come right before the reading, as far as could be seen

@@ -109,12 +109,7 @@ class Setting(NamedTuple):
 
 
 def setting(model: ServoModel, data: Sequence[bytes]) -> Setting:
-    """Judge a servo's registers.
-
-    Args:
-        model: the kind of servo.
-        data: the bytes of each of :attr:`~adaptive_contact.bridge.tables.ServoModel.settings`.
-    """
+    """Judge a servo's registers."""
     values = {
         name: block.part(part, register)
         for block, part in zip(model.settings, data, strict=True)

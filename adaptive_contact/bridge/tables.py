@@ -223,12 +223,7 @@ def number_name(number: int) -> str:
 
 
 def feetech_name(data: bytes, servo: int) -> str | None:
-    """What a Feetech servo is, in words, by the bytes at :data:`FEETECH_MARK`; None for others.
-
-    Args:
-        data: what it answered.
-        servo: the id under which it was asked.
-    """
+    """What a Feetech servo is, in words, by the bytes at :data:`FEETECH_MARK`; None for others."""
     numbers = int.from_bytes(data[:2], "little"), int.from_bytes(data[:2], "big")
     known = next((_FEETECH[n] for n in numbers if n in _FEETECH), None)
     if data[2] != servo or (known is None and data[0] == servo):

@@ -23,11 +23,7 @@ def quantiles(values_ms: list[float]) -> Quantiles:
 
 
 class Pulse:
-    """Times of the cycle.
-
-    Args:
-        period_s: control tick.
-    """
+    """Times of the cycle."""
 
     def __init__(self, period_s: float) -> None:
         self._period_ns = round(period_s * 1e9)

@@ -53,11 +53,6 @@ def check_plot(path: Path) -> None:
 def write_plot(path: Path, traces: Sequence[LegTrace], title: str) -> None:
     """Draw what was detected, missed and why.
 
-    Args:
-        path: ends with .html or .png.
-        traces: of each leg.
-        title: whose replay it is.
-
     Raises:
         RecordingError: it cannot be written, or there is no leg.
     """

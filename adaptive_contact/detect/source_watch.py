@@ -114,12 +114,7 @@ class EchoWatch:
 
 
 class SourceWatch:
-    """Reports what is wrong with the source of one leg's samples.
-
-    Args:
-        leg: its description.
-        place: its arrays.
-    """
+    """Reports what is wrong with the source of one leg's samples."""
 
     def __init__(self, leg: Leg, place: LegPlace) -> None:
         self._leg = leg

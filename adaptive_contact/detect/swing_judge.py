@@ -66,10 +66,6 @@ class Landings:
 class SwingJudge:
     """Judges the travel of one leg's foot, swing by swing.
 
-    Args:
-        leg: its description.
-        place: its arrays.
-
     Attributes:
         travel_ratio: share of its command's way that the foot went in the last lift judged; of
             a leg that does not go all of it, of the way that its model predicts.

@@ -78,9 +78,6 @@ class LiftAssessment(NamedTuple):
 class DriftMonitor:
     """Follows one leg's variance scale and status, swing by swing.
 
-    Args:
-        joints: J.
-
     Attributes:
         variance_scale: of the residuals over the baseline's, followed from lift to lift.
         status: of the leg: valid, adapting or ambiguous.
@@ -395,11 +392,7 @@ class EarlyContacts:
         self._lately: deque[bool] = deque(maxlen=EARLY_SWINGS)
 
     def take(self, early: bool) -> bool:
-        """Count a swing; True if it is the one with which the count becomes too high.
-
-        Args:
-            early: it reported an early contact.
-        """
+        """Count a swing; True if it is the one with which the count becomes too high."""
         self._lately.append(early)
         count, before = sum(self._lately), self.reported
         self.reported = count > EARLY_END if before else count >= EARLY_BEGIN

@@ -307,9 +307,6 @@ class ChangeLibrary(Library):
     def parts(self, window: Array) -> tuple[Array, Array]:
         """Return what the terms are made of that all legs of equal libraries share.
 
-        Args:
-            window: as in :meth:`evaluate_flat`.
-
         Returns:
             (..., q) the terms without changes; (..., c) by how much those of the law would be
             other with twice the slope.

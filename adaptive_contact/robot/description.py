@@ -33,9 +33,6 @@ _DIGITS: Final = 4
 class AngleFrame:
     """Turns one leg's samples into the description's frame.
 
-    Args:
-        leg: its description.
-
     Attributes:
         directions: (J,) 1 or -1.
         offsets_rad: (J,) rad.

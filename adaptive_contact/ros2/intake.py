@@ -37,10 +37,6 @@ Decode = Callable[[str, str, bytes], Any]
 def check_mapped(robot: Robot, source: str) -> None:
     """Refuse a robot that names no topics of ROS 2.
 
-    Args:
-        robot: its description.
-        source: names it in the error.
-
     Raises:
         ConfigurationError: it has no ``[ros2]``.
     """
@@ -216,12 +212,6 @@ class Intake:
         self, topic: str, type_name: str, message: Any, origin: Origin
     ) -> Sequence[tuple[str, Message]]:
         """Take in a message.
-
-        Args:
-            topic: a mapped one.
-            type_name: one of those the topic may have.
-            message: as rosbags reads it.
-            origin: of the message.
 
         Returns:
             (leg, sample or truth) that it makes.

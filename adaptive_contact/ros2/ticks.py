@@ -28,11 +28,7 @@ class Origin(NamedTuple):
 
 
 class Publisher:
-    """A publisher's numbers on one topic.
-
-    Args:
-        run: of the samples made of its messages.
-    """
+    """A publisher's numbers on one topic."""
 
     def __init__(self, run: int) -> None:
         self.run = run

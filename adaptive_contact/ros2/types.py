@@ -71,11 +71,7 @@ _DAMAGE: Final = (SerdeError, struct.error, ValueError, IndexError, OverflowErro
 
 
 def typestore(state: str = "jazzy") -> Typestore:
-    """All types that are read or written.
-
-    Args:
-        state: which definition of a controller state.
-    """
+    """All types that are read or written."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.max_sequence_length = _MOST_ITEMS
     store.register(

@@ -31,12 +31,7 @@ from adaptive_contact_sim.virtual.servo import VirtualServo
 
 
 class VirtualServer:
-    """Serves virtual ports in real time.
-
-    Args:
-        ports: the buses.
-        backend: what moves behind all of them.
-    """
+    """Serves virtual ports in real time."""
 
     def __init__(self, ports: Sequence[VirtualPort], backend: Backend) -> None:
         self.ports = tuple(ports)

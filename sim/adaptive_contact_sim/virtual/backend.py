@@ -44,11 +44,6 @@ class KinematicBackend:
     """Servos that run to their goals: exponentially, with a largest speed; no forces.
 
     The closed form between two calls makes it as fast as it gets, and exact at any moment.
-
-    Args:
-        size: number of servos.
-        time_constant_s: of the exponential approach.
-        top_speed_rad_s: largest speed.
     """
 
     _IDLE_S: Final = 0.05

@@ -110,12 +110,7 @@ def _with(spec: FaultSpec, name: str, value: str) -> FaultSpec:
 
 
 class FaultSchedule:
-    """Which faults are on, and whether they strike now.
-
-    Args:
-        specs: from the start.
-        rng: of the probabilities.
-    """
+    """Which faults are on, and whether they strike now."""
 
     def __init__(self, specs: Iterable[FaultSpec], rng: np.random.Generator) -> None:
         self._specs = tuple(specs)

@@ -49,12 +49,7 @@ class MadeTick(NamedTuple):
 
 
 class LocalSource:
-    """Makes ticks here and now.
-
-    Args:
-        settings: what is simulated.
-        on_tick: gets every tick.
-    """
+    """Makes ticks here and now."""
 
     def __init__(
         self, settings: SimulationSettings, on_tick: Callable[[Tick], None] = lambda _: None

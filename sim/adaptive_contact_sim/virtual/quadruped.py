@@ -160,12 +160,7 @@ class QuadrupedPlant:
 
 
 class QuadrupedBackend(OnStand):
-    """The quadruped on its stand, moved by the bus; a backend of virtual servos.
-
-    Args:
-        horns: how the servos are mounted.
-        robot_seed: which robot of its kind.
-    """
+    """The quadruped on its stand, moved by the bus; a backend of virtual servos."""
 
     def __init__(self, horns: Horns, *, robot_seed: int = 0) -> None:
         start = np.tile(np.array([-0.4, -1.2]), len(LEGS))
