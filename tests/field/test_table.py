@@ -180,7 +180,10 @@ def test_all_legs_lost_at_once_point_to_the_description_first(walk: list[m.Sent]
     diagnosis = listen(made, shipped_robot(), BASELINE)
     assert causes(diagnosis)[0] == Cause.NOT_THIS_ROBOT, diagnosis.findings
     first = diagnosis.findings[0]
-    assert first.legs == list(shipped_robot().leg_ids)
+    # A leg of which more is known, by heights that are wrong as well, is named for itself.
+    itself = {leg for one in diagnosis.findings[1:] if one.cause == Cause.PHASE for leg in one.legs}
+    assert len(itself) <= 1
+    assert sorted({*first.legs, *itself}) == sorted(shipped_robot().leg_ids)
     places = [first.remedy.find(word) for word in ("signs", "zeros", "order of joints", "baseline")]
     assert -1 < places[0] < places[1] < places[2] < places[3]
 

@@ -98,7 +98,7 @@ def test_a_robot_that_walks_as_described_is_confirmed() -> None:
 WAYS = {
     "pitch downwards": (lambda q: q * [1, -1, -1], "directions = [1, -1, -1]"),
     "tibia first": (lambda q: q[::-1], "in the order coxa, femur, tibia"),
-    "another zero": (lambda q: q - [0, 0.3, -0.6], "offsets_rad = [0, 0.3"),
+    "another zero": (lambda q: q - [0, 0.3, -0.6], "offsets_rad = ["),
 }
 
 
@@ -112,6 +112,9 @@ def test_a_source_that_counts_otherwise_is_told_what_to_write(way: str) -> None:
     assert signs[0].legs == list(shipped_robot().leg_ids)
     assert speaks_of_angles(signs[0].what)
     assert advice in signs[0].what
+    if way == "another zero":  # found by search, to 0.01 rad
+        zeros = signs[0].what.partition(advice)[2].partition("]")[0]
+        assert [float(zero) for zero in zeros.split(",")] == pytest.approx([0, 0.3, -0.6], abs=0.03)
     assert found.confirmed == []
 
 

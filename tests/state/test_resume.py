@@ -3,7 +3,7 @@
 Six simulated legs walk for a while, all of them with four times the friction that the baseline was
 learned with; half way one set of learners is saved, thrown away and restored through files.  From
 its first full swing on, a leg's events are those of the other set, while learners that start from
-the baseline once more say something else in every other event.
+the baseline once more say something else in the first seconds, until they have learned it again.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ pytest.importorskip("mujoco")
 
 SPLIT_S: Final = 20.0
 END_S: Final = 32.0
+# Learners that start from the baseline have caught up with most of the friction by then.
+AGAIN_S: Final = 26.0
 # A swing and a stance of the tripod gait.
 CYCLE_S: Final = 1.4
 
@@ -69,8 +71,15 @@ def fresh(robot: Robot) -> LearnerBank:
     return bank
 
 
-def told(events: list[ContactEvent], begin_ns: int) -> set[tuple[str, int, bool]]:
-    return {(e.leg, e.seq, e.contact) for e in events if e.t_ns >= begin_ns}
+Told = set[tuple[str, int, bool]]
+
+
+def told(events: list[ContactEvent], begin_ns: int, end_ns: int | None = None) -> Told:
+    return {
+        (e.leg, e.seq, e.contact)
+        for e in events
+        if begin_ns <= e.t_ns and (end_ns is None or e.t_ns < end_ns)
+    }
 
 
 def test_events_are_those_of_a_learner_that_was_never_interrupted(tmp_path: Path) -> None:
@@ -104,14 +113,17 @@ def test_events_are_those_of_a_learner_that_was_never_interrupted(tmp_path: Path
 
         after.request_release()  # as the service does
 
-    expected = told(run(whole, ticks[split:]), begin_ns)
+    uninterrupted = run(whole, ticks[split:])
+    expected = told(uninterrupted, begin_ns)
     events = run(resumed, ticks[split:])
     found = told(events, begin_ns)
-    lost = told(run(clean, ticks[split:]), begin_ns)
+    again_ns = ticks[round(AGAIN_S / robot.period_s)]["rf"].t_ns
+    early = told(uninterrupted, begin_ns, again_ns)
+    lost = told(run(clean, ticks[split:]), begin_ns, again_ns)
     assert len(expected) > 50
     # A swing that was still in quarantine, and a refit under way, are not kept.
     assert len(expected ^ found) <= 0.03 * len(expected)
-    assert len(expected ^ lost) >= 0.3 * len(expected), "what was learned makes the difference"
+    assert len(early ^ lost) >= 0.3 * len(early), "what was learned makes the difference"
 
     # Whoever heard the service before the restart is told at once that no leg is held to touch.
     assert [(e.leg, e.contact, e.t_ns) for e in events[: len(robot.leg_ids)]] == [
