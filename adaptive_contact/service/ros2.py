@@ -6,13 +6,14 @@
     ROS 2  <--Bool, values----  [outbox] <--ContactEvent-  service
     ROS 2  <--diagnostics-----  [once a second] <--------  LearnerStatus
 
-Contacts have a thread and a queue of their own, so that no flood of messages holds one up.
+Contacts have a thread and a queue of their own, so that no flood of messages holds one up.  The
+thread that reads messages waits for nothing else: what is to be said goes to the third thread, as
+a terminal may stand still.
 """
 
 from __future__ import annotations
 
 import collections
-import functools
 import gc
 import itertools
 import queue
@@ -29,7 +30,7 @@ from adaptive_contact.ros2.problems import Complaints, Reason
 from adaptive_contact.ros2.report import Report
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types
-from adaptive_contact.service.link import Link, Publisher, Received
+from adaptive_contact.service.link import Arrivals, Link, Publisher, Received
 from adaptive_contact.service.settings import REMEDY, Finding
 from adaptive_contact.wire import (
     ALL_CONTACT,
@@ -47,6 +48,7 @@ MAX_BYTES: Final = 256 * 1024
 # Messages of one topic that may wait; at 100 Hz more than half a second.
 WAITING: Final = 64
 _MOST_KEYS: Final = 1024
+_MOST_LINES: Final = 256  # that wait to be said
 _LOOK_S: Final = 0.1
 _EVERY_S: Final = 1.0
 # A service publishes a status of each leg once a second.
@@ -66,35 +68,39 @@ def shown_of_ros(finding: Finding) -> str:
 
 
 class Inbox:
-    """Messages by topic; of each, the newest ones are kept."""
+    """Messages that wait, by topic; of each, the newest ones are kept.
+
+    One thread puts and gets; another may take what was dropped.
+    """
 
     def __init__(self, topics: tuple[str, ...]) -> None:
         self.dropped: collections.Counter[str] = collections.Counter()
         self._waiting: dict[str, collections.deque[Received]] = {
             topic: collections.deque() for topic in topics
         }
-        self._order: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._order: collections.deque[str] = collections.deque()
         self._lock = threading.Lock()
 
-    def put(self, topic: str, received: Received) -> None:
-        """Add a message; called on Zenoh's threads."""
-        with self._lock:
-            waiting = self._waiting[topic]
-            waiting.append(received)
-            if len(waiting) > WAITING:
-                waiting.popleft()
-                self.dropped[topic] += 1
-                return
-        self._order.put(topic)
+    def __len__(self) -> int:
+        return len(self._order)
 
-    def get(self, timeout_s: float) -> tuple[str, Received] | None:
-        """The next message, None where none comes in time."""
-        try:
-            topic = self._order.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
+    def put(self, topic: str, received: Received) -> None:
+        """Add a message."""
+        waiting = self._waiting[topic]
+        waiting.append(received)
+        if len(waiting) <= WAITING:
+            self._order.append(topic)
+            return
+        waiting.popleft()
         with self._lock:
-            return topic, self._waiting[topic].popleft()
+            self.dropped[topic] += 1
+
+    def get(self) -> tuple[str, Received] | None:
+        """The next message, None where none waits."""
+        if not self._order:
+            return None
+        topic = self._order.popleft()
+        return topic, self._waiting[topic].popleft()
 
     def take_dropped(self) -> dict[str, int]:
         """Messages dropped since the last call, by topic."""
@@ -153,7 +159,8 @@ class Gateway:
         self._legs = frozenset(robot.leg_ids)
         self._addresses: dict[str, rmw.Address | None] = {}
         self._inbox = Inbox(tuple(self._topics))
-        self._contacts: queue.SimpleQueue[Received | None] = queue.SimpleQueue()
+        self._arrivals, self._contacts = Arrivals(), Arrivals()
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._learners: dict[str, Received] = {}
         self._learner_s: float | None = None
         self._numbers = itertools.count(1)
@@ -190,7 +197,7 @@ class Gateway:
             worker.start()
         try:
             while not stop.is_set():
-                got = self._inbox.get(_LOOK_S)
+                got = self._next(_LOOK_S)
                 if got is not None:
                     self._inward(*got)
         except LinkError:
@@ -198,7 +205,8 @@ class Gateway:
                 raise
         finally:
             stop.set()
-            self._contacts.put(None)
+            self._contacts.end()
+            self._lines.put("")
             for worker in workers:
                 worker.join(2.0)
 
@@ -215,12 +223,10 @@ class Gateway:
         self._values = _RosPublisher(ros, node, next(numbers), report.values)
         self._diagnostics = _RosPublisher(ros, node, next(numbers), report.diagnostics)
         for topic, types in self._topics.items():
-            ros.subscribe(
-                rmw.any_type(node.domain, topic), functools.partial(self._inbox.put, topic)
-            )
+            ros.subscribe(rmw.any_type(node.domain, topic), self._arrivals)
             if len(types) == 1:
                 self._show(rmw.Address(topic, types[0], self._types.hash_of(types[0])))
-        self._service.subscribe(ALL_CONTACT, self._contacts.put, history=True)
+        self._service.subscribe(ALL_CONTACT, self._contacts, history=True)
         self._service.subscribe(ALL_LEARNER, self._note_learner)
 
     def _show(self, address: rmw.Address) -> None:
@@ -236,6 +242,19 @@ class Gateway:
             self._learner_s = self._now_s()
 
     # -- ROS 2 to the service ----------------------------------------------------------------------
+
+    def _next(self, timeout_s: float) -> tuple[str, Received] | None:
+        """The next message, None where none comes in time."""
+        if not self._inbox:
+            self._sort(self._arrivals.get(timeout_s))
+        for _ in range(len(self._arrivals)):  # and no more: a flood may come as fast
+            self._sort(self._arrivals.get(0.0))
+        return self._inbox.get()
+
+    def _sort(self, received: Received | None) -> None:
+        address = None if received is None else self._address(received.key)
+        if received is not None and address is not None and address.topic in self._topics:
+            self._inbox.put(address.topic, received)
 
     def _inward(self, topic: str, received: Received) -> None:
         address = self._address(received.key)
@@ -273,8 +292,8 @@ class Gateway:
 
     def _complain(self, topic: str, reason: Reason, detail: str) -> None:
         line = self.complaints.take(topic, reason, detail, self._now_s())
-        if line is not None:
-            self._say(line)
+        if line is not None and self._lines.qsize() < _MOST_LINES:
+            self._lines.put(line)
 
     # -- the service to ROS 2 ----------------------------------------------------------------------
 
@@ -295,7 +314,7 @@ class Gateway:
         begun_s = self._now_s()
         silent_s = begun_s + _SILENT_S
         reported: str | None = None
-        while not stop.wait(_EVERY_S):
+        while not self._say_for(_EVERY_S, stop):
             for topic, times in self._inbox.take_dropped().items():
                 for _ in range(times):
                     self._complain(
@@ -317,6 +336,18 @@ class Gateway:
             except LinkError:
                 if not stop.is_set():
                     continue
+
+    def _say_for(self, seconds: float, stop: threading.Event) -> bool:
+        """Say what the other threads have to say; return whether to stop."""
+        until_s = self._now_s() + seconds
+        while not stop.is_set():
+            try:
+                line = self._lines.get(timeout=max(0.0, until_s - self._now_s()))
+            except queue.Empty:
+                return False
+            if line:  # an empty one ends the wait
+                self._say(line)
+        return True
 
     def _trouble(self, up_s: float) -> str | None:
         """What stands in the way of relaying; None where nothing does."""

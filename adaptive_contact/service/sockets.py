@@ -22,13 +22,13 @@ import contextlib
 import fcntl
 import os
 import socket
+import stat
 import struct
 import sys
 import termios
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final, TypeVar
 
 # A link that is cut sooner than one look after it was accepted can still hold a receiving thread
@@ -58,10 +58,10 @@ class LinkSockets:
         self._busy_ns: Callable[[int], int] | None = None
         self._on_drop: Callable[[int], None] | None = None
         self._on_loss: Callable[[int], None] | None = None
-        self._shut: set[str] = set()  # by us, and not closed yet
-        self._known: frozenset[str] = frozenset()
+        self._shut: set[int] = set()  # by us, and not closed yet
+        self._known: frozenset[int] = frozenset()
         # Of sockets with something to send: bytes acknowledged, and since when they are as many.
-        self._queued: dict[str, tuple[int, int]] = {}
+        self._queued: dict[int, tuple[int, int]] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="link-sockets", daemon=True)
 
@@ -115,9 +115,9 @@ class LinkSockets:
             self.dropped += dropped
             self._on_drop(dropped)
 
-    def _stuck(self, sockets: dict[str, int], now_ns: int) -> list[str]:
+    def _stuck(self, sockets: dict[int, int], now_ns: int) -> list[int]:
         """Sockets with something to send, of which nothing was taken for long enough."""
-        queued: dict[str, tuple[int, int]] = {}
+        queued: dict[int, tuple[int, int]] = {}
         for inode, number in sockets.items():
             waiting, acknowledged = _use(number, _progress) or (0, 0)
             if waiting:
@@ -134,16 +134,18 @@ class LinkSockets:
                 return
 
 
-def _sockets() -> dict[str, int]:
+def _sockets() -> dict[int, int]:
     """Descriptors of the process's sockets by their inodes."""
     found = {}
-    for descriptor in Path("/proc/self/fd").iterdir():
-        try:
-            target = str(descriptor.readlink())
-        except OSError:  # closed since
-            continue
-        if target.startswith("socket:"):
-            found[target] = int(descriptor.name)
+    with os.scandir("/proc/self/fd") as descriptors:  # Path.iterdir takes five times as long
+        for descriptor in descriptors:
+            number = int(descriptor.name)
+            try:
+                status = os.fstat(number)
+            except OSError:  # closed since
+                continue
+            if stat.S_ISSOCK(status.st_mode):
+                found[status.st_ino] = number
     return found
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,8 +11,17 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
+from adaptive_contact.ros2.cdr import ControllerState
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
-from adaptive_contact.ros2.types import CdrError, Types, UnknownHashError, typestore
+from adaptive_contact.ros2.types import (
+    _CONTROLLER_STATES,
+    CdrError,
+    Types,
+    UnknownHashError,
+    typestore,
+)
+
+from .conftest import Messages
 
 READER = Types()
 STORES = {state: typestore(state) for state in ("jazzy", "2023", "humble", "old")}
@@ -144,3 +155,33 @@ def test_states_are_read_as_rosbags_reads_them(state: str, data: st.DataObject) 
     ):
         known = [values[n].positions.tolist() for n in (name, old) if n in values]
         assert list(mine.positions) == next((p for p in known if p), [])
+
+
+@pytest.mark.parametrize("state", ["jazzy", "2023", "humble", "old"])
+@settings(max_examples=100)
+@given(data=st.data())
+def test_a_known_layout_reads_what_a_walk_reads(state: str, data: st.DataObject) -> None:
+    store = STORES[state]
+    made = Messages(state)
+    names = data.draw(st.lists(st.text("ab", max_size=3), max_size=4))
+    angles = st.lists(st.floats(), max_size=4)
+    message = made.state(names, data.draw(angles), data.draw(angles))
+    little = data.draw(st.booleans())
+    whole = bytes(store.serialize_cdr(message, RosType.CONTROLLER_STATE, little_endian=little))
+    known = _CONTROLLER_STATES[state].reader()
+    known.walk(whole)
+    damaged = bytearray(whole)
+    place = st.tuples(st.integers(0, len(whole) - 1), st.integers(0, 255))
+    for at, value in data.draw(st.lists(place, max_size=4)):
+        damaged[at] = value
+    cut = bytes(damaged[: len(whole) - data.draw(st.integers(0, 8))])
+    for payload in (whole, bytes(damaged), cut, whole):
+        assert found(known.read, payload) == found(_CONTROLLER_STATES[state].reader().walk, payload)
+
+
+def found(read: Callable[[bytes], ControllerState], payload: bytes) -> str:
+    """What is read, or why nothing is; as text, in which NaN equals NaN."""
+    try:
+        return repr(read(payload))
+    except CdrError as error:
+        return f"refused: {error}"
