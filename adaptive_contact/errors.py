@@ -20,7 +20,8 @@ Bad *samples* never raise; they are counted by :class:`adaptive_contact.wire.Rej
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 
 
 class AdaptiveContactError(Exception):
@@ -45,6 +46,26 @@ class MissingExtraError(ConfigurationError):
             f"run: pip install 'adaptive-contact[{extra}]'"
         )
         self.extra = extra
+
+
+@contextlib.contextmanager
+def needs(what: str, extra: str, *modules: str) -> Iterator[None]:
+    """Around imports of what an extra brings: say which one is missing.
+
+    Args:
+        what: that needs it.
+        extra: its name.
+        modules: what it brings, where other imports stand beside; their errors go through.
+
+    Raises:
+        MissingExtraError: a module is not installed, or cannot be loaded.
+    """
+    try:
+        yield
+    except ImportError as error:
+        if modules and (error.name or "").partition(".")[0] not in modules:
+            raise
+        raise MissingExtraError(what, extra) from error
 
 
 class RecordingError(AdaptiveContactError):

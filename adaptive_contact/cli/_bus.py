@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError, needs
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
@@ -26,15 +26,9 @@ DeviceOption = Annotated[
 ]
 
 
-@contextlib.contextmanager
-def needs_sdk() -> Iterator[None]:
+def needs_sdk() -> AbstractContextManager[None]:
     """Around imports of the bridge: a missing DynamixelSDK is reported in one line."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] not in ("dynamixel_sdk", "serial"):
-            raise
-        raise MissingExtraError("the Dynamixel bridge", "dynamixel") from error
+    return needs("the Dynamixel bridge", "dynamixel", "dynamixel_sdk", "serial")
 
 
 def described_in(config: Path | None) -> str:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import sys
 import threading
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 from adaptive_contact.cli._options import Network, option, seconds_option, speed_of
 from adaptive_contact.cli._output import say, say_note, say_waiting
-from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError, LinkError, needs
 
 if TYPE_CHECKING:
     from adaptive_contact_sim import (
@@ -182,18 +181,14 @@ class RunOptions:
         )
 
 
-@contextlib.contextmanager
-def needs_simulator(what: str = "the simulator", extra: str = "sim") -> Iterator[None]:
+def needs_simulator(
+    what: str = "the simulator", extra: str = "sim"
+) -> AbstractContextManager[None]:
     """Around imports of the simulator: a missing mujoco is reported in one line."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != "mujoco":
-            raise
-        raise MissingExtraError(what, extra) from error
+    return needs(what, extra, "mujoco")
 
 
-def needs_studies() -> contextlib.AbstractContextManager[None]:
+def needs_studies() -> AbstractContextManager[None]:
     """Around imports of the studies, likewise."""
     return needs_simulator("a study", "studies")
 

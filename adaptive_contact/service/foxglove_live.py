@@ -21,7 +21,7 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING, Final, Self
 
-from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError, LinkError, needs
 from adaptive_contact.service.link import Link, Received
 from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_class, schema_name
 from adaptive_contact.service.status import SERVICE_STATUS
@@ -251,8 +251,6 @@ def check_installed() -> None:
     Raises:
         MissingExtraError: it is not.
     """
-    for module in ("foxglove", "google.protobuf"):
-        try:
+    with needs("Foxglove", "foxglove"):
+        for module in ("foxglove", "google.protobuf"):
             importlib.import_module(module)
-        except ModuleNotFoundError as error:
-            raise MissingExtraError("Foxglove", "foxglove") from error

@@ -33,6 +33,11 @@ class Layout:
         """Of all legs."""
         return len(self.legs) * len(self.joints)
 
+    @property
+    def servos(self) -> list[tuple[str, str]]:
+        """(leg, joint) of all, in order."""
+        return [(leg, joint) for leg in self.legs for joint in self.joints]
+
     def servo_indices(self, leg: str | None, joint: str | None) -> IntArray:
         """Indices of the servos meant by a leg and a joint, None standing for all.
 
@@ -87,7 +92,7 @@ class Elements:
             ConfigurationError: the model file lacks one, or orders the servos otherwise.
         """
         legs, parts = layout.legs, layout.parts
-        servos = [f"{leg}_{joint}" for leg in legs for joint in layout.joints]
+        servos = [f"{leg}_{joint}" for leg, joint in layout.servos]
         joints = [_id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in servos]
         geom_leg = np.full(model.ngeom, -1, dtype=np.intp)
         geom_part = np.full(model.ngeom, -1, dtype=np.intp)

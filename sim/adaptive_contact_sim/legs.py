@@ -16,8 +16,9 @@ Reference:
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -42,35 +43,36 @@ _REST_SHARE: Final = 0.3
 _NEAR_M: Final = 1e-3
 
 
-class Geometry(Protocol):
-    """What a controller knows of its legs."""
+class Geometry(ABC):
+    """What a controller knows of its legs: where they sit on the body, and how they reach."""
+
+    mounts_m: Array  # (L, 3) m, where the legs' first joints are in the body's frame
+    rotations: Array  # (L, 3, 3) from a leg's frame to the body's
 
     @property
-    def mounts_m(self) -> Array:
-        """(L, 3) m, where the legs' first joints are in the body's frame."""
-
-    @property
-    def rotations(self) -> Array:
-        """(L, 3, 3) from a leg's frame to the body's."""
-
-    @property
+    @abstractmethod
     def outer_foot_m(self) -> float:
         """Neutral feet from the body's centre, as turning moves them."""
 
     @property
+    @abstractmethod
     def standing_m(self) -> Array:
         """(3,) m, a foot at rest in its leg's frame."""
 
     @property
+    @abstractmethod
     def middle_rad(self) -> Array:
         """(J,) rad, the first leg's posture at rest."""
 
+    @abstractmethod
     def neutral(self, reach_m: float, height_m: float) -> Array:
         """(L, 3) m in the legs' frames: feet so far out, the body so high over them."""
 
+    @abstractmethod
     def reachable(self, points_m: Array) -> Mask:
         """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
 
+    @abstractmethod
     def joints(
         self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
     ) -> Array:
@@ -82,21 +84,9 @@ class Geometry(Protocol):
             rest_rad: what joints beyond three follow instead of the posture at rest.
         """
 
+    @abstractmethod
     def feet(self, joints_rad: Array) -> Array:
         """Foot points (..., 3) m in the legs' frames for joint angles (..., J) rad."""
-
-    def to_leg(self, points_m: Array) -> Array:
-        """From the body's frame to the legs': (L, 3) m, one point per leg."""
-
-    def to_body(self, points_m: Array) -> Array:
-        """From the legs' frames to the body's: (L, 3) m, one point per leg."""
-
-
-class _Mounted:
-    """Where legs sit on the body."""
-
-    mounts_m: Array
-    rotations: Array
 
     def to_leg(self, points_m: Array) -> Array:
         """From the body's frame to the legs': (L, 3) m, one point per leg."""
@@ -121,7 +111,7 @@ def _mounts(robot: Robot) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class LegGeometry(_Mounted):
+class LegGeometry(Geometry):
     """Geometry of the hexapod's six equal legs."""
 
     lengths_m: tuple[float, float, float]  # coxa, femur, tibia
@@ -197,16 +187,7 @@ class LegGeometry(_Mounted):
     def joints(
         self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
     ) -> Array:
-        """Joint angles for foot points, the nearest that can be reached.
-
-        Args:
-            points_m: (..., 3) m in the legs' frames.
-            near_rad: of no use to a closed form.
-            rest_rad: nor is this.
-
-        Returns:
-            (..., 3) rad, within limits.
-        """
+        """Joint angles for foot points, (..., 3) each; a closed form, of the points only."""
         l0 = self.lengths_m[0]
         x, y, z = points_m[..., 0], points_m[..., 1], points_m[..., 2]
         flat = np.hypot(x, y)
@@ -225,7 +206,7 @@ class LegGeometry(_Mounted):
         return foot(joints_rad, self.lengths_m, ("yaw", "pitch", "pitch"))
 
 
-class ChainLegs(_Mounted):
+class ChainLegs(Geometry):
     """Geometry of legs that are any chains, each its own.
 
     Args:

@@ -16,12 +16,17 @@ import numpy as np
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.plant import Plant
-from adaptive_contact_sim.scene import OBSTACLE_TOP_M, OBSTACLES, PARKED_M, expose, obstacle_name
-from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
+from adaptive_contact_sim.scene import (
+    OBSTACLE_TOP_M,
+    OBSTACLES,
+    PARKED_M,
+    expose,
+    obstacle_name,
+    set_surface,
+)
 
 Approach = Literal["descent", "slow", "forward", "graze"]
 _SHAPES: Final = ("plate", "sphere", "edge")
-_HARD_SOLIMP: Final = np.array([0.9, 0.95, 0.001, 0.5, 2.0])
 # Share of its velocity that points into a surface the foot is to graze.
 _GRAZE_COSINE: Final = (0.08, 0.25)
 # Height of the foot sphere's centre over the sole, m: surfaces are put against the sole.
@@ -124,7 +129,7 @@ class ObstacleCourse:
             across /= max(float(np.linalg.norm(across)), 1e-9)
             normal = np.sqrt(1.0 - cosine**2) * across - cosine * along
             centre = point_m - normal * (OBSTACLE_TOP_M[name] + _SOLE_M)
-            quaternion = _turn_z_to(normal)
+            mujoco.mju_quatZ2Vec(quaternion, normal)
         elif approach == "forward":
             name = "post"
             level = np.array([along[0], along[1], 0.0])
@@ -154,27 +159,14 @@ class ObstacleCourse:
     def _soften(self, name: str) -> None:
         model, settings = self._plant.model, self.settings
         geom = model.geom(obstacle_name(name, self.owner)).id
+        stiffness = None
         if self._rng.random() < settings.soft:
-            low, high = np.log(settings.stiffness_n_m)
-            stiffness = float(np.exp(self._rng.uniform(low, high)))
-            model.geom_solref[geom], model.geom_solimp[geom] = soft_contact(
-                stiffness, self._inverse_mass
-            )
-            self.surface = "soft"
-        else:
-            model.geom_solref[geom] = HARD_SOLREF
-            model.geom_solimp[geom] = _HARD_SOLIMP
-            self.surface = "hard"
+            stiffness = float(np.exp(self._rng.uniform(*np.log(settings.stiffness_n_m))))
+        self.surface = "hard" if stiffness is None else "soft"
+        set_surface(model, geom, stiffness, self._inverse_mass)
 
     def _move(self, name: str, centre: Array, quaternion: Array) -> None:
         model, data = self._plant.model, self._plant.data
         mocap = int(model.body_mocapid[model.body(obstacle_name(name, self.owner)).id])
         data.mocap_pos[mocap] = centre
         data.mocap_quat[mocap] = quaternion
-
-
-def _turn_z_to(direction: Array) -> Array:
-    """Quaternion that turns the z axis to a unit vector."""
-    quaternion = np.zeros(4)
-    mujoco.mju_quatZ2Vec(quaternion, direction)
-    return quaternion

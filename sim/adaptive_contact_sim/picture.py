@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Mask
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.files import write_file
 from adaptive_contact_sim.elements import Elements
 from adaptive_contact_sim.scene import OBSTACLES, PARKED_M
 from adaptive_contact_sim.simulation import Simulation
 
-if TYPE_CHECKING:  # an extra, which a film asks for by name (_need_pillow)
+if TYPE_CHECKING:  # an extra, which a film asks for by name
     from PIL import ImageDraw
 
 
@@ -361,12 +361,15 @@ class Film:
             raise ConfigurationError(
                 f"cannot render to '{path}': its folder does not exist; make it"
             )
-        _need_pillow()
+        with needs("--render", "plot"):
+            importlib.import_module("PIL")
         self._width, self._height, self._every = _KINDS[self._kind]
         self._frame_s = self._every * sim.settings.period_s
         self._most = round(_LONGEST_S / self._frame_s)
         if self._kind == ".mp4":
-            _need_video()
+            with needs("rendering to .mp4", "video"):
+                importlib.import_module("imageio.v2")
+                importlib.import_module("imageio_ffmpeg")  # imageio finds its ffmpeg through it
         self._sim = sim
         self._stage = Stage(sim)
         self._painter: Painter
@@ -412,9 +415,13 @@ class Film:
 
     def _video(self, moments: list[Moment]) -> bytes:
         """The film as MP4, which ffmpeg writes into a file of its own."""
+        import imageio.v2 as imageio
+
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "film.mp4")
-            writer = _video(path, 1.0 / self._frame_s)
+            writer: Any = imageio.get_writer(
+                path, fps=1.0 / self._frame_s, codec="libx264", quality=7, macro_block_size=8
+            )
             for moment in moments:
                 writer.append_data(np.asarray(self._paint(moment)))
             writer.close()
@@ -439,26 +446,3 @@ def _encoded(picture: Any, kind: str, **options: Any) -> bytes:
     data = io.BytesIO()
     picture.save(data, kind, **options)
     return data.getvalue()
-
-
-def _need_pillow() -> None:
-    try:
-        importlib.import_module("PIL")
-    except ImportError as error:
-        raise MissingExtraError("--render", "plot") from error
-
-
-def _need_video() -> None:
-    try:
-        importlib.import_module("imageio.v2")
-        importlib.import_module("imageio_ffmpeg")  # imageio finds its ffmpeg through it
-    except ImportError as error:
-        raise MissingExtraError("rendering to .mp4", "video") from error
-
-
-def _video(path: Path, frames_per_s: float) -> Any:
-    import imageio.v2 as imageio
-
-    return imageio.get_writer(
-        path, fps=frames_per_s, codec="libx264", quality=7, macro_block_size=8
-    )

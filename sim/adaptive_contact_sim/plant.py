@@ -213,7 +213,7 @@ class Plant:
     def set_backlash(self, backlash_rad: Array) -> None:
         """Give the joints backlash, (S,) rad."""
         if self.gears.set_backlash(backlash_rad):
-            self._set_const()
+            mujoco.mj_setConst(self.model, self._scratch)
 
     def set_payload(self, mass_kg: Array) -> None:
         """Set what hangs at the feet, absolute.
@@ -232,9 +232,6 @@ class Plant:
         mass = np.maximum(self._mass_kg, 1e-9)
         self.model.body_mass[self.elements.payloads] = mass
         self.model.body_inertia[self.elements.payloads] = mass[:, None] * _MUD_GYRATION_M**2
-        self._set_const()
-
-    def _set_const(self) -> None:
         mujoco.mj_setConst(self.model, self._scratch)
 
     def _note_contacts(self) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
-from adaptive_contact_sim.terrain import HARD_SOLREF, Terrain
+from adaptive_contact_sim.terrain import HARD_SOLREF, Terrain, soft_contact
 
 # Bits of contype and conaffinity: what collides with the ground, and with obstacles.
 _GROUND_BIT: Final = 1
@@ -33,6 +33,7 @@ OBSTACLES: Final = {
 }
 # From an obstacle's centre up to its top, upright.
 OBSTACLE_TOP_M: Final = {"plate": 0.10, "sphere": 0.03, "edge": 0.005, "post": 0.10}
+_HARD_SOLIMP: Final = (0.9, 0.95, 0.001, 0.5, 2.0)
 # Where obstacles wait: out of sight, far from everything.
 PARKED_M: Final = (0.0, 0.0, -3.0)
 
@@ -111,6 +112,17 @@ def expose(model: mujoco.MjModel, elements: Elements, leg: str | None) -> None:
     for i, name in enumerate(elements.layout.legs):
         bits = _GROUND_BIT | (_OBSTACLE_BIT if name == leg else 0)
         model.geom_contype[elements.leg_geoms[i]] = bits
+
+
+def set_surface(
+    model: mujoco.MjModel, geom: int, stiffness_n_m: float | None, inverse_mass: float
+) -> None:
+    """Make a geom hard (None), or as stiff as a spring under a body of that inverse mass, 1/kg."""
+    model.geom_solref[geom], model.geom_solimp[geom] = (
+        (HARD_SOLREF, _HARD_SOLIMP)
+        if stiffness_n_m is None
+        else soft_contact(stiffness_n_m, inverse_mass)
+    )
 
 
 def on_a_stand(height_m: float) -> mujoco.MjSpec:

@@ -144,9 +144,14 @@ class Simulation:
         if ground.seed is None:
             ground = replace(ground, seed=settings.seed)
         self.terrain = Terrain(ground)
+        if parameters is None:
+            nominal = self.robot.servo.of(self.layout.n_servos)
+            parameters = manufactured(
+                settings.robot_seed, spread=settings.servo_spread, nominal=nominal
+            )
         self.plant = Plant(
             self.scene(looks=looks),
-            parameters or self._manufactured(),
+            parameters,
             period_s=settings.period_s,
             supply_resistance_ohm=settings.supply_resistance_ohm,
             layout=self.layout,
@@ -215,10 +220,11 @@ class Simulation:
 
     def scene(self, *, looks: bool) -> mujoco.MjModel:
         """Compile the robot, its ground and its obstacles, as they are before the run."""
-        owners = _obstacle_owners(self.settings.motion)
+        motion = self.settings.motion
+        owners: tuple[str | None, ...] = (None,) if isinstance(motion, PoseSettings) else ()
         return build(
             self.terrain,
-            obstacles=owners,
+            obstacles=motion.legs if isinstance(motion, PoseGroupSettings) else owners,
             looks=looks,
             name=self.settings.robot,
             layout=self.layout,
@@ -309,11 +315,6 @@ class Simulation:
                 return course.surface
         return self.terrain.surface
 
-    def _manufactured(self) -> ServoParameters:
-        settings = self.settings
-        nominal = self.robot.servo.of(self.layout.n_servos)
-        return manufactured(settings.robot_seed, spread=settings.servo_spread, nominal=nominal)
-
     def _goal(self) -> Goal:
         position, rotation = self.plant.body_pose()
         return self.motion.step(
@@ -358,13 +359,6 @@ class Simulation:
         t_ns = self.time_of_step(change.step)
         message = change.message(t_ns, self.layout.parts, self.surface_of)
         return Truth(self.layout.legs[change.leg], message)
-
-
-def _obstacle_owners(motion: MotionSettings) -> tuple[str | None, ...]:
-    """Whose sets of obstacles a motion needs in its scene."""
-    if isinstance(motion, PoseGroupSettings):
-        return motion.legs
-    return (None,) if isinstance(motion, PoseSettings) else ()
 
 
 # Drift kinds that are a condition of the servos, and what each is called there.

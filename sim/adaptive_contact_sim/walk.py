@@ -185,9 +185,8 @@ class WalkMotion:
         self._planned = settings.phase == "planned"
         # Three feet stand while one swings: none has to carry before it is needed.
         self._land_m = settings.land_m if self._legs * (1.0 - gait.share) >= 3.0 else None
-        self._floor_m = self._feet[
-            :, 2
-        ].copy()  # expected where the swing goes, in the body's frame
+        # Expected where the swing goes, in the body's frame.
+        self._floor_m = self._feet[:, 2].copy()
         self._settled_tick = np.zeros(self._legs, dtype=np.int64)  # from then on the foot stands
         # Feet are planned as if the body did not sway; their goals and readings are moved by it.
         self._sway: Sway | None = None

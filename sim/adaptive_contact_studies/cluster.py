@@ -8,7 +8,6 @@ does one thing at a time, as the simulator and the learners are made for process
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import platform
 import tempfile
 from collections.abc import Iterator
@@ -19,7 +18,8 @@ from typing import Any, Final
 import adaptive_contact
 import adaptive_contact_sim
 import adaptive_contact_studies
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError, needs
+from adaptive_contact_studies.cache import sources_digest
 
 _CONNECT_S: Final = 10.0
 # Tries of a task whose worker died; with more, the task itself is at fault.
@@ -39,12 +39,10 @@ def cluster_pool(scheduler: str, folder: Path | None) -> Iterator[Executor]:
         MissingExtraError: Dask is not installed here.
         ConfigurationError: there is no such cluster, or a worker cannot do the work.
     """
-    try:
+    with needs("--scheduler", "cluster"):
         import dask
         from distributed import Client, KilledWorker
         from distributed.comm.core import CommClosedError
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("--scheduler", "cluster") from error
     try:
         # Each address is tried for as long as this, and no dashboard is looked for.
         client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
@@ -139,11 +137,7 @@ def _prepare(token: str | None) -> dict[str, Any]:
 
 def same_here() -> dict[str, str]:
     """Return what has to be the same in all processes that work together, by name."""
-    digest = hashlib.sha256()
-    for package in (adaptive_contact, adaptive_contact_sim, adaptive_contact_studies):
-        assert package.__file__ is not None
-        root = Path(package.__file__).parent
-        for file in sorted(root.rglob("*.py")):
-            digest.update(str(file.relative_to(root)).encode())
-            digest.update(file.read_bytes())
+    packages = (adaptive_contact, adaptive_contact_sim, adaptive_contact_studies)
+    roots = [Path(str(package.__file__)).parent for package in packages]
+    digest = sources_digest(file for root in roots for file in sorted(root.rglob("*.py")))
     return {"Python": platform.python_version(), "adaptive-contact": digest.hexdigest()[:12]}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Final
 
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
@@ -22,35 +22,28 @@ from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import play, score_run
+from adaptive_contact_studies.training import PlannedRun
 from adaptive_contact_studies.workers import completed
-
-
-class HeadlineRun(NamedTuple):
-    """One recording behind a row."""
-
-    row: str
-    settings: SimulationSettings
-    seconds: float
 
 
 def _pose(
     row: str, seed: int, seconds: float, workspace: Workspace, probability: float
-) -> HeadlineRun:
+) -> PlannedRun:
     motion = PoseSettings(
         legs=LEGS,
         workspace=workspace,
         obstacles=ObstacleSettings(probability=probability),
     )
-    return HeadlineRun(row, SimulationSettings(motion=motion, seed=seed), seconds)
+    return PlannedRun(row, SimulationSettings(motion=motion, seed=seed), seconds)
 
 
-def _walk(row: str, seed: int, seconds: float) -> HeadlineRun:
+def _walk(row: str, seed: int, seconds: float) -> PlannedRun:
     settings = SimulationSettings(
         motion=WalkSettings(gait="tripod", stop_on="truth", react_ms=60.0),
         terrain=TerrainSettings(kind="rough"),
         seed=seed,
     )
-    return HeadlineRun(row, settings, seconds)
+    return PlannedRun(row, settings, seconds)
 
 
 HEADLINE_RUNS: Final = (
@@ -69,23 +62,23 @@ def run_headline(
     baseline: Baseline,
     *,
     processes: int = 2,
-    progress: Callable[[HeadlineRun], None] = lambda _: None,
+    progress: Callable[[PlannedRun], None] = lambda _: None,
 ) -> dict[str, Summary]:
     """Simulate, detect and score.
 
     Returns:
         The figures of every row.
     """
-    done: dict[HeadlineRun, list[LegOutcome]] = {}
+    done: dict[PlannedRun, list[LegOutcome]] = {}
     for spec, outcomes in completed(partial(_one, robot, baseline), HEADLINE_RUNS, processes):
         done[spec] = outcomes
         progress(spec)
     rows: dict[str, list[LegOutcome]] = {}
     for spec in HEADLINE_RUNS:
-        rows.setdefault(spec.row, []).extend(done[spec])
+        rows.setdefault(spec.name, []).extend(done[spec])
     return {row: summarise(outcomes) for row, outcomes in rows.items()}
 
 
-def _one(robot: Robot, baseline: Baseline, spec: HeadlineRun) -> list[LegOutcome]:
+def _one(robot: Robot, baseline: Baseline, spec: PlannedRun) -> list[LegOutcome]:
     run = record_arrays(spec.settings, spec.seconds)
     return score_run(run, robot, play(run, robot, baseline).events)

@@ -27,34 +27,34 @@ from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.workers import completed
 
 
-class TrainingRun(NamedTuple):
-    """One run to learn from."""
+class PlannedRun(NamedTuple):
+    """One run to learn from, or to score."""
 
-    name: str
+    name: str  # of the run, or of the row it belongs to
     settings: SimulationSettings
     seconds: float
 
 
-def _pose(name: str, seed: int, seconds: float, motion: PoseSettings) -> TrainingRun:
-    return TrainingRun(name, SimulationSettings(motion=motion, seed=seed), seconds)
+def _pose(name: str, seed: int, seconds: float, motion: PoseSettings) -> PlannedRun:
+    return PlannedRun(name, SimulationSettings(motion=motion, seed=seed), seconds)
 
 
 def _walk(
     name: str, seed: int, seconds: float, motion: WalkSettings, terrain: TerrainKind
-) -> TrainingRun:
+) -> PlannedRun:
     ground = TerrainSettings(kind=terrain)
-    return TrainingRun(name, SimulationSettings(motion=motion, seed=seed, terrain=ground), seconds)
+    return PlannedRun(name, SimulationSettings(motion=motion, seed=seed, terrain=ground), seconds)
 
 
 def _other(
     name: str, robot: str, seed: int, seconds: float, terrain: TerrainKind | None, **changes: Any
-) -> TrainingRun:
+) -> PlannedRun:
     """A run of another robot: its own settings, some of its motion's changed."""
     gait = changes.get("gait")
     settings = SimulationSettings.of(robot, "pose" if terrain is None else "walk", gait)
     motion = replace(settings.motion, **changes)
     ground = settings.terrain if terrain is None else replace(settings.terrain, kind=terrain)
-    return TrainingRun(name, replace(settings, motion=motion, terrain=ground, seed=seed), seconds)
+    return PlannedRun(name, replace(settings, motion=motion, terrain=ground, seed=seed), seconds)
 
 
 _HEXAPOD: Final = (
@@ -100,7 +100,7 @@ def stretch_of(run: Run, leg: str, period_s: float = 0.02) -> Stretch:
 def learn_shipped(
     name: str,
     *,
-    runs: tuple[TrainingRun, ...] | None = None,
+    runs: tuple[PlannedRun, ...] | None = None,
     processes: int = 2,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Training:
@@ -135,5 +135,5 @@ def learn_shipped(
     )
 
 
-def _record(spec: TrainingRun) -> Run:
+def _record(spec: PlannedRun) -> Run:
     return record_arrays(spec.settings, spec.seconds)

@@ -14,6 +14,7 @@ from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact_sim import Simulation, load_scenario
+from adaptive_contact_sim.elements import HEXAPOD
 from adaptive_contact_sim.virtual import (
     FaultSchedule,
     KinematicBackend,
@@ -23,17 +24,17 @@ from adaptive_contact_sim.virtual import (
 from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_ports
 from adaptive_contact_sim.virtual.compare import play
 from adaptive_contact_sim.virtual.horns import Horns
-from adaptive_contact_sim.virtual.passive import PassiveBackend, order
+from adaptive_contact_sim.virtual.passive import PassiveBackend
 from adaptive_contact_sim.virtual.physics import GaitedBackend, LocalSource
 from adaptive_contact_sim.virtual.port import VirtualPort
-from adaptive_contact_sim.virtual.quadruped import QuadrupedBackend, QuadrupedPlant, quadruped_order
+from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend, QuadrupedPlant
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
 from adaptive_contact_studies.quadruped_trials import SCENARIOS, record
 
 
 def horns(robot: str = "hexapod") -> Horns:
     plans = plan_ports(with_ports(shipped_robot(robot), Path("x"), None))
-    return Horns.of(plans, order() if robot == "hexapod" else quadruped_order())
+    return Horns.of(plans, (HEXAPOD if robot == "hexapod" else LAYOUT).servos)
 
 
 def test_a_robot_with_a_gait_is_the_simulators_own() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -143,7 +145,7 @@ def test_thresholds_hold_the_rate_they_aim_at() -> None:
     rate = 1e-4
     score = calibration.score(rng.exponential(size=(400_000, 2)), rate)
     assert np.mean(score > 1.0) == pytest.approx(rate, rel=0.35)
-    only = calibration.using((1,))
+    only = replace(calibration, channels=(1,))
     assert only.thresholds(rate).shape == (1,)
     assert only.thresholds(rate)[0] < calibration.thresholds(rate)[1]
 

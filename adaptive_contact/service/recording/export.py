@@ -24,7 +24,7 @@ import msgpack
 import msgspec
 from mcap.writer import CompressionType, Writer
 
-from adaptive_contact.errors import MissingExtraError, RecordingError
+from adaptive_contact.errors import RecordingError, needs
 from adaptive_contact.files import whole_file
 from adaptive_contact.service.recording.format import ABOUT, Record
 from adaptive_contact.service.recording.reader import Recording
@@ -423,12 +423,8 @@ def _write_tables(
 ) -> None:
     make = _CsvTable if to is ExportFormat.CSV else _ParquetTable
     if to is ExportFormat.PARQUET:
-        try:
-            importlib.import_module(
-                "pyarrow"
-            )  # before anything is written; a broken one counts, too
-        except ImportError as error:
-            raise MissingExtraError("export --to parquet", "export") from error
+        with needs("export --to parquet", "export"):
+            importlib.import_module("pyarrow")  # before anything is written
     columns: dict[type[Message], _Columns] = {}
     first = Exported()
     for record, kind, message in _known(recording, first, on_record):

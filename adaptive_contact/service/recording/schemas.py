@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Union, get_args, get_orig
 
 import msgspec
 
-from adaptive_contact.errors import MissingExtraError
+from adaptive_contact.errors import needs
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.wire import LEG_MESSAGES, BridgeStatus, Drift, LegTrace, Message
 
@@ -136,10 +136,8 @@ def protobuf_class(kind: type[Message]) -> tuple[bytes, Callable[[Message], byte
     Raises:
         MissingExtraError: protobuf is not installed.
     """
-    try:
+    with needs("export --to protobuf", "export"):
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-    except ImportError as error:
-        raise MissingExtraError("export --to protobuf", "export") from error
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{_PACKAGE}/{kind.__name__}.proto", package=_PACKAGE, syntax="proto3"
     )

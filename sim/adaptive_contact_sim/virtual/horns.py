@@ -17,7 +17,7 @@ STEP_S: Final = 0.001
 # Steps made at one call: more would keep the bus waiting.
 _MOST_STEPS: Final = 5
 # Further behind than this, lost time is let go.
-_LET_GO_S: Final = 0.5
+LET_GO_S: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class OnStand(ABC):
         if self._start_s is None:
             self._start_s = now_s
         behind = int((now_s - self._start_s) / STEP_S) - self.steps()
-        if behind * STEP_S > _LET_GO_S:
+        if behind * STEP_S > LET_GO_S:
             self._start_s += behind * STEP_S
             self._epoch_ns += round(behind * STEP_S * 1e9)
             behind = 0

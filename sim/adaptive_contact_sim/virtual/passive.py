@@ -14,7 +14,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.wire import ContactTruth
-from adaptive_contact_sim.elements import JOINTS, LEGS, N_SERVOS, PARTS
+from adaptive_contact_sim.elements import LEGS, N_SERVOS, PARTS
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.scene import on_a_stand
 from adaptive_contact_sim.servo import QUANTUM_RAD, manufactured
@@ -94,11 +94,6 @@ class PassiveBackend(OnStand):
         for change in changes:
             t_ns = self._epoch_ns + change.step * round(STEP_S * 1e9)
             self._on_truth(LEGS[change.leg], change.message(t_ns, PARTS, lambda _: "hard"))
-
-
-def order() -> list[tuple[str, str]]:
-    """(leg, joint) in the order of the simulator's servos."""
-    return [(leg, joint) for leg in LEGS for joint in JOINTS]
 
 
 def _on_a_stand(height_m: float) -> mujoco.MjModel:

@@ -31,7 +31,7 @@ from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.wire import truth_key
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
-from adaptive_contact_sim.virtual.horns import STEP_S, Horns
+from adaptive_contact_sim.virtual.horns import LET_GO_S, STEP_S, Horns
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
@@ -57,7 +57,10 @@ class LocalSource:
         self.sim = Simulation(settings)
         self._on_tick = on_tick
         self._rows: list[tuple[Array, Array]] = []
-        self._watch()
+        plant = self.sim.plant
+        plant.on_step = lambda: self._rows.append(
+            (plant.joint_angles.copy(), plant.joint_speeds.copy())
+        )
 
     def begin(self, epoch_ns: int) -> None:
         """Take up the time stamp of tick 0; the tick is made when it is taken."""
@@ -71,17 +74,6 @@ class LocalSource:
         offset = self.sim.plant.servos.offset_rad
         angles = np.stack([row[0] for row in self._rows]) + offset
         return MadeTick(angles, np.stack([row[1] for row in self._rows]), self.sim.desired.copy())
-
-    def _watch(self) -> None:
-        """Keep the joints' state after every physics step."""
-        plant = self.sim.plant
-        rub = plant.servos.rub
-
-        def after_step() -> None:
-            rub()
-            self._rows.append((plant.joint_angles.copy(), plant.joint_speeds.copy()))
-
-        plant.servos.rub = after_step  # type: ignore[method-assign]
 
 
 class ProcessSource:
@@ -196,10 +188,6 @@ def _stand_back() -> None:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(max(first - 5, 1)))
 
 
-# Further behind than this, lost time is let go.
-_LET_GO_S: Final = 0.5
-
-
 class Source(Protocol):
     """Where ticks come from; see :mod:`adaptive_contact_sim.virtual.physics`."""
 
@@ -236,7 +224,7 @@ class GaitedBackend:
             self._made = self._source.take()
             self._source.begin(self._epoch_ns)
         start = self._start_s + self._tick * self._period_s
-        if now_s - start > _LET_GO_S:
+        if now_s - start > LET_GO_S:
             self._let_begin(now_s)
             start = now_s
         while now_s >= start + self._period_s:

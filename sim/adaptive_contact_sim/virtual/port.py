@@ -184,10 +184,11 @@ class VirtualPort:
                 replies = version == 2 and frame.code == Instruction.PING
             if status is None or not replies:
                 continue
-            if everyone:
-                now_s = self._reply(servo, status, now_s, elapsed_s)
-            elif self.faults.strike("silent", frame.id, elapsed_s) is None:
-                answers.append(self._answer_of(servo, status, now_s, elapsed_s))
+            if self.faults.strike("silent", status.id, elapsed_s) is not None:
+                continue
+            answers.append(self._answer_of(servo, status, now_s, elapsed_s))
+            if everyone:  # one after the other
+                now_s = self._send_all([answers.pop()])
         self._send_all(answers)
 
     def _execute(self, servo: VirtualServo, frame: Frame, elapsed_s: float) -> Status | None:
@@ -303,12 +304,6 @@ class VirtualPort:
         if servo.model.protocol == 2:
             alert = _ALERT if alert else 0
         return status._replace(error=status.error | alert)
-
-    def _reply(self, servo: VirtualServo, status: Status, now_s: float, elapsed_s: float) -> float:
-        """Queue an answer, with what goes wrong; returns when the bus is free again."""
-        if self.faults.strike("silent", servo.id, elapsed_s):
-            return now_s
-        return self._send_all([self._answer_of(servo, status, now_s, elapsed_s)])
 
     def _answer_of(
         self, servo: VirtualServo, status: Status, now_s: float, elapsed_s: float

@@ -17,22 +17,24 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from importlib import resources
 from typing import Final
 
 import mujoco
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
+from adaptive_contact.errors import SimulationDivergedError
+from adaptive_contact_sim.elements import Layout
 from adaptive_contact_sim.plant import Touch
-from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
+from adaptive_contact_sim.scene import PARKED_M, robot_xml, set_surface
+from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
 
 LEGS: Final = ("fl", "fr", "rl", "rr")
 JOINTS: Final = ("hip", "knee")
 PARTS: Final = ("hip", "knee", "foot")
-N_SERVOS: Final = len(LEGS) * len(JOINTS)
+LAYOUT: Final = Layout(LEGS, JOINTS, PARTS)
+N_SERVOS: Final = LAYOUT.n_servos
 
 STEP_RAD: Final = 2 * math.pi / 4096
 _GAIN: Final = 400.0 / 128.0  # of PWM per step
@@ -42,9 +44,7 @@ _NO_LOAD_RAD_S: Final = 104.0 * 2 * math.pi / 60
 _COULOMB_NM, _VISCOUS_NMS = 0.0128, 0.0037
 _SPREAD: Final = 0.12  # between servos of one kind, as for the hexapod
 _ABSURD_RAD_S: Final = 100.0
-_HARD_SOLIMP: Final = np.array([0.9, 0.95, 0.001, 0.5, 2.0])
 _PLATE_M: Final = (0.05, 0.03, 0.02)
-_PARKED_M: Final = (0.0, 0.0, -3.0)
 
 
 class QuadrupedPlant:
@@ -64,7 +64,7 @@ class QuadrupedPlant:
     def __init__(self, robot_seed: int = 0, start_rad: Array | None = None) -> None:
         self.model = _scene()
         self.data = mujoco.MjData(self.model)
-        names = [f"{leg}_{joint}" for leg in LEGS for joint in JOINTS]
+        names = [f"{leg}_{joint}" for leg, joint in LAYOUT.servos]
         ids = [self.model.joint(name).id for name in names]
         self._qpos = np.array([self.model.jnt_qposadr[i] for i in ids])
         self._dof = np.array([self.model.jnt_dofadr[i] for i in ids])
@@ -122,18 +122,12 @@ class QuadrupedPlant:
         foot = self.feet_m[leg]
         self.data.mocap_pos[self._plates[leg]] = (foot[0], foot[1], height_m - _PLATE_M[2])
         geom = self.model.geom(f"plate_{LEGS[leg]}").id
-        if stiffness_n_m is None:
-            self.model.geom_solref[geom] = HARD_SOLREF
-            self.model.geom_solimp[geom] = _HARD_SOLIMP
-        else:
-            body = self.model.body(f"{LEGS[leg]}_knee").id
-            inverse_mass = float(self.model.body_invweight0[body, 0])
-            solref, solimp = soft_contact(stiffness_n_m, inverse_mass)
-            self.model.geom_solref[geom], self.model.geom_solimp[geom] = solref, solimp
+        body = self.model.body(f"{LEGS[leg]}_knee").id
+        set_surface(self.model, geom, stiffness_n_m, float(self.model.body_invweight0[body, 0]))
 
     def clear_plate(self, leg: int) -> None:
         """Take a leg's plate away."""
-        self.data.mocap_pos[self._plates[leg]] = _PARKED_M
+        self.data.mocap_pos[self._plates[leg]] = PARKED_M
 
     def step(self) -> None:
         """Make one physics step of 1 ms.
@@ -185,19 +179,10 @@ class QuadrupedBackend(OnStand):
         self.plant.gain[index] = _PWM * STEP_RAD / slope_rad
 
 
-def quadruped_order() -> list[tuple[str, str]]:
-    """(leg, joint) in the order of the plant's servos."""
-    return [(leg, joint) for leg in LEGS for joint in JOINTS]
-
-
 def _scene() -> mujoco.MjModel:
-    folder = resources.files("adaptive_contact_models").joinpath("quadruped")
-    file = folder.joinpath("quadruped.xml")
-    if not file.is_file():
-        raise ConfigurationError("the quadruped's model is missing; install adaptive-contact again")
-    spec = mujoco.MjSpec.from_string(file.read_text(encoding="utf-8"))
+    spec = mujoco.MjSpec.from_string(robot_xml("quadruped"))
     for leg in LEGS:
-        body = spec.worldbody.add_body(name=f"plate_{leg}", mocap=True, pos=list(_PARKED_M))
+        body = spec.worldbody.add_body(name=f"plate_{leg}", mocap=True, pos=list(PARKED_M))
         body.add_geom(
             name=f"plate_{leg}",
             type=mujoco.mjtGeom.mjGEOM_BOX,

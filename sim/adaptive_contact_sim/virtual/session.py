@@ -18,6 +18,7 @@ from adaptive_contact.files import write_file
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ContactTruth, truth_key
+from adaptive_contact_sim.elements import HEXAPOD
 from adaptive_contact_sim.scenario import load_scenario
 from adaptive_contact_sim.virtual.assembly import (
     VirtualSettings,
@@ -27,7 +28,7 @@ from adaptive_contact_sim.virtual.assembly import (
 )
 from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.horns import Horns
-from adaptive_contact_sim.virtual.passive import PassiveBackend, order
+from adaptive_contact_sim.virtual.passive import PassiveBackend
 from adaptive_contact_sim.virtual.physics import GaitedBackend, ProcessSource
 
 if TYPE_CHECKING:
@@ -158,16 +159,16 @@ def _backend(
 ) -> tuple[Backend, list[tuple[str, str]]]:
     """The physics, and the order of its servos."""
     if plan.simulated != "hexapod":
-        from adaptive_contact_sim.virtual.quadruped import QuadrupedBackend, quadruped_order
+        from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend
 
         if plan.simulated != "quadruped" or plan.scenario is not None:
             raise ConfigurationError(
                 f"no virtual robot '{plan.simulated}' with that scenario; there are hexapod, and "
                 "quadruped on a stand"
             )
-        pairs = quadruped_order()
+        pairs = LAYOUT.servos
         return QuadrupedBackend(Horns.of(plans, pairs), robot_seed=plan.robot_seed), pairs
-    pairs = order()
+    pairs = HEXAPOD.servos
     horns = Horns.of(plans, pairs)
     if plan.scenario is None:
         passive = PassiveBackend(

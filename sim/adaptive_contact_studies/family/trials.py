@@ -20,9 +20,9 @@ from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.model.leg_prior import family
-from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
+from adaptive_contact.robot import Robot
 from adaptive_contact.score import LegOutcome
-from adaptive_contact.score.summary import clopper_pearson, poisson_mean
+from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
@@ -259,9 +259,8 @@ def _later(legs: Iterable[Figures]) -> str:
 
 
 def _alarms(legs: Iterable[Figures], ticks: int) -> str:
-    alarms, each = sum(leg.alarms for leg in legs), ROBOT_HOUR_TICKS / max(ticks, 1)
-    ends = poisson_mean(alarms)
-    return f"{alarms * each:.0f} ({ends.low * each:.0f} to {ends.high * each:.0f})"
+    found = AlarmFigures.of(sum(leg.alarms for leg in legs), max(ticks, 1))
+    return f"{found.per_hour:.0f} ({found.interval.low:.0f} to {found.interval.high:.0f})"
 
 
 def _share(pairs: Sequence[tuple[int, int]]) -> str:

@@ -65,19 +65,22 @@ def alarm_ticks(
     above = np.flatnonzero((score > threshold) & (swing >= 0))
     calm_below = CALM_SCORE * threshold
     found: list[int] = []
-    n, position = len(score), 0
+    position = 0
     freed_in, free_from = -1, 0
     while position < len(above):
         tick = int(above[position])
         if descending is not None:
             if swing[tick] != freed_in:
                 freed_in = int(swing[tick])
-                free_from = _freed(score, swing, descending, tick, calm_below)
+                first = tick
+                while first > 0 and swing[first - 1] == freed_in:
+                    first -= 1
+                free_from = _calm(score, swing, first, calm_below, CALM_TICKS, descending)
             if tick < free_from:
                 position = int(np.searchsorted(above, free_from, side="left"))
                 continue
         found.append(tick)
-        rearmed = _rearmed(score, swing, tick, n, calm_below)
+        rearmed = _calm(score, swing, tick, calm_below, REARM_TICKS, None)
         position = int(np.searchsorted(above, rearmed, side="left"))
     return np.array(found, dtype=np.int64)
 
@@ -94,37 +97,20 @@ def alarms(
     return Events(when, np.ones(len(when), dtype=bool), when)
 
 
-def _freed(
-    score: Array,
-    swing: Ints,
-    descending: Mask,
-    tick: int,
-    calm_below: float,
+def _calm(
+    score: Array, swing: Ints, at: int, calm_below: float, ticks: int, descending: Mask | None
 ) -> int:
-    """First tick of this tick's swing on which the leg is known to be free."""
-    first = tick
-    while first > 0 and swing[first - 1] == swing[tick]:
-        first -= 1
-    calm, at = 0, first
-    while at < len(score) and swing[at] == swing[tick]:
+    """First tick of a swing after so many calm ones from ``at`` on, or after a descending one.
+
+    Without any within the swing the tick after it: what comes next has a swing, and a load, of its
+    own.
+    """
+    number, calm = swing[at], 0
+    while at < len(score) and swing[at] == number:
         value = score[at]
         if value == value:
             calm = calm + 1 if value < calm_below else 0
-            if calm >= CALM_TICKS or descending[at]:
-                return at + 1
-        at += 1
-    # Never within this swing: what comes next has a swing, and a load, of its own.
-    return at
-
-
-def _rearmed(score: Array, swing: Ints, tick: int, n: int, calm_below: float) -> int:
-    """First tick after a contact reported at ``tick`` on which another may be."""
-    calm, at = 0, tick + 1
-    while at < n and swing[at] == swing[tick]:
-        value = score[at]
-        if value == value:
-            calm = calm + 1 if value < calm_below else 0
-            if calm >= REARM_TICKS:
+            if calm >= ticks or (descending is not None and descending[at]):
                 return at + 1
         at += 1
     return at
@@ -237,10 +223,6 @@ class Calibration:
         known = np.isfinite(used)
         best = np.where(known, used, -np.inf).max(axis=1)
         return np.where(known.any(axis=1), best, np.nan)
-
-    def using(self, channels: Sequence[int]) -> Calibration:
-        """The same with other channels."""
-        return dataclasses.replace(self, channels=tuple(channels))
 
 
 def calibrate(statistics: Sequence[ArrayLike]) -> Calibration:

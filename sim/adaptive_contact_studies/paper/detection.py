@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, shipped_robot
-from adaptive_contact.score import LegOutcome, Row, poisson_mean, summarise
+from adaptive_contact.score import LegOutcome, Row, summarise
+from adaptive_contact.score.summary import AlarmFigures
 from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.paper.comparison_rules import Calibration
@@ -186,13 +187,12 @@ def _figures(
 
 def rate_of(count: int, ticks: int) -> dict[str, Any]:
     """Alarms per robot-hour; a count of -1 means a threshold too low to be counted."""
-    hours = ticks / ROBOT_HOUR_TICKS
-    low, high = poisson_mean(count) if count >= 0 else (float("nan"), float("nan"))
+    alarms = AlarmFigures.of(count, ticks) if count >= 0 and ticks else None
     return {
         "count": count,
-        "hours": hours,
-        "per_hour": count / hours if hours and count >= 0 else None,
-        "interval": [low / hours, high / hours] if hours else [None, None],
+        "hours": ticks / ROBOT_HOUR_TICKS,
+        "per_hour": alarms and alarms.per_hour,
+        "interval": list(alarms.interval) if alarms else [None, None],
     }
 
 

@@ -8,7 +8,7 @@ default detector learns from both, as its own cross-validation keeps them apart.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final, NamedTuple
 
@@ -200,7 +200,7 @@ def tune_bench(
             subsets = [c for n in range(1, JOINTS + 1) for c in combinations(range(JOINTS), n)]
         best = -1.0
         for channels in subsets:
-            bench.calibrations[name] = whole.using(channels)
+            bench.calibrations[name] = replace(whole, channels=channels)
             outcomes = [
                 match(
                     truth,

@@ -84,24 +84,25 @@ def learned(store: Store, plan: Plan) -> Learned:
     tree = store.tree("bench", models_key(plan), lambda: _tune(store, plan, robot, models))
     gains = Gains(np.array(tree["gains"]["angle"]), np.array(tree["gains"]["speed"]))
     figures["analytical"] = tree["analytical"]
+    kept = tree["bench"]
     bench = Bench(
-        lag=tree["lag"],
+        lag=kept["lag"],
         noise={
             model: {
                 name: NoiseModel(np.array(entry["covariance"]), np.array(entry["ticks"]))
                 for name, entry in known.items()
             }
-            for model, known in tree["noise"].items()
+            for model, known in kept["noise"].items()
         },
         calibrations={
             name: Calibration(
                 tuple(Tail(**tail) for tail in entry["tails"]), tuple(entry["channels"])
             )
-            for name, entry in tree["calibrations"].items()
+            for name, entry in kept["calibrations"].items()
         },
         quantum_rad=robot.quantum_rad,
         aim_per_hour=robot.detector.false_alarms_per_hour,
-        tuned=tree["tuned"],
+        tuned=kept["tuned"],
     )
     figures["lag"], figures["tuned"] = bench.lag, bench.tuned
     figures["channels"] = {name: c.channels for name, c in bench.calibrations.items()}
@@ -180,23 +181,7 @@ def _tune(store: Store, plan: Plan, robot: Robot, models: dict[str, LegModels]) 
     touch = [e for e in evidence if e.stream.piece.kind in plan.tune_touch_s]
     quiet = [e for e in evidence if e.stream.piece.kind not in plan.tune_touch_s]
     bench = tune_bench(robot, quiet, touch, robot.detector.false_alarms_per_hour)
-    return {
-        "gains": {"angle": gains.angle, "speed": gains.speed},
-        "analytical": analytical,
-        "lag": bench.lag,
-        "noise": {
-            model: {
-                name: {"covariance": noise.covariance, "ticks": noise.ticks}
-                for name, noise in known.items()
-            }
-            for model, known in bench.noise.items()
-        },
-        "calibrations": {
-            name: {"tails": c.tails, "channels": c.channels}
-            for name, c in bench.calibrations.items()
-        },
-        "tuned": bench.tuned,
-    }
+    return {"gains": gains, "analytical": analytical, "bench": bench}
 
 
 def _analytical_rms(

@@ -262,7 +262,7 @@ def figures(judgement: Judgement) -> Tree:
         "leg_runs": len(judgement.leg_runs),
         "leg_runs_asked": len(scenario.leg_runs),
         "recordings": len(set(judgement.recordings.tolist())),
-        "simulated_s": sum(r.seconds for r in scenario.recordings),
+        "simulated_s": scenario.seconds,
         "counts_as_one_to_recover_from": harmful,
         "marks": {mark.name: mark.at_s for mark in scenario.marks},
         "phases": {p.name: [p.from_s, p.to_s] for p in scenario.phases},

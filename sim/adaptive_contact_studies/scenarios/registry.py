@@ -33,15 +33,11 @@ from adaptive_contact_studies.scenarios.runs import (
     drifting,
     lone_runs,
     minutes,
-    of_robot_0,
     pose_runs,
     turn_runs,
     walk_run,
     walk_runs,
     walks_without_change,
-    without_drift,
-    without_faults,
-    without_staging,
 )
 from adaptive_contact_studies.scenarios.spec import (
     ALL_VARIANTS,
@@ -73,6 +69,10 @@ STEPS: Final = {
 }
 # Those that walk, too.
 WALKING_STEPS: Final = ("friction4", "supply94", "compliance2", "joint6")
+
+
+def _without_drift(spec: RecordingSpec) -> RecordingSpec:
+    return spec.with_settings(drift=())
 
 
 def steps(sizes: Sizes) -> list[Scenario]:
@@ -111,7 +111,7 @@ def _change(
         phases=around(at_s, end_s, swing_s),
         judged=("after",),
         marks=(Mark("step", at_s),),
-        twin=without_drift,
+        twin=_without_drift,
         mixed=not recordings[0].walks,
     )
 
@@ -170,7 +170,7 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
             phases=phases,
             judged=("changing", "after"),
             marks=(Mark("begin", at_s),),
-            twin=without_drift,
+            twin=_without_drift,
         )
         for name, (about, what) in entries.items()
     ]
@@ -192,7 +192,7 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
         ),
         judged=("muddy", "washed"),
         marks=(Mark("mud", at_s), Mark("washed", off_s)),
-        twin=without_drift,
+        twin=_without_drift,
     )
     return [*slow, pulse]
 
@@ -306,7 +306,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
         judged=("after",),
         # It is caught when it next rests, so that it comes free up to a swing late.
         marks=(Mark("free again", free_s + POSE_SWING_S),),
-        twin=without_staging,
+        twin=lambda spec: replace(spec, staging=Staging()),
         poisonous=True,
     )
     trailing = replace(
@@ -327,13 +327,10 @@ def trouble(sizes: Sizes) -> list[Scenario]:
         name="readings-3pct",
         about="of every joint's readings 3 % do not come, and 3 % are old ones",
         expect=Expect.UNHARMED,
-        recordings=tuple(
-            replace(spec, settings=replace(spec.settings, encoder=faults))
-            for spec in pose_runs(sizes, end_s)
-        ),
+        recordings=tuple(spec.with_settings(encoder=faults) for spec in pose_runs(sizes, end_s)),
         phases=(Phase("all", 0.0, end_s),),
         judged=("all",),
-        twin=without_faults,
+        twin=lambda spec: spec.with_settings(encoder=EncoderSettings()),  # the noise is the same
     )
     return [stand, caught, trailing, readings]
 
@@ -344,10 +341,7 @@ def starts(sizes: Sizes) -> list[Scenario]:
     settled = 60 * POSE_SWING_S  # the goal: valid after 60 swings
     phases = (Phase("start", 0.0, settled), Phase("after", settled, end_s))
     poses = pose_runs(sizes, end_s)
-    others = tuple(
-        replace(spec, settings=replace(spec.settings, robot_seed=1 + run))
-        for run, spec in enumerate(poses)
-    )
+    others = tuple(spec.with_settings(robot_seed=1 + run) for run, spec in enumerate(poses))
 
     def start(
         name: str, about: str, choice: BaselineChoice, recordings: tuple[RecordingSpec, ...]
@@ -360,7 +354,7 @@ def starts(sizes: Sizes) -> list[Scenario]:
             phases=phases,
             judged=("after",),
             marks=(Mark("start", 0.0),),
-            twin=of_robot_0,
+            twin=lambda spec: spec.with_settings(robot_seed=0),  # the shipped baseline's
             baseline=choice,
         )
 

@@ -6,6 +6,7 @@ The results file: figures and goals of every scenario that was run, and what the
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -15,7 +16,7 @@ from typing import Any, Final, NamedTuple
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
-from adaptive_contact.score import poisson_mean
+from adaptive_contact.score.summary import AlarmFigures
 from adaptive_contact_studies.scenarios.judge import LOCK_OUT_SWINGS, Judgement, figures
 from adaptive_contact_studies.scenarios.learners import HEXAPOD, reference_baseline
 from adaptive_contact_studies.scenarios.recording import simulator_fingerprint
@@ -55,16 +56,25 @@ class Goal:
 def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
     """The goals of a scenario, from its figures."""
     full = tree["variants"][Variant.FULL.value]
-    made = {
-        Expect.RECOVER: _recover,
-        Expect.FOLLOW: _follow,
-        Expect.UNPOISONED: _unpoisoned,
-        Expect.UNHARMED: _unharmed,
-        Expect.START: _start,
-        Expect.QUIET: _quiet,
-    }[scenario.expect](tree, full)
+    recall = Goal("recall lost, points", RECALL_POINTS, full["recall_lost_points"])
+    harm = Goal("harm", 0.0, float(full["harmful"]))
+    match scenario.expect:
+        case Expect.RECOVER if tree["counts_as_one_to_recover_from"]:
+            made = [*_recover(full), recall, harm]
+        case Expect.RECOVER | Expect.UNHARMED:
+            made = [recall, harm]
+        case Expect.FOLLOW:
+            lock_out = float(full["longest_lock_out"])
+            made = [recall, Goal("longest lock-out, swings", LOCK_OUT_SWINGS, lock_out), harm]
+        case Expect.UNPOISONED:
+            made = [recall]
+        case Expect.START:
+            made = _start(full["start"])
+        case Expect.QUIET:
+            rate = full["judged"]["per_robot_hour"]
+            made = [Goal("false alarms per robot-hour", ALARMS_PER_HOUR, rate), recall]
     if scenario.poisonous:
-        made.append(_touching(full))
+        made.append(Goal("contact ticks learned, share", TOUCHING_SHARE, full["touching_share"]))
     if full["caught_swings"]:
         untold = 1.0 - full["caught_told"] / full["caught_swings"]
         made.append(Goal("caught swings not called ambiguous, share", CAUGHT_UNTOLD, untold))
@@ -84,59 +94,37 @@ def pooled(table: Mapping[str, Tree]) -> Tree:
     if not set(names) <= table.keys():
         return {}
     judged = [table[name]["variants"][Variant.FULL.value]["judged"] for name in names]
-    alarms = sum(one["false_alarms"] for one in judged)
-    hours = sum(one["judged_ticks"] for one in judged) / ROBOT_HOUR_TICKS
-    mean = poisson_mean(alarms)
-    rate = alarms / hours if hours else None
-    goal = Goal("false alarms per robot-hour, all that is steady", ALARMS_PER_HOUR, rate)
+    alarms = AlarmFigures.of(
+        sum(one["false_alarms"] for one in judged), sum(one["judged_ticks"] for one in judged)
+    )
+    what = "false alarms per robot-hour, all that is steady"
+    goal = Goal(what, ALARMS_PER_HOUR, alarms.per_hour)
     steady = {
         "scenarios": names,
-        "false_alarms": alarms,
-        "robot_hours": hours,
-        "per_robot_hour": rate,
-        "per_robot_hour_interval": [mean.low / hours, mean.high / hours] if hours else [0.0, None],
+        "false_alarms": alarms.false_alarms,
+        "robot_hours": alarms.judged_ticks / ROBOT_HOUR_TICKS,
+        "per_robot_hour": alarms.per_hour,
+        "per_robot_hour_interval": [v if math.isfinite(v) else None for v in alarms.interval],
         "goals": [asdict(goal) | {"met": goal.met}],
     }
     return {"steady": steady}
 
 
-def _recover(tree: Tree, full: Tree) -> list[Goal]:
-    if not tree["counts_as_one_to_recover_from"]:
-        return _unharmed(tree, full)
+def _recover(full: Tree) -> list[Goal]:
     made = []
     several = len(full["recovery"]) > 1
     for mark, recovery in full["recovery"].items():
         of = f" ({mark})" if several else ""
+        alarms = recovery["alarms_median"]
         made += [
             Goal(f"swings to recovery, median{of}", RECOVERY_MEDIAN, recovery["swings_median"]),
             Goal(f"swings to recovery, p95{of}", RECOVERY_P95, recovery["swings_p95"]),
-            Goal(
-                f"false alarms on the way, median{of}",
-                ALARMS_ON_THE_WAY,
-                recovery["alarms_median"],
-            ),
+            Goal(f"false alarms on the way, median{of}", ALARMS_ON_THE_WAY, alarms),
         ]
-    return [*made, *_unharmed(tree, full)]
+    return made
 
 
-def _follow(_: Tree, full: Tree) -> list[Goal]:
-    return [
-        _recall(full),
-        Goal("longest lock-out, swings", LOCK_OUT_SWINGS, float(full["longest_lock_out"])),
-        Goal("harm", 0.0, float(full["harmful"])),
-    ]
-
-
-def _unpoisoned(_: Tree, full: Tree) -> list[Goal]:
-    return [_recall(full)]
-
-
-def _unharmed(_: Tree, full: Tree) -> list[Goal]:
-    return [_recall(full), Goal("harm", 0.0, float(full["harmful"]))]
-
-
-def _start(_: Tree, full: Tree) -> list[Goal]:
-    start = full["start"]
+def _start(start: Tree) -> list[Goal]:
     own, reference = start["when_valid"]["recall"], start["reference"]["recall"]
     lost = None if own is None or reference is None else 100.0 * (reference - own)
     return [
@@ -144,19 +132,6 @@ def _start(_: Tree, full: Tree) -> list[Goal]:
         Goal("recall lost once valid, points", RECALL_POINTS, lost),
         Goal("harm once valid", 0.0, float(start["harmful"])),
     ]
-
-
-def _quiet(_: Tree, full: Tree) -> list[Goal]:
-    rate = full["judged"]["per_robot_hour"]
-    return [Goal("false alarms per robot-hour", ALARMS_PER_HOUR, rate), _recall(full)]
-
-
-def _recall(full: Tree) -> Goal:
-    return Goal("recall lost, points", RECALL_POINTS, full["recall_lost_points"])
-
-
-def _touching(full: Tree) -> Goal:
-    return Goal("contact ticks learned, share", TOUCHING_SHARE, full["touching_share"])
 
 
 VERSION: Final = 3

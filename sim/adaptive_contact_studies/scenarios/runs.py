@@ -16,7 +16,6 @@ from typing import Final
 from adaptive_contact.wire import Drift, DriftKind, DriftShape
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
@@ -211,7 +210,7 @@ def drifting(
             injections.append(Injection(drift, at_s))
             if shared:
                 break
-    return replace(spec, settings=replace(spec.settings, drift=tuple(injections)))
+    return spec.with_settings(drift=tuple(injections))
 
 
 def all_touch(
@@ -227,29 +226,9 @@ def all_touch(
         motion = spec.settings.motion
         assert isinstance(motion, PoseGroupSettings)
         poses = tuple(replace(p, workspace="paper", obstacles=obstacles) for p in motion.poses)
-        return replace(spec, settings=replace(spec.settings, motion=PoseGroupSettings(poses)))
+        return spec.with_settings(motion=PoseGroupSettings(poses))
 
     return tuple(within_reach(spec) for spec in pose_runs(sizes, seconds, staging))
-
-
-def without_drift(spec: RecordingSpec) -> RecordingSpec:
-    """The recording as it would have been without drift."""
-    return replace(spec, settings=replace(spec.settings, drift=()))
-
-
-def without_staging(spec: RecordingSpec) -> RecordingSpec:
-    """The recording with nothing done besides."""
-    return replace(spec, staging=Staging())
-
-
-def without_faults(spec: RecordingSpec) -> RecordingSpec:
-    """The recording with all readings coming; the noise is the same."""
-    return replace(spec, settings=replace(spec.settings, encoder=EncoderSettings()))
-
-
-def of_robot_0(spec: RecordingSpec) -> RecordingSpec:
-    """The recording of the robot that the shipped baseline was learned on."""
-    return replace(spec, settings=replace(spec.settings, robot_seed=0))
 
 
 def minutes(seconds: float) -> str:

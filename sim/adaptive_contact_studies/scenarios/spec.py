@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, Self
 
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
@@ -87,6 +87,10 @@ class RecordingSpec:
     def walks(self) -> bool:
         """Whether the robot walks; else some of its legs move in pose."""
         return isinstance(self.settings.motion, WalkSettings)
+
+    def with_settings(self, **changes: Any) -> Self:
+        """The same with some of the simulator's settings changed; its randomness stays."""
+        return replace(self, settings=replace(self.settings, **changes))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.files import cannot_write, write_file
 from adaptive_contact_studies.show.numbers import FILTERS
 
@@ -44,10 +44,8 @@ def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **give
     Raises:
         MissingExtraError: jinja2 is not installed.
     """
-    try:
+    with needs("a page", "studies"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("a page", "studies") from error
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
         autoescape=template.endswith(".html"),
