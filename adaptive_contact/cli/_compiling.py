@@ -32,13 +32,13 @@ def compile_tick(stop: threading.Event | None = None) -> None:
         why = f"numba, which has builds for 64 bits only, is not installed ({platform.machine()})"
         if os.environ.get("NUMBA_DISABLE_JIT"):
             why = "NUMBA_DISABLE_JIT is set"
-        _tell(f"{why}: ticks run as plain Python, too slow for a robot that walks")
+        say_note(f"{why}: ticks run as plain Python, too slow for a robot that walks")
         return
     if not is_cached():
         kept = "at each start, as no folder could be had to keep it in"
         if cache_folder():
             kept = "once"
-        _tell(f"compiling the arithmetic of a tick for this computer, {kept} (10 to 20 s)")
+        say_note(f"compiling the arithmetic of a tick for this computer, {kept} (10 to 20 s)")
         if cache_folder():
             # In a process of its own: the compiler would keep 200 MB for as long as this one runs.
             _run_until(stop or threading.Event(), [sys.executable, "-c", _CODE])
@@ -54,7 +54,3 @@ def _run_until(stop: threading.Event, words: list[str]) -> None:
     finally:
         child.kill()
         child.wait()
-
-
-def _tell(line: str) -> None:
-    say_note(line)

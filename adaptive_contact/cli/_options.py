@@ -23,6 +23,7 @@ from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import why_not_writable
+from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
 
 if TYPE_CHECKING:
@@ -151,14 +152,6 @@ def seconds_option(
     if most < math.inf:
         text = f"{text.rstrip('.')}, {least:g} to {most:g} s."
     return option(name, text, "DURATION", parser=parse, **settings)
-
-
-class WhenAmbiguous(StrEnum):
-    """What becomes of the contacts of an ambiguous leg; by value that of `adapt`."""
-
-    WITHHOLD = "withhold"
-    STRICT = "strict"
-    PUBLISH = "publish"
 
 
 class LogLevel(StrEnum):

@@ -71,7 +71,7 @@ def write_description(wishes: Wishes) -> None:
         robot = _of_bus(wishes, devices, tuple(feet), names, read)
     else:
         robot = _of_answers(wishes, tuple(feet), names, read)
-    if wishes.lengths is not None and not devices:
+    if wishes.lengths is not None:
         measured = _lengths(wishes.lengths, len(robot.legs[0].joints))
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
         robot = msgspec.structs.replace(robot, legs=alike)
@@ -227,7 +227,6 @@ def _of_bus(
         raise ConfigurationError(
             f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
         )
-    measured = None
     if wishes.lengths is not None:
         numbers = {len(leg.ids) for leg in wanted} or {joints}
         if len(numbers) > 1:
@@ -235,7 +234,7 @@ def _of_bus(
                 "--lengths is for legs that are alike, and --ids has legs of "
                 f"{' and '.join(map(str, sorted(numbers)))} servos; fill lengths_m in by hand"
             )
-        measured = _lengths(wishes.lengths, numbers.pop())
+        _lengths(wishes.lengths, numbers.pop())
     found = [
         find_servos(
             port,
@@ -260,9 +259,6 @@ def _of_bus(
         robot = msgspec.structs.replace(robot, period_s=1.0 / wishes.rate)
     if wishes.resolution is not None:
         robot = msgspec.structs.replace(robot, quantum_rad=wishes.resolution)
-    if measured is not None:
-        alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
-        robot = msgspec.structs.replace(robot, legs=alike)
     slopes = steepness(found, robot)
     if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
         listed = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())

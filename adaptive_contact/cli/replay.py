@@ -19,6 +19,7 @@ from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
+from adaptive_contact.learn.mode import WhenAmbiguous
 
 if TYPE_CHECKING:
     from adaptive_contact.bank import LearnerBank
@@ -66,7 +67,7 @@ def replay(
     ] = None,
     baseline: opt.BaselineOption = None,
     config: opt.ConfigOption = None,
-    when_ambiguous: opt.AmbiguousOption = opt.WhenAmbiguous.WITHHOLD,
+    when_ambiguous: opt.AmbiguousOption = WhenAmbiguous.WITHHOLD,
     everything: Annotated[
         bool, option("--all", "Also publish recorded events, status and COMMANDS.")
     ] = False,
@@ -79,7 +80,7 @@ def replay(
     from adaptive_contact.service.recording import is_bag, read_recording
 
     on_wire = {"--speed": speed, "--all": everything, "--keep-run": keep_run, **network.given}
-    published = when_ambiguous is not opt.WhenAmbiguous.WITHHOLD
+    published = when_ambiguous is not WhenAmbiguous.WITHHOLD
     through_learners = {"--baseline": baseline, "--config": config, "--when-ambiguous": published}
     if events is not None or plot is not None:
         _refuse(on_wire, "--events and --plot use no network; leave {} out")
@@ -112,14 +113,13 @@ def _to_events(
     out: Path | None,
     plot: Path | None,
     learned: Baseline | None,
-    when_ambiguous: opt.WhenAmbiguous,
+    when_ambiguous: WhenAmbiguous,
     read: tuple[Path | None, ...],
 ) -> None:
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.bank import LearnerBank
     from adaptive_contact.cli._replay_plot import check_plot, write_plot
-    from adaptive_contact.learn import mode
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events
@@ -140,9 +140,7 @@ def _to_events(
     to_stdout = str(out) == "-"
     file = sys.stdout.buffer if to_stdout else kept
     with closing(WaitingRefitter()) as refitter:
-        bank = LearnerBank(
-            robot, learned, refitter=refitter, when_ambiguous=mode.WhenAmbiguous(when_ambiguous)
-        )
+        bank = LearnerBank(robot, learned, refitter=refitter, when_ambiguous=when_ambiguous)
         robots = OneRobot(recording)
         traced = TracedRecords(robots, robot) if plot is not None else None
         traces = TraceBank(bank)

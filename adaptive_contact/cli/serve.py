@@ -17,6 +17,7 @@ from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._output import make_stdout_optional, say, say_note
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
+from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.priority import cores, take_priority
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def serve(
     insecure: opt.InsecureOption = False,
     max_sessions: opt.MaxSessionsOption = None,
     realtime: opt.RealtimeOption = False,
-    when_ambiguous: opt.AmbiguousOption = opt.WhenAmbiguous.WITHHOLD,
+    when_ambiguous: opt.AmbiguousOption = WhenAmbiguous.WITHHOLD,
     json: opt.JsonPayloadOption = False,
     log_json: opt.LogJsonOption = False,
     log_level: opt.LogLevelOption = opt.LogLevel.INFO,
@@ -63,7 +64,6 @@ def serve(
         from threadpoolctl import threadpool_limits
 
         from adaptive_contact.bank import LearnerBank
-        from adaptive_contact.learn.mode import WhenAmbiguous as Policy
         from adaptive_contact.service.link import router_settings
         from adaptive_contact.service.logs import FaultLog, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
@@ -96,7 +96,7 @@ def serve(
             learned,
             refitter=refitter,
             on_fault=FaultLog(),
-            when_ambiguous=Policy(when_ambiguous),
+            when_ambiguous=when_ambiguous,
         )
         link = open_link(settings, stop)
         if link is None:

@@ -221,28 +221,11 @@ class FoxgloveServer:
     def _show_ticks(self, trace: LegTrace) -> None:
         offset_ns = self._offsets_ns[trace.leg]
         now_ns = time.time_ns()
-        for t_ns, seq, swing, desired, measured, predicted, ratio in zip(
-            trace.t_ns,
-            trace.seq,
-            trace.swing,
-            trace.desired,
-            trace.measured,
-            trace.predicted,
-            trace.test_ratio,
-            strict=False,
-        ):
-            if abs(t_ns + offset_ns - now_ns) > _MOST_AGE_NS:
-                continue
-            tick = JudgedTick(
-                t_ns=t_ns,
-                seq=seq,
-                swing=swing,
-                desired=desired,
-                measured=measured,
-                predicted=predicted,
-                test_ratio=ratio,
-            )
-            self._show(trace_key(trace.leg), tick, t_ns + offset_ns)
+        names = JudgedTick.__struct_fields__  # as the trace has them, one list each
+        for values in zip(*(getattr(trace, name) for name in names), strict=False):
+            tick = JudgedTick(**dict(zip(names, values, strict=True)))
+            if abs(tick.t_ns + offset_ns - now_ns) <= _MOST_AGE_NS:
+                self._show(trace_key(trace.leg), tick, tick.t_ns + offset_ns)
 
 
 def check_installed() -> None:

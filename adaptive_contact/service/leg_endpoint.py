@@ -210,11 +210,6 @@ class LegEndpoint:
         self._refused = why
         self._refused_ns = now_ns
 
-    @property
-    def ever_received(self) -> bool:
-        """Whether any readable sample has come."""
-        return self.received_samples > 0
-
     def silent(self, now_ns: int) -> bool:
         """Return whether no usable sample, or no servo's answer, has come for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS

@@ -481,10 +481,7 @@ class Link:
     ) -> None:
         """Drop every link that holds up a reliable put and takes nothing itself.
 
-        Args:
-            busy_ns: how long the put under way has been going on at a monotonic time, ns.
-            on_drop: called with how many links were dropped, on a thread of the link's own.
-            on_loss: the same with how many took nothing any more until they were closed.
+        The arguments are those of the sockets', called on a thread of the link's own.
         """
         self._sockets.drop_what_holds_up(busy_ns, on_drop, on_loss)
 

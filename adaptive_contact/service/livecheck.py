@@ -189,7 +189,7 @@ class _LegCheck:
         self.refused: deque[Rejected] = deque(maxlen=_REFUSED_KEPT)
         self._frame = AngleFrame(leg)
         self._period_s = robot.period_s
-        self._quantum_rad = robot.quantum(leg.id)
+        self._facts = LegFacts.of(robot, leg.id)
         self._count = 0
         self._recent: deque[Array] = deque(maxlen=max(round(_REST_S / robot.period_s), 2))
         self._rested: Array | None = None
@@ -267,18 +267,13 @@ class _LegCheck:
         )
 
     def faults(self, seconds: float) -> Iterator[Fault]:
-        facts = LegFacts(
-            joints=list(self.leg.joints),
-            lengths=self.leg.chain is not None,
-            quantum_rad=self._quantum_rad,
-        )
         yield from check_leg(
             self.leg.id,
             list(self.samples),
             list(self.refused),
             seconds=seconds,
             period_s=self._period_s,
-            facts=facts,
+            facts=self._facts,
         )
         limits = self.leg.limits
         if limits is None or not self.turned:

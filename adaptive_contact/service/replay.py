@@ -410,19 +410,17 @@ def _touches(
             continue
         end = min(onset + int(table.window_ns[i]), releases[onset])
         earlier = [at_ns for at_ns in scores if onset < at_ns <= end]
+        why = why_missed(t_ns, ratio, onset, end, withheld)
         if earlier:
             ms = (earlier[0] - onset) / 1e6
-            why = f"missed: the contact after {ms:.0f} ms counts for a touch before it ({of})"
-            found.append(Touch(at_s, "miss" if table.counted[i] else "beyond", why))
-            continue
-        kind = "miss" if table.counted[i] else "beyond"
-        found.append(Touch(at_s, kind, f"{why_missed(t_ns, ratio, onset, end, withheld)} ({of})"))
-    for alarms, where in ((outcome.alarms_ns, "swing"), (outcome.after_ns, "turn to stance")):
+            why = f"missed: the contact after {ms:.0f} ms counts for a touch before it"
+        found.append(Touch(at_s, "miss" if table.counted[i] else "beyond", f"{why} ({of})"))
+    for alarms, where in (
+        (outcome.alarms_ns, "in the swing"),
+        (outcome.after_ns, "in or after the turn to stance"),
+    ):
         for at_ns in alarms.tolist():
-            score = scores.get(at_ns, np.nan)
-            why = f"false, {score:.2f} times the threshold, in or after the {where}"
-            if where == "swing":
-                why = f"false, {score:.2f} times the threshold, in the swing"
+            why = f"false, {scores.get(at_ns, np.nan):.2f} times the threshold, {where}"
             found.append(Touch((at_ns - start_ns) / _NS_PER_S, "false", why))
     return sorted(found, key=lambda touch: touch.at_s)
 

@@ -266,7 +266,7 @@ class Service:
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + _SERVICE_STATUS_NS
             endpoints = (self._endpoints.get(leg) for leg in self._robot.leg_ids)
-            lonely = any(one is not None and not one.ever_received for one in endpoints)
+            lonely = any(one is not None and not one.received_samples for one in endpoints)
             self._stray_keys = self._strays.look(lonely=lonely, now_ns=now_ns)
             self._status.put(self.status(now_ns))
         if now_ns >= self._latency_ns:
@@ -433,7 +433,7 @@ class Service:
     def _look_at(self, at: int, now_ns: int) -> None:
         endpoint = self._order[at]
         changed = endpoint.publish_status(now_ns)
-        if changed is not None and endpoint.ever_received:
+        if changed is not None and endpoint.received_samples:
             _log.info("leg status", leg=endpoint.leg, status=changed)
         keeper = self._keeper
         if keeper is None or not keeper.due(endpoint, now_ns):
@@ -450,7 +450,7 @@ class Service:
         """Have every leg saved, send the last events, and publish the last counts."""
         for endpoint in self._order:
             endpoint.publish_status(now_ns, anyway=True)
-            if self._keeper is not None and endpoint.ever_received:
+            if self._keeper is not None and endpoint.received_samples:
                 self._keeper.take(endpoint, now_ns)
         self._publisher.close()  # first: what it cannot send any more is to be reported
         self._status.put(self.status(time.monotonic_ns()))

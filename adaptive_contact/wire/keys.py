@@ -61,10 +61,9 @@ def meant_key(key: str) -> str | None:
     if len(parts) < 2:
         return None
     own = key.lstrip("/").startswith("robot/leg/")
-    pairs = (
-        [parts[2:4]] if own and len(parts) > _OWN_DEPTH else []
-    )  # something behind, as of a joint
-    pairs.append(parts[-2:])
+    pairs = [parts[-2:]]
+    if own and len(parts) > _OWN_DEPTH:  # something behind, as of a joint
+        pairs.insert(0, parts[2:4])
     for leg, kind in [way for pair in pairs for way in (pair, pair[::-1])]:  # also turned round
         near = difflib.get_close_matches(kind.lower(), LEG_MESSAGES, n=1)
         # A word of other robots' keys, such as camera/command, is no misspelling of ours; nor are

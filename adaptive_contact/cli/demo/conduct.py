@@ -32,7 +32,7 @@ from adaptive_contact.web import LivePage
 from adaptive_contact.wire import JSON, SIM_DRIFT, Drift, DriftReply, Rejected, decode, servo_key
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.watch import LegView, View
+    from adaptive_contact.service.watch import LegView
 
 # Between two plain lines, s of simulated time.
 _LINE_EVERY_S: Final = 5.0
@@ -209,7 +209,8 @@ def _conduct(
         while simulator.running:
             if stop.wait(_REFRESH_S):
                 raise StoppedError
-            _must_run(service)
+            if not service.running:  # it has ended, well or not, and should go on until stopped
+                raise service.failure()
             recording.check()
             run.step(feed.view(time.monotonic_ns()))
             if time.monotonic() > until_s:
@@ -248,12 +249,6 @@ def _walk(settings: DemoSettings, endpoint: str) -> tuple[str, ...]:
         *("--seconds", f"{settings.seconds:g}", "--seed", str(settings.seed)),
         *("--connect", endpoint),
     )
-
-
-def _must_run(service: Child) -> None:
-    """Raise if the service has ended, well or not: it should go on until it is stopped."""
-    if not service.running:
-        raise service.failure()
 
 
 class _Run:

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from adaptive_contact.cli.demo.settings import DemoSettings, drift_words
 from adaptive_contact.cli.demo.summary import outcome_words, percent, touches_words
@@ -30,6 +30,18 @@ _OTHERS: Final = "#9AA0A8"
 _DRIFTED: Final = "#FFF3DC"
 _INK: Final = "#20242A"
 
+_MARKS: Final[dict[str, dict[str, Any]]] = {
+    "touch found": {"marker": "|", "s": 150, "color": _SERVICE, "linewidth": 2.2, "zorder": 3},
+    "touch missed": {
+        "marker": "o",
+        "s": 42,
+        "facecolors": "white",
+        "edgecolors": _WRONG,
+        "linewidth": 1.8,
+        "zorder": 3,
+    },
+    "false alarm": {"marker": "x", "s": 38, "color": _WRONG, "linewidth": 1.8, "zorder": 4},
+}
 _SIZE_IN: Final = (14.0, 9.4)
 _TICK_MS: Final = 20.0
 _STYLE: Final = {
@@ -104,7 +116,7 @@ def _timeline(axes: Axes, settings: DemoSettings, verdict: Verdict) -> None:
         y = -at
         if name == leg:
             axes.fill_between([drift_s, right_s], y - 0.5, y + 0.5, color=_DRIFTED, lw=0, zorder=0)
-        spans = _seconds(verdict, verdict.truth[name].contacts)
+        spans = _seconds(verdict, verdict.truth[name])
         axes.broken_barh(
             [(begin, end - begin) for begin, end in spans],
             (y - 0.27, 0.54),
@@ -131,9 +143,8 @@ def _timeline(axes: Axes, settings: DemoSettings, verdict: Verdict) -> None:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.scatter([], [], marker="s", s=60, color=_TRUE, label="on the ground (truth)")
-    _found(axes, [], 0.0, "touch found")
-    _missed(axes, [], 0.0, "touch missed")
-    _false(axes, [], 0.0, "false alarm")
+    for kind, style in _MARKS.items():
+        axes.scatter([], [], label=kind, **style)
     # Below: above the axes is the drift's label, which ends wherever the drift came.
     axes.legend(
         loc="upper right",
@@ -150,34 +161,13 @@ def _marks(axes: Axes, verdict: Verdict, outcome: LegOutcome, y: float) -> None:
     """Found, missed and false, of one leg."""
     touches = outcome.touches
     when = _seconds(verdict, touches.onset_ns)
-    _found(axes, when[touches.found], y)
-    _missed(axes, when[touches.counted & ~touches.found], y)
-    # A little higher: a false alarm early in a swing often comes right before its missed touch.
-    _false(axes, _seconds(verdict, outcome.alarms_ns), y + 0.3)
-
-
-def _found(axes: Axes, x: ArrayLike, y: float, label: str | None = None) -> None:
-    where = np.full(np.shape(x), y)
-    axes.scatter(x, where, marker="|", s=150, color=_SERVICE, linewidth=2.2, zorder=3, label=label)
-
-
-def _missed(axes: Axes, x: ArrayLike, y: float, label: str | None = None) -> None:
-    axes.scatter(
-        x,
-        np.full(np.shape(x), y),
-        marker="o",
-        s=42,
-        facecolors="white",
-        edgecolors=_WRONG,
-        linewidth=1.8,
-        zorder=3,
-        label=label,
-    )
-
-
-def _false(axes: Axes, x: ArrayLike, y: float, label: str | None = None) -> None:
-    where = np.full(np.shape(x), y)
-    axes.scatter(x, where, marker="x", s=38, color=_WRONG, linewidth=1.8, zorder=4, label=label)
+    for kind, x, up in (
+        ("touch found", when[touches.found], 0.0),
+        ("touch missed", when[touches.counted & ~touches.found], 0.0),
+        # A little higher: a false alarm early in a swing often comes right before its missed touch.
+        ("false alarm", _seconds(verdict, outcome.alarms_ns), 0.3),
+    ):
+        axes.scatter(x, np.full(len(x), y + up), **_MARKS[kind])
 
 
 # -- why, and how well -------------------------------------------------------------------------

@@ -69,13 +69,6 @@ class Judged:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class LegTruth:
-    """When a leg really touched: (c, 2) begin and end of each contact, ns."""
-
-    contacts: Ints
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
 class Verdict:
     """What the recording shows."""
 
@@ -86,7 +79,7 @@ class Verdict:
     drift_leg: str  # the leg it befell
     service: Judged  # the events that the service published
     frozen: Judged  # those of the model it started with, on the same samples
-    truth: dict[str, LegTruth]  # per leg
+    truth: dict[str, Ints]  # (c, 2) begin and end of each real contact, ns; per leg
     versions: dict[str, int]  # newest model version of each leg that the service reported
 
 
@@ -219,10 +212,10 @@ def _split(outcome: LegOutcome, drift_ns: int) -> int:
     return int(outcome.swings.start_ns[under_way][0]) if under_way.any() else drift_ns
 
 
-def _contacts(stream: LegStream) -> LegTruth:
+def _contacts(stream: LegStream) -> Ints:
     found = contacts_of(stream.truth, int(stream.t_ns[0]))
     end = np.minimum(found.release_ns, stream.t_ns[-1])
-    return LegTruth(np.column_stack([found.onset_ns, end]))
+    return np.column_stack([found.onset_ns, end])
 
 
 def _versions(records: Iterable[Record]) -> dict[str, int]:

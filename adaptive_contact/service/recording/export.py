@@ -18,15 +18,14 @@ from collections.abc import Callable, Iterable, Iterator
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
-from typing import IO, Any, Final, cast, get_type_hints
+from typing import IO, Any, Final, get_type_hints
 
 import msgpack
 import msgspec
-from mcap.writer import CompressionType, Writer
 
 from adaptive_contact.errors import RecordingError, needs
 from adaptive_contact.files import whole_file
-from adaptive_contact.service.recording.format import ABOUT, Record
+from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import Recording
 from adaptive_contact.service.recording.schemas import (
     json_schema,
@@ -35,7 +34,7 @@ from adaptive_contact.service.recording.schemas import (
     protobuf_class,
     schema_name,
 )
-from adaptive_contact.service.recording.writer import MAX_CHANNELS, Counted
+from adaptive_contact.service.recording.writer import MAX_CHANNELS, started_writer
 from adaptive_contact.wire import (
     MAX_PAYLOAD_BYTES,
     Message,
@@ -95,10 +94,9 @@ class Exported:
 
     def note(self, record: Record) -> None:
         """Count a message that was written."""
-        self._first_ns = (
-            min(self._first_ns, record.log_time_ns) if self.messages else (record.log_time_ns)
-        )
-        self._last_ns = max(self._last_ns, record.log_time_ns)
+        at_ns = record.log_time_ns
+        self._first_ns = min(self._first_ns, at_ns) if self.messages else at_ns
+        self._last_ns = max(self._last_ns, at_ns)
         self.messages += 1
 
 
@@ -218,11 +216,7 @@ def _without_none(held: Any) -> Any:
 def _write_mcap(
     recording: Recording, file: IO[bytes], form: _Form, exported: Exported, on_record: OnRecord
 ) -> None:
-    writer = Writer(
-        cast(Any, Counted(file)), chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD
-    )
-    writer.start(profile="", library="adaptive-contact")
-    writer.add_metadata(ABOUT, {"v": "1", **recording.about})
+    writer = started_writer(file, _CHUNK_BYTES, recording.about)
     schemas: dict[type[Message], int] = {}
     channels: dict[str, tuple[int, type[Message] | None]] = {}
     for record in recording:

@@ -94,9 +94,7 @@ def _json_object(struct: type[msgspec.Struct]) -> dict[str, Any]:
         "description": " ".join((struct.__doc__ or "").split()),
         "type": "object",
         "properties": {name: part for name, part in shown.items() if part is not None},
-        "required": [
-            f.name for f in msgspec.structs.fields(struct) if f.required and shown[f.name]
-        ],
+        "required": [f.name for f in fields if f.required and shown[f.name]],
     }
 
 

@@ -26,7 +26,7 @@ MAX_TIME_NS: Final = (1 << 64) - 1
 MAX_CHANNELS: Final = (1 << 16) - 1
 
 
-class Counted:
+class _Counted:
     """What mcap writes to; it asks for positions, which a FIFO does not know."""
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -45,6 +45,16 @@ class Counted:
     def flush(self) -> None:
         """Pass on."""
         self._file.flush()
+
+
+def started_writer(file: IO[bytes], chunk_bytes: int, about: Mapping[str, str]) -> Writer:
+    """An MCAP writer that has begun; ``about`` says what the recording is of."""
+    writer = Writer(
+        cast(Any, _Counted(file)), chunk_size=chunk_bytes, compression=CompressionType.ZSTD
+    )
+    writer.start(profile="", library="adaptive-contact")
+    writer.add_metadata(ABOUT, {"v": "1", **about})
+    return writer
 
 
 class RecordingWriter:
@@ -68,12 +78,8 @@ class RecordingWriter:
             self._file: IO[bytes] | None = open_stream(self.path)
         except OSError as error:
             raise self._failed(error) from error
-        self._writer = Writer(
-            cast(Any, Counted(self._file)), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
-        )
         try:
-            self._writer.start(profile="", library="adaptive-contact")
-            self._writer.add_metadata(ABOUT, {"v": "1", **(about or {})})
+            self._writer = started_writer(self._file, CHUNK_BYTES, about or {})
             self._file.flush()
         except OSError as error:
             self._abandon()

@@ -79,35 +79,31 @@ class StateStore:
                 return True
             self.close()
         folder = self.folder
-        try:
-            folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if folder.is_symlink():
-                raise OSError(errno.ELOOP, "it is a link")
-            folder.mkdir(mode=0o700, exist_ok=True)
-            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _SAFE)
-        except OSError as error:
-            self.trouble = _reason(error, self.shown)
-            return False
-        try:
-            lock = os.open(_LOCK, os.O_RDWR | os.O_CREAT | _SAFE, 0o600, dir_fd=handle)
-        except OSError as error:
-            os.close(handle)
-            self.trouble = _reason(error, self.shown)
-            return False
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(lock)
-            os.close(handle)
-            self.trouble = (
-                f"{self.shown} is in use by another service; stop that one, or give another --state"
-            )
-            return False
-        except OSError as error:  # a file system without locks
-            os.close(lock)
-            os.close(handle)
-            self.trouble = _reason(error, self.shown, "locked")
-            return False
+        with contextlib.ExitStack() as opened:
+            try:
+                folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+                if folder.is_symlink():
+                    raise OSError(errno.ELOOP, "it is a link")
+                folder.mkdir(mode=0o700, exist_ok=True)
+                handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _SAFE)
+                opened.callback(os.close, handle)
+                lock = os.open(_LOCK, os.O_RDWR | os.O_CREAT | _SAFE, 0o600, dir_fd=handle)
+                opened.callback(os.close, lock)
+            except OSError as error:
+                self.trouble = _reason(error, self.shown)
+                return False
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                self.trouble = (
+                    f"{self.shown} is in use by another service; stop that one, or give another "
+                    "--state"
+                )
+                return False
+            except OSError as error:  # a file system without locks
+                self.trouble = _reason(error, self.shown, "locked")
+                return False
+            opened.pop_all()
         self._lock, self._handle, self.trouble = lock, handle, None
         self.exposed = _exposed(folder)
         return True
