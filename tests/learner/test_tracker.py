@@ -119,18 +119,3 @@ def test_a_joint_that_is_elsewhere_is_believed_beside_readings_known_to_be_bad(
             begun_anew.append(tick)
     assert begun_anew
     assert begun_anew[0] == 5, "the fourth reading that says so"
-
-
-@pytest.mark.parametrize(("leverage", "waits"), [(0.0, True), (9.0, True), (16.0, False)])
-def test_a_repeated_reading_is_taken_where_the_model_does_not_know_the_motion(
-    tracker: Readings, leverage: float, waits: bool
-) -> None:
-    """Ten steps are expected: of a model that errs by four times the noise, that is no evidence."""
-    batch = tracker.place.batch
-    tracker.place.leg["has_domain"] = True
-    batch.theta[0, 0], batch.domain[0, 0, 0] = 1.0, leverage**0.5
-    stuck = 6 * STEP
-    stuck[1] = 5 * STEP[1]
-    residual = move(tracker, stuck)
-    assert tracker.substituted == waits
-    assert residual[1] == pytest.approx(0.0 if waits else -STEP[1])
