@@ -38,12 +38,15 @@ class ConfigurationError(AdaptiveContactError):
 
 
 class MissingExtraError(ConfigurationError):
-    """A command needs an optional dependency that is not installed."""
+    """A command needs an optional dependency that is not installed, or broken."""
 
-    def __init__(self, what: str, extra: str) -> None:
+    def __init__(self, what: str, extra: str, broken: str = "") -> None:
+        found, again = "is not installed", ""
+        if broken:
+            found, again = f"cannot be loaded ({broken})", "--force-reinstall "
         super().__init__(
-            f"{what} needs the extra '{extra}', which is not installed; "
-            f"run: pip install 'adaptive-contact[{extra}]'"
+            f"{what} needs the extra '{extra}', which {found}; "
+            f"run: pip install {again}'adaptive-contact[{extra}]'"
         )
         self.extra = extra
 
@@ -65,7 +68,8 @@ def needs(what: str, extra: str, *modules: str) -> Iterator[None]:
     except ImportError as error:
         if modules and (error.name or "").partition(".")[0] not in modules:
             raise
-        raise MissingExtraError(what, extra) from error
+        broken = "" if isinstance(error, ModuleNotFoundError) else str(error).partition("\n")[0]
+        raise MissingExtraError(what, extra, broken) from error
 
 
 class RecordingError(AdaptiveContactError):

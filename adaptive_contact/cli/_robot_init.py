@@ -234,7 +234,7 @@ def _of_bus(
                 "--lengths is for legs that are alike, and --ids has legs of "
                 f"{' and '.join(map(str, sorted(numbers)))} servos; fill lengths_m in by hand"
             )
-        _lengths(wishes.lengths, numbers.pop())
+        _lengths(wishes.lengths, numbers.pop())  # refused before the bus is searched
     found = [
         find_servos(
             port,

@@ -137,7 +137,7 @@ def examine(link: Link, seconds: float) -> Diagnosis:
     began = time.monotonic()
     everything = link.subscribe("**", waiting.append)
     while time.monotonic() - began < seconds:
-        time.sleep(_POLL_S)
+        time.sleep(_POLL_S)  # a deque, which drops the oldest of a flood, cannot be waited for
         for _ in range(len(waiting)):
             seen.take(waiting.popleft())
     elapsed = time.monotonic() - began

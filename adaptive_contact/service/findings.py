@@ -180,8 +180,12 @@ def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
         if not explained(leg, fault):
             together.setdefault((fault.cause, fault.key), []).append((leg, fault))
     made = [_entry(of_cause) for of_cause in together.values()]
-    # What befalls most legs comes first: a description that is wrong shows in single legs, too.
-    return sorted(made, key=lambda finding: (_RANKS[finding.level], -len(finding.legs)))
+    # The whole robot first, then what befalls most legs: its description, wrong, shows in single
+    # legs, too.
+    return sorted(
+        made,
+        key=lambda finding: (_RANKS[finding.level], bool(finding.legs), -len(finding.legs)),
+    )
 
 
 def _entry(faults: Sequence[tuple[str | None, Fault]]) -> Finding:

@@ -5,8 +5,8 @@ rare and must arrive, so they go express with BLOCK, ahead of the streams, and t
 kept for late joiners (an advanced publisher's cache for those who subscribe with history, a
 queryable for those who ask with a plain ``get``).
 
-Callbacks run on Zenoh's threads behind a 256-deep queue; one that works starves every other
-subscription of the session.  A sink only enqueues.
+Callbacks run on a thread of their subscription, behind a 256-deep queue; one that works holds up
+the session's other subscriptions.  A sink only enqueues; :class:`Arrivals` needs no such thread.
 """
 
 from __future__ import annotations
@@ -178,9 +178,9 @@ class Arrivals:
     """Samples of any number of subscriptions, in order, for the one thread that takes them.
 
     Zenoh's receiving thread puts them here itself, which saves a thread per subscription and a
-    switch per sample.  It calls a C function: a Python one would cost it 40 µs, as a thread that
-    Python has not made gets a new stack for each call.  So nothing bounds the queue but the
-    thread that takes, which must wait for nothing else.
+    switch per sample.  It calls a C function, as a Python one would cost it 40 µs.  So nothing
+    bounds the queue but the thread that takes, which must wait for nothing else, and a sample's
+    time of arrival is that of its taking.
     """
 
     def __init__(self) -> None:
@@ -191,17 +191,20 @@ class Arrivals:
         return self._queue.qsize()
 
     def get(self, timeout_s: float | None = None) -> Received | None:
-        """The next sample; None where none comes in time, and once after :meth:`end`."""
-        while True:
+        """Take the next sample; None where none comes in time, and once after :meth:`end`."""
+        received = None
+        while received is None:  # a deletion is passed over
             try:
                 sample = self._queue.get(timeout=timeout_s)
             except queue.Empty:
                 return None
-            if sample is None or (received := _received(sample)) is not None:
-                return None if sample is None else received
+            if sample is None:
+                return None
+            received = _received(sample)
+        return received
 
     def end(self) -> None:
-        """Let whoever waits go on, after what has arrived before."""
+        """Have :meth:`get` return None after what has arrived before."""
         self._queue.put(None)
 
 
@@ -330,17 +333,7 @@ class Link:
         if history == 0:
             plain = self._session.declare_publisher(key, **quality)
             return Publisher(plain, key, self.settings.encoding, keep=False)
-        advanced = zenoh.ext.declare_advanced_publisher(
-            self._session,
-            key,
-            cache=zenoh.ext.CacheConfig(history),
-            sample_miss_detection=zenoh.ext.MissDetectionConfig(
-                heartbeat=None, sporadic_heartbeat=None
-            ),
-            publisher_detection=True,
-            **quality,
-        )
-        publisher = Publisher(advanced, key, self.settings.encoding, keep=True)
+        publisher = self._kept(key, history, None, **quality)
         # Zenoh's thread answers; the reply is made of bytes that are there already.
         Declared(self._session.declare_queryable(key, publisher.answer), self._held)
         return publisher
@@ -353,16 +346,20 @@ class Link:
         Args:
             key: without wildcards.
         """
+        drop = zenoh.CongestionControl.DROP
+        return self._kept(key, 1, _HEARTBEAT_S, congestion_control=drop, express=True)
+
+    def _kept(self, key: str, cache: int, heartbeat_s: float | None, **quality: Any) -> Publisher:
+        """Declare a publisher with a cache for late joiners."""
         declared = zenoh.ext.declare_advanced_publisher(
             self._session,
             key,
-            cache=zenoh.ext.CacheConfig(1),
+            cache=zenoh.ext.CacheConfig(cache),
             sample_miss_detection=zenoh.ext.MissDetectionConfig(
-                heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S
+                heartbeat=None, sporadic_heartbeat=heartbeat_s
             ),
             publisher_detection=True,
-            congestion_control=zenoh.CongestionControl.DROP,
-            express=True,
+            **quality,
         )
         return Publisher(declared, key, self.settings.encoding, keep=True)
 
@@ -428,35 +425,27 @@ class Link:
         Raises:
             LinkError: the link is closed.
         """
+        given: dict[str, Any] = {}
+        if message is not None:
+            encoding = self.settings.encoding
+            given = {"payload": encode(message, encoding), "encoding": encoding}
         try:
-            return self._query(selector, message, timeout_s)
+            found = list(self._session.get(selector, timeout=timeout_s, **given))
         except zenoh.ZError as error:
             raise LinkError(f"{selector} cannot be asked for: {first_line(error)}") from error
-
-    def _query(self, selector: str, message: Message | None, timeout_s: float) -> list[Reply]:
-        encoding = self.settings.encoding
-        payload = None if message is None else encode(message, encoding)
         replies = []
-        for reply in self._session.get(
-            selector,
-            timeout=timeout_s,
-            payload=payload,
-            encoding=encoding if payload is not None else None,
-        ):
+        for reply in found:
             if reply.ok is not None:
-                sample = reply.ok
-                key, bytes_ = str(sample.key_expr), sample.payload.to_bytes()
-                replies.append(Reply(key, bytes_, str(sample.encoding)))
+                key, payload = str(reply.ok.key_expr), reply.ok.payload.to_bytes()
+                replies.append(Reply(key, payload, str(reply.ok.encoding)))
             elif reply.err is not None:
-                text = reply.err.payload.to_bytes()
-                reason = text.decode(errors="replace")
-                replies.append(Reply(selector, text, str(reply.err.encoding), reason))
+                text, coded = reply.err.payload.to_bytes(), str(reply.err.encoding)
+                replies.append(Reply(selector, text, coded, text.decode(errors="replace")))
         return replies
 
     def token(self, key: str) -> Declared:
         """Declare a liveliness token: others see it for as long as this link is up."""
-        token = self._session.liveliness().declare_token(key)
-        return Declared(token, self._held)
+        return Declared(self._session.liveliness().declare_token(key), self._held)
 
     def alive(self, key_expr: str, *, timeout_s: float = 1.0) -> set[str]:
         """Tokens that are alive now."""
@@ -465,8 +454,7 @@ class Link:
 
     def watch_tokens(self, key_expr: str, sink: Callable[[str, bool], None]) -> Declared:
         """Hand (key, alive) to a sink at each change, and at once for those alive already."""
-        liveliness = self._session.liveliness()
-        declared = liveliness.declare_subscriber(
+        declared = self._session.liveliness().declare_subscriber(
             key_expr,
             lambda sample: sink(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
             history=True,
@@ -479,10 +467,7 @@ class Link:
         on_drop: Callable[[int], None],
         on_loss: Callable[[int], None],
     ) -> None:
-        """Drop every link that holds up a reliable put and takes nothing itself.
-
-        The arguments are those of the sockets', called on a thread of the link's own.
-        """
+        """As :meth:`LinkSockets.drop_what_holds_up`; called on a thread of the link's own."""
         self._sockets.drop_what_holds_up(busy_ns, on_drop, on_loss)
 
     def routers(self) -> tuple[str, ...]:

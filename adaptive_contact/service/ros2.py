@@ -75,7 +75,7 @@ class Inbox:
 
     def __init__(self, topics: tuple[str, ...]) -> None:
         self.dropped: collections.Counter[str] = collections.Counter()
-        self._waiting: dict[str, collections.deque[Received]] = {
+        self._waiting: dict[str, collections.deque[tuple[rmw.Address, Received]]] = {
             topic: collections.deque() for topic in topics
         }
         self._order: collections.deque[str] = collections.deque()
@@ -84,23 +84,22 @@ class Inbox:
     def __len__(self) -> int:
         return len(self._order)
 
-    def put(self, topic: str, received: Received) -> None:
-        """Add a message."""
-        waiting = self._waiting[topic]
-        waiting.append(received)
+    def put(self, address: rmw.Address | None, received: Received) -> None:
+        """Add a message, where it is one of a topic that is read."""
+        waiting = None if address is None else self._waiting.get(address.topic)
+        if address is None or waiting is None:
+            return
+        waiting.append((address, received))
         if len(waiting) <= WAITING:
-            self._order.append(topic)
+            self._order.append(address.topic)
             return
         waiting.popleft()
         with self._lock:
-            self.dropped[topic] += 1
+            self.dropped[address.topic] += 1
 
-    def get(self) -> tuple[str, Received] | None:
-        """The next message, None where none waits."""
-        if not self._order:
-            return None
-        topic = self._order.popleft()
-        return topic, self._waiting[topic].popleft()
+    def get(self) -> tuple[rmw.Address, Received] | None:
+        """Take the next message; None where none waits."""
+        return self._waiting[self._order.popleft()].popleft() if self._order else None
 
     def take_dropped(self) -> dict[str, int]:
         """Messages dropped since the last call, by topic."""
@@ -243,23 +242,18 @@ class Gateway:
 
     # -- ROS 2 to the service ----------------------------------------------------------------------
 
-    def _next(self, timeout_s: float) -> tuple[str, Received] | None:
-        """The next message, None where none comes in time."""
-        if not self._inbox:
-            self._sort(self._arrivals.get(timeout_s))
-        for _ in range(len(self._arrivals)):  # and no more: a flood may come as fast
-            self._sort(self._arrivals.get(0.0))
+    def _next(self, timeout_s: float) -> tuple[rmw.Address, Received] | None:
+        """Take the next message; None where none comes in time."""
+        wait_s = 0.0 if self._inbox else timeout_s
+        for _ in range(len(self._arrivals) or 1):  # and no more: a flood may come as fast
+            received = self._arrivals.get(wait_s)
+            if received is not None:
+                self._inbox.put(self._address(received.key), received)
+            wait_s = 0.0
         return self._inbox.get()
 
-    def _sort(self, received: Received | None) -> None:
-        address = None if received is None else self._address(received.key)
-        if received is not None and address is not None and address.topic in self._topics:
-            self._inbox.put(address.topic, received)
-
-    def _inward(self, topic: str, received: Received) -> None:
-        address = self._address(received.key)
-        if address is None:
-            return
+    def _inward(self, address: rmw.Address, received: Received) -> None:
+        topic = address.topic
         if len(received.payload) > MAX_BYTES:
             self._complain(
                 topic,

@@ -51,3 +51,19 @@ def test_every_figure_is_given() -> None:
                 assert asked == given, f"{path.name}:{call.lineno}: {name}"
                 given_by += 1
     assert given_by > 50
+
+
+def test_what_befalls_most_comes_first() -> None:
+    """Of one level: the whole robot, then most legs."""
+    cause = findings.Cause
+    faults = [
+        ("lf", findings.Fault("error", cause.PHASE, "phase", "turn it")),
+        *(
+            (leg, findings.Fault("error", cause.NOT_THIS_ROBOT, "no", "look"))
+            for leg in ("rf", "lm")
+        ),
+        (None, findings.Fault("error", cause.NO_SERVICE, "no service", "start it")),
+        ("lr", findings.Fault("warning", cause.LIMITS, "rate", "mend it")),
+    ]
+    order = [cause.NO_SERVICE, cause.NOT_THIS_ROBOT, cause.PHASE, cause.LIMITS]
+    assert [finding.cause for finding in findings.entries(faults)] == order

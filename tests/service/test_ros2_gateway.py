@@ -379,12 +379,15 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(serve, gateway, join, 
 
 def test_a_topic_that_floods_drops_its_own_oldest() -> None:
     inbox = Inbox(("/a", "/b"))
+    a, b, other = (rmw.Address(topic, RosType.JOINT_STATE, "") for topic in ("/a", "/b", "/c"))
     messages = [Received(str(i), b"", "", i, None) for i in range(WAITING + 36)]
-    inbox.put("/b", messages[0])
+    inbox.put(b, messages[0])
+    inbox.put(other, messages[0])
+    inbox.put(None, messages[0])
     for message in messages:
-        inbox.put("/a", message)
+        inbox.put(a, message)
     got = [inbox.get() for _ in range(WAITING + 1)]
-    assert got == [("/b", messages[0]), *(("/a", message) for message in messages[36:])]
+    assert got == [(b, messages[0]), *((a, message) for message in messages[36:])]
     assert inbox.get() is None
     assert inbox.take_dropped() == {"/a": 36}
     assert inbox.take_dropped() == {}
