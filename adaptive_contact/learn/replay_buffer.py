@@ -25,8 +25,10 @@ MOST_SEGMENTS: Final = 1000
 # Swings of many seconds bring hundreds of rows each: so many, 5 MB of the shipped library, are kept
 # in all, with room for half as many more.  A thousand segments of a walk, of a dozen, are as many.
 MOST_ROWS: Final = 12_000
-# Room for rows at first; and once more than this share of it is kept, for so many times those.
-FIRST_ROOM: Final = 128
+# Room for rows at first, those of a walk's segments: arrays that grow leave holes in the process's
+# memory, and what is not written to takes none.  Once more than this share of it is kept, for so
+# many times those.
+FIRST_ROOM: Final = 2048
 FULL: Final = 0.8
 SPARE: Final = 1.5
 _EVICTED: Final = -1  # era of rows that are kept no more

@@ -7,6 +7,7 @@ optional.
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import re
 import tomllib
@@ -333,6 +334,7 @@ def load_robot(path: str | Path) -> Robot:
     return parse_robot(text, source=str(path))
 
 
+@functools.cache  # a description cannot change
 def shipped_robot(name: str = "hexapod") -> Robot:
     """Load a robot that ships in ``adaptive_contact_models``.
 

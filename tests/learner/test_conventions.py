@@ -147,13 +147,15 @@ def test_another_order_of_one_leg_is_found_and_no_other_accused() -> None:
     assert (found.leg, found.order) == ("lm", (2, 1, 0))
 
 
-@pytest.mark.parametrize("phase", [True, False])
 @pytest.mark.parametrize(
-    ("signs", "zeros"),
+    ("signs", "zeros", "phase"),
     [
-        ((1, 1, 1), (0.0, 0.3, -0.6)),
-        ((1, -1, -1), (0.0, 0.0, -np.pi / 2)),
-        ((1, 1, 1), (0.0, 0.0, 0.2513)),  # 14.4 degrees
+        ((1, 1, 1), (0.0, 0.3, -0.6), True),
+        pytest.param((1, 1, 1), (0.0, 0.3, -0.6), False, marks=pytest.mark.slow),
+        pytest.param((1, -1, -1), (0.0, 0.0, -np.pi / 2), True, marks=pytest.mark.slow),
+        ((1, -1, -1), (0.0, 0.0, -np.pi / 2), False),
+        ((1, 1, 1), (0.0, 0.0, 0.2513), True),  # 14.4 degrees
+        pytest.param((1, 1, 1), (0.0, 0.0, 0.2513), False, marks=pytest.mark.slow),
     ],
 )
 def test_zeros_of_all_legs_are_found_together_with_signs(

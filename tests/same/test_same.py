@@ -171,10 +171,13 @@ def test_two_processes_give_the_same_to_the_last_bit(
 # Its processes compile the tick of a tree that nobody has run: minutes on a busy machine.
 pytestmark = pytest.mark.timeout(900)
 
-QUICK = ("sign of the onset's share", "ticks before an onset", "forgetting")
+QUICK = "sign of the onset's share"
+SLOWER = ("ticks before an onset", "forgetting")  # each compiles a tree for itself
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize(
+    "name", [QUICK, *(pytest.param(n, marks=pytest.mark.slow) for n in SLOWER)]
+)
 def test_a_planted_fault_is_found(name: str, recording: Path, sound: Tree, tmp_path: Path) -> None:
     fault = next(fault for fault in FAULTS if fault.name == name)
     with planted(fault, sound, tmp_path) as tree:
