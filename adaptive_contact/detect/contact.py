@@ -77,18 +77,6 @@ def model_uncertainty(theta, index, per_scale, root, size, joint):
 
 
 @compiled
-def leverage(theta, reach):
-    """Compute the leverage of regressors: how far they lie outside of what the fit has seen."""
-    total = 0.0
-    for r in range(reach.shape[0]):
-        z = 0.0
-        for c in range(reach.shape[1]):
-            z += reach[r, c] * theta[c]
-        total += z * z
-    return total
-
-
-@compiled
 def statistic(
     leg, history, whiten, shrink, limits, awaited, scores, sums, gradient, against
 ):  # fmt: skip

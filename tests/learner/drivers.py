@@ -109,7 +109,7 @@ class Readings:
             leg, np.asarray(reading, dtype=float), flags, valid is not None and not all(valid),
             b.room[6], b.window[0], b.lags, b.preview, b.history[0], b.increment[0], b.reach[0],
             b.last_good[0], b.last[0], b.suspects[0], b.stale[0], b.refused[0], b.values[0],
-            b.counts[0], tuple(b.table), b.xi0[0], b.coefficients[0], b.theta[0],
+            b.counts[0], tuple(b.table), b.xi0[0], b.coefficients[0], b.domain[0], b.theta[0],
             b.sums.reshape(-1), b.some, b.room,
         )  # fmt: skip
         take(leg, b.room[6], b.window[0], b.lags, b.history[0], b.increment[0])
