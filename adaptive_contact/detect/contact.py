@@ -320,7 +320,7 @@ def enter_row(
     row.value = value
     row.context = leg.context
     row.t_ns = leg.at_ns
-    row.calm, row.cleared, row.push = free, leg.cleared, False
+    row.calm, row.cleared, row.push, row.repeats = free, leg.cleared, False, leg.repeats
     for j in range(joints):
         target[j] = history[0, 0, j] + history[1, 0, j]
         targets[at, j] = target[j]

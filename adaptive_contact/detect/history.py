@@ -21,6 +21,7 @@ MAX_STEP_RAD_S: Final = 25.0
 # and one more while these move as predicted, to within so many steps: ground that stops one joint
 # dead does not leave the others alone.  Where the leverage h of the motion is above 1, the model
 # errs by √h times its noise, and must expect so much more: its error would take a reading's place.
+# Such a reading is judged as it is; as a foot that is held fast stands, too, it is not learned.
 STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
 # What a joint can do in a tick is learned from it: a reading off its prediction by more than this
@@ -213,7 +214,7 @@ def repair(
     steps, jumps, limits, recent, offs = floats[0], floats[1], floats[2], floats[3], floats[4]
     before = floats[5]
     substituted = leg.bad
-    leg.sound, leg.bad = True, False
+    leg.sound, leg.bad, leg.repeats = True, False, False
     seen = leg.seen
     leg.seen = True
     for j in range(joints):
@@ -283,7 +284,10 @@ def repair(
     else:
         some_still, all_still, all_known = False, True, True
         for j in range(joints):
-            found[j] = steps[j] == 0.0 and abs(increment[j]) > expected and not missing[j]
+            repeats = steps[j] == 0.0 and not missing[j]
+            found[j] = repeats and abs(increment[j]) > expected
+            if repeats and not found[j]:
+                leg.repeats |= abs(increment[j]) > STALE_QUANTA * leg.quantum
             some_still |= found[j]
             all_still &= found[j]
             free = abs(measured[j] - window[j] - increment[j]) < FREE_QUANTA * leg.quantum
