@@ -77,18 +77,6 @@ def model_uncertainty(theta, index, per_scale, root, size, joint):
 
 
 @compiled
-def leverage(theta, reach):
-    """Compute the leverage of regressors: how far they lie outside of what the fit has seen."""
-    total = 0.0
-    for r in range(reach.shape[0]):
-        z = 0.0
-        for c in range(reach.shape[1]):
-            z += reach[r, c] * theta[c]
-        total += z * z
-    return total
-
-
-@compiled
 def statistic(
     leg, history, whiten, shrink, limits, awaited, scores, sums, gradient, against
 ):  # fmt: skip
@@ -332,7 +320,7 @@ def enter_row(
     row.value = value
     row.context = leg.context
     row.t_ns = leg.at_ns
-    row.calm, row.cleared, row.push = free, leg.cleared, False
+    row.calm, row.cleared, row.push, row.repeats = free, leg.cleared, False, leg.repeats
     for j in range(joints):
         target[j] = history[0, 0, j] + history[1, 0, j]
         targets[at, j] = target[j]

@@ -19,7 +19,6 @@ from adaptive_contact.detect.contact import (
     enter_row,
     keep_touch,
     let_go,
-    leverage,
     model_uncertainty,
     note_contact,
     note_fit,
@@ -31,6 +30,7 @@ from adaptive_contact.detect.contact import (
 from adaptive_contact.detect.history import (
     UNSURE_TICKS,
     judged,
+    leverage,
     predict_next,
     push_command,
     repair,
@@ -229,7 +229,7 @@ def judge_tick(
                     leg, desired if leg.lost else command, missed, window, lags, preview,
                     history[i], increment, theta, thetas[i], reach, last_good,
                     last, suspects, stale, refused, values, counts,
-                    table, xi0[i], coefficients[i], predicting, some, room,
+                    table, xi0[i], coefficients[i], domain[i], predicting, some, room,
                 )  # fmt: skip
             else:
                 restart_history(leg, suspects)
@@ -293,8 +293,8 @@ def judge_tick(
         repair(
             leg, measured, valid, leg.has_valid, now_reading(room), window, lags, preview,
             history[i], increment, reach, last_good, last, suspects, stale,
-            refused, values, counts, table, xi0[i], coefficients[i], theta, predicting,
-            some, room,
+            refused, values, counts, table, xi0[i], coefficients[i], domain[i], theta,
+            predicting, some, room,
         )  # fmt: skip
         take(leg, room[6], window, lags, history[i], increment)
         can = judged(leg, theta, thetas[i])
@@ -412,8 +412,8 @@ def now_reading(floats):
 @compiled
 def bridge(
     leg, desired, missed, window, lags, preview, history, increment, theta, thetas, reach,
-    last_good, last, suspects, stale, refused, values, counts, table, xi0, coefficients, room,
-    bools, floats,
+    last_good, last, suspects, stale, refused, values, counts, table, xi0, coefficients, domain,
+    room, bools, floats,
 ):  # fmt: skip
     """Fill a short gap by the model's own predictions, with commands interpolated.
 
@@ -432,7 +432,7 @@ def bridge(
         repair(
             leg, floats[8], bools[0], False, floats[6], window, lags, preview, history, increment,
             reach, last_good, last, suspects, stale, refused, values, counts, table, xi0,
-            coefficients, theta, room, bools, floats,
+            coefficients, domain, theta, room, bools, floats,
         )  # fmt: skip
         take(leg, floats[6], window, lags, history, increment)
         judged(leg, theta, thetas)

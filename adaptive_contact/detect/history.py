@@ -6,6 +6,7 @@ function takes the batch's arrays and the row of the leg.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from adaptive_contact.compiled import compiled
@@ -18,7 +19,9 @@ MAX_STEP_RAD_S: Final = 25.0
 # A joint that repeats its last reading to the step, while the model expects it to move by this
 # many, is more likely stale than stopped dead: it waits a tick, while the other joints are judged;
 # and one more while these move as predicted, to within so many steps: ground that stops one joint
-# dead does not leave the others alone.
+# dead does not leave the others alone.  Where the leverage h of the motion is above 1, the model
+# errs by √h times its noise, and must expect so much more: its error would take a reading's place.
+# Such a reading is judged as it is; as a foot that is held fast stands, too, it is not learned.
 STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
 # What a joint can do in a tick is learned from it: a reading off its prediction by more than this
@@ -40,6 +43,18 @@ MOST_EARLY: Final = -0.5
 # thirds of one.
 UNSURE_TICKS: Final = 2
 UNSURE_VARIANCE: Final = 2.5
+
+
+@compiled
+def leverage(theta, reach):
+    """Compute the leverage of regressors: how far they lie outside of what the fit has seen."""
+    total = 0.0
+    for r in range(reach.shape[0]):
+        z = 0.0
+        for c in range(reach.shape[1]):
+            z += reach[r, c] * theta[c]
+        total += z * z
+    return total
 
 
 @compiled
@@ -191,7 +206,7 @@ def beyond_reach(
 def repair(
     leg, measured, valid, has_valid, reading,
     window, lags, preview, history, increment, reach, last_good, last, suspects, stale, refused,
-    values, counts, table, xi0, coefficients, theta, room, bools, floats,
+    values, counts, table, xi0, coefficients, domain, theta, room, bools, floats,
 ):  # fmt: skip
     """Fill the (J,) reading that enters the window, with substitutes for what is bad."""
     joints = len(measured)
@@ -199,7 +214,7 @@ def repair(
     steps, jumps, limits, recent, offs = floats[0], floats[1], floats[2], floats[3], floats[4]
     before = floats[5]
     substituted = leg.bad
-    leg.sound, leg.bad = True, False
+    leg.sound, leg.bad, leg.repeats = True, False, False
     seen = leg.seen
     leg.seen = True
     for j in range(joints):
@@ -257,20 +272,22 @@ def repair(
         for j in range(joints):
             bad[j] |= found[j]
     maybe_stale = False
+    expected = STALE_QUANTA * leg.quantum
     if leg.predicted and still:
         for j in range(joints):
-            if steps[j] == 0.0 and abs(increment[j]) > STALE_QUANTA * leg.quantum:
+            if steps[j] == 0.0 and abs(increment[j]) > expected:
                 maybe_stale = True
+    if maybe_stale and leg.has_domain:
+        expected *= math.sqrt(max(leverage(theta, domain), 1.0))
     if not maybe_stale:
         stale[:] = 0
     else:
         some_still, all_still, all_known = False, True, True
         for j in range(joints):
-            found[j] = (
-                steps[j] == 0.0
-                and abs(increment[j]) > STALE_QUANTA * leg.quantum
-                and not missing[j]
-            )
+            repeats = steps[j] == 0.0 and not missing[j]
+            found[j] = repeats and abs(increment[j]) > expected
+            if repeats and not found[j]:
+                leg.repeats |= abs(increment[j]) > STALE_QUANTA * leg.quantum
             some_still |= found[j]
             all_still &= found[j]
             free = abs(measured[j] - window[j] - increment[j]) < FREE_QUANTA * leg.quantum

@@ -188,6 +188,7 @@ LEG: Final = np.dtype(
         ("usable", i4),  # residuals in a row that may be judged
         ("sound", b1),  # a reading of this tick is usable
         ("bad", b1),  # a reading of this tick was replaced
+        ("repeats", b1),  # a reading of this tick repeats itself where the model expects motion
         ("seen", b1),  # a raw reading before
         ("impossible", i4),  # impossible readings in a row
         ("unsure", i4),  # ticks left after a replaced reading

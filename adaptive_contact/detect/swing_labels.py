@@ -117,7 +117,8 @@ class SwingLabels:
         if not flags & ENTERED:
             return found
         if not leg["gated"]:
-            return [*found, LabelledSwing(Label.UNGATED, self._rows(0, 1))]
+            rows = _moving(self._rows(0, 1))
+            return [*found, LabelledSwing(Label.UNGATED, rows)] if rows else found
         joints = self._place.batch.measured.shape[1]
         nis = float(leg["distance"]) * float(leg["variance_scale"]) / joints
         found.append(LabelledSwing(Label.TICK, nis=nis))
@@ -185,14 +186,17 @@ class SwingLabels:
         if swing.lifted and not (swing.obstructed or leg["suspected"]):
             self._unobserved = 0
             self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())
-            found.append(LabelledSwing(Label.LIFT, rows, self._region, int(leg["at_ns"])))
+            rows = _moving(rows)
+            if len(rows) >= MIN_LIFT_ROWS:
+                found.append(LabelledSwing(Label.LIFT, rows, self._region, int(leg["at_ns"])))
         return found
 
     def _confirmed(self, rows: Rows, *, lifted: bool) -> list[LabelledSwing]:
         """Label rows of a descent as free, unless the foot had not come up or was obstructed."""
         if not rows or not lifted or self._swing.obstructed:
             return []
-        return [LabelledSwing(Label.DESCENT, rows, self._region)]
+        rows = _moving(rows)
+        return [LabelledSwing(Label.DESCENT, rows, self._region)] if rows else []
 
     def _contact(self) -> list[LabelledSwing]:
         """Label the first ticks of a contact, for candidate models to be tried on."""
@@ -289,6 +293,16 @@ def let_go_rows(rows: Rows) -> Rows | None:
             first -= 1
         rows = rows[first:]
     return rows if len(rows) >= MIN_LIFT_ROWS else None
+
+
+def _moving(rows: Rows) -> Rows:
+    """Select the ticks in which no reading repeats itself where the model expects motion.
+
+    What it repeats may be true, and the model wrong; but a foot that is held fast repeats its
+    readings, too.
+    """
+    repeats = rows.known["repeats"]
+    return rows[~repeats] if repeats.any() else rows
 
 
 def _not_pushed(rows: Rows, last_ns: int) -> Rows:

@@ -33,6 +33,7 @@ ROW: Final = np.dtype(
         ("calm", np.bool_),  # the leg had been found free before
         ("cleared", np.bool_),  # the foot had left the ground before, by its height
         ("push", np.bool_),  # `sigma` and the row of asides are set
+        ("repeats", np.bool_),  # a reading repeated itself where the model expected motion
     ],
     align=True,
 )

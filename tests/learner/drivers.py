@@ -101,6 +101,13 @@ class Readings:
         leg["predicted"] = True
         return residual
 
+    def leave_range(self, leverage: float) -> None:
+        """Have the motion lie so far out of what the model was fitted to, in every tick."""
+        b, leg = self.place.batch, self.place.leg
+        leg["has_domain"] = True
+        b.domain[0], b.theta[0] = 0.0, 0.0
+        b.domain[0, 0, 0], b.theta[0, 0] = np.sqrt(leverage), 1.0
+
     def observe(self, reading: np.ndarray, valid: list[bool] | None = None) -> None:
         """Take a reading in."""
         b, leg = self.place.batch, self.place.leg
@@ -109,7 +116,7 @@ class Readings:
             leg, np.asarray(reading, dtype=float), flags, valid is not None and not all(valid),
             b.room[6], b.window[0], b.lags, b.preview, b.history[0], b.increment[0], b.reach[0],
             b.last_good[0], b.last[0], b.suspects[0], b.stale[0], b.refused[0], b.values[0],
-            b.counts[0], tuple(b.table), b.xi0[0], b.coefficients[0], b.theta[0],
+            b.counts[0], tuple(b.table), b.xi0[0], b.coefficients[0], b.domain[0], b.theta[0],
             b.sums.reshape(-1), b.some, b.room,
         )  # fmt: skip
         take(leg, b.room[6], b.window[0], b.lags, b.history[0], b.increment[0])
@@ -123,6 +130,11 @@ class Readings:
     def substituted(self) -> bool:
         """The last reading of a joint was replaced by the model's prediction."""
         return bool(self.place.leg["bad"])
+
+    @property
+    def unlearned(self) -> bool:
+        """A reading repeats itself, and no row of the tick is learned."""
+        return bool(self.place.leg["repeats"])
 
     @property
     def usable(self) -> int:

@@ -46,6 +46,25 @@ def test_a_reading_known_to_be_bad_uses_up_no_doubt(tracker: Readings) -> None:
         np.testing.assert_allclose(move(tracker, stuck, valid), 0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("leverage", "replaced"), [(0.5, True), (1.0, True), (6.5, True), (8.0, False)]
+)
+def test_a_joint_that_stands_is_judged_where_the_model_errs_by_more_than_it_expects(
+    tracker: Readings, leverage: float, replaced: bool
+) -> None:
+    """It expects 8 steps; 3 make a repeated reading stale, times the root of the leverage."""
+    tracker.leave_range(leverage)
+    at = 5 * STEP
+    stands = at + STEP
+    stands[1] = at[1]
+    residual = move(tracker, stands)
+    assert tracker.substituted is replaced
+    assert tracker.unlearned is not replaced, "but not learned: a foot may be held fast"
+    assert residual[1] == pytest.approx(0.0 if replaced else -STEP[1], abs=1e-12)
+    move(tracker, at + 2 * STEP)
+    assert not tracker.unlearned
+
+
 def test_a_leg_that_stops_as_a_whole_waits_one_tick(tracker: Readings) -> None:
     at = 5 * STEP
     move(tracker, at)
