@@ -98,6 +98,8 @@ class ContactLearner:
 
     Attributes:
         place: the leg's arrays.
+        lifecycle: which model the leg has, and what follows it.
+        report: what is said of it.
 
     Raises:
         ConfigurationError: the robot has no such leg.
@@ -122,7 +124,7 @@ class ContactLearner:
         self.leg: Leg = robot.leg(leg)
         frame = AngleFrame(self.leg)
         self._frame = None if frame.same else frame
-        self._lifecycle = Lifecycle(robot, self.leg, baseline, mode, refitter or InlineRefitter())
+        self.lifecycle = Lifecycle(robot, self.leg, baseline, mode, refitter or InlineRefitter())
         self.place = LegPlace(self._batch())
         self._guard = StreamGuard(len(self.leg.joints))
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
@@ -133,8 +135,8 @@ class ContactLearner:
         self._sample: ServoSample | None = None  # of the tick in hand
         self._swing = SwingJudge(self.leg, self.place)
         self._labels = SwingLabels(self.place, self._swing)
-        self._report = LegReport(
-            self.leg, self.place, self._lifecycle, self._guard, self._swing, self._labels,
+        self.report = LegReport(
+            self.leg, self.place, self.lifecycle, self._guard, self._swing, self._labels,
             self._track, self._ids, WhenAmbiguous(when_ambiguous),
         )  # fmt: skip
         self._assessed = False  # this tick's lift or begin was assessed before its event
@@ -173,10 +175,10 @@ class ContactLearner:
 
     def reset_after_fault(self, fault: Exception) -> None:
         """Restore what was last saved of the leg after a fault in its learning, and report it."""
-        self._report.counters.fault(fault)
+        self.report.counters.fault(fault)
         self.place.drop_tick()
         self._assessed = False
-        self._lifecycle.restore_last_good()
+        self.lifecycle.restore_last_good()
         self._let_go()
         self.place.restart_swing()
         self._swing.restart()
@@ -185,7 +187,7 @@ class ContactLearner:
 
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
-        self._report.counters.rejects[reason] += times
+        self.report.counters.rejects[reason] += times
 
     def request_release(self) -> None:
         """Request a release: another process may have reported that the leg touches."""
@@ -203,7 +205,7 @@ class ContactLearner:
 
     def judged(self) -> JudgedTick | None:
         """Return the last tick's residual and scores; None where it could not be judged."""
-        leg, recent = self.place.leg, self._lifecycle.recent
+        leg, recent = self.place.leg, self.lifecycle.recent
         usable = int(leg["usable"])
         if recent is None or not usable:
             return None
@@ -225,22 +227,22 @@ class ContactLearner:
     @property
     def status(self) -> LearnerStatus:
         """Status of the learner, as it is published."""
-        return self._report.status
+        return self.report.status
 
     @property
     def model_report(self) -> ModelReport | None:
         """The model in terms and equations, or None while there is none."""
-        adapter, recent = self._adapter, self._lifecycle.recent
+        adapter, recent = self._adapter, self.lifecycle.recent
         if adapter is None or recent is None:
             return None
         threshold = float(recent.thresholds[0])
-        return report_of(self.leg, adapter.model, threshold, self._lifecycle.origin)
+        return report_of(self.leg, adapter.model, threshold, self.lifecycle.origin)
 
     def snapshot(self) -> dict[str, Any]:
         """Return what has been learned and counted, as a tree that msgpack can write."""
-        self._report.collect_counts()
+        self.report.collect_counts()
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
-        return {**self._lifecycle.snapshot(), **self._report.counters.snapshot(), **stream}
+        return {**self.lifecycle.snapshot(), **self.report.counters.snapshot(), **stream}
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -248,11 +250,11 @@ class ContactLearner:
         Returns:
             None when it is in force, else one line that says why it is not.
         """
-        refused = self._lifecycle.restore(saved)
+        refused = self.lifecycle.restore(saved)
         if refused is not None:
             return refused
         self._begin()
-        self._report.counters.restore(saved)
+        self.report.counters.restore(saved)
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
         self._guard.restore(saved.get("stream"))
@@ -282,17 +284,17 @@ class ContactLearner:
         if flags & (BEGAN | TOPPED):
             # A swing that begins, or a lift whose top is past, changes the status of the event.
             self._assess(flags)
-            self._report.read_standing()
+            self.report.read_standing()
         if flags & RELEASE_PENDING:
             leg["release_pending"] = False
-            event = self._report.event(
+            event = self.report.event(
                 sample, contact=False, onset_ns=int(leg["at_ns"]), score=0.0,
                 residual=[0.0] * len(self.leg.joints),
             )  # fmt: skip
         if flags & DECIDED:
             contact = bool(leg["contact"])
             if contact or leg["reported"]:  # else the end of one that was withheld
-                event = self._report.event(
+                event = self.report.event(
                     sample, contact=contact, onset_ns=int(leg["onset_ns"]),
                     score=float(leg["score"]), residual=self.place.residuals[0].tolist(),
                 )  # fmt: skip
@@ -304,7 +306,7 @@ class ContactLearner:
         Returns:
             Whether another model is to be put in force (:meth:`take_up_model`).
         """
-        lifecycle = self._lifecycle
+        lifecycle = self.lifecycle
         adapter = lifecycle.adapter
         # In most ticks a row was entered that only waits for its swing: nothing to assess.  While
         # the monitor watches a suspected lift, each tick may change the variance scale.
@@ -315,11 +317,11 @@ class ContactLearner:
             self._hand_over(flags)
             self._assessed = False
             if flags & SOURCE:
-                self._faulty = self._report.source.cause is not None
+                self._faulty = self.report.source.cause is not None
         another = self._begun != lifecycle.begun
         if another or self._misread or self._faulty or adapter is None or not adapter.learning:
             if assessed:
-                self._report.read_standing()
+                self.report.read_standing()
             return another
         moved = adapter.tick(ROWS_PER_TICK)
         if assessed:
@@ -328,10 +330,10 @@ class ContactLearner:
                 lifecycle.forget()
                 self._let_go()
                 return True
-            self._report.publish_withholding()
+            self.report.publish_withholding()
         else:
-            if moved and adapter.version != self._report.version:
-                self._report.read_standing()
+            if moved and adapter.version != self.report.version:
+                self.report.read_standing()
             if not (moved and self.place.leg["ticks"]):  # a stance is not judged: it can wait
                 return False
         self._publish()
@@ -353,7 +355,7 @@ class ContactLearner:
 
     def _batch(self) -> LegBatch:
         robot, leg = self.robot, self.leg
-        library = self._lifecycle.library
+        library = self.lifecycle.library
         return LegBatch(
             [leg], library, [robot.quantum(leg.id)], round(robot.period_s * 1e9),
             max_step=MAX_STEP_RAD_S * library.period_s,
@@ -361,13 +363,13 @@ class ContactLearner:
 
     def _begin(self) -> None:
         """Begin with the model of the lifecycle: clear the arrays of the past under another."""
-        self._report.collect_counts()
-        lifecycle, place = self._lifecycle, self.place
+        self.report.collect_counts()
+        lifecycle, place = self.lifecycle, self.place
         if lifecycle.library != place.batch.library:
             place.move(self._batch(), 0)
         place.batch.forget_past(place.row)
         self._begun = lifecycle.begun
-        self._report.read_standing()
+        self.report.read_standing()
         adapter = lifecycle.adapter
         self._labels.begin(None if adapter is None else adapter.baseline)
         if adapter is None:
@@ -376,18 +378,18 @@ class ContactLearner:
         library = adapter.model.library
         assert isinstance(library, ChangeLibrary)
         place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
-        self._report.publish_withholding()
+        self.report.publish_withholding()
         self._publish(wanted=True)
 
     def _publish(self, *, wanted: bool = False) -> None:
         """Pass the adapter's ``FreeMotion`` to the arrays; the next tick is judged by it."""
-        adapter = self._lifecycle.adapter
+        adapter = self.lifecycle.adapter
         assert adapter is not None
         self.place.judge_by(adapter.free_motion(wanted=wanted or self._swing.ticks > 0))
 
     def _hand_over(self, flags: int) -> None:
         """Label what this tick's flags say of the swing, and pass it to the adapter."""
-        adapter = self._lifecycle.adapter
+        adapter = self.lifecycle.adapter
         if flags & RESTARTED:
             self._swing.restart()
             if adapter is not None:
@@ -397,8 +399,8 @@ class ContactLearner:
         if flags & TOUCHED:
             self._learn(self._labels.alarm())
         if flags & RATE_OFF and adapter is not None:
-            adapter.distrust(self._report.rate.since_ns)
-        if flags & SOURCE and self._report.source.cause is not None:
+            adapter.distrust(self.report.rate.since_ns)
+        if flags & SOURCE and self.report.source.cause is not None:
             self._retract()
 
     def _assess(self, flags: int) -> None:
@@ -410,7 +412,7 @@ class ContactLearner:
 
     def _learn(self, parts: Sequence[LabelledSwing]) -> None:
         """Pass labelled parts of a swing to the adapter."""
-        adapter = self._lifecycle.adapter
+        adapter = self.lifecycle.adapter
         if adapter is not None:
             for part in parts:
                 adapter.learn(part)
@@ -430,11 +432,11 @@ class ContactLearner:
 
     def _retract(self) -> None:
         """Retract what was learned from a faulty source."""
-        leg, lifecycle = self.place.leg, self._lifecycle
+        leg, lifecycle = self.place.leg, self.lifecycle
         # The fault may have begun in the swing before, too late in it to be detected.
         if lifecycle.adapter is not None:
             lifecycle.adapter.retract(int(leg["began_ns"]))
 
     @property
     def _adapter(self) -> Adapter | None:
-        return self._lifecycle.adapter
+        return self.lifecycle.adapter

@@ -167,33 +167,33 @@ class RateWatch:
     @property
     def off(self) -> bool:
         """Whether the mean rate is another than described."""
-        return bool(self._leg["rate_off"])
+        return bool(self.leg["rate_off"])
 
     @property
     def rate_ticks(self) -> int:
         """Ticks by which the rate is judged."""
-        return int(self._leg["rate_ticks"])
+        return int(self.leg["rate_ticks"])
 
     @property
     def found_ns(self) -> float | None:
         """Mean distance of ticks, None while that is unknown."""
-        found = float(self._leg["found_ns"])
+        found = float(self.leg["found_ns"])
         return None if math.isnan(found) else found
 
     @property
     def at_ns(self) -> int:
         """Time of the newest tick, by the schedule that follows the stamps."""
-        return int(self._leg["at_ns"])
+        return int(self.leg["at_ns"])
 
     @property
     def late(self) -> bool | None:
         """Whether readings are as late as their stamps; None while that is not known."""
-        return (None, False, True)[int(self._leg["late"]) + 1]
+        return (None, False, True)[int(self.leg["late"]) + 1]
 
     @property
     def since_ns(self) -> int:
         """Scheduled time of the oldest tick by which the rate is judged."""
-        count = int(self._leg["ring_n"])
+        count = int(self.leg["ring_n"])
         if not count:
             return 0
         return int(self._ring[(count - min(self.rate_ticks, count, RING)) % RING, 2])
@@ -201,18 +201,18 @@ class RateWatch:
     @property
     def jitter(self) -> float:
         """Root mean square of recent deviations from the schedule, periods."""
-        leg = self._leg
+        leg = self.leg
         return math.sqrt(max(float(leg["jitter_square"]) - float(leg["jitter_mean"]) ** 2, 0.0))
 
     @property
     def jitter_ms(self) -> float:
         """The same, ms."""
-        return self.jitter * int(self._leg["period_ns"]) / 1e6
+        return self.jitter * int(self.leg["period_ns"]) / 1e6
 
     @property
     def note(self) -> str | None:
         """One line for a person while the rate is off, or stamps are far off their schedule."""
-        period_ms = int(self._leg["period_ns"]) / 1e6
+        period_ms = int(self.leg["period_ns"]) / 1e6
         found_ns = self.found_ns
         if self.off and found_ns is not None:
             return (
@@ -240,7 +240,8 @@ class RateWatch:
         return None if missed == PAUSE else int(missed)
 
     @property
-    def _leg(self) -> Any:
+    def leg(self) -> Any:
+        """The leg's scalars."""
         return self._own[0] if self._place is None else self._place.leg
 
     @property

@@ -90,6 +90,7 @@ class ActiveModel:
 
     Attributes:
         baseline: the model at the start.
+        recursion: recursive least squares, which move the model.
         inflated: whether the recursion's covariance was, since the recursion began.
     """
 
@@ -103,7 +104,7 @@ class ActiveModel:
         self._model = known.model
         self._coefficients = known.model.coefficients
         self._moved = False  # the recursion has, since they were made
-        _, _, self._rls, self.inflated = self._start()
+        _, _, self.recursion, self.inflated = self._start()
         # What a term may move a tick by, at most.
         own = np.abs(known.model.coefficients * known.scale[:, None]).max()
         self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
@@ -141,7 +142,7 @@ class ActiveModel:
     @property
     def covariance(self) -> Covariance | None:
         """Covariance of the coefficients while it is inflated, else None."""
-        return self._rls.roots if self.inflated else None
+        return self.recursion.roots if self.inflated else None
 
     @property
     def from_prior(self) -> bool:
@@ -151,7 +152,7 @@ class ActiveModel:
     def learn(self, row: Row) -> list[float]:
         """Learn a row; return its J innovations over the noise, from before it was learned."""
         self._moved = True
-        return self._rls.update(row.theta, row.target)
+        return self.recursion.update(row.theta, row.target)
 
     def uncertainty(self, rows: Rows) -> float:
         """Compute the variance of predictions that comes from the coefficients, over the noise's.
@@ -159,17 +160,17 @@ class ActiveModel:
         Returns:
             Of the joint that is known the least, the mean over the rows.
         """
-        return float(self._rls.uncertainty(rows.theta).max(axis=1).mean())
+        return float(self.recursion.uncertainty(rows.theta).max(axis=1).mean())
 
     def inflate(self) -> None:
         """Inflate the covariance along the ways in which legs change."""
         self.inflated = True
-        self._rls.inflate(change_directions(self.model, self._scale, self._noise))
+        self.recursion.inflate(change_directions(self.model, self._scale, self._noise))
 
     def remember(self) -> None:
         """Keep the model in force as the last good one."""
         coefficients, before = self.coefficients, self._good
-        rls = self._rls.copy(None if before is None else before.rls)
+        rls = self.recursion.copy(None if before is None else before.rls)
         self._good = _Good(coefficients, self.version, rls, self.inflated)
 
     def recall(self) -> None:
@@ -178,12 +179,12 @@ class ActiveModel:
         if good is None or good.version != self.model.version:
             return
         self._put(self._model.moved(good.coefficients, good.version))
-        self._rls, self.inflated = good.rls.copy(), good.inflated
+        self.recursion, self.inflated = good.rls.copy(), good.inflated
 
     def replace(self, model: LegModel) -> None:
         """Put another model in force; the recursion restarts from it."""
         self._put(model)
-        self._rls, self.inflated = self._recursion(model), False
+        self.recursion, self.inflated = self._recursion(model), False
 
     def baseline_is_better(self, rows: Rows) -> bool:
         """Tell whether the baseline has fitted lifts much better than the model, this one included.
@@ -203,7 +204,7 @@ class ActiveModel:
 
     def revert_to_baseline(self) -> None:
         """Put the baseline, or the prior, in force again; the version goes on."""
-        _, _, self._rls, self.inflated = self._start()
+        _, _, self.recursion, self.inflated = self._start()
         self._moved = True
 
     def snapshot(self) -> dict[str, Any]:
@@ -212,8 +213,8 @@ class ActiveModel:
             "baseline": pack(self.baseline.coefficients),
             "coefficients": pack(self.model.coefficients),
             "version": self.model.version,
-            "factor": pack(self._rls.factor),
-            "support": pack(self._rls.support.astype(np.float64)),
+            "factor": pack(self.recursion.factor),
+            "support": pack(self.recursion.support.astype(np.float64)),
             "loosened": self.inflated,
         }
 
@@ -232,7 +233,7 @@ class ActiveModel:
         )
         rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
         self._put(self._model.moved(state.coefficients, state.version))
-        self._rls, self.inflated = rls, state.inflated
+        self.recursion, self.inflated = rls, state.inflated
 
     def _start(self) -> _Good:
         """Return the baseline, with a recursion that begins at it and at its spread."""
@@ -267,13 +268,13 @@ class ActiveModel:
     def _take_coefficients(self) -> None:
         """Take the recursion's coefficients over, or fall back where they are implausible."""
         self._moved = False
-        coefficients, within = self._rls.bounded(self._most_rad)
+        coefficients, within = self.recursion.bounded(self._most_rad)
         if within:
             self._coefficients = coefficients
             return
         good = self._good or self._start()
         self._coefficients = good.coefficients.copy()
-        self._rls, self.inflated = good.rls.copy(), good.inflated
+        self.recursion, self.inflated = good.rls.copy(), good.inflated
         self._on_fall("the baseline" if self._good is None else "the last good model")
 
     def _put(self, model: LegModel) -> None:

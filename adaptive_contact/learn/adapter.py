@@ -74,6 +74,11 @@ class Adapter:
         learning: whether it does anything at all.
         gated: whether only confirmed ticks are learned, and lifts are assessed.
         baseline: the model as the leg was first known.
+        active: the model in force, with its recursion.
+        candidate: refits, requested and tried.
+        monitor: whether the lifts fit.
+        early: touches reported at the top of swings.
+        buffer: confirmed rows.
         first: progress of a leg that began with a prior; None once it is known.
     """
 
@@ -90,14 +95,14 @@ class Adapter:
         self.gated = mode.gated
         self.baseline = known.model
         self.monitor = DriftMonitor(len(known.noise.rms))
-        self._early = EarlyContacts()
+        self.early = EarlyContacts()
         self.buffer = ReplayBuffer(rows=rows_for_refit(known.model))
         self._noise_tracker = noise_tracker
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
         self._noise = known.noise.rms
         self._scale = known.scale
-        self._active = ActiveModel(known, on_fall=self._fallen)
+        self.active = ActiveModel(known, on_fall=self._fallen)
         self.first = None if known.spread is None else FirstSwings()
         self._queue: deque[Row] = deque()
         self._learned_ns = -1  # the newest row learned
@@ -107,8 +112,8 @@ class Adapter:
         self._swings = 0  # since covariances were recomputed
         self._learned_swing = False
         self._refresh_in: int | None = None  # ticks
-        self._candidate = Candidate(
-            leg, self._noise, self._scale, refitter, known.domain, self._active.plausible
+        self.candidate = Candidate(
+            leg, self._noise, self._scale, refitter, known.domain, self.active.plausible
         )
 
     # -- what detection and status read -----------------------------------------------------------
@@ -116,12 +121,12 @@ class Adapter:
     @property
     def model(self) -> LegModel:
         """Model in force."""
-        return self._active.model
+        return self.active.model
 
     @property
     def changed(self) -> bool:
         """Whether the leg may differ from its model: begun with a prior, or by its lifts."""
-        return self._active.inflated or self.variance_in_force > 1.0
+        return self.active.inflated or self.variance_in_force > 1.0
 
     @property
     def variance_in_force(self) -> float:
@@ -131,7 +136,7 @@ class Adapter:
         the baseline's, what it strays upwards would make the detector duller on average.
         """
         level = self.monitor.variance_in_force
-        if self._active.inflated or not 1.0 < level < STEEP * STRAY - 1.0:
+        if self.active.inflated or not 1.0 < level < STEEP * STRAY - 1.0:
             return level
         return max(1.0, 1.0 + STEEP * (level - STRAY))
 
@@ -139,14 +144,14 @@ class Adapter:
     def status(self) -> Status:
         """Status of the leg; learning while one that began with a prior is not known yet."""
         status = self.monitor.status
-        if status == "valid" and self._early.reported:
+        if status == "valid" and self.early.reported:
             return "ambiguous"
         return "learning" if self.first is not None and status != "ambiguous" else status
 
     @property
     def version(self) -> int:
         """Version of the model in force."""
-        return self._active.version
+        return self.active.version
 
     @property
     def standing(self) -> Standing:
@@ -154,17 +159,17 @@ class Adapter:
         status, doubt = self.status, self.monitor.doubt
         if doubt is None and status == "ambiguous":
             doubt = "descents"
-        return Standing(status, doubt, self._active.version)
+        return Standing(status, doubt, self.active.version)
 
     @property
     def note(self) -> str | None:
         """One line for a person on the state of the leg, None when all is well."""
-        return self.monitor.note or self._early.note
+        return self.monitor.note or self.early.note
 
     @property
     def refits(self) -> RefitCounts:
         """Counts of refits, for the status."""
-        return self._candidate.counts
+        return self.candidate.counts
 
     def free_motion(self, *, wanted: bool) -> FreeMotion:
         """Publish what the next tick is judged by.
@@ -173,7 +178,7 @@ class Adapter:
             wanted: the leg is in a swing; while it stands no tick needs the coefficients, and most
                 rows are learned then.
         """
-        noise, active = self._noise_tracker, self._active
+        noise, active = self._noise_tracker, self.active
         # First, as an implausible model is replaced when its coefficients are asked for.
         coefficients = active.coefficients if wanted else None
         changed = self.changed
@@ -206,11 +211,11 @@ class Adapter:
             case Label.DESCENT:
                 self._descent(part.rows, part.region)
             case Label.UNGATED:
-                self._active.learn(next(iter(part.rows)))
+                self.active.learn(next(iter(part.rows)))
             case Label.CONTACT:
                 # While the leg is known, it is one to try candidates on.
                 if self.status == "valid" and part.touch is not None:
-                    self._candidate.contacts.add(part.touch)
+                    self.candidate.contacts.add(part.touch)
             case Label.END:
                 self._end_swing(part.early)
 
@@ -222,7 +227,7 @@ class Adapter:
             self._change(first=found.first)
         if found.rows:
             if self.first is not None:
-                self.first.note(self._active.uncertainty(found.rows))
+                self.first.note(self.active.uncertainty(found.rows))
             self._consider_baseline(found.rows)
             self._confirm(found.rows, region)
         if found.changed:
@@ -231,7 +236,7 @@ class Adapter:
     def _descent(self, rows: Rows, region: int) -> None:
         """Learn the confirmed part of a descent; after a suspected lift it waits for the next."""
         if self.first is not None:
-            self.first.note(self._active.uncertainty(rows))
+            self.first.note(self.active.uncertainty(rows))
         if self.monitor.trusted:
             self._confirm(rows, region)
         else:
@@ -256,7 +261,7 @@ class Adapter:
         """Drop what was confirmed and learned since a time: those ticks were not of this leg."""
         self.distrust(since_ns)
         if self._learned_ns >= since_ns:
-            self._active.recall()
+            self.active.recall()
 
     def new_source(self) -> None:
         """Follow a restart of the source: times from before do not compare with its own."""
@@ -281,16 +286,16 @@ class Adapter:
         known = self.monitor.status == "valid"
         if self.first is not None and self.first.end_swing(valid=known):
             self.first = None
-        if known and early is not None and self._early.take(early):
+        if known and early is not None and self.early.take(early):
             # They were not contacts.  None are stored meanwhile, so that no refit is promoted.
-            self._candidate.contacts.clear()
+            self.candidate.contacts.clear()
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
             self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
         if self.monitor.status == "valid" and self.monitor.variance_scale < SETTLED_LEVEL:
-            self._active.remember()
+            self.active.remember()
         if self.mode.refits:
-            self._candidate.swing_done(self.model, self.buffer, self._era, learned=learned)
+            self.candidate.swing_done(self.model, self.buffer, self._era, learned=learned)
 
     def tick(self, budget: int) -> bool:
         """Learn a few rows and collect a refit that is due; once per control tick.
@@ -307,9 +312,9 @@ class Adapter:
                 if not self._queue:  # a model that falls takes the rows that wait with it
                     break
                 self._learn(self._queue.popleft())
-        moved |= self._candidate.tick()
-        if self._noise_tracker.domain is not self._candidate.domain:
-            self._noise_tracker.domain, moved = self._candidate.domain, True
+        moved |= self.candidate.tick()
+        if self._noise_tracker.domain is not self.candidate.domain:
+            self._noise_tracker.domain, moved = self.candidate.domain, True
         if self._noise_tracker.refreshing and self._noise_tracker.go_on():
             moved = True
         if self._refresh_in is not None:
@@ -331,16 +336,16 @@ class Adapter:
         return {
             "format": FORMAT,
             "library": library_key(self.model.library),
-            **self._active.snapshot(),
+            **self.active.snapshot(),
             "level": self.monitor.variance_scale,
             "status": self.monitor.status,
             "held": self.monitor.obstructed,
             "heard": list(self.monitor.lifts_assessed),
             "kind": self.monitor.kind,
-            "belied": self._early.snapshot(),
+            "belied": self.early.snapshot(),
             "first": None if self.first is None else self.first.swings,
             "era": self._era,
-            "refits": self._candidate.snapshot(),
+            "refits": self.candidate.snapshot(),
             "recent": self._noise_tracker.snapshot(),
             "segments": [segment_of(s) for s in self.buffer.segments],
         }
@@ -352,21 +357,21 @@ class Adapter:
             None when it is in force, else one line that says why it is not.
         """
         try:
-            state = read_state(saved, self._active.baseline, len(self._noise_tracker.whiten))
-            self._active.restore(state, saved.get("factor"))
+            state = read_state(saved, self.active.baseline, len(self._noise_tracker.whiten))
+            self.active.restore(state, saved.get("factor"))
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
         self.monitor.resume(
             state.level, state.status, obstructed=state.held, lifts_assessed=state.lifts_assessed
         )
         self.monitor.kind = state.kind
-        self._early.restore(saved.get("belied"))
+        self.early.restore(saved.get("belied"))
         self._restore_first(saved.get("first"))
         self._era = state.era
-        self._candidate.restore(saved.get("refits"))
+        self.candidate.restore(saved.get("refits"))
         self.buffer.restore(state.segments)
-        self._candidate.resume(self.buffer, len(self._scale), self._era)
-        self._noise_tracker.domain = self._candidate.domain
+        self.candidate.resume(self.buffer, len(self._scale), self._era)
+        self._noise_tracker.domain = self.candidate.domain
         self._noise_tracker.restore(saved.get("recent"))
         self._refresh()
         return None
@@ -382,12 +387,12 @@ class Adapter:
     def _change(self, *, first: bool) -> None:
         """Begin a new era, as the leg has changed: inflate the covariance, drop the candidate."""
         if first:
-            self._early.forget()
+            self.early.forget()
             self._evidence = ChangeClassifier(self.model, self._noise)
         self._era += 1
         if self.mode.recursive:
-            self._active.inflate()
-        self._candidate.withdraw()
+            self.active.inflate()
+        self.candidate.withdraw()
         self._refresh()
 
     def _confirm(self, rows: Rows, region: int) -> None:
@@ -412,12 +417,12 @@ class Adapter:
 
     def _consider_baseline(self, rows: Rows) -> None:
         """Return to the baseline where it fits again: mud is washed off, a battery is changed."""
-        if not self._active.baseline_is_better(rows):
+        if not self.active.baseline_is_better(rows):
             return
-        self._active.revert_to_baseline()
+        self.active.revert_to_baseline()
         self._queue.clear()
-        self._candidate.withdraw()
-        self._candidate.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
+        self.candidate.withdraw()
+        self.candidate.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self.monitor.mark_unchanged()
         self._evidence = None
         self._era += 1
@@ -426,23 +431,23 @@ class Adapter:
     def _learn(self, row: Row) -> None:
         """Learn a row, and let a candidate, if there is one, be tried on it."""
         self._learned_ns = row.t_ns
-        innovations = self._active.learn(row)
-        if self._candidate.trying:
+        innovations = self.active.learn(row)
+        if self.candidate.trying:
             # Remade only for the row that decides: that is the model which stands by if replaced.
-            deciding, active = self._candidate.deciding, self._active
+            deciding, active = self.candidate.deciding, self.active
             self._try(row, innovations, active.model if deciding else active.as_made)
 
     def _compare(self, row: Row) -> None:
         """Let a candidate be tried on a row that is not learned."""
-        if self._candidate.trying:
+        if self.candidate.trying:
             off = (row.target - row.theta @ self.model.coefficients) / self._noise
             self._try(row, off.tolist(), self.model)
 
     def _try(self, row: Row, off: Sequence[float], model: LegModel) -> None:
         """Compare the candidate with the model in force on a row; put it in force if it wins."""
-        won = self._candidate.compare(row, off, model, known=self.monitor.status == "valid")
+        won = self.candidate.compare(row, off, model, known=self.monitor.status == "valid")
         if won is not None:
-            self._active.replace(won)
+            self.active.replace(won)
             self._refresh()
 
     def _refresh(self, *, at_once: bool = True) -> None:
@@ -452,7 +457,7 @@ class Adapter:
             at_once: now, as what they are of is another model or leg; else within a few ticks.
         """
         self._swings, self._refresh_in = 0, None
-        residuals, context = self.buffer.residuals(self._active.coefficients, self._era)
+        residuals, context = self.buffer.residuals(self.active.coefficients, self._era)
         if at_once:
             self._noise_tracker.refresh(residuals, context)
         else:
@@ -461,8 +466,6 @@ class Adapter:
     def _fallen(self, back_to: str) -> None:
         """Follow a return to another model, as the one in force was implausible."""
         self._queue.clear()
-        self._candidate.withdraw()
-        self._candidate.rolled_back(
-            f"a coefficient was not finite, or implausible: {back_to} again"
-        )
+        self.candidate.withdraw()
+        self.candidate.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
         self._refresh()

@@ -206,9 +206,9 @@ def test_what_was_heard_outlives_a_restart_and_is_kept_from_refits(
     for sample in stream[: 28 * 100]:
         learner.update(sample)
     assert learner.status.status == "ambiguous"
-    adapter = learner._lifecycle.adapter
+    adapter = learner.lifecycle.adapter
     assert adapter is not None
-    assert len(adapter._candidate.contacts) == 0
+    assert len(adapter.candidate.contacts) == 0
     again = ContactLearner(robot, "rf", baseline)
     assert again.restore(learner.snapshot()) is None
     assert (again.status.status, again.status.note) == ("ambiguous", learner.status.note)

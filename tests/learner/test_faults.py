@@ -45,7 +45,7 @@ def without_femur(sample: ServoSample) -> ServoSample:
 
 def spy(learner: ContactLearner) -> list[Row]:
     """Rows that go into the buffer from here on."""
-    adapter, taken = learner._lifecycle.adapter, []
+    adapter, taken = learner.lifecycle.adapter, []
     assert adapter is not None
     add = adapter.buffer.add
 
@@ -175,7 +175,7 @@ def test_a_rate_that_changes_in_mid_swing_leaves_nothing_in_the_buffer(
     learner = ContactLearner(robot, "rf", baseline)
     for sample in stream:
         learner.update(sample)
-    adapter = learner._lifecycle.adapter
+    adapter = learner.lifecycle.adapter
     assert adapter is not None
     assert adapter.buffer.segments
     assert all(s.t_ns < stream[first].t_ns for s in adapter.buffer.segments)
@@ -249,7 +249,7 @@ def test_a_fault_while_restoring_leaves_the_leg_as_new(
     def fail(*_: object) -> None:
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr("adaptive_contact.learn.adapter.Adapter._refresh", fail)
+    monkeypatch.setattr("adaptive_contact.learn.noise_tracker.NoiseTracker.refresh", fail)
     why = fresh.restore(tree)
     assert why == "snapshot of leg 'rf' not used: LinAlgError: not positive definite"
     monkeypatch.undo()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact import ContactLearner
 from adaptive_contact.fit.refit_job import InlineRefitter
-from adaptive_contact.learn.active_model import MAX_TERM_RAD
+from adaptive_contact.learn.active_model import BALANCE, MAX_TERM_RAD
 from adaptive_contact.learn.adapter import (
     REFRESH_SWINGS,
     REFRESH_TICKS,
@@ -82,14 +82,22 @@ def test_a_model_that_fits_stays(adapter: Adapter, scale: Array) -> None:
     assert adapter.refits.rolled_back == 0
 
 
+def go_wild(adapter: Adapter, wild: float) -> None:
+    """Have the recursion at a coefficient that no servo has, and learn from there."""
+    coefficients = adapter.model.coefficients.copy()
+    coefficients[0, 0] = wild
+    adapter.active.recursion.reseed(coefficients)
+    theta = np.zeros((1, len(coefficients)))
+    adapter.learn(LabelledSwing(Label.UNGATED, lift_of(theta, np.zeros((1, 3)))))
+
+
 @pytest.mark.parametrize("wild", [np.nan, np.inf, 1e3])
 def test_a_model_that_went_wild_gives_way_to_the_last_good_one(
     adapter: Adapter, scale: Array, wild: float
 ) -> None:
     lifts(adapter, scale, 10)
     good = adapter.model.coefficients
-    adapter._active._rls._xi[0, 0] = wild / adapter._active._rls._to_raw[0, 0]
-    adapter._active._moved = True
+    go_wild(adapter, wild)
     np.testing.assert_allclose(adapter.model.coefficients, good, atol=1e-9)
     assert adapter.refits.rolled_back == 1
     assert adapter.refits.last_reason == (
@@ -104,8 +112,7 @@ def test_one_that_goes_wild_before_there_was_a_good_swing_gives_way_to_the_basel
     adapter: Adapter,
 ) -> None:
     before = adapter.model.coefficients
-    adapter._active._rls._xi[:] = np.nan
-    adapter._active._moved = True
+    go_wild(adapter, np.nan)
     np.testing.assert_array_equal(adapter.model.coefficients, before)
     assert "the baseline again" in (adapter.refits.last_reason or "")
 
@@ -121,7 +128,8 @@ def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter, scale: A
 
     lifts(adapter, scale, 40, jump)
     moved = np.abs(adapter.model.coefficients * scale[:, None]).max()
-    assert moved <= max(MAX_TERM_RAD, adapter._active._most_rad)
+    own = np.abs(adapter.baseline.coefficients * scale[:, None]).max()
+    assert moved <= max(MAX_TERM_RAD, BALANCE * own)
     assert np.isfinite(adapter.model.coefficients).all()
     assert adapter.status != "valid"
 
@@ -279,7 +287,7 @@ def test_what_came_at_another_rate_is_dropped_wherever_it_lies(adapter: Adapter)
         return lift_of(np.zeros((4, p)), np.zeros((4, 3)), t_ns=t_ns)
 
     for first_ns in (100, 300, 200):
-        adapter._confirm(rows(first_ns), 0)
+        adapter.learn(LabelledSwing(Label.DESCENT, rows(first_ns)))
     adapter.distrust(250)
     assert sorted(adapter.confirmed_ns) == [100, 101, 102, 103, 200, 201, 202, 203]
     assert [segment.t_ns for segment in adapter.buffer.segments] == [103, 203]
@@ -326,14 +334,15 @@ def test_a_model_that_falls_in_the_midst_of_a_tick_takes_the_rows_that_wait_with
     adapter: Adapter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     p = adapter.model.library.size
-    adapter._queue.extend(lift_of(np.zeros((30, p)), np.zeros((30, 3))))
+    adapter.learn(LabelledSwing(Label.DESCENT, lift_of(np.zeros((30, p)), np.zeros((30, 3)))))
     learned = []
 
-    def falls(row: Row) -> None:
+    def falls(row: Row) -> list[float]:
         learned.append(row)
-        adapter._queue.clear()
+        adapter.distrust(0)
+        return [0.0] * 3
 
-    monkeypatch.setattr(adapter, "_learn", falls)
+    monkeypatch.setattr(adapter.active, "learn", falls)
     adapter.tick(3)
     assert len(learned) == 1
 
@@ -362,7 +371,7 @@ def test_a_joint_that_reads_more_coarsely_raises_no_alarms(
     told = outcomes(play(learner, samples(measured, desired, swing)), range(120, 400), stops)
     assert told.count("alarm") <= 1
     assert told.count("hit") >= 0.97 * 140
-    recent = learner._lifecycle.recent
+    recent = learner.lifecycle.recent
     assert recent is not None
     now, then = recent.whiten[4, 0], baseline.legs["rf"].noise.whiten[4, 0]
     coxa, femur = (np.diag(now) / np.diag(then))[:2]

@@ -104,14 +104,15 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
     swapped = {**rows, a: rows[b], b: rows[a]}
     watch = IdWatch(robot, None, InlineRefitter())
     legs: dict[str, Leg] = {leg.id: leg for leg in robot.legs}
+    places = {name: place_of(robot, leg) for name, leg in legs.items()}
     tracks: dict[str, IdTrack] = {}
     for name, leg in legs.items():
-        track = watch.track(leg, place_of(robot, leg))
+        track = watch.track(leg, places[name])
         assert track is not None
         tracks[name] = track
     said = []
     for k in range(1100):
-        for number, (name, track) in enumerate(tracks.items()):
+        for number, name in enumerate(tracks):
             angles = swapped[name].desired[k % TICKS].tolist()
             sample = ServoSample(
                 t_ns=round(k * 2e7),
@@ -120,8 +121,8 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
                 desired=angles,
                 phase="stance",
             )
-            track._place.take(sample, lost=0, restart=k == 0)
-            track._place.batch.judge()
+            places[name].take(sample, lost=0, restart=k == 0)
+            places[name].batch.judge()
         watch.look()
         said.append([name for name, track in tracks.items() if track.note is not None])
     assert said[900] == []  # after one judgement

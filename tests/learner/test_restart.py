@@ -51,7 +51,7 @@ def test_no_segment_spans_a_restart(
     begins: int,
 ) -> None:
     learner = ContactLearner(robot, "rf", baseline)
-    adapter = learner._lifecycle.adapter
+    adapter = learner.lifecycle.adapter
     assert adapter is not None
     buffer, taken = adapter.buffer, list[Rows]()
     add = buffer.add

@@ -15,11 +15,13 @@ from adaptive_contact.detect.source_watch import EchoWatch
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.leg_learner import ContactLearner as Learner
 from adaptive_contact.model import Baseline
+from adaptive_contact.model.labelled_swing import Label, LabelledSwing
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, Doubt, ServoSample
 
 from .conftest import FakeLeg, play, samples
 from .drivers import Phases
+from .ticks import Tick, rows_of
 
 STEP = 0.005
 SWING, PERIOD = 24, 28  # ticks of the fake leg's swings, and from one to the next
@@ -241,20 +243,34 @@ def test_a_copy_is_told_teaches_nothing_and_passes(
     assert play(learner, stream[two:]) == []
 
 
-def test_what_was_learned_of_a_copy_is_taken_back(robot: Robot, baseline: Baseline) -> None:
+def test_what_was_learned_of_a_copy_is_taken_back(
+    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The tibia stands while the lift is learned, and shows only afterwards that it copies."""
     stream = swings(40)
     learner = learner_of(robot, baseline)
-    play(learner, stream[: 30 * PERIOD])
-    adapter = learner._adapter
+    adapter = learner.lifecycle.adapter
     assert adapter is not None
-    good = adapter._active._good
-    assert good is not None
-    adapter._learned_ns = 31 * PERIOD * 20_000_000
-    adapter._active._rls.coefficients[:] += 0.01
-    adapter._active._moved = True
+    active, good = adapter.active, list[np.ndarray]()
+    remember = active.remember
+
+    def kept() -> None:
+        remember()
+        good.append(active.coefficients.copy())
+
+    monkeypatch.setattr(active, "remember", kept)
+    play(learner, stream[: 30 * PERIOD])
+    theta = adapter.buffer.segments[-1].theta
+    stands = np.zeros((len(theta), 3))
+    times = [
+        Tick(t, m, 1.0, t_ns=31 * PERIOD * 20_000_000) for t, m in zip(theta, stands, strict=True)
+    ]
+    adapter.learn(LabelledSwing(Label.DESCENT, rows_of(times)))
+    for _ in times:
+        adapter.tick(1)
+    assert np.abs(adapter.model.coefficients - good[-1]).max() > 1e-4
     adapter.retract(30 * PERIOD * 20_000_000)
-    assert np.array_equal(adapter.model.coefficients, good.coefficients)
+    assert np.array_equal(adapter.model.coefficients, good[-1])
 
 
 @pytest.mark.parametrize("offset", [0, 9, 25])
@@ -305,19 +321,19 @@ def ambiguous_from(
 ) -> list[ContactEvent]:
     """Play, with the leg ambiguous from one tick to another."""
     events = play(learner, stream[:begin])
-    adapter = learner._adapter
+    adapter = learner.lifecycle.adapter
     assert adapter is not None
     for sample in stream[begin:end]:
         if doubt == "descents":
-            adapter._early.reported = True
+            adapter.early.reported = True
         else:
             adapter.monitor.status = "ambiguous"
-        learner._report.publish_withholding()  # what an assessed swing does
+        learner.report.publish_withholding()  # what an assessed swing does
         event = learner.update(sample)
         events += [] if event is None else [event]
-    adapter._early.forget()
+    adapter.early.forget()
     adapter.monitor.status = "valid"
-    learner._report.publish_withholding()
+    learner.report.publish_withholding()
     return events + play(learner, stream[end:])
 
 

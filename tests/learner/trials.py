@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptive_contact.fit import FitStatus
-from adaptive_contact.fit.refit_job import RefitResult
+from adaptive_contact.fit.refit_job import RefitJob, RefitResult
 from adaptive_contact.learn.candidate import (
     LOOK_AGAIN_ROWS,
     REFIT_DUE_TICKS,
@@ -23,19 +23,24 @@ NOISE = np.array([0.01, 0.01, 0.01])
 
 
 class Given:
-    """Answers every job with the same candidate."""
+    """Answers every job with the same candidate, and keeps the jobs."""
 
-    def __init__(self, coefficients: np.ndarray) -> None:
-        self.coefficients = coefficients
-        self.asked = 0
+    def __init__(self, coefficients: np.ndarray, status: FitStatus = FitStatus.OK) -> None:
+        self.coefficients, self.status = coefficients, status
+        self.jobs: list[RefitJob] = []
 
-    def submit(self, job: object) -> None:
-        """Count it."""
-        self.asked += 1
+    def submit(self, job: RefitJob) -> None:
+        """Keep it."""
+        self.jobs.append(job)
+
+    @property
+    def asked(self) -> int:
+        """How many there were."""
+        return len(self.jobs)
 
     def collect(self, leg: str, number: int) -> RefitResult:
         """The candidate."""
-        return RefitResult(number, FitStatus.OK, self.coefficients, 0.1, 1.0)
+        return RefitResult(number, self.status, self.coefficients, 0.1, 1.0)
 
 
 def row(rng: np.random.Generator, p: int, *, truth: float) -> Row:
