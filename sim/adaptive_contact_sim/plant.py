@@ -106,7 +106,7 @@ class Plant:
         self._hang_payload()
 
         # Forces of the last tick's physics steps, and when parts came into contact.
-        self._sensed = np.zeros((self.substeps, model.nsensordata))
+        self.sensed = np.zeros((self.substeps, model.nsensordata))
         self.forces = np.zeros((self.substeps, legs))
         self.touches: tuple[deque[Touch], ...] = tuple(
             deque(maxlen=_TOUCHES_KEPT) for _ in layout.legs
@@ -168,14 +168,14 @@ class Plant:
         except FloatingPointError as error:
             raise self._diverged("positions are no longer finite") from error
         self._check()
-        touch = self._sensed[:, self.elements.touch]
+        touch = self.sensed[:, self.elements.touch]
         touch.reshape(self.substeps, self._legs, -1).sum(axis=2, out=self.forces)
         self.servos.sag(self._supply_resistance_ohm)
 
     def _substeps(self) -> None:
         model, data = self.model, self.data
         drive, rub = self.servos.drive, self.servos.rub
-        step, sensed, sensors = mujoco.mj_step, self._sensed, data.sensordata
+        step, sensed, sensors = mujoco.mj_step, self.sensed, data.sensordata
         gears = self.gears if self.gears.active else None
         on_step = self.on_step
         for i in range(self.substeps):

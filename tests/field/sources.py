@@ -223,7 +223,7 @@ class _Loop(Simulation):
         super().__init__(settings)
         plant: Plant = self.plant
         self._whole_tick = plant.substeps
-        plant.substeps, plant._sensed = 1, plant._sensed[-1:].copy()
+        plant.substeps, plant.sensed = 1, plant.sensed[-1:].copy()
         plant.forces = plant.forces[-1:].copy()
         self.truth = TruthTracker(plant.step_s, 1, len(self.layout.legs))
         self._opening = self.truth.start(plant.forces[0], 0)
