@@ -27,8 +27,6 @@ from adaptive_contact.bridge.packets import (
     Awaited,
     Codec,
     Instruction,
-    Protocol1,
-    Protocol2,
     alarm_names,
     split_fast_sync,
     unsent,
@@ -111,7 +109,7 @@ class Bus:
         self._fast = port.fast
         self._port = SdkPort(name, port)
         self._packets: Any = PacketHandler(float(port.protocol))
-        self._codec: Codec = Protocol1() if port.protocol == 1 else Protocol2()
+        self._codec = Codec(port.protocol)
         # Before 3.8 the SDK knows no fast sync read, and its calls take one argument less.
         self._knows_fast = "fast_option" in signature(self._packets.rxPacket).parameters
         self._slow = (False,) if self._knows_fast else ()
