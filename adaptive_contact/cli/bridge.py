@@ -18,7 +18,7 @@ from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, shak
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
-from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.errors import ConfigurationError, LinkError, needs
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
@@ -57,11 +57,10 @@ def ros2(
     make_stdout_optional()
     stop = opt.stoppable()
     from adaptive_contact.priority import take_priority
-    from adaptive_contact.ros2 import needs_rosbags
     from adaptive_contact.service.link import Link
 
     robot = opt.described_robot(config)
-    with needs_rosbags():
+    with needs("ROS 2", "ros2", "rosbags"):
         from adaptive_contact.ros2.intake import check_mapped
         from adaptive_contact.service.ros2 import Gateway, shown_of_ros
     check_mapped(robot, described_in(config))

@@ -19,8 +19,6 @@ from rosbags.typesys.store import Typestore
 from adaptive_contact.ros2.cdr import CdrError, StateReader, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
 
-__all__ = ["CdrError", "Types", "UnknownHashError", "typestore"]
-
 # A message of ours has a value per joint; a length beyond this is damage, and would allocate.
 _MOST_ITEMS: Final = 65_536
 
