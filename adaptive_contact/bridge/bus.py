@@ -1,12 +1,8 @@
 """A Dynamixel bus over the real DynamixelSDK: ping, read, write, with a result per servo.
 
-What the SDK's packet handlers get wrong (4.1.0; 3.8.4 and 3.7.31 alike) is worked around here:
-
-- ``read2ByteTxRx`` raises IndexError on an error status without data, and ``readTxRx`` takes the
-  check bytes for data, or cuts off what is too long: the length in the packet is checked here.
-- ``GroupSyncRead`` gives up at the first servo that does not answer and returns none of the
-  others; ``GroupBulkRead`` raises TypeError: the packets are taken one by one here.
-- AX servos know neither: each is read by itself, and all are written with one sync write.
+What the SDK's packet handlers get wrong (docs/bridge.md lists it) is worked around here: packets
+are taken one by one, and the length that each gives is checked.  AX servos know no sync read: each
+is read by itself, and all are written with one sync write.
 """
 
 from __future__ import annotations

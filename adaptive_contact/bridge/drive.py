@@ -1,21 +1,7 @@
 """From commands to goals: never a movement that no command asked for.
 
-A leg that has had no command yet gets no goal.  Its first command leads it from where it stands
-(the goal in force, or without torque its position), at an easy pace, to where the command wants
-it; from there it follows, within its limits and at most one step a tick.  Without a command for
-200 ms it holds the last goal, and whatever comes next starts with the easy pace again.
-
-When a servo may be written a goal: nothing moves that was not asked to move.
-
-A servo that has torque stands where its goal register says, or a little below that under its load;
-taking its position for the start would let it sink, or move it.  Only without torque does the
-position say where to begin.  So a goal is written
-
-- to a servo whose registers of mode and limits were read twice alike (:mod:`.modes`),
-- whose goal, and torque, were read in the same tick: what it holds now, whatever was written last,
-- at most one step from the goal in force; without torque, only where the horn is.
-
-Torque is switched on where the same reading shows the goal within a few steps of the horn.
+When a leg moves, at which pace, and what must have been read before a servo is written a goal:
+docs/bridge.md, "Observe and drive"; why: decision 25.
 
 An alarm that the servo's shutdown register names switches its drive off for good.  An AX, RX, MX
 or XL-320 servo sets its torque limit to 0, and drives again as soon as that is written; an X-series

@@ -1,11 +1,7 @@
 """Check servos before a bridge starts: are they all there, the right ones, and set rightly?
 
-One message reports everything that is wrong, and nothing because of one answer alone.  Settings are
-read in one block, twice and equal.  A servo that seems to be wrong is asked again when the line is
-quiet.  Where many answers come late, that is reported, and no servo is blamed for it.  A missing
-servo is looked for at other baud rates and in the other protocol, by pings.  Nothing is written to
-a servo's EEPROM unless ``configure`` is asked for, and then only the return delay, and the
-status return level of a servo that answers no reads.
+One message reports everything that is wrong, and nothing because of one answer alone; what is
+looked for, and what ``configure`` writes: docs/bridge.md, "The handshake".
 """
 
 from __future__ import annotations

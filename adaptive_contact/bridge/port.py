@@ -1,19 +1,6 @@
-"""The DynamixelSDK's port, with what it gets wrong put right.
+"""The DynamixelSDK's port, with what it gets wrong put right: docs/bridge.md lists it.
 
 What its packet handlers get wrong is worked around in :mod:`adaptive_contact.bridge.bus`.
-
-Measured on DynamixelSDK 4.1.0; the tests pass with 3.8.4 and 3.7.31 as well:
-
-- It busy-waits for every byte (77-94 % of a core): here a read sleeps in ``select``.
-- Its timeouts hold 34 ms at the least, taken from the wall clock: here they are as set, monotonic.
-- It throws old input away with ``tcflush``, which may wait long: :meth:`SdkPort.clearPort`.
-- It opens a port that another program uses, and does not lock it: here the port is locked, closed
-  to others (``TIOCEXCL``), and refused where another process has it open.
-- A hang-up leaves ``is_using`` set, so that every later call returns -1000: :meth:`SdkPort.lost`.
-- pyserial's errors, termios' and the system's are three kinds: here one, :class:`PortLostError`.
-- ``addStuffing`` of protocol 2.0 forgets the packet it has stuffed, so that parameters with
-  ``FF FF FD`` go out broken: goals here are 0 to 4095 and never hold those bytes, as they never
-  leave a servo's one turn.
 
 Who has a serial port open: locks are advice, and most Dynamixel software does not ask for it.
 
