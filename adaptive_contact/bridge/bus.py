@@ -210,11 +210,17 @@ class Bus:
     def is_clear(self, servo: int, block: Block) -> bool:
         """Whether a servo can be understood; not where several of one id talk at once.
 
+        It is asked again on a quiet line before it is denied.
+
         Servos that are alike answer to a ping bit for bit the same, at the same moment; what they
         measure differs, and on the wire their answers then garble each other, again and again.
         """
-        faults = [answer.fault for answer in self.ask_often(servo, block)]
-        return faults.count(Fault.CORRUPT) < _GARBLED
+        for _ in range(2):
+            faults = [answer.fault for answer in self.ask_often(servo, block)]
+            if faults.count(Fault.CORRUPT) < _GARBLED:
+                return True
+            self.settle()
+        return False
 
     def ask_often(self, servo: int, block: Block) -> list[Reading]:
         """Ask a servo for registers some times in a row."""

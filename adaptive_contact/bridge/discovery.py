@@ -359,10 +359,7 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
             f"port {bus.name}: several servos answer to id {', '.join(map(str, doubled))} (or "
             "their line is disturbed); connect them one by one and give each an id of its own"
         )
-    models = {
-        servo: None if pong.model_number is None else model_of_number(pong.model_number)
-        for servo, pong in pongs.items()
-    }
+    models = {servo: model_of_number(pong.model_number) for servo, pong in pongs.items()}
     slopes = {
         servo: read_slope(bus, servo, model)
         for servo, model in models.items()
