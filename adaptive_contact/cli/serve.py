@@ -48,7 +48,7 @@ def serve(
     when_ambiguous: opt.AmbiguousOption = WhenAmbiguous.WITHHOLD,
     json: opt.JsonPayloadOption = False,
     log_json: opt.LogJsonOption = False,
-    log_level: opt.LogLevelOption = opt.LogLevel.INFO,
+    log_level: opt.LogLevelOption = "info",
 ) -> None:
     """Turn servo samples into contact events, over Zenoh.
 
