@@ -178,7 +178,8 @@ class PortLoop:
                 self._tell_holding()
                 self._tell(begun_ns)
             except PortLostError as error:
-                self._lose(error)
+                self._lost = True
+                self._outlet.say(f"{error}; trying to open it again")
 
     def _wait(self, due_ns: int, stop: threading.Event) -> tuple[int, int | None]:
         """Wait for the tick; an observer reads one goal a little ahead of it.
@@ -212,10 +213,6 @@ class PortLoop:
             return 0
         now, last = self.cycle.goal_of(self._watched)
         return round(self._lock.update(before=before, now=now, last=last) * _NS)
-
-    def _lose(self, error: PortLostError) -> None:
-        self._lost = True
-        self._outlet.say(f"{error}; trying to open it again")
 
     def _reopen(self, stop: threading.Event) -> bool:
         """Try to open a lost port; True when it is back."""

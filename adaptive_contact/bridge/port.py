@@ -50,6 +50,7 @@ class SdkPort(PortHandler):
         port: its settings.
 
     Attributes:
+        timeout_ms: how long an answer may take beyond its bytes.
         latest_s: monotonic time at which any wait for an answer ends.
         received: bytes read so far.
         arrived: bytes read, or thrown away before a question because they came unasked or too
@@ -62,7 +63,7 @@ class SdkPort(PortHandler):
         self.ser: Any = None
         self.name = name
         self.baudrate = port.baud
-        self._timeout_s = port.timeout_ms / 1000.0
+        self.timeout_ms = port.timeout_ms
         self.byte_s = _BITS_PER_BYTE / port.baud
         self._deadline = 0.0
         self.latest_s = math.inf
@@ -70,15 +71,6 @@ class SdkPort(PortHandler):
         self.arrived = bytearray()
         self._closed_to_others = False
         self._fd = -1
-
-    @property
-    def timeout_ms(self) -> float:
-        """How long an answer may take beyond its bytes."""
-        return self._timeout_s * 1000.0
-
-    @timeout_ms.setter
-    def timeout_ms(self, value: float) -> None:
-        self._timeout_s = value / 1000.0
 
     def open(self) -> None:
         """Open the port and lock it.
@@ -173,7 +165,7 @@ class SdkPort(PortHandler):
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Begin to wait for so many bytes."""
-        usual = time.monotonic() + packet_length * self.byte_s + self._timeout_s
+        usual = time.monotonic() + packet_length * self.byte_s + self.timeout_ms / 1000.0
         self._deadline = min(usual, self.latest_s)
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
