@@ -112,9 +112,7 @@ def check_live(
         check.take(waiting.popleft())
     report = check.report(elapsed)
     if json:
-        import msgspec
-
-        say_json(msgspec.json.encode(report))
+        say_json(report)
     else:
         _print(report, console, moves=drawn)
     if picture is not None:

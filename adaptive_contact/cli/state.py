@@ -44,10 +44,7 @@ def show(
     """List what is kept: of which robot and leg, how old, and whether it is sound."""
     found = _found(state, robot, leg)
     if json:
-        import msgspec
-
-        rows = [_row(stored) for stored in found]
-        say_json(msgspec.json.format(msgspec.json.encode(rows), indent=2).decode())
+        say_json([_row(stored) for stored in found], indent=2)
         return
     if not found:
         say(f"no state in {shown_path(_folder(state))}")

@@ -113,9 +113,7 @@ def _live(look: Look, stop: threading.Event) -> None:
 
 def _print(view: View, json: bool) -> None:
     if json:
-        import msgspec
-
-        say_json(msgspec.json.encode(view))
+        say_json(view)
         return
     from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
