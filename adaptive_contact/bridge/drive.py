@@ -181,13 +181,7 @@ class Standing(NamedTuple):
 
 
 def standing(model: ServoModel, block: Block, data: bytes) -> Standing:
-    """How a servo stands.
-
-    Args:
-        model: the kind of servo.
-        block: what was read; it includes :attr:`~adaptive_contact.bridge.tables.ServoModel.state`.
-        data: its bytes.
-    """
+    """How a servo stands, by a block that includes the model's ``state``."""
 
     def value(name: str) -> int:
         return block.part(data, model.registers[name])

@@ -107,11 +107,7 @@ def check_ports(
 
 
 def scan(bus: Bus, ids: Iterable[int] | None = None) -> dict[int, Pong]:
-    """Ping servos; who answers, by id.
-
-    Args:
-        bus: the port.
-        ids: whom; all that there may be without.
+    """Ping servos, all that there may be without ``ids``; who answers, by id.
 
     Raises:
         PortLostError: the port is gone.
