@@ -89,11 +89,7 @@ class Pong(NamedTuple):
 
 
 class Bus:
-    """One port and the servos on it.  Not for several threads at once.
-
-    Args:
-        name: of the port in ``robot.toml``.
-        port: its settings.
+    """One port of ``robot.toml`` and the servos on it.  Not for several threads at once.
 
     Attributes:
         late: answers that came after they were waited for, by servo.

@@ -95,10 +95,6 @@ class PortLoop:
     """Runs one port until it is stopped.
 
     Args:
-        plan: what is on the port.
-        mode: ``observe`` or ``drive``.
-        outlet: where samples and status go.
-        mailbox: where commands come from.
         run: the ``run`` of the samples, new at each start.
         phase: where in the control period of the monotonic clock ticks begin, 0 to 1; ports that
             take turns do not wait for each other's processor.  An observer finds its own.

@@ -201,12 +201,7 @@ def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:
 
 
 def slope_rad(model: ServoModel, values: dict[str, int]) -> float | None:
-    """Slope, rad, of a model's registers; None where its gain is 0.
-
-    Args:
-        model: the kind of servo.
-        values: of the registers in :data:`LAW_REGISTERS` that it has.
-    """
+    """Slope, rad, of those of :data:`LAW_REGISTERS` that a model has; None where its gain is 0."""
     if "lower_slope" in values:
         slope = (values["lower_slope"] + values["upper_slope"]) / 2 * model.step_rad
     elif not values["position_p"]:

@@ -150,11 +150,7 @@ _LAYOUTS: Final = {
 
 
 class Codec:
-    """A protocol: bytes from frames, and frames from bytes.
-
-    Args:
-        version: of the protocol, 1 or 2.
-    """
+    """A version of the protocol, 1 or 2: bytes from frames, and frames from bytes."""
 
     def __init__(self, version: int) -> None:
         self.version = version

@@ -45,10 +45,6 @@ class PortLostError(BusError):
 class SdkPort(PortHandler):
     """A serial port as the SDK's packet handlers want it.
 
-    Args:
-        name: of the port in ``robot.toml``.
-        port: its settings.
-
     Attributes:
         timeout_ms: how long an answer may take beyond its bytes.
         latest_s: monotonic time at which any wait for an answer ends.
@@ -178,12 +174,7 @@ class SdkPort(PortHandler):
 
 
 def latency_advice(device: str, root: Path = _ADAPTERS) -> str | None:
-    """What to set where a USB adapter holds bytes back longer than 1 ms, or None.
-
-    Args:
-        device: of the port; symbolic links are followed.
-        root: where the system shows its USB adapters.
-    """
+    """What to set where a port's USB adapter holds bytes back longer than 1 ms, or None."""
     name = Path(os.path.realpath(device)).name
     timer = root / name / "latency_timer"
     try:

@@ -304,11 +304,7 @@ class VirtualOptions:
     truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False
 
     def plan(self, network: opt.Network, *, json: bool) -> VirtualPlan:
-        """What to run.
-
-        Args:
-            network: where truth is published, if it is.
-            json: as JSON instead of msgpack.
+        """What to run; truth is published on the network, if it is, as JSON or msgpack.
 
         Raises:
             ConfigurationError: an option cannot be used.

@@ -83,11 +83,7 @@ def typestore(state: str = "jazzy") -> Typestore:
 
 
 class Types:
-    """Reads and writes messages.
-
-    Args:
-        distro: of the ROS 2 that is talked to.
-    """
+    """Reads and writes messages as a distribution of ROS 2 has them."""
 
     def __init__(self, distro: str = "jazzy") -> None:
         self._hashed = distro != "humble"

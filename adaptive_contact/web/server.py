@@ -146,10 +146,6 @@ class History:
 class Site:
     """The server; everything but :meth:`bind` runs in one event loop.
 
-    Args:
-        settings: where.
-        model_of: asks for a leg's model.
-
     Attributes:
         history: what the streams give out.
         streams: browsers that look at the moment.

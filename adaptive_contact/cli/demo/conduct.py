@@ -39,12 +39,7 @@ _LINE_EVERY_S: Final = 5.0
 
 
 class Display:
-    """Shows what goes on: the table of ``watch``, or a line every few seconds without a terminal.
-
-    Args:
-        console: where.
-        settings: of the run.
-    """
+    """Shows what goes on: the table of ``watch``; without a terminal a line every few seconds."""
 
     def __init__(self, console: Console, settings: DemoSettings) -> None:
         self._console, self._settings = console, settings
