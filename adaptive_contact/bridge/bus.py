@@ -1,12 +1,8 @@
 """A Dynamixel bus over the real DynamixelSDK: ping, read, write, with a result per servo.
 
-What the SDK's packet handlers get wrong (4.1.0; 3.8.4 and 3.7.31 alike) is worked around here:
-
-- ``read2ByteTxRx`` raises IndexError on an error status without data, and ``readTxRx`` takes the
-  check bytes for data, or cuts off what is too long: the length in the packet is checked here.
-- ``GroupSyncRead`` gives up at the first servo that does not answer and returns none of the
-  others; ``GroupBulkRead`` raises TypeError: the packets are taken one by one here.
-- AX servos know neither: each is read by itself, and all are written with one sync write.
+What the SDK's packet handlers get wrong (docs/bridge.md lists it) is worked around here: packets
+are taken one by one, and the length that each gives is checked.  AX servos know no sync read: each
+is read by itself, and all are written with one sync write.
 """
 
 from __future__ import annotations
@@ -27,8 +23,6 @@ from adaptive_contact.bridge.packets import (
     Awaited,
     Codec,
     Instruction,
-    Protocol1,
-    Protocol2,
     alarm_names,
     split_fast_sync,
     unsent,
@@ -95,11 +89,7 @@ class Pong(NamedTuple):
 
 
 class Bus:
-    """One port and the servos on it.  Not for several threads at once.
-
-    Args:
-        name: of the port in ``robot.toml``.
-        port: its settings.
+    """One port of ``robot.toml`` and the servos on it.  Not for several threads at once.
 
     Attributes:
         late: answers that came after they were waited for, by servo.
@@ -111,7 +101,7 @@ class Bus:
         self._fast = port.fast
         self._port = SdkPort(name, port)
         self._packets: Any = PacketHandler(float(port.protocol))
-        self._codec: Codec = Protocol1() if port.protocol == 1 else Protocol2()
+        self._codec = Codec(port.protocol)
         # Before 3.8 the SDK knows no fast sync read, and its calls take one argument less.
         self._knows_fast = "fast_option" in signature(self._packets.rxPacket).parameters
         self._slow = (False,) if self._knows_fast else ()
@@ -216,11 +206,17 @@ class Bus:
     def is_clear(self, servo: int, block: Block) -> bool:
         """Whether a servo can be understood; not where several of one id talk at once.
 
+        It is asked again on a quiet line before it is denied.
+
         Servos that are alike answer to a ping bit for bit the same, at the same moment; what they
         measure differs, and on the wire their answers then garble each other, again and again.
         """
-        faults = [answer.fault for answer in self.ask_often(servo, block)]
-        return faults.count(Fault.CORRUPT) < _GARBLED
+        for _ in range(2):
+            faults = [answer.fault for answer in self.ask_often(servo, block)]
+            if faults.count(Fault.CORRUPT) < _GARBLED:
+                return True
+            self.settle()
+        return False
 
     def ask_often(self, servo: int, block: Block) -> list[Reading]:
         """Ask a servo for registers some times in a row."""

@@ -83,10 +83,7 @@ def read_servos(plans: Sequence[PortPlan]) -> list[Servo]:
                     values = {}
                     for name in COMPARED:
                         register = joint.model.registers.get(name)
-                        if register is None:
-                            continue
-                        data = bus.confirmed(joint.servo, register.block)
-                        if data is not None:
+                        if register and (data := bus.confirmed(joint.servo, register.block)):
                             values[name] = register.value(data)
                     port = plan.name if len(plans) > 1 else ""
                     where = f"{leg.id} {joint.name}"
@@ -104,13 +101,13 @@ def compare(servos: Sequence[Servo]) -> list[str]:
     lines = []
     for name, group in by_model.items():
         for register in COMPARED:
-            if register in _SHAPES:
-                continue
-            lines += _differing(name, register, [s for s in group if register in s.values])
+            if register not in _SHAPES:
+                lines += _differing(name, register, [s for s in group if register in s.values])
     for register, shapes in _SHAPES.items():
         by_line: dict[str, list[Servo]] = {}
         for servo in servos:
-            line = shapes(servo, register) if register in servo.values else None
+            # 0 limits nothing; a torque limit of 0 is a servo's that has shut itself down.
+            line = shapes(servo, register) if servo.values.get(register) else None
             if line is not None:
                 by_line.setdefault(line, []).append(servo)
         lines += [
@@ -148,21 +145,16 @@ def _who(some: Sequence[Servo], of: Sequence[Servo]) -> str:
     return f"servo {names}"
 
 
-def _speed(servo: Servo, register: str) -> str | None:
+def _speed(servo: Servo, register: str) -> str:
     value = servo.values[register]
-    if not value:
-        return None
-    free = "0 sets no limit"
     if register == "profile_velocity" and _time_based(servo):
-        return f"is {value} ms: goals are reached so much later; {free}"
+        return f"is {value} ms: goals are reached so much later; 0 sets no limit"
     rad_s = value * servo.model.speed_rad_s
-    return f"is {value}: goals are followed at {rad_s:.2g} rad/s at the most; {free}"
+    return f"is {value}: goals are followed at {rad_s:.2g} rad/s at the most; 0 sets no limit"
 
 
-def _acceleration(servo: Servo, register: str) -> str | None:
+def _acceleration(servo: Servo, register: str) -> str:
     value = servo.values[register]
-    if not value:
-        return None
     if register == "profile_acceleration" and _time_based(servo):
         return f"is {value} ms: so long a servo gathers speed for each goal; 0 sets no limit"
     most = (
@@ -173,7 +165,7 @@ def _acceleration(servo: Servo, register: str) -> str | None:
 
 def _weaker(servo: Servo, register: str) -> str | None:
     value, full = servo.values[register], _FULL[register]
-    if value >= full or value == 0:  # 0: it has shut itself down, which the handshake says
+    if value >= full:
         return None
     return f"is {value} of {full}: it drives with {100 * value / full:.0f} % of what it has"
 

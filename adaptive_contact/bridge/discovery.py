@@ -247,7 +247,7 @@ def _dealt(found: Sequence[Found], joints: int) -> list[tuple[Found, tuple[int, 
     """All servos in the order of their ids, so many a leg."""
     parts: list[tuple[Found, tuple[int, ...]]] = []
     for one in found:
-        _refuse_unknown(one, sorted(one.servos))
+        _models(one, sorted(one.servos))
         ids = sorted(one.servos)
         if len(ids) % joints:
             raise BusError(
@@ -285,12 +285,17 @@ def _chosen(
                 f"--ids {text}: port {near.name} has no servo {', '.join(lacking)} (ids there are "
                 f"{_ranges(sorted(near.servos))}); check its cable, power, id and baud rate"
             )
-        _refuse_unknown(on[0], ids)
+        _models(on[0], ids)
         parts.append((on[0], ids))
     return parts
 
 
-def _refuse_unknown(one: Found, ids: Sequence[int]) -> None:
+def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
+    """What some servos of a port are.
+
+    Raises:
+        BusError: one of them cannot be used.
+    """
     mute = [str(servo) for servo in ids if servo in one.mute]
     if mute:
         raise BusError(
@@ -305,11 +310,8 @@ def _refuse_unknown(one: Found, ids: Sequence[int]) -> None:
             "for those that are, or name the servos of the legs with --ids"
         )
     protocol = one.port.protocol
-    other = [
-        f"{servo} ({model.name})"
-        for servo in ids
-        if (model := one.servos[servo]) is not None and model.protocol != protocol
-    ]
+    models = {servo: model for servo in ids if (model := one.servos[servo]) is not None}
+    other = [f"{s} ({model.name})" for s, model in models.items() if model.protocol != protocol]
     if other:
         raise BusError(
             f"port {one.name}: servo {', '.join(other)} answers in protocol {protocol}, and is "
@@ -317,12 +319,7 @@ def _refuse_unknown(one: Found, ids: Sequence[int]) -> None:
             "Wizard (servos of one port need one protocol), or name the servos of the legs with "
             "--ids"
         )
-
-
-def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
-    models = tuple(model for servo in ids if (model := one.servos[servo]) is not None)
-    assert len(models) == len(ids)
-    return models
+    return tuple(models.values())
 
 
 def describe(found: Iterable[Found]) -> list[str]:
@@ -359,10 +356,7 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
             f"port {bus.name}: several servos answer to id {', '.join(map(str, doubled))} (or "
             "their line is disturbed); connect them one by one and give each an id of its own"
         )
-    models = {
-        servo: None if pong.model_number is None else model_of_number(pong.model_number)
-        for servo, pong in pongs.items()
-    }
+    models = {servo: model_of_number(pong.model_number) for servo, pong in pongs.items()}
     slopes = {
         servo: read_slope(bus, servo, model)
         for servo, model in models.items()

@@ -1,21 +1,7 @@
 """From commands to goals: never a movement that no command asked for.
 
-A leg that has had no command yet gets no goal.  Its first command leads it from where it stands
-(the goal in force, or without torque its position), at an easy pace, to where the command wants
-it; from there it follows, within its limits and at most one step a tick.  Without a command for
-200 ms it holds the last goal, and whatever comes next starts with the easy pace again.
-
-When a servo may be written a goal: nothing moves that was not asked to move.
-
-A servo that has torque stands where its goal register says, or a little below that under its load;
-taking its position for the start would let it sink, or move it.  Only without torque does the
-position say where to begin.  So a goal is written
-
-- to a servo whose registers of mode and limits were read twice alike (:mod:`.modes`),
-- whose goal, and torque, were read in the same tick: what it holds now, whatever was written last,
-- at most one step from the goal in force; without torque, only where the horn is.
-
-Torque is switched on where the same reading shows the goal within a few steps of the horn.
+When a leg moves, at which pace, and what must have been read before a servo is written a goal:
+docs/bridge.md, "Observe and drive"; why: decision 25.
 
 An alarm that the servo's shutdown register names switches its drive off for good.  An AX, RX, MX
 or XL-320 servo sets its torque limit to 0, and drives again as soon as that is written; an X-series
@@ -195,13 +181,7 @@ class Standing(NamedTuple):
 
 
 def standing(model: ServoModel, block: Block, data: bytes) -> Standing:
-    """How a servo stands.
-
-    Args:
-        model: the kind of servo.
-        block: what was read; it includes :attr:`~adaptive_contact.bridge.tables.ServoModel.state`.
-        data: its bytes.
-    """
+    """How a servo stands, by a block that includes the model's ``state``."""
 
     def value(name: str) -> int:
         return block.part(data, model.registers[name])
@@ -234,10 +214,6 @@ class GoalRegister(enum.Enum):
 
 class Waker:
     """Judges from one servo's readings whether, and from where, it may be moved.
-
-    Args:
-        joint: the servo.
-        max_step_rad: how far a goal may move in one tick.
 
     Attributes:
         setting: how it is set; None until its registers were read twice alike.
@@ -295,13 +271,7 @@ class Waker:
         return lower, min(self._joint.upper_rad, max(one, other))
 
     def place(self, stands: Standing | None, steps: int, goal: int) -> Place | None:
-        """From where it can be moved, by one tick's readings; None, and ``trouble``, if it cannot.
-
-        Args:
-            stands: how it stands; None where that was not read.
-            steps: position.
-            goal: register.
-        """
+        """From where it can be moved, by a tick's readings; None, and ``trouble``, if it cannot."""
         if stands is None or stands.shut or self.setting is None:
             return None
         if self.awake and not stands.torque:

@@ -1,11 +1,7 @@
 """Check servos before a bridge starts: are they all there, the right ones, and set rightly?
 
-One message reports everything that is wrong, and nothing because of one answer alone.  Settings are
-read in one block, twice and equal.  A servo that seems to be wrong is asked again when the line is
-quiet.  Where many answers come late, that is reported, and no servo is blamed for it.  A missing
-servo is looked for at other baud rates and in the other protocol, by pings.  Nothing is written to
-a servo's EEPROM unless ``configure`` is asked for, and then only the return delay, and the
-status return level of a servo that answers no reads.
+One message reports everything that is wrong, and nothing because of one answer alone; what is
+looked for, and what ``configure`` writes: docs/bridge.md, "The handshake".
 """
 
 from __future__ import annotations
@@ -71,12 +67,6 @@ class Findings:
     # what was written, with ``configure``
     done: list[str] = dataclasses.field(default_factory=list)
 
-    def add(self, other: Findings) -> None:
-        """Take in those of another port."""
-        self.errors += other.errors
-        self.advice += other.advice
-        self.done += other.done
-
     def raise_errors(self) -> None:
         """Raise all errors as one message.
 
@@ -107,19 +97,17 @@ def check_ports(
         drive: they are to be driven, not only observed.
     """
     with ThreadPoolExecutor(max_workers=len(plans)) as pool:
-        results = list(pool.map(lambda plan: _check(plan, configure, full, drive), plans))
-    findings = Findings()
-    for result in results:
-        findings.add(result)
+        checks = [_Handshake(p, configure=configure, full=full, drive=drive) for p in plans]
+        findings = Findings()
+        for found in pool.map(_Handshake.run, checks):
+            findings.errors += found.errors
+            findings.advice += found.advice
+            findings.done += found.done
     return findings
 
 
 def scan(bus: Bus, ids: Iterable[int] | None = None) -> dict[int, Pong]:
-    """Ping servos; who answers, by id.
-
-    Args:
-        bus: the port.
-        ids: whom; all that there may be without.
+    """Ping servos, all that there may be without ``ids``; who answers, by id.
 
     Raises:
         PortLostError: the port is gone.
@@ -159,11 +147,11 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
         number = bus.confirmed(servo, MODEL_NUMBER) if pong.reads else None
         if number is not None:  # what a scan took for it may have been another answer
             pong = pong._replace(model_number=int.from_bytes(number, "little"))
-        model = None if pong.model_number is None else model_of_number(pong.model_number)
+        model = model_of_number(pong.model_number)
         if model is None and pong.reads and bus.protocol == 1:
             mark = bus.confirmed(servo, FEETECH_MARK)
             pong = pong._replace(brand=None if mark is None else feetech_name(mark, servo))
-        if model is not None and not pong.doubled and not _is_clear(bus, servo, model):
+        if model is not None and not pong.doubled and not bus.is_clear(servo, model.measured):
             pong = pong._replace(doubled=True)
         pongs[servo] = pong
     return dict(sorted(pongs.items()))
@@ -229,8 +217,9 @@ def let_answer(
         PortLostError: the port is gone.
     """
     pong = found[servo]
-    own = None if pong.model_number is None else model_of_number(pong.model_number)
-    model = own or model or (MODELS[0] if bus.protocol == 1 else None)
+    model = (
+        model_of_number(pong.model_number) or model or (MODELS[0] if bus.protocol == 1 else None)
+    )
     if model is None:
         return f"({named(pong)}) has its status return level at a place that is unknown here"
     register = model.registers["status_return"]
@@ -263,234 +252,218 @@ def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
     return worst
 
 
-def _is_clear(bus: Bus, servo: int, model: ServoModel) -> bool:
-    """Whether a servo can be understood; asked again on a quiet line before it is denied."""
-    if bus.is_clear(servo, model.measured):
-        return True
-    bus.settle()
-    return bus.is_clear(servo, model.measured)
+class _Handshake:
+    """Shakes hands on one port."""
 
+    def __init__(self, plan: PortPlan, *, configure: bool, full: bool, drive: bool) -> None:
+        self._plan, self._bus = plan, Bus(plan.name, plan.port)
+        self._configure, self._full, self._drive = configure, full, drive
+        self._port = f"port {plan.name}"
+        self._where = f"port {plan.name} ({plan.port.device})"
+        self._expected = {joint.servo: joint for joint in plan.joints}
+        self._legs = {joint.servo: leg.id for leg in plan.legs for joint in leg.joints}
+        self._findings = Findings()
+        self._errors, self._advice = self._findings.errors, self._findings.advice
 
-def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings:
-    findings = Findings()
-    bus = Bus(plan.name, plan.port)
-    try:
-        bus.open()
-    except BusError as error:
-        findings.errors.append(str(error))
-        return findings
-    try:
-        expected = {joint.servo: joint for joint in plan.joints}
-        asked = ALL_IDS if full else expected
-        found = scan(bus, [servo for servo in asked if servo not in plan.port.ignore])
+    def run(self) -> Findings:
+        try:
+            self._bus.open()
+            found = self._ask()
+            self._compare(found, self._look_for([s for s in self._expected if s not in found]))
+            self._judge_settings()
+        except BusError as error:
+            self._errors.append(str(error))
+        finally:
+            self._bus.close()
+        return self._findings
+
+    def _ask(self) -> dict[int, Pong]:
+        """Who is there, by id; who answers pings only is let answer, where that is wanted."""
+        bus, expected = self._bus, self._expected
+        asked = ALL_IDS if self._full else expected
+        found = scan(bus, [servo for servo in asked if servo not in self._plan.port.ignore])
         if not found:
             bus.settle(MOST_PATIENT_MS)  # were they late?
         if found or bus.late:  # a bus without an answer is asked once
             found = scan_again(bus, found, {*expected, *bus.late})
         mute = [s for s, pong in found.items() if s in expected and not pong.reads]
-        for servo in mute if configure else ():
+        for servo in mute if self._configure else ():
             trouble = let_answer(bus, found, servo, expected[servo].model)
             if trouble is None:
-                findings.done.append(f"port {plan.name}: servo {servo}: {ANSWERS_NOW}")
+                self._findings.done.append(f"{self._port}: servo {servo}: {ANSWERS_NOW}")
             else:
-                findings.advice.append(f"port {plan.name}: servo {servo} {trouble}")
-        missing = [servo for servo in expected if servo not in found]
-        elsewhere: dict[Place, list[int]] = {}
-        if missing:
-            bus.settle()  # were they late?
-            if not _many_late(plan, bus, missing):
-                bus.close()
-                bauds = (*USUAL_BAUDS, *_OTHER_BAUDS)
-                elsewhere = look_elsewhere(plan.name, plan.port, missing, bauds)
-                bus.open()
-        _compare(plan, bus, expected, found, elsewhere, findings)
-        present = [] if findings.errors else list(plan.joints)
-        unread = [j.servo for j in present if not _settings(plan, bus, j, drive, findings)]
-        if unread:
-            findings.errors.append(_unread(plan, bus, unread))
-        _delays(plan, bus, present, configure, findings)
-        slow = _slow(plan, bus, present) if bus.late else []
+                self._advice.append(f"{self._port}: servo {servo} {trouble}")
+        return found
+
+    def _look_for(self, missing: Sequence[int]) -> dict[Place, list[int]]:
+        """Missing servos that answer at another rate, or in the other protocol, by these."""
+        if not missing:
+            return {}
+        self._bus.settle()  # were they late?
+        if self._many_late(missing):
+            return {}
+        self._bus.close()
+        bauds = (*USUAL_BAUDS, *_OTHER_BAUDS)
+        elsewhere = look_elsewhere(self._plan.name, self._plan.port, missing, bauds)
+        self._bus.open()
+        return elsewhere
+
+    def _judge_settings(self) -> None:
+        plan, bus = self._plan, self._bus
+        present = [] if self._errors else list(plan.joints)
+        unread = [joint.servo for joint in present if not self._is_set(joint)]
+        if unread and self._many_late(unread):
+            self._errors.append(self._too_late(len(unread)))
+        elif unread:
+            self._errors.append(
+                f"{self._port}: the settings of servo {', '.join(map(str, unread))} cannot be read "
+                "twice alike; the line is disturbed: check its plugs and cable, and try again"
+            )
+        self._check_delays(present)
+        slow = [joint for joint in present if self._is_slow(joint)] if bus.late else []
         if len(slow) >= crowd(len(plan.joints)):
-            findings.advice.append(_too_late(plan, len(slow)))
+            self._advice.append(self._too_late(len(slow)))
         advice = latency_advice(bus.device)
         if advice is not None:
-            findings.advice.append(f"port {plan.name}: {advice}")
-    except BusError as error:
-        findings.errors.append(str(error))
-    finally:
-        bus.close()
-    return findings
+            self._advice.append(f"{self._port}: {advice}")
 
+    def _too_late(self, count: int) -> str:
+        return f"{self._port}: answers of {count} servos come too late: {BUSY}"
 
-def _unread(plan: PortPlan, bus: Bus, servos: Sequence[int]) -> str:
-    """What to say of servos that are there, and whose registers cannot be read reliably."""
-    ids = ", ".join(map(str, servos))
-    if _many_late(plan, bus, servos):
-        return _too_late(plan, len(servos))
-    return (
-        f"port {plan.name}: the settings of servo {ids} cannot be read twice alike; the line is "
-        "disturbed: check its plugs and cable, and try again"
-    )
-
-
-def _too_late(plan: PortPlan, count: int) -> str:
-    return f"port {plan.name}: answers of {count} servos come too late: {BUSY}"
-
-
-def _slow(plan: PortPlan, bus: Bus, joints: Sequence[JointPlan]) -> list[int]:
-    """Servos that never answer within the port's time, however quiet the line and the computer."""
-    slow = []
-    for joint in joints:
+    def _is_slow(self, joint: JointPlan) -> bool:
+        """Whether a servo never answers in time, however quiet the line and the computer."""
         taken_s = (
             answer.till_s - answer.at_s
-            for answer in bus.ask_often(joint.servo, joint.model.measured)
+            for answer in self._bus.ask_often(joint.servo, joint.model.measured)
             if answer.data is not None
         )
-        if min(taken_s, default=0.0) > plan.port.timeout_ms / 1000.0:
-            slow.append(joint.servo)
-    return slow
+        return min(taken_s, default=0.0) > self._plan.port.timeout_ms / 1000.0
 
+    def _many_late(self, servos: Iterable[int]) -> bool:
+        late = [servo for servo in servos if self._bus.late[servo]]
+        return len(late) >= crowd(len(self._plan.joints))
 
-def _many_late(plan: PortPlan, bus: Bus, servos: Sequence[int]) -> bool:
-    late = [servo for servo in servos if bus.late[servo]]
-    return len(late) >= crowd(len(plan.joints))
+    def _compare(self, found: dict[int, Pong], elsewhere: dict[Place, list[int]]) -> None:
+        """Compare who is there with who should be."""
+        plan, expected, where = self._plan, self._expected, self._where
+        many_late = self._many_late(expected)
+        if self._bus.timeout_ms >= MOST_PATIENT_MS and many_late:
+            self._errors.append(self._too_late(len(expected)))
+            return
+        others = [self._other_place(place, ids) for place, ids in elsewhere.items()]
+        if not found and not many_late:
+            remedy = "; ".join(others) or "check the servos' power, the cable and the baud rate"
+            self._errors.append(
+                f"{where}: no servo answers at {plan.port.baud} baud, protocol "
+                f"{plan.port.protocol}; {remedy}"
+            )
+            return
+        self._errors += [f"{where}: {other}" for other in others]
+        astray = {servo for ids in elsewhere.values() for servo in ids}
+        missing = [servo for servo in expected if servo not in found and servo not in astray]
+        if self._many_late(missing):
+            self._errors.append(self._too_late(len(missing)))
+        elif missing:
+            listed = ", ".join(f"{s} ({self._legs[s]} {expected[s].name})" for s in missing)
+            self._errors.append(
+                f"{where}: missing servo {listed}; check cable, power, id and baud rate"
+            )
+        aside = sorted({*plan.port.ignore, *(servo for servo in found if servo not in expected)})
+        for servo, pong in found.items():
+            trouble = self._trouble(servo, pong, aside)
+            if trouble is not None:
+                self._errors.append(f"{where}: {trouble}")
 
-
-def _compare(
-    plan: PortPlan,
-    bus: Bus,
-    expected: dict[int, JointPlan],
-    found: dict[int, Pong],
-    elsewhere: dict[Place, list[int]],
-    findings: Findings,
-) -> None:
-    where = f"port {plan.name} ({bus.device})"
-    if bus.timeout_ms >= MOST_PATIENT_MS and _many_late(plan, bus, list(expected)):
-        findings.errors.append(_too_late(plan, len(expected)))
-        return
-    legs = {joint.servo: leg.id for leg in plan.legs for joint in leg.joints}
-    astray = [servo for ids in elsewhere.values() for servo in ids]
-    if not found and not _many_late(plan, bus, list(expected)):
-        remedy = "check the servos' power, the cable and the baud rate"
-        if astray:
-            remedy = "; ".join(_elsewhere(plan, place, ids) for place, ids in elsewhere.items())
-        findings.errors.append(
-            f"{where}: no servo answers at {plan.port.baud} baud, protocol {plan.port.protocol}; "
-            f"{remedy}"
-        )
-        return
-    findings.errors += [
-        f"{where}: {_elsewhere(plan, place, ids)}" for place, ids in elsewhere.items()
-    ]
-    missing = [servo for servo in expected if servo not in found and servo not in astray]
-    if _many_late(plan, bus, missing):
-        findings.errors.append(_too_late(plan, len(missing)))
-    elif missing:
-        listed = ", ".join(f"{s} ({legs[s]} {expected[s].name})" for s in missing)
-        findings.errors.append(
-            f"{where}: missing servo {listed}; check cable, power, id and baud rate"
-        )
-    aside = sorted({*plan.port.ignore, *(servo for servo in found if servo not in expected)})
-    for servo, pong in found.items():
-        joint = expected.get(servo)
-        number = pong.model_number
+    def _trouble(self, servo: int, pong: Pong, aside: Sequence[int]) -> str | None:
+        """Why a servo that answers is not the one expected; ``aside`` are ids of no leg."""
+        joint = self._expected.get(servo)
         if pong.doubled:
-            findings.errors.append(
-                f"{where}: several servos answer to id {servo} (or its line is disturbed); connect "
+            return (
+                f"several servos answer to id {servo} (or its line is disturbed); connect "
                 "them one by one and give each an id of its own"
             )
-        elif joint is None:
-            findings.errors.append(
-                f"{where}: unexpected servo {servo} ({named(pong)}); add it to a leg, or "
+        if joint is None:
+            return (
+                f"unexpected servo {servo} ({named(pong)}); add it to a leg, or "
                 f"disconnect it, or, if it is no leg's, write ignore = {aside} in "
-                f"[port.{plan.name}]"
+                f"[port.{self._plan.name}]"
             )
-        elif not pong.reads:
-            findings.errors.append(
-                f"{where}: servo {servo} answers to pings but not to reads; set its status return "
+        if not pong.reads:
+            return (
+                f"servo {servo} answers to pings but not to reads; set its status return "
                 "level to 2 with DYNAMIXEL Wizard, or run once with --configure"
             )
-        elif pong.brand is not None:
-            wanted = " or ".join(m.name for m in joint.models)
-            findings.errors.append(
-                f"{where}: servo {servo} ({legs[servo]} {joint.name}) is a {pong.brand}, expected "
-                f"{wanted}; this bridge cannot drive it"
+        leg, wanted = self._legs[servo], " or ".join(model.name for model in joint.models)
+        who = f"servo {servo} ({leg} {joint.name})"
+        if pong.brand is not None:
+            return f"{who} is a {pong.brand}, expected {wanted}; this bridge cannot drive it"
+        if pong.model_number not in [model.number for model in joint.models]:
+            return f"{who} is {named(pong)}, expected {wanted}; correct servos.model of leg '{leg}'"
+        return None
+
+    def _other_place(self, place: Place, ids: Sequence[int]) -> str:
+        """What to say of servos that answer at another rate, or in the other protocol."""
+        baud, protocol = place
+        own = self._plan.port
+        does = "answers" if len(ids) == 1 else "answer"
+        if set(ids) == set(self._expected):
+            remedy = f"set baud = {baud} and protocol = {protocol} in [port.{self._plan.name}]"
+        else:
+            what = "baud rate" if protocol == own.protocol else "baud rate and protocol"
+            remedy = f"set its {what} with DYNAMIXEL Wizard, as all servos of a port have one"
+        return (
+            f"servo {', '.join(map(str, ids))} {does} at {baud} baud, protocol {protocol}, not at "
+            f"{own.baud} baud, protocol {own.protocol}; {remedy}"
+        )
+
+    def _is_set(self, joint: JointPlan) -> bool:
+        """Judge the modes of a servo; False if it does not say them reliably."""
+        where, model, servo = f"{self._port}: servo {joint.servo}", joint.model, joint.servo
+        data = [self._bus.confirmed(servo, block) for block in (*model.settings, model.state)]
+        known = [part for part in data if part is not None]
+        if len(known) < len(data):
+            return False
+        if standing(model, model.state, known.pop()).shut:
+            self._advice.append(f"{where}: {remedy(model)}")
+        found = setting(model, known)
+        wrong = found.wrong or (found.undriven if self._drive else None)
+        if wrong:
+            self._errors.append(f"{where} {wrong}")
+        elif found.advice:
+            self._advice.append(f"{where} {found.advice}")
+        return True
+
+    def _check_delays(self, joints: Sequence[JointPlan]) -> None:
+        """Return delays: with the 500 us of new servos, half of the cycle is waiting."""
+        slow: dict[int, int] = {}
+        for joint in joints:
+            register = joint.model.registers["return_delay"]
+            data = self._bus.confirmed(joint.servo, register.block)
+            delay_us = 0 if data is None else register.value(data) * _US_PER_DELAY
+            if delay_us > _MOST_DELAY_US:
+                slow[joint.servo] = delay_us
+                if self._configure:
+                    self._set_delay(joint)
+        if slow and not self._configure:
+            ids = ", ".join(map(str, slow))
+            self._advice.append(
+                f"{self._port}: return delay of servo {ids} is {max(slow.values())} us, expected "
+                f"{_MOST_DELAY_US} or less (0 is best); run once with --configure to set it"
             )
-        elif number not in [m.number for m in joint.models]:
-            wanted = " or ".join(m.name for m in joint.models)
-            findings.errors.append(
-                f"{where}: servo {servo} ({legs[servo]} {joint.name}) is {named(pong)}, expected "
-                f"{wanted}; correct servos.model of leg '{legs[servo]}'"
+
+    def _set_delay(self, joint: JointPlan) -> None:
+        registers, servo = joint.model.registers, joint.servo
+        if joint.model.protocol == 2 and self._bus.get(servo, registers["torque_enable"]):
+            # Those of protocol 2.0 lock their EEPROM while they drive; letting go would drop the
+            # robot.
+            self._advice.append(
+                f"{self._port}: servo {servo} drives, so its return delay cannot be set; switch "
+                "its torque off first (the leg will go limp), then run with --configure again"
             )
-
-
-def _elsewhere(plan: PortPlan, place: Place, ids: Sequence[int]) -> str:
-    """What to say of servos that answer at another rate, or in the other protocol."""
-    baud, protocol = place
-    own = f"{plan.port.baud} baud, protocol {plan.port.protocol}"
-    listed = f"servo {', '.join(map(str, ids))}"
-    does = "answers" if len(ids) == 1 else "answer"
-    if set(ids) == {joint.servo for joint in plan.joints}:
-        remedy = f"set baud = {baud} and protocol = {protocol} in [port.{plan.name}]"
-    else:
-        what = "baud rate" if protocol == plan.port.protocol else "baud rate and protocol"
-        remedy = f"set its {what} with DYNAMIXEL Wizard, as all servos of a port have one"
-    return f"{listed} {does} at {baud} baud, protocol {protocol}, not at {own}; {remedy}"
-
-
-def _settings(plan: PortPlan, bus: Bus, joint: JointPlan, drive: bool, findings: Findings) -> bool:
-    """Modes in which goals would not be followed; False if the servo does not say reliably."""
-    where, model, servo = f"port {plan.name}: servo {joint.servo}", joint.model, joint.servo
-    data = [bus.confirmed(servo, block) for block in (*model.settings, model.state)]
-    known = [part for part in data if part is not None]
-    if len(known) < len(data):
-        return False
-    if standing(model, model.state, known.pop()).shut:
-        findings.advice.append(f"{where}: {remedy(model)}")
-    found = setting(model, known)
-    wrong = found.wrong or (found.undriven if drive else None)
-    if wrong:
-        findings.errors.append(f"{where} {wrong}")
-    elif found.advice:
-        findings.advice.append(f"{where} {found.advice}")
-    return True
-
-
-def _delays(
-    plan: PortPlan, bus: Bus, joints: Sequence[JointPlan], configure: bool, findings: Findings
-) -> None:
-    """Return delays: with the 500 us of new servos, half of the cycle is waiting."""
-    slow: dict[int, int] = {}
-    for joint in joints:
-        register = joint.model.registers["return_delay"]
-        data = bus.confirmed(joint.servo, register.block)
-        delay_us = 0 if data is None else register.value(data) * _US_PER_DELAY
-        if delay_us <= _MOST_DELAY_US:
-            continue
-        slow[joint.servo] = delay_us
-        if configure:
-            _configure(plan, bus, joint, findings)
-    if slow and not configure:
-        ids = ", ".join(str(servo) for servo in slow)
-        findings.advice.append(
-            f"port {plan.name}: return delay of servo {ids} is {max(slow.values())} us, expected "
-            f"{_MOST_DELAY_US} or less (0 is best); run once with --configure to set it"
-        )
-
-
-def _configure(plan: PortPlan, bus: Bus, joint: JointPlan, findings: Findings) -> None:
-    registers, servo = joint.model.registers, joint.servo
-    if joint.model.protocol == 2 and bus.get(servo, registers["torque_enable"]):
-        # Those of protocol 2.0 lock their EEPROM while they drive; letting go would drop the robot.
-        findings.advice.append(
-            f"port {plan.name}: servo {servo} drives, so its return delay cannot be set; switch "
-            "its torque off first (the leg will go limp), then run with --configure again"
-        )
-        return
-    if bus.put(servo, registers["return_delay"], 0):
-        findings.done.append(f"port {plan.name}: servo {servo}: return delay set to 0")
-    else:
-        findings.advice.append(
-            f"port {plan.name}: servo {servo} did not take a return delay of 0; its EEPROM may be "
-            "locked: switch its power off and on, then run with --configure again"
-        )
+        elif self._bus.put(servo, registers["return_delay"], 0):
+            self._findings.done.append(f"{self._port}: servo {servo}: return delay set to 0")
+        else:
+            self._advice.append(
+                f"{self._port}: servo {servo} did not take a return delay of 0; its EEPROM may be "
+                "locked: switch its power off and on, then run with --configure again"
+            )

@@ -221,12 +221,7 @@ class News:
     def lines(
         self, health: Mapping[int, ServoHealth], late: Mapping[int, int] | None = None
     ) -> list[str]:
-        """What is new since the last call.
-
-        Args:
-            health: by servo.
-            late: answers that came too late since the start, by servo.
-        """
+        """What is new since the last call; ``late`` counts late answers since the start."""
         said: list[str] = []
         silent = {servo for servo, record in health.items() if record.silent}
         answering = {servo for servo, record in health.items() if not record.misses}

@@ -95,10 +95,6 @@ class PortLoop:
     """Runs one port until it is stopped.
 
     Args:
-        plan: what is on the port.
-        mode: ``observe`` or ``drive``.
-        outlet: where samples and status go.
-        mailbox: where commands come from.
         run: the ``run`` of the samples, new at each start.
         phase: where in the control period of the monotonic clock ticks begin, 0 to 1; ports that
             take turns do not wait for each other's processor.  An observer finds its own.
@@ -178,7 +174,8 @@ class PortLoop:
                 self._tell_holding()
                 self._tell(begun_ns)
             except PortLostError as error:
-                self._lose(error)
+                self._lost = True
+                self._outlet.say(f"{error}; trying to open it again")
 
     def _wait(self, due_ns: int, stop: threading.Event) -> tuple[int, int | None]:
         """Wait for the tick; an observer reads one goal a little ahead of it.
@@ -212,10 +209,6 @@ class PortLoop:
             return 0
         now, last = self.cycle.goal_of(self._watched)
         return round(self._lock.update(before=before, now=now, last=last) * _NS)
-
-    def _lose(self, error: PortLostError) -> None:
-        self._lost = True
-        self._outlet.say(f"{error}; trying to open it again")
 
     def _reopen(self, stop: threading.Event) -> bool:
         """Try to open a lost port; True when it is back."""

@@ -1,39 +1,7 @@
 r"""How a servo follows goals, off its registers: modes, limits, offsets, and position gain.
 
-A goal and a position of one servo are numbers of one frame, whatever the frame is: homing offset,
-reverse mode and multi-turn offset are in both, and ``directions`` and ``offsets_rad`` of
-``robot.toml`` are on top of them.  What differs is which numbers a servo takes as goals, and
-whether it turns towards them at all:
-
-=====================================  ====================  ======================================
-found                                  goals it takes        here
-=====================================  ====================  ======================================
-AX, RX, MX, XL-320: limits lo < hi     lo to hi              driven
-AX, RX, MX: both limits 0 (wheel)      ignored               refused
-XL-320: control mode 1 (wheel)         ignored               refused
-MX: both limits 4095 (multi-turn)      -28672 to 28672       driven within its turn, 0 to 4095;
-                                                             refused with a resolution divider
-MX-64, MX-106: torque control on       ignored               refused
-MX-106: drive mode, slave              ignored               refused
-X: mode 3 (position)                   min to max limit      driven, homing offset considered
-X: mode 4, 5 (extended, current-based) +-1048575             driven within its turn, 0 to 4095
-X: mode 0, 1, 16 (current, velocity,   ignored               refused
-PWM)
-X: drive mode, slave                   ignored               refused
-X: drive mode, torque on by goal       as the mode           observed, not driven
-X: drive mode, reverse, time-based     as the mode           driven
-X: secondary id, 0 to 252              those of that id too  observed, not driven
-=====================================  ====================  ======================================
-
-MX is here MX with protocol 1.0; with protocol 2.0 they are as X-series servos are.
-
-A multi-turn servo forgets its turns with its power: a position beyond one turn says nothing of the
-joint, so goals stay within the turn that ``robot.toml`` describes.
-
-Where a turn of the encoder ends, one place has two numbers; a limp servo that stands there is not
-woken, for it could run the whole turn back.  With a homing offset h, an X-series servo in position
-mode sets its position to one of h to h + 4095 when its torque comes on: another turn than before,
-where it stood outside.
+Which modes are driven, observed or refused, and why: docs/bridge.md, "Modes and limits".  A servo
+of protocol 1.0, or an XL-320, is judged by its limits, any other by its operating mode.
 
 Sources: ROBOTIS e-manual, XL-320 "Control Mode(11)"; MX-106 "Drive Mode(10)"; MX-64
 "CW/CCW Angle Limit(6, 8)", "Resolution Divider (22)", "Torque
@@ -233,12 +201,7 @@ def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:
 
 
 def slope_rad(model: ServoModel, values: dict[str, int]) -> float | None:
-    """Slope, rad, of a model's registers; None where its gain is 0.
-
-    Args:
-        model: the kind of servo.
-        values: of the registers in :data:`LAW_REGISTERS` that it has.
-    """
+    """Slope, rad, of those of :data:`LAW_REGISTERS` that a model has; None where its gain is 0."""
     if "lower_slope" in values:
         slope = (values["lower_slope"] + values["upper_slope"]) / 2 * model.step_rad
     elif not values["position_p"]:

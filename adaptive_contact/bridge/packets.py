@@ -25,7 +25,7 @@ import enum
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 BROADCAST_ID: Final = 0xFE
 MAX_ID: Final = 252  # 253 is reserved in both protocols
@@ -66,34 +66,6 @@ class Status(NamedTuple):
     data: bytes
 
 
-class Codec(Protocol):
-    """A protocol: bytes from frames, and frames from bytes."""
-
-    version: int
-
-    def instruction(self, servo: int, code: int, parameters: bytes = b"") -> bytes:
-        """Bytes of an instruction packet."""
-
-    def status(self, servo: int, error: int = 0, data: bytes = b"") -> bytes:
-        """Bytes of a status packet."""
-
-    def parse(self, buffer: bytearray) -> tuple[list[Frame], int]:
-        """Take whole packets off the front of a buffer.
-
-        Args:
-            buffer: received so far; what was used or is no packet is removed, the beginning of a
-                packet that is still coming stays.
-
-        Returns:
-            The frames, and how many packets had a wrong check.
-        """
-
-
-_HEADER_1: Final = b"\xff\xff"
-# Header, id, length, code and checksum; a length byte counts from the code on.
-_OVERHEAD_1: Final = 4
-_MAX_LENGTH_1: Final = 250
-
 # Bits of a status packet's error byte, by the name they are counted under.
 ERROR_BITS: Final = {
     0x01: "voltage",
@@ -105,71 +77,8 @@ ERROR_BITS: Final = {
     0x40: "instruction",
 }
 
-
-def checksum(body: bytes) -> int:
-    """Checksum of a packet's bytes from the id to the last parameter."""
-    return ~sum(body) & 0xFF
-
-
-class Protocol1:
-    """Protocol 1.0, a :class:`~adaptive_contact.bridge.packets.Codec`."""
-
-    version = 1
-
-    def instruction(self, servo: int, code: int, parameters: bytes = b"") -> bytes:
-        """Bytes of an instruction packet.
-
-        Raises:
-            ValueError: the packet would be too long for its length byte.
-        """
-        length = len(parameters) + 2
-        if length > _MAX_LENGTH_1:
-            raise ValueError(f"{length} bytes do not fit a protocol 1.0 packet ({_MAX_LENGTH_1})")
-        body = bytes((servo, length, code)) + parameters
-        return _HEADER_1 + body + bytes((checksum(body),))
-
-    def status(self, servo: int, error: int = 0, data: bytes = b"") -> bytes:
-        """Bytes of a status packet."""
-        return self.instruction(servo, error, data)
-
-    def parse(self, buffer: bytearray) -> tuple[list[Frame], int]:
-        """Take whole packets off the front of a buffer; see :class:`.packets.Codec`."""
-        frames: list[Frame] = []
-        corrupt = 0
-        while True:
-            start = buffer.find(_HEADER_1)
-            if start < 0:
-                # The last byte may be the first of a header.
-                del buffer[: len(buffer) - (buffer[-1:] == b"\xff")]
-                return frames, corrupt
-            # An id is at most FE, so of three or more FF the last two are the header.
-            while buffer[start + 2 : start + 3] == b"\xff":
-                start += 1
-            del buffer[:start]
-            if len(buffer) < _OVERHEAD_1:
-                return frames, corrupt
-            length = buffer[3]
-            if not 2 <= length <= _MAX_LENGTH_1:
-                corrupt += 1
-                del buffer[:2]
-                continue
-            end = _OVERHEAD_1 + length
-            if len(buffer) < end:
-                return frames, corrupt
-            body = bytes(buffer[2 : end - 1])
-            if checksum(body) == buffer[end - 1]:
-                frames.append(Frame(body[0], body[2], body[3:]))
-                del buffer[:end]
-            else:
-                corrupt += 1
-                del buffer[:2]
-
-
 _HEADER_2: Final = b"\xff\xff\xfd\x00"
 _MAGIC: Final = b"\xff\xff\xfd"
-# Header, id and length; the length counts from the code on.
-_OVERHEAD_2: Final = 7
-_MAX_LENGTH_2: Final = 1024
 ALERT: Final = 0x80  # bit of the error byte: the servo's own hardware is in trouble
 
 # Error numbers (low 7 bits of the error byte), by the name they are counted under.
@@ -225,61 +134,114 @@ def unstuff(payload: bytes) -> bytes:
     return payload.replace(_MAGIC + b"\xfd", _MAGIC)
 
 
-class Protocol2:
-    """Protocol 2.0, a :class:`~adaptive_contact.bridge.packets.Codec`."""
+class _Layout(NamedTuple):
+    """What surrounds code and parameters in a packet."""
 
-    version = 2
+    header: bytes
+    overhead: int  # bytes up to the end of the length, which counts all that follows it
+    lengths: range  # that a packet may have
+    check_bytes: int
+
+
+_LAYOUTS: Final = {
+    1: _Layout(b"\xff\xff", 4, range(2, 251), 1),
+    2: _Layout(_HEADER_2, 7, range(3, 1025), 2),
+}
+
+
+class Codec:
+    """A version of the protocol, 1 or 2: bytes from frames, and frames from bytes."""
+
+    def __init__(self, version: int) -> None:
+        self.version = version
+        self._layout = _LAYOUTS[version]
 
     def instruction(self, servo: int, code: int, parameters: bytes = b"") -> bytes:
         """Bytes of an instruction packet.
 
         Raises:
-            ValueError: the packet would be longer than servos take.
+            ValueError: the packet would be longer than the protocol has them.
         """
-        payload = stuff(bytes((code,)) + parameters)
-        length = len(payload) + 2
-        if length > _MAX_LENGTH_2:
-            raise ValueError(f"{length} bytes do not fit a protocol 2.0 packet ({_MAX_LENGTH_2})")
-        packet = _HEADER_2 + bytes((servo,)) + length.to_bytes(2, "little") + payload
-        return packet + crc16(packet).to_bytes(2, "little")
+        header, overhead, lengths, check_bytes = self._layout
+        payload = bytes((code,)) + parameters
+        if self.version == 2:
+            payload = stuff(payload)
+        length, most = len(payload) + check_bytes, lengths[-1]
+        if length > most:
+            raise ValueError(
+                f"{length} bytes do not fit a protocol {self.version}.0 packet ({most})"
+            )
+        head = header + bytes((servo,))
+        packet = head + length.to_bytes(overhead - len(head), "little") + payload
+        return packet + self._check(packet)
 
     def status(self, servo: int, error: int = 0, data: bytes = b"") -> bytes:
         """Bytes of a status packet."""
+        if self.version == 1:
+            return self.instruction(servo, error, data)
         return self.instruction(servo, Instruction.STATUS, bytes((error,)) + data)
 
     def parse(self, buffer: bytearray) -> tuple[list[Frame], int]:
-        """Take whole packets off the front of a buffer; see :class:`.packets.Codec`."""
+        """Take whole packets off the front of a buffer.
+
+        Args:
+            buffer: received so far; what was used or is no packet is removed, the beginning of a
+                packet that is still coming stays.
+
+        Returns:
+            The frames, and how many packets had a wrong check.
+        """
+        header, overhead, lengths, _ = self._layout
         frames: list[Frame] = []
         corrupt = 0
-        while True:
-            start = buffer.find(_HEADER_2)
-            if start < 0:
-                # Up to three last bytes may begin a header.
-                keep = next((n for n in (3, 2, 1) if buffer[-n:] == _HEADER_2[:n]), 0)
-                del buffer[: len(buffer) - keep]
-                return frames, corrupt
-            del buffer[:start]
-            if len(buffer) < _OVERHEAD_2:
-                return frames, corrupt
-            length = int.from_bytes(buffer[5:7], "little")
-            if not 3 <= length <= _MAX_LENGTH_2:
+        while self._begins(buffer):
+            length = int.from_bytes(buffer[len(header) + 1 : overhead], "little")
+            end = overhead + length
+            frame = None
+            if length in lengths:
+                if len(buffer) < end:
+                    break
+                frame = self._frame(bytes(buffer[:end]))
+            if frame is None:
                 corrupt += 1
-                del buffer[: len(_HEADER_2)]
-                continue
-            end = _OVERHEAD_2 + length
-            if len(buffer) < end:
-                return frames, corrupt
-            packet = bytes(buffer[:end])
-            if crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little"):
-                payload = packet[_OVERHEAD_2:-2]
-                # A joint answer to a fast sync read comes from no single servo, and is not stuffed.
-                fast = packet[4] == BROADCAST_ID and payload[0] == Instruction.STATUS
-                payload = payload if fast else unstuff(payload)
-                frames.append(Frame(packet[4], payload[0], payload[1:]))
-                del buffer[:end]
+                del buffer[: len(header)]
             else:
-                corrupt += 1
-                del buffer[: len(_HEADER_2)]
+                frames.append(frame)
+                del buffer[:end]
+        return frames, corrupt
+
+    def _begins(self, buffer: bytearray) -> bool:
+        """Remove what comes before a header; whether all up to the packet's length is there."""
+        header = self._layout.header
+        start = buffer.find(header)
+        if start < 0:
+            # The last bytes may begin a header.
+            keep = next((n for n in range(len(header) - 1, 0, -1) if buffer[-n:] == header[:n]), 0)
+            start = len(buffer) - keep
+        # An id is at most FE, so of three or more FF the last two are protocol 1.0's header.
+        while buffer[start + 1 : start + 1 + len(header)] == header:
+            start += 1
+        del buffer[:start]
+        return len(buffer) >= self._layout.overhead
+
+    def _frame(self, packet: bytes) -> Frame | None:
+        """A packet's frame; None where its check is wrong."""
+        header, overhead, _, check_bytes = self._layout
+        inside = packet[:-check_bytes]
+        if self._check(inside) != packet[-check_bytes:]:
+            return None
+        servo, payload = packet[len(header)], inside[overhead:]
+        # A joint answer to a fast sync read comes from no single servo, and is not stuffed.
+        fast = servo == BROADCAST_ID and payload[0] == Instruction.STATUS
+        if self.version == 2 and not fast:
+            payload = unstuff(payload)
+        return Frame(servo, payload[0], payload[1:])
+
+    def _check(self, packet: bytes) -> bytes:
+        """Checksum, or CRC, of a packet that lacks it."""
+        if self.version == 1:
+            return bytes((~sum(packet[len(self._layout.header) :]) & 0xFF,))
+        return crc16(packet).to_bytes(2, "little")
 
 
 # An answer that has not come within this time does not come.

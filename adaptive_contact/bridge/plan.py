@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import msgspec
@@ -30,8 +31,8 @@ class JointPlan:
     direction: int
     offset_rad: float
     # lower_rad, upper_rad: how far goals may go
-    lower_rad: float
-    upper_rad: float
+    lower_rad: float = -math.inf
+    upper_rad: float = math.inf
 
     @property
     def model(self) -> ServoModel:
@@ -145,11 +146,8 @@ def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
         direction = 1 if servos.directions is None else servos.directions[j]
         offset = 0.0 if servos.offsets_rad is None else servos.offsets_rad[j]
         models = _models(f"[[leg]] '{leg.id}'", servos.models[j], name, port)
-        model = models[0]
-        ends = [
-            direction * (steps - model.centre) * model.step_rad + offset
-            for steps in (model.lowest, model.highest)
-        ]
+        plan = JointPlan(servo, joint, models, direction, offset)
+        ends = [plan.angle(plan.model.lowest), plan.angle(plan.model.highest)]
         lower, upper = min(ends), max(ends)
         if leg.limits is not None:
             lower = max(lower, leg.limits.lower_rad[j])
@@ -157,10 +155,10 @@ def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
         if lower >= upper:
             raise ConfigurationError(
                 f"[[leg]] '{leg.id}': joint '{joint}' cannot move: its limits and the range of "
-                f"{model.name} ({min(ends):.2f} to {max(ends):.2f} rad) do not meet; check "
+                f"{plan.model.name} ({min(ends):.2f} to {max(ends):.2f} rad) do not meet; check "
                 "servos.offsets_rad and limits"
             )
-        joints.append(JointPlan(servo, joint, models, direction, offset, lower, upper))
+        joints.append(replace(plan, lower_rad=lower, upper_rad=upper))
     return LegPlan(leg.id, tuple(joints), servos.max_step_rad)
 
 

@@ -1,19 +1,6 @@
-"""The DynamixelSDK's port, with what it gets wrong put right.
+"""The DynamixelSDK's port, with what it gets wrong put right: docs/bridge.md lists it.
 
 What its packet handlers get wrong is worked around in :mod:`adaptive_contact.bridge.bus`.
-
-Measured on DynamixelSDK 4.1.0; the tests pass with 3.8.4 and 3.7.31 as well:
-
-- It busy-waits for every byte (77-94 % of a core): here a read sleeps in ``select``.
-- Its timeouts hold 34 ms at the least, taken from the wall clock: here they are as set, monotonic.
-- It throws old input away with ``tcflush``, which may wait long: :meth:`SdkPort.clearPort`.
-- It opens a port that another program uses, and does not lock it: here the port is locked, closed
-  to others (``TIOCEXCL``), and refused where another process has it open.
-- A hang-up leaves ``is_using`` set, so that every later call returns -1000: :meth:`SdkPort.lost`.
-- pyserial's errors, termios' and the system's are three kinds: here one, :class:`PortLostError`.
-- ``addStuffing`` of protocol 2.0 forgets the packet it has stuffed, so that parameters with
-  ``FF FF FD`` go out broken: goals here are 0 to 4095 and never hold those bytes, as they never
-  leave a servo's one turn.
 
 Who has a serial port open: locks are advice, and most Dynamixel software does not ask for it.
 
@@ -58,11 +45,8 @@ class PortLostError(BusError):
 class SdkPort(PortHandler):
     """A serial port as the SDK's packet handlers want it.
 
-    Args:
-        name: of the port in ``robot.toml``.
-        port: its settings.
-
     Attributes:
+        timeout_ms: how long an answer may take beyond its bytes.
         latest_s: monotonic time at which any wait for an answer ends.
         received: bytes read so far.
         arrived: bytes read, or thrown away before a question because they came unasked or too
@@ -75,7 +59,7 @@ class SdkPort(PortHandler):
         self.ser: Any = None
         self.name = name
         self.baudrate = port.baud
-        self._timeout_s = port.timeout_ms / 1000.0
+        self.timeout_ms = port.timeout_ms
         self.byte_s = _BITS_PER_BYTE / port.baud
         self._deadline = 0.0
         self.latest_s = math.inf
@@ -83,15 +67,6 @@ class SdkPort(PortHandler):
         self.arrived = bytearray()
         self._closed_to_others = False
         self._fd = -1
-
-    @property
-    def timeout_ms(self) -> float:
-        """How long an answer may take beyond its bytes."""
-        return self._timeout_s * 1000.0
-
-    @timeout_ms.setter
-    def timeout_ms(self, value: float) -> None:
-        self._timeout_s = value / 1000.0
 
     def open(self) -> None:
         """Open the port and lock it.
@@ -186,7 +161,7 @@ class SdkPort(PortHandler):
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Begin to wait for so many bytes."""
-        usual = time.monotonic() + packet_length * self.byte_s + self._timeout_s
+        usual = time.monotonic() + packet_length * self.byte_s + self.timeout_ms / 1000.0
         self._deadline = min(usual, self.latest_s)
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
@@ -199,12 +174,7 @@ class SdkPort(PortHandler):
 
 
 def latency_advice(device: str, root: Path = _ADAPTERS) -> str | None:
-    """What to set where a USB adapter holds bytes back longer than 1 ms, or None.
-
-    Args:
-        device: of the port; symbolic links are followed.
-        root: where the system shows its USB adapters.
-    """
+    """What to set where a port's USB adapter holds bytes back longer than 1 ms, or None."""
     name = Path(os.path.realpath(device)).name
     timer = root / name / "latency_timer"
     try:

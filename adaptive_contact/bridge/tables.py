@@ -208,7 +208,7 @@ BAUDS: Final = (
 )
 
 
-def model_of_number(number: int) -> ServoModel | None:
+def model_of_number(number: int | None) -> ServoModel | None:
     """The model that answers with this number, or None."""
     return next((m for m in MODELS if m.number == number), None)
 

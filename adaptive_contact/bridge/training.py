@@ -17,7 +17,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -60,13 +60,8 @@ def free_swings(
         max_step_rad: largest step of a joint in a tick.
 
     Raises:
-        ConfigurationError: its lengths are not known, or it cannot lift its foot that way.
+        ConfigurationError: it cannot lift its foot that way.
     """
-    if leg.chain is None:
-        raise ConfigurationError(
-            f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; measure "
-            "its links and fill them in"
-        )
     home = np.array(start_rad, dtype=np.float64)
     lower, upper = home - amplitude_rad, home + amplitude_rad
     if leg.limits is not None:
@@ -75,12 +70,6 @@ def free_swings(
         # A joint that is found outside its limits may stay, and go no further out.
         lower = np.maximum(lower, np.minimum(low + margin, home))
         upper = np.minimum(upper, np.maximum(high - margin, home))
-    return _goals(leg, home, lower, upper, rng, max_step_rad)
-
-
-def _goals(
-    leg: Leg, home: Array, lower: Array, upper: Array, rng: np.random.Generator, max_step_rad: float
-) -> Iterator[list[float]]:
     here = home
     for swing in itertools.count(1):
         low, high = _pair(leg, lower, upper, rng)
@@ -88,7 +77,7 @@ def _goals(
             yield from _move(here, target, rng, max_step_rad)
             here = target
         rest = REST_TICKS if swing % HELD_SWINGS else HELD_TICKS
-        yield from ([float(x) for x in here] for _ in range(rest))
+        yield from (here.tolist() for _ in range(rest))
 
 
 def _pair(leg: Leg, lower: Array, upper: Array, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -130,9 +119,9 @@ class _Basket:
         self.kept: dict[str, list[ServoSample]] = {}
         self.mailbox = Mailbox()
         self.error: AdaptiveContactError | None = None
+        self.say = say
         self._scripts = scripts
         self._running: dict[str, Iterator[list[float]]] = {}
-        self._say = say
 
     def samples(self, samples: Mapping[str, ServoSample]) -> None:
         """Keep a tick's samples; each asks for its leg's next goal."""
@@ -143,9 +132,6 @@ class _Basket:
 
     def status(self, status: BridgeStatus) -> None:
         """Ignore the status: what happens is said."""
-
-    def say(self, line: str) -> None:
-        self._say(line)
 
     def _answer(self, leg: str, sample: ServoSample) -> None:
         try:
@@ -186,7 +172,7 @@ def collect(
     Raises:
         AdaptiveContactError: a port cannot be opened, or a leg cannot do what its script says.
     """
-    mode = "observe" if scripts is None else "drive"
+    mode: Literal["observe", "drive"] = "observe" if scripts is None else "drive"
     end, halt = stop or threading.Event(), threading.Event()
     baskets = [_Basket(scripts or {}, say) for _ in plans]
     run = time.time_ns() // 1_000_000
@@ -196,10 +182,7 @@ def collect(
         if refused is not None:
             say(refused)
         try:
-            loop = PortLoop(
-                plan, "drive" if mode == "drive" else "observe", basket, basket.mailbox, run
-            )
-            loop.run(halt)
+            PortLoop(plan, mode, basket, basket.mailbox, run).run(halt)
         except AdaptiveContactError as error:
             basket.error = error
 

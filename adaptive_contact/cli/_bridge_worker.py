@@ -10,9 +10,10 @@ from typing import Any, Literal
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.transport import Mailbox
+from adaptive_contact.cli._link import unless_stopped
 from adaptive_contact.cli._output import protect_output, say
 from adaptive_contact.cli._signals import on_signals
-from adaptive_contact.errors import AdaptiveContactError, LinkError
+from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, LinkSettings
 from adaptive_contact.service.settings import Finding
@@ -76,17 +77,13 @@ def work(
         _say(f"port {plan.name}: {finding.line}; trying on")
 
     try:
-        with Link.open(settings, on_wait=waits, stop=stop) as link:
+        with unless_stopped(stop), Link.open(settings, on_wait=waits, stop=stop) as link:
             outlet, mailbox = ZenohOutlet(link, plan), Mailbox()
             if mode == "drive":
                 listen(link, plan, mailbox)
             if refused is not None:
                 outlet.say(f"port {plan.name}: {refused}")
             PortLoop(plan, mode, outlet, mailbox, run, phase=phase).run(stop)
-    except LinkError as error:
-        if not stop.is_set():
-            _say(str(error))
-            sys.exit(2)
     except AdaptiveContactError as error:
         _say(str(error))
         sys.exit(2)

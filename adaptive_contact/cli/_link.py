@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from adaptive_contact.cli._output import say_waiting
@@ -37,6 +38,16 @@ def open_link(
         if stop.is_set():
             return None
         raise
+
+
+@contextlib.contextmanager
+def unless_stopped(stop: threading.Event) -> Iterator[None]:
+    """Around work on links: once ``stop`` is set, a router that is not there is no failure."""
+    try:
+        yield
+    except LinkError:
+        if not stop.is_set():
+            raise
 
 
 def leave(*, closed: bool) -> None:

@@ -11,9 +11,8 @@ import re
 import signal
 import threading
 from collections.abc import Callable, Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -154,15 +153,6 @@ def seconds_option(
     return option(name, text, "DURATION", parser=parse, **settings)
 
 
-class LogLevel(StrEnum):
-    """How much a command says."""
-
-    DEBUG = "debug"
-    INFO = "info"
-    WARNING = "warning"
-    ERROR = "error"
-
-
 _NETWORK: Final = "Network"
 _MAX_SPEED: Final = 1000.0
 
@@ -292,7 +282,8 @@ AmbiguousOption = Annotated[
     ),
 ]
 LogLevelOption = Annotated[
-    LogLevel, option("--log-level", "Least level that is logged.", panel="Logging")
+    Literal["debug", "info", "warning", "error"],
+    option("--log-level", "Least level that is logged.", panel="Logging"),
 ]
 LogJsonOption = Annotated[
     bool, option("--log-json", "Log one JSON object per line.", panel="Logging")

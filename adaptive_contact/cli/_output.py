@@ -32,9 +32,14 @@ def say(line: object, *, err: bool = False) -> None:
     print(printable(line), file=sys.stderr if err else sys.stdout, flush=True)
 
 
-def say_json(text: bytes | str) -> None:
-    """Print JSON of the same value that a terminal can show."""
-    shown = printable_json(text)
+def say_json(value: object, indent: int | None = None) -> None:
+    """Print a value as JSON that a terminal can show; bytes and text are JSON already."""
+    if not isinstance(value, bytes | str):
+        import msgspec
+
+        value = msgspec.json.encode(value, enc_hook=str)
+        value = value if indent is None else msgspec.json.format(value, indent=indent)
+    shown = printable_json(value)
     try:
         shown.encode(sys.stdout.encoding or "utf-8")
     except UnicodeEncodeError:  # a locale of fewer letters: as JSON has them in ASCII

@@ -59,15 +59,7 @@ def check_live(
     picture: Path | None,
     json: bool,
 ) -> int:
-    """Look for a while, then judge.
-
-    Args:
-        robot: its description.
-        settings: where the router is.
-        seconds: how long to look.
-        stop: ends the look early.
-        picture: SVG to draw; None for none.
-        json: print the report as JSON, and nothing else.
+    """Look for a while, or until ``stop`` is set, then judge; ``json`` prints the report alone.
 
     Returns:
         The exit code: 0 where nothing is worse than a note, else 1.
@@ -112,9 +104,7 @@ def check_live(
         check.take(waiting.popleft())
     report = check.report(elapsed)
     if json:
-        import msgspec
-
-        say_json(msgspec.json.encode(report))
+        say_json(report)
     else:
         _print(report, console, moves=drawn)
     if picture is not None:
@@ -353,21 +343,17 @@ def check(
                 "its device, give --device /dev/ttyUSB0, or give --live to look at the samples of "
                 "its source"
             )
-        _draw_described(robot, picture)
+        from adaptive_contact.cli._robot_picture import write_picture
+
+        # Its joint angles are unknown.
+        write_picture(robot, {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}, picture)
+        say(
+            f"drawn with all joints at 0, as robot '{robot.name}' has no port; with --live it "
+            "stands as its samples say",
+            err=True,
+        )
         return
     _check_bus(config, device, picture, _BUS_S if seconds is None else seconds, stop)
-
-
-def _draw_described(robot: Robot, picture: Path) -> None:
-    """Draw a robot on no bus, whose joint angles are unknown."""
-    from adaptive_contact.cli._robot_picture import write_picture
-
-    write_picture(robot, {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}, picture)
-    say(
-        f"drawn with all joints at 0, as robot '{robot.name}' has no port; with --live it stands "
-        "as its samples say",
-        err=True,
-    )
 
 
 def _check_bus(

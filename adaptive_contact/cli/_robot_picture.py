@@ -146,7 +146,8 @@ def _from_above(
     parts.append(f'<polygon points="{hull}" fill="#f4f6f7" stroke="{_PALE}" stroke-width="2"/>')
     x, y = middle
     parts += [
-        _arrow(x, _TOP + 62, x, _TOP + 22, _INK),
+        f'<line x1="{x:.1f}" y1="{_TOP + 62:.1f}" x2="{x:.1f}" y2="{_TOP + 22:.1f}" '
+        f'stroke="{_INK}" stroke-width="2"/>' + _head(x, _TOP + 22, np.pi / 2, _INK),
         _text(x + 8, _TOP + 34, "front (x)", _INK, bold=True),
         _text(12, y - 6, "left (y)", _GREY),
         _text(size - 12, y - 6, "right", _GREY, anchor="end"),
@@ -306,14 +307,6 @@ def _head(x: float, y: float, way_rad: float, colour: str) -> str:
     ]
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in corners)
     return f'<polygon points="{points}" fill="{colour}"/>'
-
-
-def _arrow(x0: float, y0: float, x1: float, y1: float, colour: str) -> str:
-    way = float(np.arctan2(y0 - y1, x1 - x0))
-    return (
-        f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{colour}" '
-        f'stroke-width="2"/>' + _head(x1, y1, way, colour)
-    )
 
 
 def _link(start: tuple[float, float], end: tuple[float, float], colour: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import threading
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -221,9 +220,7 @@ def execute(plan: RunPlan, stop: threading.Event) -> None:
             say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
     if report.note is not None:
         say_note(report.note)
-    sys.stdout.flush()
 
 
 def _start(line: str) -> None:
     say(f"adaptive-contact sim: {line}; stop with Ctrl-C")
-    sys.stdout.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import threading
 import webbrowser
@@ -21,42 +22,51 @@ if TYPE_CHECKING:
 
 WEB_PANEL = "Live page"
 
-PortOption = Annotated[
-    int | None,
-    option(
-        "--port", "Of the page; without it, a free one.", "N", min=0, max=65_535, panel=WEB_PANEL
-    ),
-]
-HostOption = Annotated[
-    str | None,
-    option(
-        "--host",
-        "Where the page listens (default 127.0.0.1). Beyond this computer, such as on "
-        "0.0.0.0, the link has a token, without which nothing is shown.",
-        "ADDRESS",
-        panel=WEB_PANEL,
-    ),
-]
-NoBrowserOption = Annotated[
-    bool, option("--no-browser", "Print the page's link, and open nothing.", panel=WEB_PANEL)
-]
 
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """The options of the page; see :func:`~adaptive_contact.cli._options.flatten`."""
 
-def web_settings(
-    web: bool, host: str | None, port: int | None, no_browser: bool
-) -> WebSettings | None:
-    """Settings of the page, None where none is asked for.
+    port: Annotated[
+        int | None,
+        option(
+            "--port",
+            "Of the page; without it, a free one.",
+            "N",
+            min=0,
+            max=65_535,
+            panel=WEB_PANEL,
+        ),
+    ] = None
+    host: Annotated[
+        str | None,
+        option(
+            "--host",
+            "Where the page listens (default 127.0.0.1). Beyond this computer, such as on "
+            "0.0.0.0, the link has a token, without which nothing is shown.",
+            "ADDRESS",
+            panel=WEB_PANEL,
+        ),
+    ] = None
+    no_browser: Annotated[
+        bool, option("--no-browser", "Print the page's link, and open nothing.", panel=WEB_PANEL)
+    ] = False
 
-    Raises:
-        ConfigurationError: options of the page without ``--web``.
-    """
-    if not web:
-        if host is not None or port is not None or no_browser:
-            raise ConfigurationError("--host, --port and --no-browser are of the page; give --web")
-        return None
-    from adaptive_contact.web import WebSettings
+    def settings(self, web: bool) -> WebSettings | None:
+        """Settings of the page, None where none is asked for.
 
-    return WebSettings(host=host or "127.0.0.1", port=port or 0)
+        Raises:
+            ConfigurationError: options of the page without ``--web``.
+        """
+        if not web:
+            if self != Page():
+                raise ConfigurationError(
+                    "--host, --port and --no-browser are of the page; give --web"
+                )
+            return None
+        from adaptive_contact.web import WebSettings
+
+        return WebSettings(host=self.host or "127.0.0.1", port=self.port or 0)
 
 
 @contextlib.contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -15,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, shake_hands
+from adaptive_contact.cli._link import unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
-from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.errors import ConfigurationError, needs
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
@@ -57,11 +57,10 @@ def ros2(
     make_stdout_optional()
     stop = opt.stoppable()
     from adaptive_contact.priority import take_priority
-    from adaptive_contact.ros2 import needs_rosbags
     from adaptive_contact.service.link import Link
 
     robot = opt.described_robot(config)
-    with needs_rosbags():
+    with needs("ROS 2", "ros2", "rosbags"):
         from adaptive_contact.ros2.intake import check_mapped
         from adaptive_contact.service.ros2 import Gateway, shown_of_ros
     check_mapped(robot, described_in(config))
@@ -77,26 +76,23 @@ def ros2(
     refused = take_priority() if realtime else None
     if refused is not None:
         _say_ros(refused)
-    try:
-        with (
-            Link.open(ros_settings, on_wait=waits_for_ros, stop=stop) as ros,
-            Link.open(settings, on_wait=waits, stop=stop) as service,
-        ):
-            # Milliseconds since 1970: a later start has a larger run.
-            gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
-            reads = "reading nothing (no [leg.ros2])"
-            if gateway.legs:
-                reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(gateway.legs)}"
-            say(
-                f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
-                "Ctrl-C"
-            )
-            if gateway.legs and gateway.intake.unmapped:
-                _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
-            gateway.run(stop)
-    except LinkError:
-        if not stop.is_set():
-            raise
+    with (
+        unless_stopped(stop),
+        Link.open(ros_settings, on_wait=waits_for_ros, stop=stop) as ros,
+        Link.open(settings, on_wait=waits, stop=stop) as service,
+    ):
+        # Milliseconds since 1970: a later start has a larger run.
+        gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
+        reads = "reading nothing (no [leg.ros2])"
+        if gateway.legs:
+            reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(gateway.legs)}"
+        say(
+            f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
+            "Ctrl-C"
+        )
+        if gateway.legs and gateway.intake.unmapped:
+            _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
+        gateway.run(stop)
 
 
 @opt.flatten
@@ -114,7 +110,7 @@ def foxglove(
 
     check_installed()
     settings = network.client()
-    try:
+    with unless_stopped(stop):
         with (
             Link.open(settings, on_wait=say_waiting, stop=stop) as link,
             FoxgloveServer(link, host, port) as server,
@@ -130,15 +126,11 @@ def foxglove(
                     err=True,
                 )
             server.run(stop)
-    except LinkError:
-        if not stop.is_set():
-            raise
-        return
-    for (key, why), count in server.left_out.most_common(8):
-        say(
-            f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
-            err=True,
-        )
+        for (key, why), count in server.left_out.most_common(8):
+            say(
+                f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
+                err=True,
+            )
 
 
 def _say_ros(line: str) -> None:
@@ -212,7 +204,6 @@ class _Crew:
             f"adaptive-contact bridge: {what} {servos} servos on {len(self._plans)} ports, legs "
             f"{legs}; publishing robot/leg/*/servo; stop with Ctrl-C"
         )
-        sys.stdout.flush()
         try:
             while not stop.wait(0.2):
                 for plan in self._plans:
@@ -313,11 +304,7 @@ class VirtualOptions:
     truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False
 
     def plan(self, network: opt.Network, *, json: bool) -> VirtualPlan:
-        """What to run.
-
-        Args:
-            network: where truth is published, if it is.
-            json: as JSON instead of msgpack.
+        """What to run; truth is published on the network, if it is, as JSON or msgpack.
 
         Raises:
             ConfigurationError: an option cannot be used.
@@ -379,7 +366,6 @@ def virtual(
 
 def _say(line: str) -> None:
     say(f"adaptive-contact bridge virtual: {line}")
-    sys.stdout.flush()
 
 
 app.command()(ros2)

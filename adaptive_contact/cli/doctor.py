@@ -47,9 +47,7 @@ def doctor(
         found = error.finding
         diagnosis = Diagnosis(router=found.reach, router_line=found.line)
     if json:
-        import msgspec
-
-        say_json(msgspec.json.encode(diagnosis))
+        say_json(diagnosis)
     else:
         print_diagnosis(diagnosis)
     raise typer.Exit(diagnosis.exit_code)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
@@ -21,15 +20,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.recording.export import ExportFormat
 
 
-class Format(StrEnum):
-    """What a recording is turned into; by value that of `service.recording.export`."""
-
-    JSON = "json"
-    PROTOBUF = "protobuf"
-    CSV = "csv"
-    PARQUET = "parquet"
-
-
 _PROGRESS_S: Final = 0.5
 _SHOWN: Final = 8  # reasons
 
@@ -39,7 +29,7 @@ def export(
         Path, typer.Argument(metavar="FILE.mcap", help="Recording to read.", show_default=False)
     ],
     to: Annotated[
-        Format,
+        Literal["json", "protobuf", "csv", "parquet"],
         option(
             "--to",
             "json, protobuf: an MCAP file (protobuf opens in Foxglove, rerun and PlotJuggler);"

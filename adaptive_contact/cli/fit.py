@@ -288,7 +288,6 @@ def refuse_useless(robot: Robot, training: Training) -> None:
 
 def print_training(training: Training, robot: Robot, *, json: bool, equations: bool = True) -> None:
     """Show how well every leg was learned, after its equations where they are wanted."""
-    import msgspec
     import numpy as np
 
     thresholds = training.baseline.thresholds(robot.detector.false_alarms_per_hour)
@@ -300,8 +299,7 @@ def print_training(training: Training, robot: Robot, *, json: bool, equations: b
                 leg: known.model.equations() for leg, known in training.baseline.legs.items()
             },
         }
-        encoded = msgspec.json.encode(text, enc_hook=str)
-        say_json(msgspec.json.format(encoded, indent=2))
+        say_json(text, indent=2)
         return
     from rich.table import Table
 

@@ -96,14 +96,12 @@ def load_commands(asked: str = "") -> None:
     if app.registered_commands or app.registered_groups:
         return
     known = asked in _COMMANDS or asked in _GROUPS
-    for name in _COMMANDS:
-        if not known or name == asked:
-            module = importlib.import_module(f"adaptive_contact.cli.{name}")
-            app.command(name)(getattr(module, name))
-    for name in _GROUPS:
-        if not known or name == asked:
-            module = importlib.import_module(f"adaptive_contact.cli.{name}")
+    for name in [asked] if known else [*_COMMANDS, *_GROUPS]:
+        module = importlib.import_module(f"adaptive_contact.cli.{name}")
+        if name in _GROUPS:
             app.add_typer(module.app, name=name)
+        else:
+            app.command(name)(getattr(module, name))
 
 
 def main() -> None:

@@ -67,10 +67,8 @@ def score(
     if source.damage is not None:
         say_note(f"{recording}: {source.damage}")
     if json:
-        import msgspec
-
-        text = {"recording": str(recording), "truncated": source.truncated, **as_json(result)}
-        say_json(msgspec.json.format(msgspec.json.encode(text), indent=2))
+        about = {"recording": str(recording), "truncated": source.truncated}
+        say_json(about | as_json(result), indent=2)
         return
     from adaptive_contact.cli._console import table_console
 

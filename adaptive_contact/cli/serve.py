@@ -48,7 +48,7 @@ def serve(
     when_ambiguous: opt.AmbiguousOption = WhenAmbiguous.WITHHOLD,
     json: opt.JsonPayloadOption = False,
     log_json: opt.LogJsonOption = False,
-    log_level: opt.LogLevelOption = opt.LogLevel.INFO,
+    log_level: opt.LogLevelOption = "info",
 ) -> None:
     """Turn servo samples into contact events, over Zenoh.
 
@@ -164,6 +164,7 @@ def keeper_of(
     Robots of one kind are distinguished by their namespaces.
     """
     from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
+    from adaptive_contact.model.model_file import dump_baseline
     from adaptive_contact.service.server import version
     from adaptive_contact.service.state import (
         FORMAT,
@@ -173,11 +174,7 @@ def keeper_of(
         settings_digest,
     )
 
-    text = ""
-    if learned is not None:
-        from adaptive_contact.model.model_file import dump_baseline
-
-        text = dump_baseline(learned)
+    text = "" if learned is None else dump_baseline(learned)
     name = robot.name if namespace is None else f"{namespace}/{robot.name}"
     store = StateStore.open(folder or default_folder(), name)
     formats = (FORMAT, SNAPSHOT_FORMAT)

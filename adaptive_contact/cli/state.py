@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import math
-import struct
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -45,10 +44,7 @@ def show(
     """List what is kept: of which robot and leg, how old, and whether it is sound."""
     found = _found(state, robot, leg)
     if json:
-        import msgspec
-
-        rows = [_row(stored) for stored in found]
-        say_json(msgspec.json.format(msgspec.json.encode(rows), indent=2).decode())
+        say_json([_row(stored) for stored in found], indent=2)
         return
     if not found:
         say(f"no state in {shown_path(_folder(state))}")
@@ -252,22 +248,17 @@ def _row(stored: Stored) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     """A snapshot without bytes: arrays of float64 with their shape become lists, others base64."""
+    import numpy as np
+
     if isinstance(value, dict):
         shape = value.get("shape")
         data = [item for item in value.values() if isinstance(item, bytes)]
         if isinstance(shape, list) and len(data) == 1 and len(data[0]) == 8 * math.prod(shape):
-            return _nested(list(struct.unpack(f"<{math.prod(shape)}d", data[0])), shape)
+            return np.frombuffer(data[0], "<f8").reshape(shape).tolist()
         return {name: _plain(item) for name, item in value.items()}
     if isinstance(value, list):
         return [_plain(item) for item in value]
     return base64.b64encode(value).decode() if isinstance(value, bytes) else value
-
-
-def _nested(flat: list[float], shape: list[int]) -> Any:
-    if len(shape) < 2:
-        return flat if shape else flat[0]
-    step = math.prod(shape[1:])
-    return [_nested(flat[i * step : (i + 1) * step], shape[1:]) for i in range(shape[0])]
 
 
 def _duration(seconds: float) -> str:

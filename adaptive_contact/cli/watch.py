@@ -11,14 +11,7 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_json
-from adaptive_contact.cli._web import (
-    WEB_PANEL,
-    HostOption,
-    NoBrowserOption,
-    PortOption,
-    serve_page,
-    web_settings,
-)
+from adaptive_contact.cli._web import WEB_PANEL, Page, serve_page
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -59,17 +52,15 @@ def watch(
     web: Annotated[
         bool, option("--web", "Show it as a page in the browser.", panel=WEB_PANEL)
     ] = False,
-    port: PortOption = None,
-    host: HostOption = None,
-    no_browser: NoBrowserOption = False,
+    page: Page,
 ) -> None:
     """Show every leg of a running service: contact, model, latency, losses, and what is wrong."""
-    page_settings = web_settings(web, host, port, no_browser)
+    page_settings = page.settings(web)
     if page_settings is not None and (once or json):
         raise ConfigurationError("--web shows a page; leave --once and --json out")
     settings = network.client()
     if page_settings is not None:
-        serve_page(page_settings, settings, browse=not no_browser)
+        serve_page(page_settings, settings, browse=not page.no_browser)
         return
     stop = opt.stoppable()
     from adaptive_contact.service.watch import Feed
@@ -122,9 +113,7 @@ def _live(look: Look, stop: threading.Event) -> None:
 
 def _print(view: View, json: bool) -> None:
     if json:
-        import msgspec
-
-        say_json(msgspec.json.encode(view))
+        say_json(view)
         return
     from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table

@@ -115,8 +115,10 @@ class _Layout:
 
     def read(self, payload: bytes) -> ControllerState | None:
         """Read a message of the same length; None where it may have another layout."""
-        if self._fixed(payload) != self._expected:
-            return None
+        return self.state(payload) if self._fixed(payload) == self._expected else None
+
+    def state(self, payload: bytes) -> ControllerState:
+        """Read a message of this layout."""
         values = self._values(payload)
         return ControllerState(
             Header(Stamp(values[0], values[1])),
@@ -181,8 +183,8 @@ class StateReader:
         data = payload[_BEGINS:]
         size = len(data)
         count = struct.Struct(f"{order}I").unpack_from
-        sec, nanosec, frame = struct.unpack_from(f"{order}iII", data)
-        names, at = _read_names(data, _aligned(12 + frame, 4), count)
+        (frame,) = count(data, 8)  # after the stamp
+        names, at = _read_names(data, (12 + frame + 3) & -4, count)
         head = _BEGINS + at
         fixed = [_Span(0, 2)]
         found: dict[str, _Span] = {}
@@ -222,29 +224,13 @@ class StateReader:
         nowhere = _Span(0, 0)
         feedback = found.get("feedback") or found.get("actual", nowhere)
         reference = found.get("reference") or found.get("desired", nowhere)
+        layout = _Layout(payload, order, fixed, names, feedback, reference)
         if len(payload) <= _LARGEST:
-            layout = _Layout(payload, order, fixed, names, feedback, reference)
-            self._keep(len(payload), payload[_FRAME:head], layout)
-        return ControllerState(
-            Header(Stamp(sec, nanosec)),
-            names,
-            Point(_numbers(order, payload, feedback)),
-            Point(_numbers(order, payload, reference)),
-        )
-
-    def _keep(self, size: int, head: bytes, layout: _Layout) -> None:
-        if len(self._layouts) >= _MOST_LAYOUTS:
-            self._layouts.clear()
-        self._layouts[size, head] = layout
-        self._heads = tuple({_FRAME + len(known) for _, known in self._layouts})
-
-
-def _numbers(order: str, payload: bytes, span: _Span) -> tuple[float, ...]:
-    return struct.unpack_from(f"{order}{span.size // _DOUBLE}d", payload, span.at)
-
-
-def _aligned(at: int, to: int) -> int:
-    return (at + to - 1) & -to
+            if len(self._layouts) >= _MOST_LAYOUTS:
+                self._layouts.clear()
+            self._layouts[len(payload), payload[_FRAME:head]] = layout
+            self._heads = tuple({_FRAME + len(known) for _, known in self._layouts})
+        return layout.state(payload)
 
 
 def _read_names(data: bytes, at: int, count: _Unpack) -> tuple[tuple[str, ...], int]:

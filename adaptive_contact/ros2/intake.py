@@ -60,10 +60,11 @@ class _LegState:
         self.touches: bool | None = None
         self.commanded = False
         self.samples = 0
-        self.waited = self.further = (
-            0  # readings since the last command; in a row, of a leg further
-        )
-        self.nearest = math.inf  # off than this, rad: how near it came once they were too many
+        self.waited = 0  # readings since the last command
+        # Once they are too many: how near to it the leg came, rad, and readings in a row that are
+        # further away.
+        self.nearest = math.inf
+        self.further = 0
 
 
 class _Roles:
@@ -172,18 +173,7 @@ class Intake:
     def read(
         self, decode: Decode, topic: str, type_name: str, type_hash: str, payload: bytes
     ) -> Any | None:
-        """Read a message's bytes.
-
-        Args:
-            decode: :meth:`adaptive_contact.ros2.types.Types.decode`.
-            topic: a mapped one.
-            type_name: of the message.
-            type_hash: of the type's definition.
-            payload: CDR.
-
-        Returns:
-            The message; None where it was refused.
-        """
+        """Read a message of a mapped topic from its CDR; None where it was refused."""
         expected = self._roles[topic].types
         if type_name not in expected:
             self._refuse(

@@ -39,11 +39,10 @@ def topic_of_leg(node: str, leg: str) -> str:
 class Report:
     """Makes the messages that go out.
 
-    Args:
-        types: of the distribution.
-        node: name of the gateway's node.
-        robot: its name, for the diagnostics.
-        legs: ids.
+    Attributes:
+        contacts: where each leg's contact goes.
+        values: where those of all legs go.
+        diagnostics: where the learners' state goes.
 
     Raises:
         ConfigurationError: two legs would have one topic.
@@ -54,8 +53,8 @@ class Report:
         self._robot = robot
         self._node = node
         self._last: dict[str, ContactEvent] = {}
-        self._of_leg = {leg: self._address(topic_of_leg(node, leg), RosType.BOOL) for leg in legs}
-        if len({address.topic for address in self._of_leg.values()}) < len(legs):
+        self.contacts = {leg: self._address(topic_of_leg(node, leg), RosType.BOOL) for leg in legs}
+        if len({address.topic for address in self.contacts.values()}) < len(legs):
             raise ConfigurationError(
                 f"the legs {', '.join(legs)} would share topics, as ROS names hold no '-' or '.'; "
                 "rename them in robot.toml"
@@ -65,11 +64,6 @@ class Report:
 
     def _address(self, topic: str, type_name: str) -> Address:
         return Address(topic, type_name, self._types.hash_of(type_name))
-
-    @property
-    def contacts(self) -> Mapping[str, Address]:
-        """Where each leg's contact goes."""
-        return self._of_leg
 
     def contact(self, contact: bool) -> bytes:
         """A ``Bool``."""
@@ -84,7 +78,7 @@ class Report:
         self._last[event.leg] = event
         types = self._types.types
         value = types["control_msgs/msg/InterfaceValue"]
-        legs = [leg for leg in self._of_leg if leg in self._last]
+        legs = [leg for leg in self.contacts if leg in self._last]
         rows = [self._last[leg] for leg in legs]
         message = types[RosType.JOINT_VALUES](
             header=self._header(event.t_ns),
@@ -113,14 +107,7 @@ class Report:
         gateway: Mapping[str, object],
         trouble: str | None,
     ) -> bytes:
-        """A ``DiagnosticArray`` of all learners and of the gateway.
-
-        Args:
-            now_ns: wall clock.
-            learners: newest status of each leg.
-            gateway: what the gateway has counted.
-            trouble: what is wrong with the gateway, None where nothing is.
-        """
+        """A ``DiagnosticArray`` of all learners, and of the gateway with what it has counted."""
         rows = [self._of_learner(status) for _, status in sorted(learners.items())]
         level = OK if trouble is None else ERROR
         text = "relays" if trouble is None else trouble

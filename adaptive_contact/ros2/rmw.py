@@ -80,14 +80,7 @@ class Node(NamedTuple):
     def endpoint_token(
         self, kind: Literal["MP", "MS"], number: int, address: Address, quality: str
     ) -> str:
-        """Liveliness token of a publisher (``MP``) or subscription (``MS``).
-
-        Args:
-            kind: which of the two.
-            number: of the endpoint within the node.
-            address: what it publishes or reads.
-            quality: of service, encoded.
-        """
+        """Liveliness token of a publisher (``MP``) or subscription (``MS``) of this node."""
         return (
             f"@ros2_lv/{self.domain}/{self.session}/0/{number}/{kind}/%/%/{self.name}/"
             f"{address.topic.replace('/', '%')}/{dds_name(address.type)}/{address.hash}/{quality}"

@@ -81,14 +81,7 @@ class TickCounter:
         return publisher
 
     def tick(self, publisher: Publisher, leg: str, t_ns: int, origin: Origin) -> int:
-        """Return the number of a leg's tick, and count it.
-
-        Args:
-            publisher: of the message.
-            leg: id.
-            t_ns: of the reading, on the source's clock.
-            origin: of the message.
-        """
+        """Return the number of a leg's tick, whose reading is of ``t_ns``, and count it."""
         if origin.seq is None:
             before = publisher.times.get(leg)
             if before is not None:

@@ -19,8 +19,6 @@ from rosbags.typesys.store import Typestore
 from adaptive_contact.ros2.cdr import CdrError, StateReader, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
 
-__all__ = ["CdrError", "Types", "UnknownHashError", "typestore"]
-
 # A message of ours has a value per joint; a length beyond this is damage, and would allocate.
 _MOST_ITEMS: Final = 65_536
 
@@ -85,11 +83,7 @@ def typestore(state: str = "jazzy") -> Typestore:
 
 
 class Types:
-    """Reads and writes messages.
-
-    Args:
-        distro: of the ROS 2 that is talked to.
-    """
+    """Reads and writes messages as a distribution of ROS 2 has them."""
 
     def __init__(self, distro: str = "jazzy") -> None:
         self._hashed = distro != "humble"

@@ -46,28 +46,6 @@ _HIGHEST_RATIO: Final = 1e4
 _MOST_TEXT: Final = 600
 
 
-class _Clock:
-    """Puts times of the legs' sources on the server's clock."""
-
-    def __init__(self) -> None:
-        self._offsets: dict[str, int] = {}
-
-    def follow(self, leg: str, newest_ns: int, now_ns: int) -> None:
-        """A tick of a leg has arrived that was taken just now."""
-        known = self._offsets.get(leg)
-        if known is not None and abs(newest_ns + known - now_ns) < _JUMP_NS:
-            return
-        own = now_ns - newest_ns
-        others = [other for name, other in self._offsets.items() if name != leg]
-        alike = [other for other in others if abs(other - own) < _TOGETHER_NS]
-        self._offsets[leg] = alike[0] if alike else own
-
-    def place(self, leg: str, t_ns: int) -> int | None:
-        """A leg's time on the server's clock, None before its first tick."""
-        offset = self._offsets.get(leg)
-        return None if offset is None else t_ns + offset
-
-
 class Frames:
     """Gathers what has arrived into frames.
 
@@ -77,7 +55,8 @@ class Frames:
 
     def __init__(self, start_ns: int) -> None:
         self._start_ns = start_ns
-        self._clock = _Clock()
+        # From each leg's own clock to the server's.
+        self._offsets: dict[str, int] = {}
         self._last_ms: dict[str, int] = {}
         self._ticks: dict[str, list[list[Any]]] = {}
         self._contacts: deque[tuple[str, ContactEvent | ContactTruth]] = deque(maxlen=_MOST_WAITING)
@@ -98,7 +77,7 @@ class Frames:
         )
         if not rows:
             return
-        self._clock.follow(trace.leg, rows[-1][0], now_ns)
+        self._follow(trace.leg, rows[-1][0], now_ns)
         ticks = self._ticks.setdefault(trace.leg, [])
         newest_ms = (now_ns - self._start_ns) // 1_000_000 + _AHEAD_MS
         oldest_ms = newest_ms - _OLDEST_MS
@@ -157,9 +136,20 @@ class Frames:
         self._ticks = {}
         return encoded
 
+    def _follow(self, leg: str, newest_ns: int, now_ns: int) -> None:
+        """A tick of a leg has arrived that was taken just now."""
+        known = self._offsets.get(leg)
+        if known is not None and abs(newest_ns + known - now_ns) < _JUMP_NS:
+            return
+        own = now_ns - newest_ns
+        others = [other for name, other in self._offsets.items() if name != leg]
+        alike = [other for other in others if abs(other - own) < _TOGETHER_NS]
+        self._offsets[leg] = alike[0] if alike else own
+
     def _ms(self, leg: str, t_ns: int) -> int | None:
-        at_ns = self._clock.place(leg, t_ns)
-        return None if at_ns is None else (at_ns - self._start_ns) // 1_000_000
+        """A leg's time on the server's clock, None before its first tick."""
+        offset = self._offsets.get(leg)
+        return None if offset is None else (t_ns + offset - self._start_ns) // 1_000_000
 
 
 class Table:

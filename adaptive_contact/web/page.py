@@ -41,9 +41,6 @@ _FAREWELL_S: Final = 0.5
 class LivePage:
     """Serves the page; a context manager.
 
-    Args:
-        settings: where.
-
     Raises:
         ConfigurationError: the port is in use, or the address is none of this computer's.
     """

@@ -1,14 +1,8 @@
 """An HTTP server for one page: a fixed set of paths, GET only, and one stream of events.
 
-Python's own ``asyncio`` is enough: requests carry no body, answers are bytes that are there
-already, and every connection but a stream closes after its answer.  What a stranger sends can only
-fail to be one of a few exact requests.
-
-* A page of another site must not read this one.  ``Host`` must be an address of this server, which
-  stops DNS rebinding; ``Origin`` and ``Sec-Fetch-Site`` must be its own.
-* Beyond loopback a token is asked for: once in the link, then in a cookie.
-* Memory: a stream keeps no queue.  It reads a shared history at its own pace; a browser that falls
-  behind that history skips, one that takes nothing for a while is dropped.
+Requests carry no body, answers are bytes that are there already, and every connection but a stream
+closes after its answer.  Who may ask for what, why streams share one history, and why Python's own
+``asyncio`` is enough: decision 34.
 """
 
 from __future__ import annotations
@@ -151,10 +145,6 @@ class History:
 
 class Site:
     """The server; everything but :meth:`bind` runs in one event loop.
-
-    Args:
-        settings: where.
-        model_of: asks for a leg's model.
 
     Attributes:
         history: what the streams give out.

@@ -21,8 +21,6 @@ from adaptive_contact.bridge.packets import (
     Codec,
     Frame,
     Instruction,
-    Protocol1,
-    Protocol2,
     Status,
     crc16,
     fast_sync_status,
@@ -101,10 +99,10 @@ P2_STATUS = [
     ("position 2079", 2, 0, "1F 08 00 00", "FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE"),
     ("write", 1, 0, "", "FF FF FD 00 01 04 00 55 00 A1 0C"),
 ]
-INSTRUCTIONS = [(Protocol1(), *row) for row in P1_INSTRUCTIONS] + [
-    (Protocol2(), *row) for row in P2_INSTRUCTIONS
+INSTRUCTIONS = [(Codec(1), *row) for row in P1_INSTRUCTIONS] + [
+    (Codec(2), *row) for row in P2_INSTRUCTIONS
 ]
-STATUSES = [(Protocol1(), *row) for row in P1_STATUS] + [(Protocol2(), *row) for row in P2_STATUS]
+STATUSES = [(Codec(1), *row) for row in P1_STATUS] + [(Codec(2), *row) for row in P2_STATUS]
 
 
 @pytest.mark.parametrize(("codec", "name", "servo", "code", "parameters", "packet"), INSTRUCTIONS)
@@ -131,7 +129,7 @@ def test_fast_sync_read_is_answered_as_in_the_document() -> None:
         "FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08 00 07 1F 08 00 00 16 CA 00 04 FF 03 00 00"
     )
     assert packet[: len(printed)] == printed
-    [frame], corrupt = Protocol2().parse(bytearray(packet))
+    [frame], corrupt = Codec(2).parse(bytearray(packet))
     assert corrupt == 0
     assert split_fast_sync(frame.parameters, 4) == answers
 
@@ -150,13 +148,13 @@ def test_crc_goes_on_where_it_stopped() -> None:
 
 
 def test_a_header_inside_is_stuffed() -> None:
-    packet = Protocol2().instruction(1, I.WRITE, bytes.fromhex("74 00 FF FF FD 00"))
+    packet = Codec(2).instruction(1, I.WRITE, bytes.fromhex("74 00 FF FF FD 00"))
     assert packet[5] == 0x0A  # one byte longer than what was asked for
     assert bytes.fromhex("FF FF FD FD 00") in packet
-    assert Protocol2().parse(bytearray(packet))[0][0].parameters == bytes.fromhex("7400FFFFFD00")
+    assert Codec(2).parse(bytearray(packet))[0][0].parameters == bytes.fromhex("7400FFFFFD00")
 
 
-@pytest.mark.parametrize("codec", [Protocol1(), Protocol2()])
+@pytest.mark.parametrize("codec", [Codec(1), Codec(2)])
 def test_a_wrong_check_costs_one_packet(codec: Codec) -> None:
     good = codec.instruction(5, I.READ, b"\x24\x02")
     for position in range(len(good)):
@@ -169,7 +167,7 @@ def test_a_wrong_check_costs_one_packet(codec: Codec) -> None:
         assert len(frames) >= 1
 
 
-@pytest.mark.parametrize("codec", [Protocol1(), Protocol2()])
+@pytest.mark.parametrize("codec", [Codec(1), Codec(2)])
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_packets_come_out_however_they_are_cut(codec: Codec, data: st.DataObject) -> None:
@@ -203,7 +201,7 @@ def test_stuffing_is_undone(payload: bytes) -> None:
     assert b"\xff\xff\xfd\x00" not in stuff(payload)
 
 
-@pytest.mark.parametrize("codec", [Protocol1(), Protocol2()])
+@pytest.mark.parametrize("codec", [Codec(1), Codec(2)])
 @settings(max_examples=150, deadline=None)
 @given(noise=st.binary(max_size=60))
 def test_noise_never_raises_and_is_not_kept(codec: Codec, noise: bytes) -> None:
@@ -214,7 +212,7 @@ def test_noise_never_raises_and_is_not_kept(codec: Codec, noise: bytes) -> None:
     assert len(buffer) < 8
 
 
-@pytest.mark.parametrize("codec", [Protocol1(), Protocol2()])
+@pytest.mark.parametrize("codec", [Codec(1), Codec(2)])
 def test_too_long_a_packet_is_refused(codec: Codec) -> None:
     with pytest.raises(ValueError, match="do not fit"):
         codec.instruction(1, I.WRITE, bytes(1100))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.bridge.packets import BROADCAST_ID, Instruction, Protocol1, Protocol2
+from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Instruction
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
@@ -31,7 +31,7 @@ class Controller:
     def __init__(self, rig: Any) -> None:
         self._port = rig.ports[0]
         self._model = self._port.servos[0].model
-        self._codec = Protocol1() if self._model.protocol == 1 else Protocol2()
+        self._codec = Codec(self._model.protocol)
         self._fd = os.open(Path(rig.plans[0].port.device), os.O_RDWR | os.O_NOCTTY)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

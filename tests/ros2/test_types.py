@@ -11,13 +11,11 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
-from adaptive_contact.ros2.cdr import ControllerState
+from adaptive_contact.ros2.cdr import CdrError, ControllerState, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
 from adaptive_contact.ros2.types import (
     _CONTROLLER_STATES,
-    CdrError,
     Types,
-    UnknownHashError,
     typestore,
 )
 

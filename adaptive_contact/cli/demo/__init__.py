@@ -14,24 +14,20 @@ from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import option, seconds_option
+from adaptive_contact.cli._options import flatten, option, seconds_option
 from adaptive_contact.cli._output import say_note
 from adaptive_contact.cli._sim_options import given, needs_simulator
-from adaptive_contact.cli._web import (
-    WEB_PANEL,
-    HostOption,
-    NoBrowserOption,
-    PortOption,
-    live_page,
-    web_settings,
-)
+from adaptive_contact.cli._web import WEB_PANEL, Page, live_page
+from adaptive_contact.errors import AdaptiveContactError
 
 __all__ = ["demo"]
 
 _STOPPED = 130  # what a shell calls "ended by Ctrl-C"
 
 
+@flatten
 def demo(
+    *,
     out: Annotated[Path, option("--out", "Where report and figures go.", "FOLDER")] = Path(
         "out/demo"
     ),
@@ -45,9 +41,7 @@ def demo(
     web: Annotated[
         bool, option("--web", "Show it as a page in the browser, too.", panel=WEB_PANEL)
     ] = False,
-    port: PortOption = None,
-    host: HostOption = None,
-    no_browser: NoBrowserOption = False,
+    page: Page,
 ) -> None:
     """Watch a simulated robot walk, one leg drift, and what becomes of its contacts.
 
@@ -65,20 +59,23 @@ def demo(
 
     console = table_console()
     settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed, robot=robot))
-    page_settings = web_settings(web, host, port, no_browser)
+    page_settings = page.settings(web)
     try:
         if page_settings is None:
             run_demo(settings, console, stop)
             return
-        with live_page(page_settings, browse=not no_browser) as page:
-            page.waits_for(
+        with live_page(page_settings, browse=not page.no_browser) as live:
+            live.waits_for(
                 "service and simulator are starting",
                 "The first start on a computer compiles the arithmetic, and takes up to a minute.",
                 "note",
             )
-            run_demo(settings, console, stop, page)
-            page.close(f"The demo is over; {settings.report} has what was found.")
-    except (StoppedError, KeyboardInterrupt):
+            run_demo(settings, console, stop, live)
+            live.close(f"The demo is over; {settings.report} has what was found.")
+    except (StoppedError, KeyboardInterrupt, AdaptiveContactError) as ended:
+        # Ctrl-C in a terminal reaches every process at once; who ends first is chance.
+        if isinstance(ended, AdaptiveContactError) and not stop.is_set():
+            raise
         say_note("stopped; nothing was judged")
         raise typer.Exit(_STOPPED) from None
 

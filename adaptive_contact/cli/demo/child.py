@@ -14,6 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Final, Self
 
 from adaptive_contact.errors import AdaptiveContactError
@@ -173,7 +174,7 @@ class Child:
 
 
 class Listening:
-    """Records from the beginning of ``with`` to :meth:`end`, or to the end of ``with``.
+    """Records on a thread from the beginning of ``with`` to :meth:`end`, or to its end.
 
     Args:
         recorder: subscribed; its writer is used by the thread until the end.
@@ -182,16 +183,15 @@ class Listening:
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
         self._stop = threading.Event()
-        self._failure: AdaptiveContactError | None = None
-        self._thread = threading.Thread(target=self._work, name="record")
+        self._pool = ThreadPoolExecutor(1, "record")
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._work = self._pool.submit(self._recorder.run, self._stop)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
-        self._thread.join()
+        self._pool.shutdown()
 
     def check(self) -> None:
         """Raise what stopped it before its time, if anything did.
@@ -199,8 +199,8 @@ class Listening:
         Raises:
             RecordingError: the recording cannot be written.
         """
-        if self._failure is not None:
-            raise self._failure
+        if self._work.done():
+            self._work.result()
 
     def end(self) -> None:
         """Stop; everything received so far is written then.
@@ -209,11 +209,4 @@ class Listening:
             RecordingError: it is not.
         """
         self._stop.set()
-        self._thread.join()
-        self.check()
-
-    def _work(self) -> None:
-        try:
-            self._recorder.run(self._stop)
-        except AdaptiveContactError as error:
-            self._failure = error
+        self._work.result()

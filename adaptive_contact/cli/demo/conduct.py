@@ -38,70 +38,42 @@ if TYPE_CHECKING:
 _LINE_EVERY_S: Final = 5.0
 
 
-def display(console: Console, settings: DemoSettings) -> Display:
-    """The display for a console."""
-    return (_LiveTable if console.is_terminal else _PlainLines)(console, settings)
-
-
-class _LiveTable:
-    """The table of ``adaptive-contact watch``, with a line on what is going on."""
+class Display:
+    """Shows what goes on: the table of ``watch``; without a terminal a line every few seconds."""
 
     def __init__(self, console: Console, settings: DemoSettings) -> None:
-        self._settings = settings
-        self._live = Live(console=console, auto_refresh=False)
-
-    def __enter__(self) -> Self:
-        self._live.__enter__()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
-
-    def show(self, view: View, walked_s: float, *, drifted: bool) -> None:
-        """Redraw."""
-        words = _headline(self._settings, walked_s, drifted=drifted)
-        line = Text(words, style="bold yellow" if drifted else "bold")
-        size = self._live.console.size
-        below = table(view, size.width, size.height - 3)
-        self._live.update(Group(line, Text(), below), refresh=True)
-
-    def say(self, line: str) -> None:
-        """Print above the table."""
-        self._live.console.print(line, markup=False, highlight=False)
-
-
-class _PlainLines:
-    """A line every few seconds."""
-
-    def __init__(self, console: Console, settings: DemoSettings) -> None:
-        self._console = console
-        self._settings = settings
+        self._console, self._settings = console, settings
+        self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
         self._next_s = 0.0
 
     def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        return
+        if self._live is not None:
+            self._live.stop()
 
     def show(self, view: View, walked_s: float, *, drifted: bool) -> None:
-        """Print a line, if one is due."""
-        if walked_s < self._next_s or not view.legs:
-            return
-        self._next_s += _LINE_EVERY_S
-        drifting = self._settings.leg
-        others = [leg for leg in view.legs if leg.leg != drifting]
-        own = [leg for leg in view.legs if leg.leg == drifting]
-        name = f"{drifting} (drifted)" if drifted else drifting
-        self.say(f"{walked_s:4.0f} s   {name}: {_tally(own)}   others: {_tally(others)}")
+        """Redraw the table, or print a line, if one is due."""
+        if self._live is not None:
+            words = _headline(self._settings, walked_s, drifted=drifted)
+            line = Text(words, style="bold yellow" if drifted else "bold")
+            below = table(view, self._console.width, self._console.height - 3)
+            self._live.update(Group(line, Text(), below), refresh=True)
+        elif walked_s >= self._next_s and view.legs:
+            self._next_s += _LINE_EVERY_S
+            drifting = self._settings.leg
+            others = [leg for leg in view.legs if leg.leg != drifting]
+            own = [leg for leg in view.legs if leg.leg == drifting]
+            name = f"{drifting} (drifted)" if drifted else drifting
+            self.say(f"{walked_s:4.0f} s   {name}: {_tally(own)}   others: {_tally(others)}")
 
     def say(self, line: str) -> None:
-        """Print a line."""
-        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        """Print a line, above the table."""
+        self._console.print(line, markup=False, highlight=False, soft_wrap=self._live is None)
         self._console.file.flush()
-
-
-Display = _LiveTable | _PlainLines
 
 
 def _headline(settings: DemoSettings, walked_s: float, *, drifted: bool) -> str:
@@ -166,22 +138,6 @@ def conduct(
         StoppedError: ``stop`` was set.
         AdaptiveContactError: a process failed; in one line, with its last words.
     """
-    try:
-        return _conduct(settings, robot, show, stop, page)
-    except AdaptiveContactError:
-        # Ctrl-C in a terminal reaches every process at once; who ends first is chance.
-        if stop.is_set():
-            raise StoppedError from None
-        raise
-
-
-def _conduct(
-    settings: DemoSettings,
-    robot: Robot,
-    show: Display,
-    stop: threading.Event,
-    page: LivePage | None,
-) -> Take:
     with ExitStack() as stack:
         service = stack.enter_context(Child("the service", _serve(settings)))
         endpoint = service.wait_line(_READY, _START_S).group(1)

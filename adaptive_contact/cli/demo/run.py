@@ -8,7 +8,7 @@ import time
 from rich.console import Console
 
 from adaptive_contact.cli._compiling import compile_tick
-from adaptive_contact.cli.demo.conduct import StoppedError, conduct, display
+from adaptive_contact.cli.demo.conduct import Display, StoppedError, conduct
 from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.cli.demo.summary import as_table, figures, write_summary
 from adaptive_contact.cli.demo.verdict import Verdict, judge
@@ -37,7 +37,7 @@ def run_demo(
     if stop.is_set():
         raise StoppedError
     robot = settings.simulated.description
-    take = conduct(settings, robot, display(console, settings), stop, page)
+    take = conduct(settings, robot, Display(console, settings), stop, page)
     verdict = judge(settings.recording, robot, take.drift_ns, settings.leg)
     if stop.is_set():
         raise StoppedError

@@ -92,6 +92,7 @@ VERSION: Final = 1
 
 def figures(settings: DemoSettings, take: Take, verdict: Verdict) -> dict[str, Any]:
     """Everything that was found, as a tree of numbers and texts; what is not known is None."""
+    walk = settings.simulated.walk
     return {
         "v": VERSION,
         "result": [touches_words(verdict), *outcome_words(settings, verdict)],
@@ -99,7 +100,7 @@ def figures(settings: DemoSettings, take: Take, verdict: Verdict) -> dict[str, A
             "seconds": settings.seconds,
             "seed": settings.seed,
             "robot": settings.robot,
-            "motion": _motion(settings),
+            "motion": f"{walk.gait if walk else ''} walk on rough ground, stop on truth",
             "drift": {
                 "leg": settings.leg,
                 "injected": msgspec.to_builtins(settings.drifts),
@@ -128,12 +129,6 @@ def write_summary(path: Path, tree: dict[str, Any]) -> None:
     """
     data = msgspec.json.format(msgspec.json.encode(tree), indent=2) + b"\n"
     write_file(path, data, advice="give a folder with --out that is writable and has room")
-
-
-def _motion(settings: DemoSettings) -> str:
-    walk = settings.simulated.walk
-    gait = walk.gait if walk is not None else ""
-    return f"{gait} walk on rough ground, stop on truth"
 
 
 def as_table(settings: DemoSettings, verdict: Verdict) -> RenderableType:

@@ -15,9 +15,8 @@ from typing import Final, NamedTuple
 
 import zstandard
 
-from adaptive_contact.errors import ConfigurationError, RecordingError
+from adaptive_contact.errors import ConfigurationError, RecordingError, needs
 from adaptive_contact.robot import Robot
-from adaptive_contact.ros2 import needs_rosbags
 from adaptive_contact.ros2.intake import Intake, check_mapped
 from adaptive_contact.ros2.problems import Complaints, Reason
 from adaptive_contact.ros2.ticks import Origin
@@ -61,7 +60,7 @@ class Bag(Recording):
                 f"robot '{robot.name}' maps no leg to ROS 2; write [leg.ros2] joints = [...] below "
                 "each [[leg]] (docs/ros2.md)"
             )
-        with needs_rosbags():
+        with needs("ROS 2", "ros2", "rosbags"):
             import adaptive_contact.ros2.types as types
 
         self._robot = robot

@@ -5,7 +5,7 @@ const KEPT_MS = 5 * 60 * 1000;
 const MOST_TICKS = 60000; // of a leg: five minutes at 200 Hz
 const MOST_MARKS = 2000; // of a leg and kind
 const MOST_LEGS = 64;
-const LATE_MS = 500; // a leg without ticks for so long is silent
+export const LATE_MS = 500; // a leg without ticks for so long is silent
 const RAD = 1e-4; // angles come in 0.1 mrad
 
 /** Ticks of one leg in a ring: time, swing, test ratio, and J commands, readings, predictions. */

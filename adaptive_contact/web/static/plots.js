@@ -1,6 +1,6 @@
 // Plots over time on canvases: stance, contacts, angles, test ratio.
 
-import { state } from "./data.js";
+import { LATE_MS, state } from "./data.js";
 import { colour } from "./theme.js";
 
 export const GUTTER = 62; // px, left of the plots
@@ -68,7 +68,7 @@ export function drawChanges(pen, axis, list, until, top, height, fill, yes) {
   const block = (from, to) => {
     const left = Math.max(axis.x(from), GUTTER);
     const right = Math.min(axis.x(to), axis.right);
-    if (right > left) pen.fillRect(left, top, Math.max(right - left, 1), height);
+    if (right >= left) pen.fillRect(left, top, Math.max(right - left, 1), height);
   };
   pen.fillStyle = fill;
   for (const entry of list) {
@@ -83,25 +83,17 @@ export function drawChanges(pen, axis, list, until, top, height, fill, yes) {
 }
 
 function drawStance(pen, axis, ticks, from, to, top, height) {
-  pen.fillStyle = colour.stance;
-  let since = null;
+  const changes = [];
   let before = 0;
   for (let i = from; i < to; i += 1) {
     const at = ticks.at(i);
     const time = ticks.time[at];
-    const stands = ticks.swing[at] === 0 && (since === null || time - before < 500);
-    if (stands && since === null) since = time;
-    if (!stands && since !== null) {
-      const left = Math.max(axis.x(since), GUTTER);
-      pen.fillRect(left, top, Math.max(axis.x(before) - left, 1), height);
-      since = ticks.swing[at] === 0 ? time : null;
-    }
+    const stands = ticks.swing[at] === 0;
+    if (!stands || time - before >= LATE_MS) changes.push([before, false]);
+    if (stands) changes.push([time, true]);
     before = time;
   }
-  if (since !== null) {
-    const left = Math.max(axis.x(since), GUTTER);
-    pen.fillRect(left, top, Math.max(Math.min(axis.x(before), axis.right) - left, 1), height);
-  }
+  drawChanges(pen, axis, changes, before, top, height, colour.stance, (entry) => entry[1]);
 }
 
 /**

@@ -21,8 +21,6 @@ from adaptive_contact.bridge.packets import (
     Codec,
     Frame,
     Instruction,
-    Protocol1,
-    Protocol2,
     Status,
     fast_sync_status,
 )
@@ -92,7 +90,7 @@ class VirtualPort:
         self._wire_time = wire_time
         self._listening = self.servos
         protocol = servos[0].model.protocol if servos else 1
-        self._codec: Codec = Protocol1() if protocol == 1 else Protocol2()
+        self._codec = Codec(protocol)
         self._buffer = bytearray()
         self._replies: list[tuple[float, int, bytes]] = []
         self._sent = 0
