@@ -57,7 +57,7 @@ class SimulatedRobot:
     def geometry(self) -> Geometry:
         """Its legs, for controllers."""
         if self.layout == HEXAPOD:
-            return LegGeometry.of(self.description)
+            return LegGeometry(self.description)
         return ChainLegs(self.description, np.array(self.rest))
 
 
