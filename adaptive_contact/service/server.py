@@ -361,8 +361,8 @@ class Service:
 
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
         for event in self._bank.judge(samples):
-            arrival_ns = raws[event.leg].arrival_ns
-            self._endpoints[event.leg].publish_event(event, arrival_ns, self._publisher)
+            contact = self._endpoints[event.leg].contact
+            self._publisher.post(contact, event, raws[event.leg].arrival_ns)
             self._events += 1
             _log.debug(
                 "contact" if event.contact else "withheld" if event.withheld else "release",
