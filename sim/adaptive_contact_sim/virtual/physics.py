@@ -22,7 +22,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 
@@ -188,14 +188,7 @@ def _stand_back() -> None:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(max(first - 5, 1)))
 
 
-class Source(Protocol):
-    """Where ticks come from; see :mod:`adaptive_contact_sim.virtual.physics`."""
-
-    def begin(self, epoch_ns: int) -> None:
-        """Begin to make the next tick, of a run whose tick 0 has this time stamp."""
-
-    def take(self) -> MadeTick:
-        """The tick that was begun, when it is made."""
+Source = LocalSource | ProcessSource
 
 
 class GaitedBackend:
