@@ -121,10 +121,10 @@ def _factor(library: Library, recordings: Sequence[Recording]) -> Factor:
     return Factor.merged(parts, library.size, len(library.joints))
 
 
-def _fit(factor: Factor, tuning: Factor | None = None) -> tuple[FitStatus, Array]:
-    """Status and coefficients of the λ that predicts the tuning rows best; of λ = 0 without any."""
+def _fit(factor: Factor, tuning: Factor) -> tuple[FitStatus, Array]:
+    """Status and coefficients of the λ that predicts the tuning rows best."""
     plain = fit_sparse(factor, FitSettings())
-    if plain.status is not FitStatus.OK or tuning is None:
+    if plain.status is not FitStatus.OK:
         return plain.status, plain.coefficients
     unit = residual_unit(plain)
     best, error = plain.coefficients, float((tuning.rms(plain.coefficients) / unit).mean())
