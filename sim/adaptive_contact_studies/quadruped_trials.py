@@ -166,7 +166,7 @@ def record(scenario: Scenario) -> Recorded:
     goal = start.copy()
     for k in range(round(scenario.seconds / 0.02)):
         noise = _NOISE_STEPS * rng.standard_normal(goal.size)
-        measured = np.rint(plant.angles / STEP_RAD + noise) * STEP_RAD
+        measured = np.rint(plant.joint_angles / STEP_RAD + noise) * STEP_RAD
         phases: list[Phase] = []
         for i, walker in enumerate(walkers):
             trial = walker.trial
