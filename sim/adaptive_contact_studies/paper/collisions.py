@@ -80,11 +80,7 @@ class _Listener:
 
 
 def ten_collisions(
-    robot: Robot,
-    train: Stream,
-    test: Stream,
-    count: int,
-    progress: Callable[[float], None] = lambda _: None,
+    robot: Robot, train: Stream, test: Stream, count: int, progress: Callable[[float], None]
 ) -> dict[str, Any]:
     """Record collisions within the paper's subspaces, and detect them.
 

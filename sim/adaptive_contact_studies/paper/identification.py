@@ -85,10 +85,7 @@ _WINDOWS: Final[tuple[tuple[LibraryName, tuple[int, int, int]], ...]] = (
 
 
 def identification(
-    robot: Robot,
-    train: Stream,
-    test: Stream,
-    progress: Callable[[float], None] = lambda _: None,
+    robot: Robot, train: Stream, test: Stream, progress: Callable[[float], None]
 ) -> dict[str, Any]:
     """All of section 4.2 on one training and one test stream.
 
