@@ -45,11 +45,19 @@ _NEAR_M: Final = 1e-3
 class Geometry(ABC):
     """What a controller knows of its legs: where they sit on the body, and how they reach."""
 
-    mounts_m: Array  # (L, 3) m, where the legs' first joints are in the body's frame
-    rotations: Array  # (L, 3, 3) from a leg's frame to the body's
     outer_foot_m: float  # neutral feet from the body's centre, as turning moves them
     standing_m: Array  # (3,) m, the first leg's foot at rest in its frame
     middle_rad: Array  # (J,) rad, the first leg's posture at rest
+
+    def __init__(self, robot: Robot) -> None:
+        # (L, 3) m, where the legs' first joints are in the body's frame
+        self.mounts_m = np.array([leg.mount.xyz_m for leg in robot.legs])
+        yaw = np.array([leg.mount.yaw_rad for leg in robot.legs])
+        self.rotations = np.zeros((len(yaw), 3, 3))  # from a leg's frame to the body's
+        self.rotations[:, 0, 0] = self.rotations[:, 1, 1] = np.cos(yaw)
+        self.rotations[:, 1, 0] = np.sin(yaw)
+        self.rotations[:, 0, 1] = -np.sin(yaw)
+        self.rotations[:, 2, 2] = 1.0
 
     @abstractmethod
     def neutral(self, reach_m: float, height_m: float) -> Array:
@@ -86,17 +94,6 @@ class Geometry(ABC):
         return np.asarray(turned + self.mounts_m)
 
 
-def _mounts(robot: Robot) -> tuple[Array, Array]:
-    """(L, 3) m and (L, 3, 3), where the legs sit and how they are turned."""
-    yaw = np.array([leg.mount.yaw_rad for leg in robot.legs])
-    rotations = np.zeros((len(yaw), 3, 3))
-    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(yaw)
-    rotations[:, 1, 0] = np.sin(yaw)
-    rotations[:, 0, 1] = -np.sin(yaw)
-    rotations[:, 2, 2] = 1.0
-    return np.array([leg.mount.xyz_m for leg in robot.legs]), rotations
-
-
 class LegGeometry(Geometry):
     """Geometry of the hexapod's six equal legs.
 
@@ -120,7 +117,7 @@ class LegGeometry(Geometry):
                 f"robot '{robot.name}' lacks lengths_m or limits, or its joints are not "
                 f"{', '.join(JOINTS)}; give them for the simulator"
             )
-        self.mounts_m, self.rotations = _mounts(robot)
+        super().__init__(robot)
         self.lengths_m = first.lengths_m  # coxa, femur, tibia
         _, l1, l2 = first.lengths_m
         self.lower_rad = np.array(first.limits.lower_rad)
@@ -186,7 +183,7 @@ class ChainLegs(Geometry):
                 f"robot '{robot.name}' lacks geometry or limits of a leg; give them for the "
                 "simulator"
             )
-        self.mounts_m, self.rotations = _mounts(robot)
+        super().__init__(robot)
         self.rest_rad = np.asarray(rest_rad, dtype=np.float64)
         self.lower_rad = np.array([limit.lower_rad for limit in limits])
         self.upper_rad = np.array([limit.upper_rad for limit in limits])
