@@ -311,9 +311,6 @@ def load_robot(path: str | Path) -> Robot:
     Args:
         path: a ``robot.toml``, or the name of a robot that ships.
 
-    Returns:
-        The robot.
-
     Raises:
         ConfigurationError: in one line, what is wrong in the file and what is expected there.
     """

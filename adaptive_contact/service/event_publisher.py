@@ -9,7 +9,6 @@ the watchdog sees only those that go on.
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from collections import deque
@@ -125,11 +124,7 @@ class EventPublisher:
 
     def latencies(self) -> list[int]:
         """Arrival of the deciding sample to the event being sent, ns, of those sent since."""
-        taken: list[int] = []
-        with contextlib.suppress(IndexError):
-            while True:
-                taken.append(self._latencies.popleft())
-        return taken
+        return [self._latencies.popleft() for _ in range(len(self._latencies))]
 
     def _miss(self, links: int, what: str) -> None:
         """Count links that miss events, and say what became of them."""
@@ -142,10 +137,9 @@ class EventPublisher:
     def _work(self) -> None:
         while True:
             with self._changed:
-                while not self._queue:
-                    if self._ending:
-                        return
-                    self._changed.wait()
+                self._changed.wait_for(lambda: bool(self._queue) or self._ending)
+                if not self._queue:
+                    return
                 letter = self._queue.popleft()
             self._put(letter)
 

@@ -174,9 +174,6 @@ def manufactured(
         robot_seed: which robot; apart from a run's seed, so that runs share a robot.
         spread: relative half-width of the uniform spread between servos of one kind.
         nominal: centre of the spread; a hexapod's where left out.
-
-    Returns:
-        The robot's own servo constants.
     """
     base = nominal or ServoParameters()
     n = base.stall_torque_nm.size

@@ -47,12 +47,10 @@ class KinematicBackend:
     """
 
     _IDLE_S: Final = 0.05
+    _tau: Final = 0.03  # time constant, s
+    _top: Final = 5.0  # speed, rad/s
 
-    def __init__(
-        self, size: int, *, time_constant_s: float = 0.03, top_speed_rad_s: float = 5.0
-    ) -> None:
-        self._tau = time_constant_s
-        self._top = top_speed_rad_s
+    def __init__(self, size: int) -> None:
         self._angle = np.zeros(size)
         self._speed = np.zeros(size)
         self._goal = np.zeros(size)

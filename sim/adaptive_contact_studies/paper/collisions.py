@@ -60,7 +60,6 @@ class _Listener:
     t_s: list[float] = field(default_factory=list)
     tilt: list[Array] = field(default_factory=list)
     torque: list[Array] = field(default_factory=list)
-    force: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         plant = self.sim.plant
