@@ -17,7 +17,7 @@ from adaptive_contact.bank import LearnerBank
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Score, score_messages
-from adaptive_contact.service.recording import read_recording
+from adaptive_contact.service.recording import Record, read_recording
 from adaptive_contact.wire import (
     LEG_MESSAGES,
     MSGPACK,
@@ -43,12 +43,6 @@ class Comparison(NamedTuple):
     bridged: Score  # samples of the bridge, through learners here
     # samples of the bridge, with the events that the service sent; None without any
     live: Score | None
-
-
-class _Message(NamedTuple):
-    key: str
-    payload: bytes
-    encoding: str = MSGPACK
 
 
 # Each with its leg.
@@ -126,7 +120,6 @@ def _read(path: Path) -> _Received:
     return received
 
 
-def _messages(samples: Samples, truth: Truth) -> list[_Message]:
-    return [_Message(servo_key(leg), encode(s)) for leg, s in samples] + [
-        _Message(truth_key(leg), encode(t)) for leg, t in truth
-    ]
+def _messages(samples: Samples, truth: Truth) -> list[Record]:
+    keyed = [(servo_key(leg), s) for leg, s in samples] + [(truth_key(leg), t) for leg, t in truth]
+    return [Record(key, encode(m), MSGPACK, m.t_ns, m.t_ns) for key, m in keyed]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -12,6 +12,7 @@ import numpy as np
 from adaptive_contact.arrays import Array
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.virtual.backend import Backend
 
 if TYPE_CHECKING:
     from adaptive_contact_sim.plant import Plant
@@ -72,7 +73,7 @@ class Horns:
         return float(self.direction[index] * horn_rad + self.offset_rad[index])
 
 
-class OnStand(ABC):
+class OnStand(Backend):
     """A backend of virtual servos whose physics goes on step by step as time goes by.
 
     A goal written at any moment acts from that moment on.
@@ -96,10 +97,6 @@ class OnStand(ABC):
     @abstractmethod
     def step(self) -> None:
         """Make one."""
-
-    @abstractmethod
-    def set_slope(self, index: int, slope_rad: float) -> None:
-        """Set a servo's compliance slope, or gain."""
 
     def target(self) -> Array:
         """(n,) rad, goals in force; a servo without torque has its goal where it is."""
@@ -129,10 +126,6 @@ class OnStand(ABC):
     def set_goal(self, index: int, angle_rad: float) -> None:
         """Write a servo's goal."""
         self._goal[index] = self._horns.joint(index, angle_rad)
-
-    def goal(self, index: int) -> float | None:
-        """Only the bus writes goals."""
-        return None
 
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""
