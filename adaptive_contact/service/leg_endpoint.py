@@ -102,16 +102,12 @@ class JointAvailability:
 
     def __init__(self, joints: int) -> None:
         self._mute_since_ns: list[int | None] = [None] * joints
-        self._any_mute = False
 
     def follow(self, valid: list[bool] | None, now_ns: int) -> bool:
         """Take in which readings of a sample are good, (J,); whether any is."""
         if valid is None or all(valid):
-            if self._any_mute:
-                self._mute_since_ns = [None] * len(self._mute_since_ns)
-                self._any_mute = False
+            self._mute_since_ns = [None] * len(self._mute_since_ns)
             return True
-        self._any_mute = True
         for joint, good in enumerate(valid):
             if good:
                 self._mute_since_ns[joint] = None
@@ -121,8 +117,6 @@ class JointAvailability:
 
     def note(self, now_ns: int) -> str | None:
         """One line on the joints that have not answered for half a second; None without any."""
-        if not self._any_mute:
-            return None
         mute = {
             joint: (now_ns - since_ns) / 1e9
             for joint, since_ns in enumerate(self._mute_since_ns, start=1)
