@@ -142,7 +142,7 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     if not legs:
         return Verdict()
     chosen: dict[str, Chosen] = {}
-    if _has_mounts(robot):
+    if sum(leg.mount != Mount() for leg in robot.legs) >= 2:
         straight = [leg for leg in legs if leg.chain.is_straight]
         bent = [leg for leg in legs if not leg.chain.is_straight]
         by_leg = choose(straight, robot.period_s) if straight else {}
@@ -194,10 +194,6 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
             signs = [-1 if lifts else 1 for lifts in choices.lifts]
             findings.append(_sign_finding(leg, signs, _PULLED))
     return Verdict(tuple(findings), tuple(fits))
-
-
-def _has_mounts(robot: Robot) -> bool:
-    return sum(leg.mount != Mount() for leg in robot.legs) >= 2
 
 
 def _finding(leg: LegChoices, choice: Chosen) -> ConventionFinding:

@@ -40,12 +40,14 @@ class LegMotion:
     def of_samples(samples: Sequence[ServoSample]) -> LegMotion:
         """The motion of accepted samples, in order and in the frame of the leg's description."""
         phase_given = all(sample.phase is not None for sample in samples)
+        # Counted from the first one on, within what an array holds.
+        seq = [max(-MOST_SEQ, min(one.seq - samples[0].seq, MOST_SEQ)) for one in samples]
         return LegMotion(
             np.array([sample.t_ns for sample in samples], dtype=np.int64),
             np.array([sample.measured for sample in samples], dtype=np.float64),
             np.array([sample.desired for sample in samples], dtype=np.float64),
             np.array([sample.phase == "swing" for sample in samples]) if phase_given else None,
-            np.array([_counted(sample.seq, samples[0].seq) for sample in samples], dtype=np.int64),
+            np.array(seq, dtype=np.int64),
         )
 
 
@@ -118,8 +120,3 @@ def _runs(motion: LegMotion, period_s: float) -> list[_Run]:
         _Run(part, count)
         for part, count in zip(np.split(stamps, cuts), np.split(motion.seq, cuts), strict=True)
     ]
-
-
-def _counted(seq: int, first: int) -> int:
-    """``seq`` from the first one on, within what an array holds."""
-    return max(-MOST_SEQ, min(seq - first, MOST_SEQ))

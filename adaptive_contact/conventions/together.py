@@ -155,7 +155,7 @@ def choose(legs: Sequence[LegChoices], period_s: float) -> dict[str, int]:
         pairs = Pairs(legs, lag)
         if all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
             break
-    if not all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
+    else:
         return {}
     others = _Others(legs, lag, period_s)
     if pairs.rigid(described) and all(leg.sane(0) for leg in legs):

@@ -13,7 +13,6 @@ import re
 import tomllib
 from collections.abc import Callable
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Final, NoReturn, get_args, get_type_hints
 
@@ -313,9 +312,6 @@ def load_robot(path: str | Path) -> Robot:
     Args:
         path: a ``robot.toml``, or the name of a robot that ships.
 
-    Returns:
-        The robot.
-
     Raises:
         ConfigurationError: in one line, what is wrong in the file and what is expected there.
     """
@@ -352,7 +348,7 @@ def shipped_robot(name: str = "hexapod") -> Robot:
 
 
 def is_shipped(path: str | Path) -> bool:
-    """Return the name of a robot that ships from the path of a file."""
+    """Return whether a path is the name of a robot that ships, and of no file."""
     path = Path(path)
     return str(path) in _shipped_names() and not path.is_file()
 
@@ -365,11 +361,8 @@ def recorded_as(name: str) -> Robot | None:
 
 def _shipped_names() -> list[str]:
     models = resources.files("adaptive_contact_models")
-    return sorted(entry.name for entry in models.iterdir() if _ships(entry))
-
-
-def _ships(folder: Traversable) -> bool:
-    return folder.joinpath("robot.toml").is_file()
+    folders = (entry for entry in models.iterdir() if entry.joinpath("robot.toml").is_file())
+    return sorted(folder.name for folder in folders)
 
 
 def parse_robot(text: str, *, source: str) -> Robot:
@@ -379,15 +372,9 @@ def parse_robot(text: str, *, source: str) -> Robot:
         ConfigurationError: see :func:`load_robot`.
     """
     try:
-        table = tomllib.loads(text)
+        file = msgspec.convert(tomllib.loads(text), _File, strict=True)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{source}: not valid TOML: {error}") from error
-    except RecursionError as error:
-        raise ConfigurationError(
-            f"{source}: nested too deeply; expected the tables of a robot.toml"
-        ) from error
-    try:
-        file = msgspec.convert(table, _File, strict=True)
     except RecursionError as error:
         raise ConfigurationError(
             f"{source}: nested too deeply; expected the tables of a robot.toml"

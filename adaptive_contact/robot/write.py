@@ -47,9 +47,6 @@ class _Commented:
     def line(self, text: str, comment: str | None = None) -> None:
         self._lines.append(text if comment is None else f"{text:<28} # {comment}")
 
-    def note(self, text: str) -> None:
-        self._lines.append(f"# {text}")
-
     @property
     def text(self) -> str:
         return "\n".join(self._lines) + "\n"
@@ -78,8 +75,8 @@ def _write_leg(say: _Commented, leg: Leg, *, first: bool) -> None:
         )
     else:
         if first:
-            say.note("Measure the links, axis to axis and last axis to foot tip, and fill in, m:")
-        say.note(f"lengths_m = {_numbers([0.1] * len(leg.joints))}")
+            say.line("# Measure the links, axis to axis and last axis to foot tip, and fill in, m:")
+        say.line(f"# lengths_m = {_numbers([0.1] * len(leg.joints))}")
     if leg.quantum_rad is not None:
         say.line(f"quantum_rad = {leg.quantum_rad:g}")
     mount = leg.mount
@@ -89,9 +86,9 @@ def _write_leg(say: _Commented, leg: Leg, *, first: bool) -> None:
         lower, upper = _numbers(leg.limits.lower_rad), _numbers(leg.limits.upper_rad)
         say.line(f"limits = {{ lower_rad = {lower}, upper_rad = {upper} }}")
     elif first:
-        say.note("How far the bridge may ever drive the joints, rad:")
+        say.line("# How far the bridge may ever drive the joints, rad:")
         most = len(leg.joints)
-        say.note(f"limits = {{ lower_rad = {[-1.0] * most}, upper_rad = {[1.0] * most} }}")
+        say.line(f"# limits = {{ lower_rad = {[-1.0] * most}, upper_rad = {[1.0] * most} }}")
     if leg.angles is not None:
         parts = []
         if leg.angles.directions is not None:

@@ -21,6 +21,7 @@ from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.score.contacts import find_swings, lift_by_height, truth_changes
 from adaptive_contact.score.outcome import Events, LegStream
 from adaptive_contact.wire import (
+    LEG_MESSAGES,
     ContactEvent,
     ContactTruth,
     Reject,
@@ -101,31 +102,22 @@ class Gatherer:
         if not is_leg_id(leg):
             self.rejects[Reject.UNKNOWN_LEG] += 1
             return
-        fault: Rejected | Reject | None = None
-        if kind == "servo":
-            sample = decode(received.payload, ServoSample, received.encoding)
-            if isinstance(sample, Rejected):
-                fault = sample
-            else:
-                if leg not in self._samples:
-                    described = self._described(leg)
-                    joints = len(described.joints) if described else len(sample.desired)
-                    self._samples[leg] = _Samples(joints)
-                fault = self._samples[leg].add(sample)
-        elif kind == "truth":
-            truth = decode(received.payload, ContactTruth, received.encoding)
-            if isinstance(truth, Rejected):
-                fault = truth
-            else:
-                self._truth.setdefault(leg, []).append(truth)
-        else:
-            event = decode(received.payload, ContactEvent, received.encoding)
-            if isinstance(event, Rejected):
-                fault = event
-            else:
-                self._events.setdefault(leg, []).append(event)
+        message = decode(received.payload, LEG_MESSAGES[kind], received.encoding)
+        fault: Reject | None = None
+        if isinstance(message, Rejected):
+            fault = message.reason
+        elif isinstance(message, ServoSample):
+            if leg not in self._samples:
+                described = self._described(leg)
+                joints = len(described.joints) if described else len(message.desired)
+                self._samples[leg] = _Samples(joints)
+            fault = self._samples[leg].add(message)
+        elif isinstance(message, ContactTruth):
+            self._truth.setdefault(leg, []).append(message)
+        elif isinstance(message, ContactEvent):
+            self._events.setdefault(leg, []).append(message)
         if fault is not None:
-            self.rejects[fault.reason if isinstance(fault, Rejected) else fault] += 1
+            self.rejects[fault] += 1
 
     @property
     def withheld(self) -> dict[str, int]:

@@ -224,7 +224,6 @@ def swings_to_recovery(
     drift_ns: int,
     *,
     window: int = WINDOW_SWINGS,
-    allowed: int = ALLOWED_ERRORS,
     least_of_a_kind: int = LEAST_OF_A_KIND,
 ) -> int | None:
     """Swings of a leg that pass after a drift before it is reliable again.
@@ -238,7 +237,6 @@ def swings_to_recovery(
         swings: of one leg.
         drift_ns: when the drift began.
         window: swings looked at together, at least.
-        allowed: errors in them.
         least_of_a_kind: swings with a touch, and without one, that there must be among them.
 
     Returns:
@@ -258,7 +256,7 @@ def swings_to_recovery(
         ends = np.maximum(ends, enough)
     held = ends <= n
     so_far = _counted(errors)
-    good = held & (so_far[np.minimum(ends, n)] - so_far[starts] <= allowed)
+    good = held & (so_far[np.minimum(ends, n)] - so_far[starts] <= ALLOWED_ERRORS)
     return int(np.argmax(good)) if good.any() else None
 
 

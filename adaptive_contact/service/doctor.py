@@ -164,7 +164,6 @@ def diagnose(
 ) -> Diagnosis:
     """Judge what was received within ``seconds``; ``alive``: whether a service's token is."""
     service = seen.service[1] if alive and seen.service is not None else None
-    described: dict[str, LegFacts] = {} if service is None else service.legs
     return Diagnosis(
         router=router,
         router_line=router_line,
@@ -172,7 +171,7 @@ def diagnose(
         service_alive=alive,
         seconds=seconds,
         keys=_traffic(seen, seconds),
-        findings=entries(_faults(seen, seconds, alive, service, described)),
+        findings=entries(_faults(seen, seconds, alive, service)),
     )
 
 
@@ -180,13 +179,10 @@ _Faults = Iterator[tuple[str | None, Fault]]
 
 
 def _faults(
-    seen: Examination,
-    seconds: float,
-    alive: bool,
-    service: ServiceStatus | None,
-    described: dict[str, LegFacts],
+    seen: Examination, seconds: float, alive: bool, service: ServiceStatus | None
 ) -> _Faults:
     """All that is wrong, causes and consequences, each with its leg."""
+    described: dict[str, LegFacts] = {} if service is None else service.legs
     for fault in _about_service(seen, alive):
         yield None, fault
     strays = list(_about_keys(seen, seconds))

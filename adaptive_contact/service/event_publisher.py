@@ -9,7 +9,6 @@ the watchdog sees only those that go on.
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from collections import deque
@@ -108,22 +107,11 @@ class EventPublisher:
 
     def dropped(self, links: int) -> None:
         """Count links that were dropped because they held up a put."""
-        now_ns = self._dropped_ns = time.monotonic_ns()
-        self.cut_off += links
-        times = self._throttle.passes("dropped", now_ns, links)
-        if times is not None:
-            _log.warning(
-                "links dropped that held up contact events: their subscribers hang or are gone",
-                links=times,
-            )
+        self._miss(links, "links dropped that held up contact events")
 
     def lost_links(self, links: int) -> None:
         """Count links that took nothing any more until they were closed."""
-        now_ns = self._dropped_ns = time.monotonic_ns()
-        self.cut_off += links
-        times = self._throttle.passes("links lost", now_ns, links)
-        if times is not None:
-            _log.warning("links lost: their subscribers hang or are gone", links=times)
+        self._miss(links, "links lost")
 
     def dropped_within(self, now_ns: int, span_ns: int) -> bool:
         """Whether a link was dropped or lost in the last ``span_ns``."""
@@ -136,19 +124,22 @@ class EventPublisher:
 
     def latencies(self) -> list[int]:
         """Arrival of the deciding sample to the event being sent, ns, of those sent since."""
-        taken: list[int] = []
-        with contextlib.suppress(IndexError):
-            while True:
-                taken.append(self._latencies.popleft())
-        return taken
+        return [self._latencies.popleft() for _ in range(len(self._latencies))]
+
+    def _miss(self, links: int, what: str) -> None:
+        """Count links that miss events, and say what became of them."""
+        now_ns = self._dropped_ns = time.monotonic_ns()
+        self.cut_off += links
+        times = self._throttle.passes(what, now_ns, links)
+        if times is not None:
+            _log.warning(f"{what}: their subscribers hang or are gone", links=times)
 
     def _work(self) -> None:
         while True:
             with self._changed:
-                while not self._queue:
-                    if self._ending:
-                        return
-                    self._changed.wait()
+                self._changed.wait_for(lambda: bool(self._queue) or self._ending)
+                if not self._queue:
+                    return
                 letter = self._queue.popleft()
             self._put(letter)
 

@@ -18,13 +18,11 @@ import msgspec
 import structlog
 
 from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP, StreamGuard
-from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.logs import FaultLog, LogThrottle
 from adaptive_contact.service.settings import leg_token
 from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import (
-    ContactEvent,
     LearnerStatus,
     ModelReport,
     Reject,
@@ -104,16 +102,12 @@ class JointAvailability:
 
     def __init__(self, joints: int) -> None:
         self._mute_since_ns: list[int | None] = [None] * joints
-        self._any_mute = False
 
     def follow(self, valid: list[bool] | None, now_ns: int) -> bool:
         """Take in which readings of a sample are good, (J,); whether any is."""
         if valid is None or all(valid):
-            if self._any_mute:
-                self._mute_since_ns = [None] * len(self._mute_since_ns)
-                self._any_mute = False
+            self._mute_since_ns = [None] * len(self._mute_since_ns)
             return True
-        self._any_mute = True
         for joint, good in enumerate(valid):
             if good:
                 self._mute_since_ns[joint] = None
@@ -123,8 +117,6 @@ class JointAvailability:
 
     def note(self, now_ns: int) -> str | None:
         """One line on the joints that have not answered for half a second; None without any."""
-        if not self._any_mute:
-            return None
         mute = {
             joint: (now_ns - since_ns) / 1e9
             for joint, since_ns in enumerate(self._mute_since_ns, start=1)
@@ -169,7 +161,7 @@ class LegEndpoint:
         self._admission = Admission(joints, resumes)
         self._answers = JointAvailability(joints)
         self._link = link
-        self._contact = link.publisher(contact_key(leg), reliable=True, history=1)
+        self.contact = link.publisher(contact_key(leg), reliable=True, history=1)
         self._status = link.publisher(learner_key(leg))
         self._token: Declared | None = None
         self._since_ns = now_ns
@@ -213,12 +205,6 @@ class LegEndpoint:
     def silent(self, now_ns: int) -> bool:
         """Return whether no usable sample, or no servo's answer, has come for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
-
-    def publish_event(
-        self, event: ContactEvent, arrival_ns: int, publisher: EventPublisher
-    ) -> None:
-        """Send a change of contact; ``arrival_ns`` is monotonic, of the deciding sample."""
-        publisher.post(self._contact, event, arrival_ns)
 
     def publish_status(self, now_ns: int, *, anyway: bool = False) -> Status | None:
         """Send the status if a second has passed, it has changed, or it is wanted anyway.
@@ -298,12 +284,8 @@ class LegEndpoint:
     def _silence(self, now_ns: int) -> str:
         """One line on a silent leg: samples that are all refused are another fault than none."""
         seen = self._seen_ns
-        since = _seconds(now_ns - (self._since_ns if seen is None else seen))
-        how_long = f"{'yet, after' if seen is None else 'for'} {since}"
+        since_s = (now_ns - (self._since_ns if seen is None else seen)) / 1e9
+        how_long = f"{'yet, after' if seen is None else 'for'} {since_s:.1f} s"
         if self._unused is None or now_ns - self._unused_ns > _SILENT_AFTER_NS:
             return f"no sample {how_long}"
         return f"no usable sample {how_long}: {self._unused}"
-
-
-def _seconds(duration_ns: int) -> str:
-    return f"{duration_ns / 1e9:.1f} s"

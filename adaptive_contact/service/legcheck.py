@@ -134,22 +134,21 @@ def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[
     Yields:
         A fault of each such leg, with its id.
     """
-    moving: dict[str, dict[tuple[float, ...], int]] = {}
+    moving: dict[str, Counter[tuple[float, ...]]] = {}
     for leg, rows in samples.items():
         # What a leg reads while it moves: (J,) angles, and how often.
-        counts = moving.setdefault(leg, {})
+        counts = moving[leg] = Counter()
         for before, row in pairwise(rows):
             if len(row.measured) == len(before.measured) and any(
                 abs(new - old) > _MOVES_RAD
                 for new, old in zip(row.measured, before.measured, strict=True)
             ):
-                angles = tuple(row.measured)
-                counts[angles] = counts.get(angles, 0) + 1
+                counts[tuple(row.measured)] += 1
     found: dict[str, list[str]] = {}
     for leg, other in combinations(moving, 2):
         mine, theirs = moving[leg], moving[other]
-        shared = sum(min(times, theirs.get(angles, 0)) for angles, times in mine.items())
-        if shared >= max(_FEWEST, _TWIN_SHARE * min(sum(mine.values()), sum(theirs.values()))):
+        shared = (mine & theirs).total()
+        if shared >= max(_FEWEST, _TWIN_SHARE * min(mine.total(), theirs.total())):
             found.setdefault(leg, []).append(other)
             found.setdefault(other, []).append(leg)
     for leg, others in found.items():

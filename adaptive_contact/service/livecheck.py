@@ -167,13 +167,14 @@ class LiveCheck:
                 level: Level = "error" if wrong[name].grave else "warning"
                 faults.append((name, Fault.of("signs", wrong[name].line(leg.leg), level=level)))
         judged = {*wrong, *verdict.fits}
+        chains = {name: self._legs[name].leg.chain for name in motions}
         return LiveReport(
             seconds=seconds,
             legs=self.legs(),
             moves=self.moves,
             confirmed=[name for name in self._robot.leg_ids if name in verdict.fits],
             open=[name for name in self._robot.leg_ids if name in motions and name not in judged],
-            by_hand=[name for name in motions if not self._legs[name].confirmable],
+            by_hand=[leg for leg, chain in chains.items() if chain and not chain.is_straight],
             flatness=_flatness({leg.leg: leg.last for leg in self._legs.values() if leg.rests}),
             findings=entries(faults),
         )
@@ -215,11 +216,6 @@ class _LegCheck:
             self._rested = now if before is None else before
             return None
         return _moved(self.leg, before, now)
-
-    @property
-    def confirmable(self) -> bool:
-        """Whether a motion can confirm order and zeros: not of a chain that is not straight."""
-        return self.leg.chain is None or self.leg.chain.is_straight
 
     @property
     def last(self) -> Array:

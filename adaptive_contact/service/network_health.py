@@ -116,15 +116,11 @@ class NetworkHealth:
         self.note: str | None = None  # one line on what is wrong, None when all is well
         self._link = link
         self._rivals = PeerServices(link)
+        self.instance = self._rivals.instance  # the service's own mark among others
         self._throttle = LogThrottle()
         self._due_ns = now_ns
         self._joined = link.is_connected()  # a router runs before it is let in, a client does not
         self._connected = True
-
-    @property
-    def instance(self) -> str:
-        """The service's own mark among others."""
-        return self._rivals.instance
 
     def look(self, now_ns: int) -> None:
         """Look, if it is time."""

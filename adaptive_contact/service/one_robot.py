@@ -57,10 +57,10 @@ class OneRobot:
             if key is None:
                 self._others[namespace_of(record.key) or ""] += 1
                 continue
+            if key in self._strays:
+                self._strays[key] += 1
             if key.endswith("/servo"):
                 self._look_at(key, record)
-            elif key in self._strays:
-                self._strays[key] += 1
             yield record if key == record.key else record._replace(key=key)
 
     def _own(self, key: str) -> str | None:
@@ -77,8 +77,6 @@ class OneRobot:
         return key[key.index("robot/leg/") :]
 
     def _look_at(self, key: str, record: Record) -> None:
-        if key in self._strays:
-            self._strays[key] += 1
         leg = leg_of_key(key)
         if leg is None:
             return

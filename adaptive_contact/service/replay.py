@@ -40,7 +40,6 @@ from adaptive_contact.wire import (
     ServoSample,
     decode,
     is_json,
-    is_leg_id,
     json_text,
     leg_of_key,
 )
@@ -216,9 +215,7 @@ class WirePlayer:
             return False  # a put on wildcards would reach every leg; others are no keys of Zenoh
         if self._everything:
             return True
-        head, _, kind = key.rpartition("/")
-        leg = head.removeprefix("robot/leg/")
-        return kind in SOURCE_KINDS and head.startswith("robot/leg/") and is_leg_id(leg)
+        return key.rpartition("/")[2] in SOURCE_KINDS and leg_of_key(key) is not None
 
     def _publisher(self, key: str) -> Publisher:
         if key not in self._publishers:

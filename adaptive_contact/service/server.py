@@ -130,7 +130,6 @@ class Service:
         self._started_ns = now_ns
         self._queue: SampleQueue[Request] = SampleQueue(robot.leg_ids)
         self._endpoints: dict[str, LegEndpoint] = {}
-        self._order: list[LegEndpoint] = []  # the same, to be visited one by one
         self._facts: dict[str, LegFacts] = {}
         self._samples = 0
         self._events = 0
@@ -186,7 +185,7 @@ class Service:
                     # them: what no event needs waits for the last.  Where a leg's next sample is
                     # there already the worker is behind, and statuses and saves would wait long.
                     legs = set(batch.samples)
-                    for _ in range(max(1, len(self._order) - 1)):
+                    for _ in range(max(1, len(self._endpoints) - 1)):
                         more = self._queue.take(_REST_S, query=False)
                         if not more:
                             break
@@ -361,8 +360,8 @@ class Service:
 
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
         for event in self._bank.judge(samples):
-            arrival_ns = raws[event.leg].arrival_ns
-            self._endpoints[event.leg].publish_event(event, arrival_ns, self._publisher)
+            contact = self._endpoints[event.leg].contact
+            self._publisher.post(contact, event, raws[event.leg].arrival_ns)
             self._events += 1
             _log.debug(
                 "contact" if event.contact else "withheld" if event.withheld else "release",
@@ -425,13 +424,12 @@ class Service:
         endpoint = self._endpoints[leg] = LegEndpoint(
             self._link, leg, learner, joints, now_ns, resumes
         )
-        self._order.append(endpoint)
         if leg in self._robot.leg_ids:
             self._facts[leg] = LegFacts.of(self._robot, leg)
         return endpoint
 
     def _look_at(self, at: int, now_ns: int) -> None:
-        endpoint = self._order[at]
+        endpoint = list(self._endpoints.values())[at]
         changed = endpoint.publish_status(now_ns)
         if changed is not None and endpoint.received_samples:
             _log.info("leg status", leg=endpoint.leg, status=changed)
@@ -448,7 +446,7 @@ class Service:
 
     def _end(self, now_ns: int) -> None:
         """Have every leg saved, send the last events, and publish the last counts."""
-        for endpoint in self._order:
+        for endpoint in self._endpoints.values():
             endpoint.publish_status(now_ns, anyway=True)
             if self._keeper is not None and endpoint.received_samples:
                 self._keeper.take(endpoint, now_ns)

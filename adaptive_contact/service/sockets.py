@@ -46,18 +46,12 @@ _T = TypeVar("_T")
 
 
 class LinkSockets:
-    """Watches the process's sockets on a thread of its own.
-
-    Attributes:
-        dropped: links shut down because they held up an event.
-        lost: links that took nothing any more until Zenoh closed them.
-    """
+    """Watches the process's sockets on a thread of its own."""
 
     def __init__(self) -> None:
-        self.dropped = self.lost = 0
         self._busy_ns: Callable[[int], int] | None = None
-        self._on_drop: Callable[[int], None] | None = None
-        self._on_loss: Callable[[int], None] | None = None
+        self._on_drop: Callable[[int], None] = lambda _: None
+        self._on_loss: Callable[[int], None] = lambda _: None
         self._shut: set[int] = set()  # by us, and not closed yet
         self._known: frozenset[int] = frozenset()
         # Of sockets with something to send: bytes acknowledged, and since when they are as many.
@@ -101,8 +95,7 @@ class LinkSockets:
             now_ns - since >= STUCK_NS and inode not in sockets and inode not in self._shut
             for inode, (_, since) in self._queued.items()
         )
-        if lost and self._on_loss is not None:
-            self.lost += lost
+        if lost:
             self._on_loss(lost)
         self._shut &= sockets.keys()
         stuck = self._stuck(sockets, now_ns)
@@ -110,10 +103,8 @@ class LinkSockets:
             return
         shut = [inode for inode in stuck if _use(sockets[inode], _shut_down) is True]
         self._shut.update(shut)
-        dropped = len(shut)
-        if dropped and self._on_drop is not None:
-            self.dropped += dropped
-            self._on_drop(dropped)
+        if shut:
+            self._on_drop(len(shut))
 
     def _stuck(self, sockets: dict[int, int], now_ns: int) -> list[int]:
         """Sockets with something to send, of which nothing was taken for long enough."""

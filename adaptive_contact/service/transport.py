@@ -111,7 +111,8 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     if settings.mode == "router" and not listen and "listen/endpoints" not in said:
         # Zenoh's own default listens on every interface; ours does not.
         listen = (DEFAULT_ENDPOINT,)
-    for key, value in _overrides(settings, _with_free_ports(listen)).items():
+    ours = tuple(_with_free_port(text) for text in listen)
+    for key, value in _overrides(settings, ours).items():
         _insert(config, key, value)
     if settings.mode == "client" and not _endpoints(config, "connect", "client"):
         _insert(config, "connect/endpoints", [DEFAULT_ENDPOINT])
@@ -280,8 +281,8 @@ def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, obj
     return table
 
 
-def _with_free_ports(listen: tuple[str, ...]) -> tuple[str, ...]:
-    """Replace port 0 by a port that is free now.
+def _with_free_port(text: str) -> str:
+    """Replace port 0 of an endpoint by a port that is free now.
 
     Zenoh takes 0 but does not report which port it got once a namespace is set (its admin space is
     hidden then), so the port is chosen here.  Between the two another process may take it; the
@@ -290,10 +291,6 @@ def _with_free_ports(listen: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         ConfigurationError: port 0 with a host or protocol that cannot be bound here.
     """
-    return tuple(_with_free_port(text) for text in listen)
-
-
-def _with_free_port(text: str) -> str:
     address = tcp_address(text)
     if address is None or address[1] != 0:
         return text

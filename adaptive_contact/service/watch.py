@@ -24,11 +24,11 @@ from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
     ALL_TRUTH,
+    LEG_MESSAGES,
     MAX_PAYLOAD_BYTES,
     ContactEvent,
     ContactTruth,
     LearnerStatus,
-    Rejected,
     Status,
     decode,
     leg_of_key,
@@ -399,26 +399,17 @@ class Feed:
         return self.watch.view(now_ns, alive=self._alive, connected=self._link.is_connected())
 
     def _take(self, received: Received) -> None:
-        kind = received.key.rsplit("/", 1)[-1]
-        message = (
-            decode(received.payload, ServiceStatus, received.encoding)
-            if received.key == SERVICE_STATUS
-            else decode(received.payload, ContactEvent, received.encoding)
-            if kind == "contact"
-            else decode(received.payload, LearnerStatus, received.encoding)
-            if kind == "learner"
-            else decode(received.payload, ContactTruth, received.encoding)
-        )
+        name = received.key.rsplit("/", 1)[-1]
+        kind = ServiceStatus if received.key == SERVICE_STATUS else LEG_MESSAGES[name]
+        message = decode(received.payload, kind, received.encoding)
         leg = leg_of_key(received.key)
-        if isinstance(message, Rejected):
-            return
         if isinstance(message, ServiceStatus):
             self.watch.service(message)
         elif isinstance(message, ContactEvent):
             self.watch.event(message, received.arrival_ns, _age_ns(received))
         elif isinstance(message, LearnerStatus):
             self.watch.learner(message, received.arrival_ns)
-        elif leg is not None:
+        elif isinstance(message, ContactTruth) and leg is not None:
             self.watch.truth(leg, message, received.arrival_ns)
         if self._on_contact is None or leg is None:
             return

@@ -94,9 +94,6 @@ def record_arrays(
         seconds: simulated time.
         parameters: the robot's servos; drawn from the settings where left out.
 
-    Returns:
-        The run.
-
     Raises:
         SimulationDivergedError: the physics blew up.
     """

@@ -17,7 +17,6 @@ Reference:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -46,23 +45,19 @@ _NEAR_M: Final = 1e-3
 class Geometry(ABC):
     """What a controller knows of its legs: where they sit on the body, and how they reach."""
 
-    mounts_m: Array  # (L, 3) m, where the legs' first joints are in the body's frame
-    rotations: Array  # (L, 3, 3) from a leg's frame to the body's
+    outer_foot_m: float  # neutral feet from the body's centre, as turning moves them
+    standing_m: Array  # (3,) m, the first leg's foot at rest in its frame
+    middle_rad: Array  # (J,) rad, the first leg's posture at rest
 
-    @property
-    @abstractmethod
-    def outer_foot_m(self) -> float:
-        """Neutral feet from the body's centre, as turning moves them."""
-
-    @property
-    @abstractmethod
-    def standing_m(self) -> Array:
-        """(3,) m, a foot at rest in its leg's frame."""
-
-    @property
-    @abstractmethod
-    def middle_rad(self) -> Array:
-        """(J,) rad, the first leg's posture at rest."""
+    def __init__(self, robot: Robot) -> None:
+        # (L, 3) m, where the legs' first joints are in the body's frame
+        self.mounts_m = np.array([leg.mount.xyz_m for leg in robot.legs])
+        yaw = np.array([leg.mount.yaw_rad for leg in robot.legs])
+        self.rotations = np.zeros((len(yaw), 3, 3))  # from a leg's frame to the body's
+        self.rotations[:, 0, 0] = self.rotations[:, 1, 1] = np.cos(yaw)
+        self.rotations[:, 1, 0] = np.sin(yaw)
+        self.rotations[:, 0, 1] = -np.sin(yaw)
+        self.rotations[:, 2, 2] = 1.0
 
     @abstractmethod
     def neutral(self, reach_m: float, height_m: float) -> Array:
@@ -99,38 +94,17 @@ class Geometry(ABC):
         return np.asarray(turned + self.mounts_m)
 
 
-def _mounts(robot: Robot) -> tuple[Array, Array]:
-    """(L, 3) m and (L, 3, 3), where the legs sit and how they are turned."""
-    yaw = np.array([leg.mount.yaw_rad for leg in robot.legs])
-    rotations = np.zeros((len(yaw), 3, 3))
-    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(yaw)
-    rotations[:, 1, 0] = np.sin(yaw)
-    rotations[:, 0, 1] = -np.sin(yaw)
-    rotations[:, 2, 2] = 1.0
-    return np.array([leg.mount.xyz_m for leg in robot.legs]), rotations
-
-
-@dataclass(frozen=True, eq=False)
 class LegGeometry(Geometry):
-    """Geometry of the hexapod's six equal legs."""
+    """Geometry of the hexapod's six equal legs.
 
-    lengths_m: tuple[float, float, float]  # coxa, femur, tibia
-    mounts_m: Array  # (6, 3) of the coxa axes in the body's frame
-    rotations: Array  # (6, 3, 3) from a leg's frame to the body's
-    # lower_rad, upper_rad: (3,) joint limits
-    lower_rad: Array
-    upper_rad: Array
-    # nearest_m, farthest_m: foot from femur axis, as the tibia's limit and length allow
-    nearest_m: float
-    farthest_m: float
+    Args:
+        robot: its description, the shipped hexapod's by default.
 
-    @classmethod
-    def of(cls, robot: Robot | None = None) -> LegGeometry:
-        """Take the geometry from a robot description, the shipped hexapod's by default.
+    Raises:
+        ConfigurationError: the description does not fit the simulated robot.
+    """
 
-        Raises:
-            ConfigurationError: the description does not fit the simulated robot.
-        """
+    def __init__(self, robot: Robot | None = None) -> None:
         robot = robot or shipped_robot()
         if robot.leg_ids != LEGS:
             raise ConfigurationError(
@@ -143,35 +117,18 @@ class LegGeometry(Geometry):
                 f"robot '{robot.name}' lacks lengths_m or limits, or its joints are not "
                 f"{', '.join(JOINTS)}; give them for the simulator"
             )
-        l0, l1, l2 = first.lengths_m
-        mounts, rotations = _mounts(robot)
-        lower = np.array(first.limits.lower_rad)
-        upper = np.array(first.limits.upper_rad)
-        nearest = np.sqrt(l1**2 + l2**2 + 2 * l1 * l2 * np.cos(lower[2]))
-        return cls(
-            lengths_m=(l0, l1, l2),
-            mounts_m=mounts,
-            rotations=rotations,
-            lower_rad=lower,
-            upper_rad=upper,
-            nearest_m=float(nearest) + _REACH_MARGIN_M,
-            farthest_m=l1 + l2 - _REACH_MARGIN_M,
-        )
-
-    @property
-    def outer_foot_m(self) -> float:
-        """Neutral feet from the body's centre, as turning moves them."""
-        return _OUTER_FOOT_M
-
-    @property
-    def standing_m(self) -> Array:
-        """(3,) m, a foot at rest in its leg's frame."""
-        return np.array(_STANDING_M)
-
-    @property
-    def middle_rad(self) -> Array:
-        """(3,) rad, a leg's posture at rest."""
-        return self.joints(self.standing_m)
+        super().__init__(robot)
+        self.lengths_m = first.lengths_m  # coxa, femur, tibia
+        _, l1, l2 = first.lengths_m
+        self.lower_rad = np.array(first.limits.lower_rad)
+        self.upper_rad = np.array(first.limits.upper_rad)
+        # Foot from femur axis, as the tibia's limit and length allow.
+        nearest = np.sqrt(l1**2 + l2**2 + 2 * l1 * l2 * np.cos(self.lower_rad[2]))
+        self.nearest_m = float(nearest) + _REACH_MARGIN_M
+        self.farthest_m = l1 + l2 - _REACH_MARGIN_M
+        self.outer_foot_m = _OUTER_FOOT_M
+        self.standing_m = np.array(_STANDING_M)
+        self.middle_rad = self.joints(self.standing_m)
 
     def neutral(self, reach_m: float, height_m: float) -> Array:
         """(6, 3) m in the legs' frames: feet so far from their coxa axes, the body so high."""
@@ -226,35 +183,24 @@ class ChainLegs(Geometry):
                 f"robot '{robot.name}' lacks geometry or limits of a leg; give them for the "
                 "simulator"
             )
-        self.mounts_m, self.rotations = _mounts(robot)
+        super().__init__(robot)
         self.rest_rad = np.asarray(rest_rad, dtype=np.float64)
         self.lower_rad = np.array([limit.lower_rad for limit in limits])
         self.upper_rad = np.array([limit.upper_rad for limit in limits])
         self._axes = np.array([chain.vectors for chain in chains])
         self._origins = np.array([chain.origins_m for chain in chains])
         self._redundant = self._axes.shape[1] > 3
-
-    @property
-    def outer_foot_m(self) -> float:
-        """Feet at rest from the body's centre, as turning moves them."""
-        feet = self.to_body(self.feet(self.rest_rad))
-        return float(np.hypot(feet[:, 0], feet[:, 1]).max())
-
-    @property
-    def standing_m(self) -> Array:
-        """(3,) m, the first leg's foot at rest in its frame."""
-        return np.asarray(self.feet(self.rest_rad)[0])
+        feet = self.feet(self.rest_rad)
+        self.standing_m = feet[0]
+        self.middle_rad = self.rest_rad[0]
+        on_body = self.to_body(feet)
+        self.outer_foot_m = float(np.hypot(on_body[:, 0], on_body[:, 1]).max())
 
     def neutral(self, reach_m: float, height_m: float) -> Array:
         """(L, 3) m in the legs' frames: feet so far beside their first joint, the body so high."""
         feet = self.feet(self.rest_rad)
         side = np.where(feet[:, 1] < 0.0, -1.0, 1.0)
         return np.stack([np.zeros(len(side)), side * reach_m, np.full(len(side), -height_m)], 1)
-
-    @property
-    def middle_rad(self) -> Array:
-        """(J,) rad, the first leg's posture at rest."""
-        return np.asarray(self.rest_rad[0])
 
     def reachable(self, points_m: Array) -> Mask:
         """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""

@@ -146,9 +146,33 @@ class _Wire:
             )
 
     def take(self) -> None:
-        """Answer requests, and pass contact events on."""
-        _answer(self._sim, self._requests)
-        _take_events(self._sim, self._events)
+        """Answer requests, and pass contact events on to the gait."""
+        while not self._requests.empty():
+            self._answer(self._requests.get_nowait())
+        while not self._events.empty():
+            received = self._events.get_nowait()
+            event = decode(received.payload, ContactEvent, received.encoding)
+            leg = leg_of_key(received.key)
+            if leg is not None and not isinstance(event, Rejected):
+                self._sim.notify_contact(leg, event.contact)
+
+    def _answer(self, request: Request) -> None:
+        """Take a drift, and answer with what now holds."""
+        sim, error = self._sim, None
+        if request.payload:  # without one, the request only asks what holds
+            drift = decode(request.payload, Drift, request.encoding)
+            if isinstance(drift, Rejected):
+                error = f"not a drift: {drift.detail}; expected a Drift message"
+            else:
+                try:
+                    sim.inject(drift)
+                except ConfigurationError as refused:
+                    error = str(refused)
+        request.reply(
+            DriftReply(ok=error is None, t_ns=sim.t_ns, holds=sim.now_holds(), error=error),
+            SIM_DRIFT,
+        )
+        request.close()
 
     def publish(self, tick: Tick) -> None:
         """Publish samples and changes of the truth."""
@@ -168,38 +192,5 @@ def _over(sim: Simulation, seconds: float | None) -> bool:
 
 
 def _offer(waiting: queue.Queue[T], item: T) -> None:
-    try:
+    with contextlib.suppress(queue.Full):  # the asker's own timeout shows it
         waiting.put_nowait(item)
-    except queue.Full:
-        return  # the asker's own timeout shows it
-
-
-def _take_events(sim: Simulation, events: queue.Queue[Received]) -> None:
-    """Pass contact events on to the gait."""
-    while not events.empty():
-        received = events.get_nowait()
-        event = decode(received.payload, ContactEvent, received.encoding)
-        leg = leg_of_key(received.key)
-        if leg is not None and not isinstance(event, Rejected):
-            sim.notify_contact(leg, event.contact)
-
-
-def _answer(sim: Simulation, requests: queue.Queue[Request]) -> None:
-    """Take drifts, and answer with what now holds."""
-    while not requests.empty():
-        request = requests.get_nowait()
-        error = None
-        if request.payload:  # without one, the request only asks what holds
-            drift = decode(request.payload, Drift, request.encoding)
-            if isinstance(drift, Rejected):
-                error = f"not a drift: {drift.detail}; expected a Drift message"
-            else:
-                try:
-                    sim.inject(drift)
-                except ConfigurationError as refused:
-                    error = str(refused)
-        request.reply(
-            DriftReply(ok=error is None, t_ns=sim.t_ns, holds=sim.now_holds(), error=error),
-            SIM_DRIFT,
-        )
-        request.close()

@@ -45,7 +45,7 @@ class Motion(Protocol):
 
     @property
     def start_height_m(self) -> float:
-        """Height of the body over the ground at first."""
+        """Height of the body over the ground at first, flat ground in pose."""
 
     def step(self, world: World) -> Goal:
         """Goals to be written in this tick."""

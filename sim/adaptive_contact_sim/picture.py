@@ -13,7 +13,7 @@ import io
 import math
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import mujoco
 import numpy as np
@@ -118,6 +118,7 @@ class StickPainter:
 
     def __init__(self, stage: Stage, width: int, height: int) -> None:
         self._size = (width, height)
+        self._big = (width * _OVERSAMPLE, height * _OVERSAMPLE)
         self._scale = width * _OVERSAMPLE / _SPAN_M
         self._centre = stage.position_m.copy()
         model, layout = stage.model, stage.elements.layout
@@ -131,50 +132,48 @@ class StickPainter:
         self._towards = -towards  # from the scene to the viewer, level
 
     def paint(self, stage: Stage) -> Pixels:
-        """Draw what is set up."""
+        """Draw what is set up: (height, width, 3) RGB."""
         from PIL import Image as PILImage
         from PIL import ImageDraw
 
-        width, height = self._size
-        big = (width * _OVERSAMPLE, height * _OVERSAMPLE)
-        picture = PILImage.new("RGB", big, _SKY)
+        picture = PILImage.new("RGB", self._big, _SKY)
         draw = ImageDraw.Draw(picture)
         position, rotation = stage.position_m, stage.rotation
         self._centre[:2] += (position[:2] - self._centre[:2]) / 8.0
-        self._draw_ground(draw, stage, big)
-        self._draw_obstacles(draw, stage, big)
+        self._draw_ground(draw, stage)
+        self._draw_obstacles(draw, stage)
 
-        feet, touching = stage.feet_m, stage.touching
-        depth = (feet[:, :2] - position[:2]) @ self._towards
+        depth = (stage.feet_m[:, :2] - position[:2]) @ self._towards
         order = np.argsort(depth)
         for leg in order[: len(order) // 2]:
-            self._draw_leg(draw, stage, int(leg), bool(touching[leg]), _FAR_LEG, big)
+            self._draw_leg(draw, stage, int(leg), _FAR_LEG)
         for z, colour in ((-0.022, _BODY[1]), (0.026, _BODY[0])):
             deck = np.column_stack([self._deck, np.full(len(self._deck), z)])
             if len(deck) > 2:  # a leg on a stand has no body
                 corners = deck @ rotation.T + position
-                draw.polygon(self._project(corners, big), fill=colour)
+                draw.polygon(self._project(corners), fill=colour)
         nose = np.array([[0.125, 0.03, 0.026], [0.125, -0.03, 0.026]]) @ rotation.T + position
-        draw.line(self._project(nose, big), fill=(242, 140, 26), width=4 * _OVERSAMPLE)
+        draw.line(self._project(nose), fill=(242, 140, 26), width=4 * _OVERSAMPLE)
         for leg in order[len(order) // 2 :]:
-            self._draw_leg(draw, stage, int(leg), bool(touching[leg]), _NEAR_LEG, big)
+            self._draw_leg(draw, stage, int(leg), _NEAR_LEG)
         small = picture.resize(self._size, PILImage.Resampling.LANCZOS)
         return np.asarray(small, dtype=np.uint8).copy()
 
     def close(self) -> None:
         """Nothing to give back."""
 
-    def _project(self, points: Array, size: tuple[int, int]) -> list[tuple[float, float]]:
+    def _project(self, points: Array) -> list[tuple[float, float]]:
         """World points (n, 3) m to pixels."""
         offset = points - self._centre
         right = offset[:, 0] * -math.sin(_AZIMUTH_RAD) + offset[:, 1] * math.cos(_AZIMUTH_RAD)
         away = offset[:, 0] * math.cos(_AZIMUTH_RAD) + offset[:, 1] * math.sin(_AZIMUTH_RAD)
         up = points[:, 2] * math.cos(_ELEVATION_RAD) + away * math.sin(_ELEVATION_RAD)
-        x = size[0] / 2 + right * self._scale
-        y = size[1] * 0.62 - up * self._scale
+        width, height = self._big
+        x = width / 2 + right * self._scale
+        y = height * 0.62 - up * self._scale
         return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
 
-    def _draw_ground(self, draw: ImageDraw.ImageDraw, stage: Stage, size: tuple[int, int]) -> None:
+    def _draw_ground(self, draw: ImageDraw.ImageDraw, stage: Stage) -> None:
         """Grid lines on the ground around the robot, following its heights."""
         base = np.round(self._centre[:2] / _GRID_M) * _GRID_M
         fine = np.linspace(-_GRID_HALF * _GRID_M, _GRID_HALF * _GRID_M, 8 * _GRID_HALF + 1)
@@ -184,22 +183,18 @@ class StickPainter:
                 line[:, axis] = base[axis] + k * _GRID_M
                 line[:, 1 - axis] = base[1 - axis] + fine
                 line[:, 2] = stage.terrain.height_at(line[:, 0], line[:, 1])
-                draw.line(self._project(line, size), fill=_LINE, width=_OVERSAMPLE)
+                draw.line(self._project(line), fill=_LINE, width=_OVERSAMPLE)
 
-    def _draw_obstacles(
-        self, draw: ImageDraw.ImageDraw, stage: Stage, size: tuple[int, int]
-    ) -> None:
+    def _draw_obstacles(self, draw: ImageDraw.ImageDraw, stage: Stage) -> None:
         """The obstacles that stand, as the outlines of their boxes."""
         for name in OBSTACLES:
             if stage.model.body_mocapid.max() < 0:
                 return
             geom = stage.model.geom(f"obstacle_{name}").id
             if stage.data.geom_xpos[geom, 2] > PARKED_M[2] / 2:
-                self._draw_box(draw, stage, geom, size)
+                self._draw_box(draw, stage, geom)
 
-    def _draw_box(
-        self, draw: ImageDraw.ImageDraw, stage: Stage, geom: int, size: tuple[int, int]
-    ) -> None:
+    def _draw_box(self, draw: ImageDraw.ImageDraw, stage: Stage, geom: int) -> None:
         half = stage.model.geom_aabb[geom, 3:]
         signs = np.array(
             [[a, b, c] for c in (-1, 1) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
@@ -207,22 +202,16 @@ class StickPainter:
         rotation = stage.data.geom_xmat[geom].reshape(3, 3)
         box = (signs * half) @ rotation.T + stage.data.geom_xpos[geom]
         box[:, 2] = np.maximum(box[:, 2], 0.0)  # what is under the ground is not seen
-        corners = self._project(box, size)
+        corners = self._project(box)
         for face in ((0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)):
             draw.polygon([corners[i] for i in face], fill=_OBSTACLE, outline=(150, 70, 48))
 
     def _draw_leg(
-        self,
-        draw: ImageDraw.ImageDraw,
-        stage: Stage,
-        leg: int,
-        touching: bool,
-        colour: tuple[int, int, int],
-        size: tuple[int, int],
+        self, draw: ImageDraw.ImageDraw, stage: Stage, leg: int, colour: tuple[int, int, int]
     ) -> None:
         joints = stage.data.xpos[self._links[leg]]
         foot = stage.feet_m[leg]
-        points = self._project(np.vstack([joints, foot]), size)
+        points = self._project(np.vstack([joints, foot]))
         for k, width in enumerate(np.linspace(10, 7, len(joints)).round().astype(int).tolist()):
             draw.line(points[k : k + 2], fill=colour, width=width * _OVERSAMPLE)
         for x, y in points[:-1]:
@@ -230,7 +219,7 @@ class StickPainter:
             draw.ellipse((x - r, y - r, x + r, y + r), fill=colour)
         x, y = points[-1]
         r = 7 * _OVERSAMPLE
-        draw.ellipse((x - r, y - r, x + r, y + r), fill=_TOUCHING if touching else _FREE)
+        draw.ellipse((x - r, y - r, x + r, y + r), fill=_TOUCHING if stage.touching[leg] else _FREE)
 
 
 TOUCHING_RGBA: Final = (0.93, 0.16, 0.14, 1.0)
@@ -243,17 +232,9 @@ _LOOK_AT_HEIGHT_M: Final = 0.07
 _FOLLOW_FRAMES: Final = 8.0
 
 
-class Painter(Protocol):
-    """Something that can paint a stage."""
-
-    def paint(self, stage: Stage) -> Pixels:
-        """Paint what is set up: (height, width, 3) RGB."""
-
-    def close(self) -> None:
-        """Give resources back."""
-
-
-def painter(stage: Stage, width: int, height: int) -> tuple[Painter, str | None]:
+def painter(
+    stage: Stage, width: int, height: int
+) -> tuple[EnginePainter | StickPainter, str | None]:
     """Make the best painter this machine has.
 
     Returns:
@@ -372,7 +353,6 @@ class Film:
                 importlib.import_module("imageio_ffmpeg")  # imageio finds its ffmpeg through it
         self._sim = sim
         self._stage = Stage(sim)
-        self._painter: Painter
         self._painter, self.fallback = painter(self._stage, self._width, self._height)
         self._moments: list[Moment] = []
 

@@ -78,15 +78,16 @@ class Plant:
         e = self.elements
         self._supply_resistance_ohm = supply_resistance_ohm
         self._scratch = mujoco.MjData(model)  # mj_setConst overwrites the state of its data
-        self._joint_angles = self.data.qpos[e.qpos]
-        self._joint_speeds = self.data.qvel[e.dof]
+        # (S,) rad and rad/s, views of the engine's state
+        self.joint_angles: Array = self.data.qpos[e.qpos]
+        self.joint_speeds: Array = self.data.qvel[e.dof]
         model.dof_armature[e.dof] = parameters.armature_kgm2
         legs = self._legs = len(layout.legs)
         self._mass_kg = np.zeros(legs)
         self.servos = ServoBank(
             parameters,
-            position=self._joint_angles,
-            velocity=self._joint_speeds,
+            position=self.joint_angles,
+            velocity=self.joint_speeds,
             acceleration=self.data.qacc[e.dof],
             torque=self.data.ctrl[e.ctrl],
             friction=model.dof_frictionloss[e.dof],
@@ -95,8 +96,8 @@ class Plant:
         )
         self.gears = GearTrain(
             self.servos,
-            position=self._joint_angles,
-            velocity=self._joint_speeds,
+            position=self.joint_angles,
+            velocity=self.joint_speeds,
             torque=self.data.ctrl[e.ctrl],
             friction=model.dof_frictionloss[e.dof],
             damping=model.dof_damping[e.dof],
@@ -121,16 +122,6 @@ class Plant:
         """Simulated time."""
         return self.steps * self.step_s
 
-    @property
-    def joint_angles(self) -> Array:
-        """(S,) rad, true joint angles; a view of the engine's state."""
-        return np.asarray(self._joint_angles)
-
-    @property
-    def joint_speeds(self) -> Array:
-        """(S,) rad/s, true joint speeds; a view of the engine's state."""
-        return np.asarray(self._joint_speeds)
-
     def place(self, position_m: Array, quaternion: Array, joints_rad: Array) -> None:
         """Put the robot somewhere, at rest.
 
@@ -143,7 +134,7 @@ class Plant:
         if self.elements.floats:
             self.data.qpos[:3] = position_m
             self.data.qpos[3:7] = quaternion
-        self._joint_angles[:] = joints_rad
+        self.joint_angles[:] = joints_rad
         mujoco.mj_forward(self.model, self.data)
         self.steps = 0
         self._contacts = 0
@@ -273,7 +264,7 @@ class Plant:
         )
 
     def _check(self) -> None:
-        fastest = float(np.abs(self._joint_speeds).max())
+        fastest = float(np.abs(self.joint_speeds).max())
         body = float(np.abs(self.data.qvel[:6]).max()) if self.elements.floats else 0.0
         # Written so that NaN, which compares false, is caught.
         if not (fastest < _ABSURD_JOINT_RAD_S and body < _ABSURD_BODY):

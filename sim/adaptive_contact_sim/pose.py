@@ -185,8 +185,9 @@ class PoseMotion:
         self._rng = rng
         self._legs = legs
         self._stand_m = geometry.standing_m
-        self._standing = geometry.joints(np.tile(self._stand_m, (len(legs), 1)))
-        self._goals = self._standing.copy()
+        self.start_joints = geometry.joints(np.tile(self._stand_m, (len(legs), 1)))
+        self.start_height_m = -float(self._stand_m[2])
+        self._goals = self.start_joints.copy()
         self._lower, self._upper = WORKSPACES[settings.workspace]
         self._turn = 0
         self._trials_left = settings.trials_per_turn
@@ -204,16 +205,6 @@ class PoseMotion:
         self._plan = self._step_up()
         # Always one plan ahead, so that a preview reaches past the end of a trial.
         self._upcoming = self._next_plan()
-
-    @property
-    def start_joints(self) -> Array:
-        """(L, J) rad, where the robot stands at first."""
-        return self._standing
-
-    @property
-    def start_height_m(self) -> float:
-        """Height of the body over flat ground at first."""
-        return -float(self._stand_m[2])
 
     @property
     def leg(self) -> int:

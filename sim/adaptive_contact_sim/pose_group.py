@@ -56,16 +56,8 @@ class PoseGroup:
 
     def __init__(self, members: Sequence[PoseMotion]) -> None:
         self.members = tuple(members)
-
-    @property
-    def start_joints(self) -> Array:
-        """(6, 3) rad, where the robot stands at first."""
-        return self.members[0].start_joints
-
-    @property
-    def start_height_m(self) -> float:
-        """Height of the body over flat ground at first."""
-        return self.members[0].start_height_m
+        self.start_joints = members[0].start_joints
+        self.start_height_m = members[0].start_height_m
 
     def step(self, world: World) -> Goal:
         """Goals for this tick."""

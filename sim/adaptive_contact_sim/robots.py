@@ -7,9 +7,8 @@ where nothing else is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -42,10 +41,10 @@ class SimulatedRobot:
     pose: PoseSettings | None = None  # how single legs move; None where they cannot
     relief_m: float = 0.035  # of rough ground, lowest to highest, that it walks over
 
-    @property
+    @cached_property
     def description(self) -> Robot:
         """Its ``robot.toml``."""
-        return _description(self.name)
+        return shipped_robot(self.name)
 
     def walking(self, gait: GaitName | None = None) -> WalkSettings | None:
         """How it walks in a gait, its usual one where None; None where it cannot walk."""
@@ -57,7 +56,7 @@ class SimulatedRobot:
     def geometry(self) -> Geometry:
         """Its legs, for controllers."""
         if self.layout == HEXAPOD:
-            return LegGeometry.of(self.description)
+            return LegGeometry(self.description)
         return ChainLegs(self.description, np.array(self.rest))
 
 
@@ -141,6 +140,3 @@ def simulated_robot(name: str) -> SimulatedRobot:
         hint = did_you_mean(name, ROBOTS, f"there are {', '.join(ROBOTS)}")
         raise ConfigurationError(f"no robot '{name}' is simulated; {hint}")
     return ROBOTS[name]
-
-
-_description: Final[Callable[[str], Robot]] = cache(shipped_robot)

@@ -242,7 +242,8 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
         raise ConfigurationError(f"{source}: {error}") from error
     motion: MotionSettings = _settings(own, base.motion, where)
     seconds = table.get("seconds")
-    if seconds is not None and not (_is_number(seconds) and 0 < seconds <= 1e6):
+    number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    if seconds is not None and not (number and 0 < seconds <= 1e6):
         raise ConfigurationError(f"{source}: seconds is {seconds!r}; expected 0 to 1000000 s")
     drift = table.get("drift", [])
     if not isinstance(drift, list) or not all(isinstance(d, dict) for d in drift):
@@ -280,14 +281,8 @@ def _settings(table: Any, base: T, where: str) -> T:
     try:
         given = msgspec.convert(table, kind, strict=True)
         return replace(base, **{name: getattr(given, name) for name in table})  # type: ignore[type-var]
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, ConfigurationError) as error:
         raise ConfigurationError(f"{where}: {error}") from error
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{where}: {error}") from error
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _whole(table: Mapping[str, Any], name: str, source: str) -> int:

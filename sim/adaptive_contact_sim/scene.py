@@ -73,9 +73,6 @@ def build(
             less time and comes to the same, bit for bit.
         name: of the robot.
         layout: of it.
-
-    Returns:
-        The compiled model.
     """
     spec = mujoco.MjSpec.from_string(robot_xml(name))
     _add_surroundings(spec)

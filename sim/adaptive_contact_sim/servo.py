@@ -174,9 +174,6 @@ def manufactured(
         robot_seed: which robot; apart from a run's seed, so that runs share a robot.
         spread: relative half-width of the uniform spread between servos of one kind.
         nominal: centre of the spread; a hexapod's where left out.
-
-    Returns:
-        The robot's own servo constants.
     """
     base = nominal or ServoParameters()
     n = base.stall_torque_nm.size
@@ -250,8 +247,10 @@ class ServoBank:
         self._index = np.zeros(size, dtype=np.intp)
         self._work = np.zeros(size)
         self._load = np.zeros(size)
-        self._back_emf = np.zeros(size)
-        self._sliding = np.zeros(size)
+        # (S,) in their present condition: the motors' own damping, N*m*s/rad, and their gears'
+        # Coulomb friction, N*m
+        self.back_emf = np.zeros(size)
+        self.sliding = np.zeros(size)
         self._stribeck = np.zeros(size)
         self._inverse_stribeck_speed = -1.0 / self.parameters.stribeck_speed_rad_s
         self._armature = np.array(self.parameters.armature_kgm2)
@@ -259,19 +258,9 @@ class ServoBank:
         self.refresh()
 
     @property
-    def back_emf(self) -> Array:
-        """(S,) N*m*s/rad, the motor's own damping in its present condition."""
-        return self._back_emf
-
-    @property
     def viscous(self) -> Array:
         """(S,) N*m*s/rad, the gear's damping in its present condition."""
         return np.asarray(self.parameters.viscous_nms * self.viscous_factor)
-
-    @property
-    def sliding(self) -> Array:
-        """(S,) N*m, Coulomb friction in its present condition."""
-        return self._sliding
 
     @property
     def goal_rad(self) -> Array:
@@ -281,7 +270,7 @@ class ServoBank:
     def friction_bound(self, index: NDArray[np.intp], speed: Array, load: Array) -> Array:
         """Friction bound of some servos, N*m, at given speeds (rad/s) and loads (N*m, >= 0)."""
         rest = self._stribeck[index] * np.exp(np.abs(speed) * self._inverse_stribeck_speed[index])
-        return np.asarray(self._sliding[index] + rest + self._load_friction[index] * load)
+        return np.asarray(self.sliding[index] + rest + self._load_friction[index] * load)
 
     def write_goal(self, goal_rad: Array) -> Array:
         """Write the goal registers.
@@ -318,7 +307,7 @@ class ServoBank:
         """Refresh the friction bounds from the step just made."""
         work, load, velocity = self._work, self._load, self._velocity
         # Torque passed on: the motor's, less back-EMF and what turns its own rotor.
-        np.multiply(self._back_emf, velocity, load)
+        np.multiply(self.back_emf, velocity, load)
         np.subtract(self._torque, load, load)
         np.multiply(self._armature, self._acceleration, work)
         np.subtract(load, work, load)
@@ -329,7 +318,7 @@ class ServoBank:
         np.exp(work, work)
         np.multiply(work, self._stribeck, work)
         np.add(work, load, work)
-        np.add(work, self._sliding, self._friction)
+        np.add(work, self.sliding, self._friction)
 
     def sag(self, resistance_ohm: float) -> None:
         """Let the supply sag with the current drawn now; called once a control tick."""
@@ -337,7 +326,7 @@ class ServoBank:
             return
         p = self.parameters
         # Winding current is proportional to torque; the H-bridge takes it for the duty's share.
-        share = (self._torque - self._back_emf * self._velocity) / p.stall_torque_nm
+        share = (self._torque - self.back_emf * self._velocity) / p.stall_torque_nm
         duty = self._torque / (p.stall_torque_nm * (self.supply_v / NOMINAL_SUPPLY_V))
         drawn = float(np.sum(np.abs(p.stall_current_a * share * duty)))
         target = 1.0 - drawn * resistance_ohm / NOMINAL_SUPPLY_V
@@ -350,12 +339,10 @@ class ServoBank:
         p = self.parameters
         np.divide(self.offset_rad, self.kind.quantum_rad, out=self._offset_steps)
         self._offset = bool(self._offset_steps.any())
-        np.multiply(p.coulomb_nm, self.friction_factor, out=self._sliding)
+        np.multiply(p.coulomb_nm, self.friction_factor, out=self.sliding)
         np.multiply(p.stribeck_nm, self.friction_factor, out=self._stribeck)
-        np.divide(
-            p.stall_torque_nm, p.no_load_speed_rad_s * self.winding_factor, out=self._back_emf
-        )
-        np.add(self._back_emf, self.viscous, out=self._damping)
+        np.divide(p.stall_torque_nm, p.no_load_speed_rad_s * self.winding_factor, out=self.back_emf)
+        np.add(self.back_emf, self.viscous, out=self._damping)
         scale = p.stall_torque_nm * (self.supply_v / NOMINAL_SUPPLY_V) / self.winding_factor
         slope = p.slope_steps * self.compliance_factor
         wanted = np.stack([scale, slope])

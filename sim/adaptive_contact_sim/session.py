@@ -32,26 +32,15 @@ _CLOSE_S: Final = 2.0
 
 @dataclass(frozen=True)
 class RunPlan:
-    """What to run, and where it goes.
+    """What to run, and where it goes."""
 
-    Attributes:
-        settings: what to simulate.
-        seconds: of simulated time, None for until stopped.
-        speed: times real time, None for as fast as possible.
-        link: how to join the network, None for a run without one.
-        record: MCAP file to write.
-        render: picture or film to make.
-        view: open a window.
-        encoding: of recorded payloads.
-    """
-
-    settings: SimulationSettings
-    seconds: float | None
-    speed: float | None
-    link: LinkSettings | None
-    record: Path | None = None
-    render: Path | None = None
-    view: bool = False
+    settings: SimulationSettings  # what to simulate
+    seconds: float | None  # of simulated time, None for until stopped
+    speed: float | None  # times real time, None for as fast as possible
+    link: LinkSettings | None  # how to join the network, None for a run without one
+    record: Path | None = None  # MCAP file to write
+    render: Path | None = None  # picture or film to make
+    view: bool = False  # open a window
 
     def __post_init__(self) -> None:
         motion = self.settings.motion

@@ -326,7 +326,7 @@ class Simulation:
                 position_m=position,
                 rotation=rotation,
                 feet_m=self.plant.foot_positions(),
-                touch_step=tuple(self.truth.recent(i) for i in range(self._legs)),
+                touch_step=tuple(self.truth.recent),
                 reported_tick=tuple(self._reported),
             )
         )

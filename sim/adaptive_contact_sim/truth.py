@@ -73,7 +73,9 @@ class TruthTracker:
         self._judged = 0  # physics steps behind the start of the pending window
         self.contact = [False] * n
         self._quiet = [0] * n  # steps below AIR_FORCE_N, while in contact
-        self._recent: list[int | None] = [None] * n
+        # physics step at which each leg's force last came up from the air, None in the air; unlike
+        # `contact` up to date with the tick just made, and any touch above 0.5 N counts
+        self.recent: list[int | None] = [None] * n
 
     def start(self, forces: Array, steps: int) -> list[Change]:
         """Begin with a robot at rest on its legs.
@@ -89,19 +91,11 @@ class TruthTracker:
         self._judged = steps - self._mean_steps
         self.contact = [bool(f > TOUCH_FORCE_N) for f in forces]
         self._quiet = [0] * self._legs
-        self._recent = [steps if c else None for c in self.contact]
+        self.recent = [steps if c else None for c in self.contact]
         return [
             Change(i, steps, self.contact[i], float(forces[i]) if self.contact[i] else 0.0, None)
             for i in range(self._legs)
         ]
-
-    def recent(self, leg: int) -> int | None:
-        """Physics step at which a leg's force last came up from the air, None in the air.
-
-        Unlike :attr:`contact` it is up to date with the tick just made, and it takes any touch
-        above 0.5 N for one.
-        """
-        return self._recent[leg]
 
     def update(self, forces: Array, touches: Sequence[deque[Touch]], steps: int) -> list[Change]:
         """Take one tick's forces.
@@ -124,10 +118,10 @@ class TruthTracker:
         changes: list[Change] = []
         for leg in range(self._legs):
             if newest[leg] <= AIR_FORCE_N:
-                self._recent[leg] = None
-            elif self._recent[leg] is None and newest[leg] > TOUCH_FORCE_N:
+                self.recent[leg] = None
+            elif self.recent[leg] is None and newest[leg] > TOUCH_FORCE_N:
                 first = int(np.argmax(forces[:, leg] > TOUCH_FORCE_N))
-                self._recent[leg] = steps - n + 1 + first
+                self.recent[leg] = steps - n + 1 + first
             if self.contact[leg]:
                 if smallest[leg] >= AIR_FORCE_N:
                     self._quiet[leg] = 0

@@ -173,6 +173,8 @@ class WalkMotion:
             )
         self._neutral = geometry.to_body(neutral)
         self._feet = self._neutral.copy()
+        self.start_joints = geometry.joints(geometry.to_leg(self._neutral))
+        self.start_height_m = settings.body_height_m
         self._goal_rad = self.start_joints
         self._swings = Swings.at(self._feet)
         self._clock = gait.share
@@ -202,16 +204,6 @@ class WalkMotion:
             )
         self._twist = np.zeros(3)  # vx, vy m/s, wz rad/s
         self._waypoint = self._draw_waypoint()
-
-    @property
-    def start_joints(self) -> Array:
-        """(L, J) rad, where the robot stands at first."""
-        return self._geometry.joints(self._geometry.to_leg(self._neutral))
-
-    @property
-    def start_height_m(self) -> float:
-        """Height of the body over the ground at first."""
-        return self.settings.body_height_m
 
     def step(self, world: World) -> Goal:
         """Goals for this tick."""

@@ -32,9 +32,6 @@ def cluster_pool(scheduler: str, folder: Path | None) -> Iterator[Executor]:
 
     What a worker had in hand when it died is done by another one.
 
-    Yields:
-        The pool.
-
     Raises:
         MissingExtraError: Dask is not installed here.
         ConfigurationError: there is no such cluster, or a worker cannot do the work.

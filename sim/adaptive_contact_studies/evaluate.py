@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,8 +25,6 @@ from adaptive_contact.wire import ContactEvent, ServoSample
 if TYPE_CHECKING:
     from adaptive_contact_sim.arrays import Run
     from adaptive_contact_studies.scenarios.recording import Recording
-
-MakeLearner = Callable[[Robot, str, Baseline | None], ContactLearner]
 
 
 class Played(NamedTuple):

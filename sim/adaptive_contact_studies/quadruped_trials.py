@@ -25,10 +25,7 @@ from adaptive_contact.fit.train import Training, learn
 from adaptive_contact.model.model_file import save_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Row, Score
-from adaptive_contact.wire import (
-    ContactTruth,
-    ServoSample,
-)
+from adaptive_contact.wire import ContactTruth, Phase, ServoSample
 from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.compare import play
 from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
@@ -62,8 +59,6 @@ from the shipped baseline, which was learned from 900 s of free swings.  Made wi
     python -m adaptive_contact_studies.quadruped_trials models/adaptive_contact_models/quadruped
 
 """
-# Legs of the truth's tracker, made for six.
-_TRACKED: Final = 6
 
 
 @dataclass(frozen=True)
@@ -162,17 +157,17 @@ def record(scenario: Scenario) -> Recorded:
     for _ in range(500):
         plant.step()
     plant.steps = 0
-    tracker = TruthTracker(0.001, _SUBSTEPS)
-    forces = np.zeros((_SUBSTEPS, _TRACKED))
-    touches = (*plant.touches, *(plant.touches[0] for _ in range(_TRACKED - len(LEGS))))
-    changes = tracker.start(forces[0], 0)[: len(LEGS)]
+    tracker = TruthTracker(0.001, _SUBSTEPS, len(LEGS))
+    forces = np.zeros((_SUBSTEPS, len(LEGS)))
+    changes = tracker.start(forces[0], 0)
     recorded = Recorded([], [])
     speeds = np.zeros((_KEPT_STEPS, len(LEGS)))
+    surface = "hard" if scenario.soft_n_m is None else "soft"
     goal = start.copy()
     for k in range(round(scenario.seconds / 0.02)):
         noise = _NOISE_STEPS * rng.standard_normal(goal.size)
-        measured = np.rint(plant.angles / STEP_RAD + noise) * STEP_RAD
-        phases = []
+        measured = np.rint(plant.joint_angles / STEP_RAD + noise) * STEP_RAD
+        phases: list[Phase] = []
         for i, walker in enumerate(walkers):
             trial = walker.trial
             if trial is None or trial.tick >= len(trial.goals):
@@ -183,42 +178,33 @@ def record(scenario: Scenario) -> Recorded:
             trial.tick += 1
         desired = plant.write_goal(goal)
         for i, leg in enumerate(LEGS):
-            recorded.samples.append(
-                (
-                    leg,
-                    ServoSample(
-                        t_ns=k * _PERIOD_NS,
-                        seq=k,
-                        measured=measured[2 * i : 2 * i + 2].tolist(),
-                        desired=desired[2 * i : 2 * i + 2].tolist(),
-                        phase="swing" if phases[i] == "swing" else "stance",
-                    ),
-                )
+            sample = ServoSample(
+                t_ns=k * _PERIOD_NS,
+                seq=k,
+                measured=measured[2 * i : 2 * i + 2].tolist(),
+                desired=desired[2 * i : 2 * i + 2].tolist(),
+                phase=phases[i],
             )
+            recorded.samples.append((leg, sample))
         for j in range(_SUBSTEPS):
             before = plant.feet_m
             plant.step()
-            forces[j, : len(LEGS)] = plant.forces
+            forces[j] = plant.forces
             moved = np.linalg.norm(plant.feet_m - before, axis=1)
             speeds[plant.steps % _KEPT_STEPS] = moved / 0.001
-        changes += tracker.update(forces, touches, plant.steps)
+        changes += tracker.update(forces, plant.touches, plant.steps)
         for change in changes:
-            if change.leg < len(LEGS):
-                # Just before the step in which the force came up.
-                speed = float(speeds[(change.step - 2) % _KEPT_STEPS, change.leg])
-                recorded.truth.append(
-                    (
-                        LEGS[change.leg],
-                        ContactTruth(
-                            t_ns=change.step * 1_000_000,
-                            contact=change.contact,
-                            force=change.force_n,
-                            speed_m_s=speed if change.contact else None,
-                            surface=_surface(scenario) if change.contact else None,
-                            part="foot" if change.contact else None,
-                        ),
-                    )
-                )
+            # Just before the step in which the force came up.
+            speed = float(speeds[(change.step - 2) % _KEPT_STEPS, change.leg])
+            message = ContactTruth(
+                t_ns=change.step * 1_000_000,
+                contact=change.contact,
+                force=change.force_n,
+                speed_m_s=speed if change.contact else None,
+                surface=surface if change.contact else None,
+                part="foot" if change.contact else None,
+            )
+            recorded.truth.append((LEGS[change.leg], message))
         changes = []
     return recorded
 
@@ -233,10 +219,6 @@ def learn_quadruped(robot: Robot) -> Training:
         {leg: gatherer.stretches(free=True) for leg, gatherer in gatherers.items()},
         origin="adaptive_contact_studies.quadruped_trials, seed 1031, 900 s of free swings",
     )
-
-
-def _surface(scenario: Scenario) -> str:
-    return "hard" if scenario.soft_n_m is None else "soft"
 
 
 def _serve_plate(

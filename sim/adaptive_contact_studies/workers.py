@@ -60,9 +60,6 @@ def worker_pool(processes: int, *, finish: bool = False) -> Iterator[Executor]:
     Args:
         processes: at most so many of this computer.
         finish: on Ctrl-C the items in hand are finished instead, and those that wait are not begun.
-
-    Yields:
-        The pool.
     """
     cluster = _cluster.get()
     if cluster is None:

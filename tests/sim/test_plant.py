@@ -65,7 +65,7 @@ def test_forces_carry_the_weight() -> None:
 
 def test_model_file_agrees_with_the_robot_description() -> None:
     """Feet where the closed form puts them, for any joint angles within limits."""
-    plant, geometry = flat_plant(), LegGeometry.of()
+    plant, geometry = flat_plant(), LegGeometry()
     rng = np.random.default_rng(0)
     for _ in range(20):
         joints = rng.uniform(geometry.lower_rad, geometry.upper_rad, (len(LEGS), len(JOINTS)))

@@ -13,7 +13,7 @@ from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import WORKSPACES, PoseSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 
-GEOMETRY = LegGeometry.of()
+GEOMETRY = LegGeometry()
 
 
 def swings_of(swing: np.ndarray) -> list[tuple[int, int]]:

@@ -123,7 +123,7 @@ def test_foot_and_model_agree(name: str) -> None:
 
 
 def test_inverse_of_a_chain_finds_the_closed_form() -> None:
-    hexapod = LegGeometry.of()
+    hexapod = LegGeometry()
     posture = np.tile([0.1, 0.4, -1.4], (6, 1))
     chains = ChainLegs(shipped_robot(), posture)
     rng = np.random.default_rng(5)

@@ -108,10 +108,10 @@ def test_recent_is_up_to_date() -> None:
     rows = np.zeros((SUBSTEPS, N))
     rows[12:, 0] = 4.0
     tracker.update(rows, empty, 20)
-    assert tracker.recent(0) == 13
-    assert tracker.recent(1) is None
+    assert tracker.recent[0] == 13
+    assert tracker.recent[1] is None
     tracker.update(np.zeros((SUBSTEPS, N)), empty, 40)
-    assert tracker.recent(0) is None
+    assert tracker.recent[0] is None
 
 
 def test_touch_is_the_one_that_led_to_the_contact() -> None:

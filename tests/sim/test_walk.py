@@ -137,7 +137,7 @@ def test_a_planned_turn_comes_before_the_touch() -> None:
     assert 20.0 < np.median(after) < 90.0
     assert (after > 0.0).mean() > 0.9
     # The command goes no deeper from the turn on: it moves as in stance.
-    geometry = LegGeometry.of()
+    geometry = LegGeometry()
     feet = [geometry.feet(np.repeat(d[:, None], len(LEGS), axis=1))[:, 0, 2] for _, d in swings]
     last, turned, then = np.transpose(feet)
     assert (turned < last).all()

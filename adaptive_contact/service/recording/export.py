@@ -12,9 +12,8 @@ import contextlib
 import csv
 import importlib
 import io
-from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
@@ -153,24 +152,7 @@ def _read(record: Record, kind: type[Message], exported: Exported) -> Message | 
 # -- MCAP ------------------------------------------------------------------------------------------
 
 
-class _Form(ABC):
-    encoding: str
-    schema_encoding: str
-
-    @abstractmethod
-    def schema(self, kind: type[Message]) -> bytes:
-        """Data of the schema of a message."""
-
-    @abstractmethod
-    def encode(self, message: Message) -> bytes:
-        """Payload; ValueError where the format cannot say it."""
-
-    def other(self, record: Record) -> bytes | None:
-        """Payload of a key without schema; None where the format has none."""
-        return None
-
-
-class _Json(_Form):
+class _Json:
     encoding, schema_encoding = "json", "jsonschema"
 
     def schema(self, kind: type[Message]) -> bytes:
@@ -181,7 +163,7 @@ class _Json(_Form):
         return msgspec.json.encode(_without_none(msgspec.to_builtins(message)))
 
     def other(self, record: Record) -> bytes | None:
-        """A map is JSON without schema, which MCAP and Foxglove allow."""
+        """Payload of a key without schema: a map is JSON, which MCAP and Foxglove allow."""
         if len(record.payload) > MAX_PAYLOAD_BYTES:
             return None
         try:
@@ -197,14 +179,21 @@ class _Json(_Form):
             return None
 
 
-class _Protobuf(_Form):
+class _Protobuf:
     encoding = schema_encoding = "protobuf"
 
     def schema(self, kind: type[Message]) -> bytes:
         return protobuf_class(kind)[0]
 
     def encode(self, message: Message) -> bytes:
+        """Payload; ValueError where the format cannot say it."""
         return protobuf_class(type(message))[1](message)
+
+    def other(self, record: Record) -> None:
+        """There is no protobuf without schema."""
+
+
+_Form = _Json | _Protobuf
 
 
 def _without_none(held: Any) -> Any:
@@ -332,26 +321,11 @@ def _flat(struct: type[msgspec.Struct], before: str) -> Iterator[tuple[str, type
             yield name, str, False
 
 
-class _Table(ABC):
-    def __init__(self, columns: _Columns, file: IO[bytes]) -> None:
-        self.columns = columns
-        self._names = list(columns.types)
-
-    @abstractmethod
-    def add(self, row: Row) -> None:
-        """Append a row; ValueError where the format cannot say it."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Write what is still held."""
-
-
-class _CsvTable(_Table):
-    def __init__(self, columns: _Columns, file: IO[bytes]) -> None:
-        super().__init__(columns, file)
+class _CsvTable:
+    def __init__(self, types: Mapping[str, type], file: IO[bytes]) -> None:
         self._text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         self._rows = csv.writer(self._text, lineterminator="\n")
-        self._rows.writerow(self._names)
+        self._rows.writerow(types)
 
     def add(self, row: Row) -> None:
         # A flag is 1 or 0: programs that plot columns do not take words.
@@ -362,22 +336,22 @@ class _CsvTable(_Table):
         self._text.detach()
 
 
-class _ParquetTable(_Table):
-    def __init__(self, columns: _Columns, file: IO[bytes]) -> None:
-        super().__init__(columns, file)
+class _ParquetTable:
+    def __init__(self, types: Mapping[str, type], file: IO[bytes]) -> None:
         import pyarrow
         from pyarrow import parquet
 
         known = {int: "int64", float: "float64", bool: "bool", str: "string"}
         self._arrow = pyarrow
         self._schema = pyarrow.schema(
-            [(name, pyarrow.type_for_alias(known[kind])) for name, kind in columns.types.items()]
+            [(name, pyarrow.type_for_alias(known[kind])) for name, kind in types.items()]
         )
-        self._integers = [at for at, kind in enumerate(columns.types.values()) if kind is int]
+        self._integers = [at for at, kind in enumerate(types.values()) if kind is int]
         self._writer = parquet.ParquetWriter(file, self._schema, compression="zstd")
         self._held: list[Row] = []
 
     def add(self, row: Row) -> None:
+        """Append a row; ValueError where the format cannot say it."""
         if any(not -(2**63) <= (row[at] or 0) < 2**63 for at in self._integers):
             raise ValueError("more than 64 bits")
         self._held.append(row)
@@ -435,21 +409,19 @@ def _write_tables(
             f"{out}: cannot be made ({error.strerror}); give a folder in one that exists"
         ) from error
     with contextlib.ExitStack() as stack:
-        tables: dict[type[Message], _Table] = {}
-        counts: dict[type[Message], int] = {}
+        tables: dict[type[Message], _CsvTable | _ParquetTable] = {}
+        counts: dict[type[Message], int] = dict.fromkeys(columns, 0)
         for kind, described in columns.items():
             path = out / f"{kind.__name__}.{to}"
             file = stack.enter_context(whole_file(path, error=RecordingError))
-            tables[kind] = make(described, file)
-            counts[kind] = 0
+            tables[kind] = make(described.types, file)
         for record, kind, message in _known(recording, exported, on_record):
-            table = tables[kind]
-            row = table.columns.row(record, message)
+            row = columns[kind].row(record, message)
             if row is None:
                 exported.left_out[record.key, Reject.WRONG_JOINTS.value] += 1
                 continue
             try:
-                table.add(row)
+                tables[kind].add(row)
             except ValueError:  # an integer of more than 64 bits
                 exported.left_out[record.key, Reject.OUT_OF_RANGE.value] += 1
                 continue

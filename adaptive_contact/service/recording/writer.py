@@ -124,15 +124,10 @@ class RecordingWriter:
         self.messages += 1
 
     def write_message(
-        self,
-        key: str,
-        message: Message,
-        log_time_ns: int,
-        publish_time_ns: int | None = None,
-        encoding: str = MSGPACK,
+        self, key: str, message: Message, log_time_ns: int, *, encoding: str = MSGPACK
     ) -> None:
         """Append one message of the wire contract, encoded here."""
-        self.write(key, encode(message, encoding), encoding, log_time_ns, publish_time_ns)
+        self.write(key, encode(message, encoding), encoding, log_time_ns)
 
     def close(self) -> None:
         """Write the last chunk and the index, and close the file.  A second call does nothing."""

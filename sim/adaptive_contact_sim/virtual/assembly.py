@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -87,17 +87,12 @@ class VirtualServer:
                 port.open()
 
 
-# An AX-12A's reading, see docs/simulator.md; an X-series' magnetic encoder jitters by a step.
-NOISE_STEPS: Final = {1: 0.5, 2: 0.5}
-
-
 @dataclasses.dataclass(frozen=True)
 class VirtualSettings:
     """How a virtual bus behaves."""
 
     faults: tuple[FaultSpec, ...] = ()  # what goes wrong, and when
     seed: int = 0  # of reading noise and faults
-    noise_steps: float | None = None  # of a reading, None for the model's
     return_delay: int = 0  # register of all servos, 2 us each
     wire_time: bool = True  # let answers take as long as on a real wire
 
@@ -171,11 +166,6 @@ def assemble(
                 backend,
                 place[leg.id, joint.name],
                 noise_rng,
-                noise_steps=(
-                    NOISE_STEPS[plan.port.protocol]
-                    if settings.noise_steps is None
-                    else settings.noise_steps
-                ),
                 return_delay=settings.return_delay,
                 baud=plan.port.baud,
             )

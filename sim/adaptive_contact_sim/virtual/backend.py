@@ -9,7 +9,10 @@ import numpy as np
 
 
 class Backend(Protocol):
-    """A set of servos by index; angles in the servos' own frames, rad from the horn's centre."""
+    """A set of servos by index; angles in the servos' own frames, rad from the horn's centre.
+
+    What the bus sets is ignored, and no other source writes goals, unless a backend says otherwise.
+    """
 
     def advance(self, now_s: float) -> float:
         """Bring the servos up to a moment.
@@ -29,30 +32,32 @@ class Backend(Protocol):
 
     def set_goal(self, index: int, angle_rad: float) -> None:
         """Write a servo's goal."""
+        return
 
     def goal(self, index: int) -> float | None:
         """A goal that another source (a gait inside) has written, or None."""
+        return None
 
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""
+        return
 
     def set_slope(self, index: int, slope_rad: float) -> None:
         """Set the position error at which a servo drives with all it has."""
+        return
 
 
-class KinematicBackend:
-    """Servos that run to their goals: exponentially, with a largest speed; no forces.
+class KinematicBackend(Backend):
+    """Servos that run to their goals: exponentially, with a largest speed; no forces, no slope.
 
     The closed form between two calls makes it as fast as it gets, and exact at any moment.
     """
 
     _IDLE_S: Final = 0.05
+    _tau: Final = 0.03  # time constant, s
+    _top: Final = 5.0  # speed, rad/s
 
-    def __init__(
-        self, size: int, *, time_constant_s: float = 0.03, top_speed_rad_s: float = 5.0
-    ) -> None:
-        self._tau = time_constant_s
-        self._top = top_speed_rad_s
+    def __init__(self, size: int) -> None:
         self._angle = np.zeros(size)
         self._speed = np.zeros(size)
         self._goal = np.zeros(size)
@@ -89,16 +94,9 @@ class KinematicBackend:
             raise ValueError(f"goal {angle_rad} of servo {index} is not finite")
         self._goal[index] = angle_rad
 
-    def goal(self, index: int) -> float | None:
-        """Only the bus writes goals here."""
-        return None
-
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""
         self._driven[index] = on
-
-    def set_slope(self, index: int, slope_rad: float) -> None:
-        """Ignored: these servos know no load, so their law is only a time constant."""
 
     def place(self, index: int, angle_rad: float) -> None:
         """Put a servo somewhere, at rest, goal included."""

@@ -17,12 +17,12 @@ from adaptive_contact.bank import LearnerBank
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Score, score_messages
-from adaptive_contact.service.recording import read_recording
+from adaptive_contact.service.recording import Record, read_recording
 from adaptive_contact.wire import (
+    LEG_MESSAGES,
     MSGPACK,
     ContactEvent,
     ContactTruth,
-    Rejected,
     ServoSample,
     decode,
     encode,
@@ -43,12 +43,6 @@ class Comparison(NamedTuple):
     bridged: Score  # samples of the bridge, through learners here
     # samples of the bridge, with the events that the service sent; None without any
     live: Score | None
-
-
-class _Message(NamedTuple):
-    key: str
-    payload: bytes
-    encoding: str = MSGPACK
 
 
 # Each with its leg.
@@ -112,26 +106,20 @@ def _read(path: Path) -> _Received:
     received = _Received([], [], [])
     for record in read_recording(path):
         leg = leg_of_key(record.key)
-        if leg is None:
+        kind = LEG_MESSAGES.get(record.key.rpartition("/")[2])
+        if leg is None or kind is None:
             continue
-        kind = record.key.rpartition("/")[2]
-        if kind == "servo":
-            sample = decode(record.payload, ServoSample, record.encoding)
-            if not isinstance(sample, Rejected):
-                received.samples.append((leg, sample))
-        elif kind == "truth":
-            truth = decode(record.payload, ContactTruth, record.encoding)
-            if not isinstance(truth, Rejected):
-                received.truth.append((leg, truth))
-        elif kind == "contact":
-            event = decode(record.payload, ContactEvent, record.encoding)
-            if not isinstance(event, Rejected):
-                received.events.append(event)
+        message = decode(record.payload, kind, record.encoding)
+        if isinstance(message, ServoSample):
+            received.samples.append((leg, message))
+        elif isinstance(message, ContactTruth):
+            received.truth.append((leg, message))
+        elif isinstance(message, ContactEvent):
+            received.events.append(message)
     received.samples.sort(key=lambda pair: (pair[1].t_ns, pair[0]))
     return received
 
 
-def _messages(samples: Samples, truth: Truth) -> list[_Message]:
-    return [_Message(servo_key(leg), encode(s)) for leg, s in samples] + [
-        _Message(truth_key(leg), encode(t)) for leg, t in truth
-    ]
+def _messages(samples: Samples, truth: Truth) -> list[Record]:
+    keyed = [(servo_key(leg), s) for leg, s in samples] + [(truth_key(leg), t) for leg, t in truth]
+    return [Record(key, encode(m), MSGPACK, m.t_ns, m.t_ns) for key, m in keyed]

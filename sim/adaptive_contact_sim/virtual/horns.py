@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.virtual.backend import Backend
+
+if TYPE_CHECKING:
+    from adaptive_contact_sim.plant import Plant
+    from adaptive_contact_sim.virtual.quadruped import QuadrupedPlant
 
 STEP_S: Final = 0.001
 # Steps made at one call: more would keep the bus waiting.
@@ -68,72 +73,59 @@ class Horns:
         return float(self.direction[index] * horn_rad + self.offset_rad[index])
 
 
-class OnStand(ABC):
+class OnStand(Backend):
     """A backend of virtual servos whose physics goes on step by step as time goes by.
 
     A goal written at any moment acts from that moment on.
 
     Args:
         horns: how the servos are mounted.
+        plant: the robot's physics.
         start_rad: (n,) joint angles at first.
         epoch_ns: wall clock of the start, for time stamps; time without physics moves it.
     """
 
-    def __init__(self, horns: Horns, start_rad: Array, epoch_ns: int = 0) -> None:
-        self._horns = horns
+    def __init__(
+        self, horns: Horns, plant: Plant | QuadrupedPlant, start_rad: Array, epoch_ns: int = 0
+    ) -> None:
+        self._horns, self._plant = horns, plant
         self._goal = start_rad.copy()
         self._on = np.zeros(len(start_rad), dtype=np.bool_)
         self._start_s: float | None = None
         self._epoch_ns = epoch_ns
 
     @abstractmethod
-    def joints(self) -> tuple[Array, Array]:
-        """Angles and speeds of the joints, (n,) rad and rad/s."""
-
-    @abstractmethod
-    def steps(self) -> int:
-        """Physics steps made."""
-
-    @abstractmethod
     def step(self) -> None:
         """Make one."""
 
-    @abstractmethod
-    def set_slope(self, index: int, slope_rad: float) -> None:
-        """Set a servo's compliance slope, or gain."""
-
     def target(self) -> Array:
         """(n,) rad, goals in force; a servo without torque has its goal where it is."""
-        return np.where(self._on, self._goal, self.joints()[0])
+        return np.where(self._on, self._goal, self._plant.joint_angles)
 
     def advance(self, now_s: float) -> float:
         """Bring the robot up to a moment."""
         if self._start_s is None:
             self._start_s = now_s
-        behind = int((now_s - self._start_s) / STEP_S) - self.steps()
+        behind = int((now_s - self._start_s) / STEP_S) - self._plant.steps
         if behind * STEP_S > LET_GO_S:
             self._start_s += behind * STEP_S
             self._epoch_ns += round(behind * STEP_S * 1e9)
             behind = 0
         for _ in range(min(behind, _MOST_STEPS)):
             self.step()
-        return self._start_s + (self.steps() + 1) * STEP_S
+        return self._start_s + (self._plant.steps + 1) * STEP_S
 
     def angle(self, index: int) -> float:
         """Angle of a servo's horn, rad."""
-        return self._horns.horn(index, float(self.joints()[0][index]))
+        return self._horns.horn(index, float(self._plant.joint_angles[index]))
 
     def speed(self, index: int) -> float:
         """Speed of a servo's horn, rad/s."""
-        return float(self._horns.direction[index] * self.joints()[1][index])
+        return float(self._horns.direction[index] * self._plant.joint_speeds[index])
 
     def set_goal(self, index: int, angle_rad: float) -> None:
         """Write a servo's goal."""
         self._goal[index] = self._horns.joint(index, angle_rad)
-
-    def goal(self, index: int) -> float | None:
-        """Only the bus writes goals."""
-        return None
 
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""

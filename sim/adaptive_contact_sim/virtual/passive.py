@@ -50,8 +50,8 @@ class PassiveBackend(OnStand):
         epoch_ns: int = 0,
         on_truth: OnTruth = lambda *_: None,
     ) -> None:
-        super().__init__(horns, np.zeros(N_SERVOS), epoch_ns)  # legs stretched out level
         self.plant = Plant(_on_a_stand(height_m), manufactured(robot_seed), period_s=STEP_S)
+        super().__init__(horns, self.plant, np.zeros(N_SERVOS), epoch_ns)  # stretched out level
         self.plant.joint_angles[:] = 0.0
         mujoco.mj_forward(self.plant.model, self.plant.data)
         self._written: Array | None = None
@@ -59,14 +59,6 @@ class PassiveBackend(OnStand):
         self._forces = np.zeros((_BATCH, len(LEGS)))
         self._on_truth = on_truth
         self._begun = False
-
-    def joints(self) -> tuple[Array, Array]:
-        """Angles and speeds of the joints."""
-        return self.plant.joint_angles, self.plant.joint_speeds
-
-    def steps(self) -> int:
-        """Physics steps made."""
-        return self.plant.steps
 
     def set_slope(self, index: int, slope_rad: float) -> None:
         """Set a servo's compliance slope."""

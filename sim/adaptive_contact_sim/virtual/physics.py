@@ -22,7 +22,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.wire import truth_key
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
+from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.horns import LET_GO_S, STEP_S, Horns
 
 if TYPE_CHECKING:
@@ -188,18 +189,11 @@ def _stand_back() -> None:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(max(first - 5, 1)))
 
 
-class Source(Protocol):
-    """Where ticks come from; see :mod:`adaptive_contact_sim.virtual.physics`."""
-
-    def begin(self, epoch_ns: int) -> None:
-        """Begin to make the next tick, of a run whose tick 0 has this time stamp."""
-
-    def take(self) -> MadeTick:
-        """The tick that was begun, when it is made."""
+Source = LocalSource | ProcessSource
 
 
-class GaitedBackend:
-    """A walking simulation as a set of servos; a backend of virtual servos.
+class GaitedBackend(Backend):
+    """A walking simulation as a set of servos: its own controller writes goals, with torque on.
 
     Args:
         source: of the simulation's ticks.
@@ -247,19 +241,10 @@ class GaitedBackend:
             return 0.0
         return float(self._horns.direction[index] * made.speeds[self._at, index])
 
-    def set_goal(self, index: int, angle_rad: float) -> None:
-        """Ignored: the robot's own controller writes goals."""
-
     def goal(self, index: int) -> float | None:
         """The goal in force, of the robot's own controller."""
         made = self._made
         return self._horns.horn(index, 0.0 if made is None else float(made.goals[index]))
-
-    def set_torque(self, index: int, on: bool) -> None:
-        """Ignored: the robot's own controller keeps the torque on."""
-
-    def set_slope(self, index: int, slope_rad: float) -> None:
-        """Ignored: the servos are the simulation's own."""
 
     def _let_begin(self, now_s: float) -> None:
         """Let the present tick be now, by the monotonic clock and in the time stamps to come."""

@@ -93,12 +93,12 @@ class QuadrupedPlant:
         self.touches: tuple[deque[Touch], ...] = tuple(deque(maxlen=16) for _ in LEGS)
 
     @property
-    def angles(self) -> Array:
+    def joint_angles(self) -> Array:
         """(8,) rad."""
         return np.asarray(self.data.qpos[self._qpos])
 
     @property
-    def speeds(self) -> Array:
+    def joint_speeds(self) -> Array:
         """(8,) rad/s."""
         return np.asarray(self.data.qvel[self._dof])
 
@@ -135,13 +135,13 @@ class QuadrupedPlant:
         Raises:
             SimulationDivergedError: the state is no longer finite, or absurdly fast.
         """
-        error = np.rint(self.goal / STEP_RAD) - np.rint(self.angles / STEP_RAD)
+        error = np.rint(self.goal / STEP_RAD) - np.rint(self.joint_angles / STEP_RAD)
         duty = np.clip(self.gain * error / _PWM, -1.0, 1.0)
         self.data.ctrl[self._ctrl] = self._stall * (self.supply_v / 5.0) * duty
         mujoco.mj_step(self.model, self.data)
         self.steps += 1
         self.forces = self.data.sensordata[self._touch].sum(axis=1)
-        fastest = float(np.abs(self.speeds).max())
+        fastest = float(np.abs(self.joint_speeds).max())
         if not fastest < _ABSURD_RAD_S:
             raise SimulationDivergedError(
                 f"at {self.steps * STEP_S:.3f} s a joint turns at {fastest:.3g} rad/s; expected "
@@ -158,16 +158,8 @@ class QuadrupedBackend(OnStand):
 
     def __init__(self, horns: Horns, *, robot_seed: int = 0) -> None:
         start = np.tile(np.array([-0.4, -1.2]), len(LEGS))
-        super().__init__(horns, start)
         self.plant = QuadrupedPlant(robot_seed, start)
-
-    def joints(self) -> tuple[Array, Array]:
-        """Angles and speeds of the joints."""
-        return self.plant.angles, self.plant.speeds
-
-    def steps(self) -> int:
-        """Physics steps made."""
-        return self.plant.steps
+        super().__init__(horns, self.plant, start)
 
     def step(self) -> None:
         """Make one step."""

@@ -74,7 +74,8 @@ class VirtualServo:
         backend: what moves.
         index: its place in the backend.
         rng: of the reading noise.
-        noise_steps: standard deviation of a reading, in steps.
+        noise_steps: standard deviation of a reading, in steps; an AX-12A's is in docs/simulator.md,
+            an X-series' magnetic encoder jitters by a step.
         return_delay: register, 2 us each; 250 when new.
         baud: it receives packets at this rate only.
 

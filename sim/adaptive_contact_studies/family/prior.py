@@ -12,7 +12,6 @@ terms, and each joint's noise.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -30,7 +29,7 @@ from adaptive_contact.model.library import leg_library
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
-from adaptive_contact_studies.workers import worker_pool
+from adaptive_contact_studies.workers import completed
 
 # Legs the family is learned from; trials take seeds from 10,000 on.
 SEEDS: Final = range(400)
@@ -69,11 +68,9 @@ def learn_family(
 ) -> FamilyFile:
     """Record the legs and learn the family."""
     found: dict[int, list[JointRows]] = {}
-    with worker_pool(processes) as pool:
-        waiting = {pool.submit(_joints_of, seed): seed for seed in seeds}
-        for done in as_completed(waiting):
-            found[waiting[done]] = done.result()
-            progress(f"{len(found)} of {len(seeds)} legs recorded")
+    for seed, of_leg in completed(_joints_of, seeds, processes):
+        found[seed] = of_leg
+        progress(f"{len(found)} of {len(seeds)} legs recorded")
     joints = [joint for seed in seeds for joint in found[seed]]
     family = maximise(joints, progress)
     legs = sum(bool(own) for own in found.values())

@@ -234,10 +234,10 @@ def _row(kind: str, legs: Sequence[LegTrial]) -> str:
     cells = [
         kind, str(len(legs)), _middle(first) + (f" ({never} none)" if never else ""),
         _middle(chances),
-        _early(without), _early(known),
+        *(_share([(leg.touches, leg.found) for leg in of]) for of in (without, known)),
         _alarms(without, sum(leg.ticks for leg in legs)),
         _alarms(known, sum(leg.ticks for leg in legs if leg.known)),
-        _later(without), _later(known),
+        *(_share([leg.later for leg in of]) for of in (without, known)),
     ]  # fmt: skip
     return "| " + " | ".join(cells) + " |"
 
@@ -248,14 +248,6 @@ def _middle(values: Sequence[float]) -> str:
         for value in np.quantile(values, (0.5, 0.95), method="higher")
     )
     return f"{middle} / {late}"
-
-
-def _early(legs: Iterable[Figures]) -> str:
-    return _share([(leg.touches, leg.found) for leg in legs])
-
-
-def _later(legs: Iterable[Figures]) -> str:
-    return _share([leg.later for leg in legs])
 
 
 def _alarms(legs: Iterable[Figures], ticks: int) -> str:

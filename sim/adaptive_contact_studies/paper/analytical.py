@@ -146,8 +146,7 @@ class Dynamics:
         rf, rt = l0 + fr, l0 + kr + tr
 
         # Inertia: yaw apart from the pitch joints, which share a plane.
-        (cx, _, cz), (ix_f, iy_f, iz_f), (ix_t, iy_t, iz_t) = leg.inertia
-        del cx
+        (_, _, cz), (ix_f, iy_f, iz_f), (ix_t, iy_t, iz_t) = leg.inertia
         yaw = (
             cz
             + leg.mass_kg[0] * leg.centre_m[0, 0] ** 2

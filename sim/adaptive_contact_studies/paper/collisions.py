@@ -29,6 +29,7 @@ from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_studies.evaluate import feed
 from adaptive_contact_studies.paper.comparison_rules import (
     JUDGED_AFTER_TICKS,
     Prediction,
@@ -59,7 +60,6 @@ class _Listener:
     t_s: list[float] = field(default_factory=list)
     tilt: list[Array] = field(default_factory=list)
     torque: list[Array] = field(default_factory=list)
-    force: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         plant = self.sim.plant
@@ -79,11 +79,7 @@ class _Listener:
 
 
 def ten_collisions(
-    robot: Robot,
-    train: Stream,
-    test: Stream,
-    count: int,
-    progress: Callable[[float], None] = lambda _: None,
+    robot: Robot, train: Stream, test: Stream, count: int, progress: Callable[[float], None]
 ) -> dict[str, Any]:
     """Record collisions within the paper's subspaces, and detect them.
 
@@ -204,20 +200,18 @@ def _default(
         window=Window(),
     )
     learner = ContactLearner(robot, train.leg, training.baseline)
-    ticks = []
-    for k in range(len(swing)):
-        event = learner.update(
-            ServoSample(
-                t_ns=k * 20_000_000,
-                seq=k,
-                measured=measured[k].tolist(),
-                desired=desired[k].tolist(),
-                phase="swing" if swing[k] else "stance",
-            )
+    samples = [
+        ServoSample(
+            t_ns=k * 20_000_000,
+            seq=k,
+            measured=measured[k].tolist(),
+            desired=desired[k].tolist(),
+            phase="swing" if swing[k] else "stance",
         )
-        if event is not None and event.contact:
-            ticks.append(k)
-    return np.array(ticks, dtype=np.int64)
+        for k in range(len(swing))
+    ]
+    (events,) = feed([learner], [samples])
+    return np.array([event.seq for event in events if event.contact], dtype=np.int64)
 
 
 def _latency(ticks: Ints, onset_ms: float) -> float | None:

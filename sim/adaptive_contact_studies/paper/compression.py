@@ -176,7 +176,7 @@ def compare_all(
 
 
 def compare_full(
-    root: Path, robot: Robot, workers: int, progress: Callable[[float], None] = lambda _: None
+    root: Path, robot: Robot, workers: int, progress: Callable[[float], None]
 ) -> list[Comparison]:
     """The same on the full plan's 5,000 training segments, simulated unless they are there."""
     store = Store(root)

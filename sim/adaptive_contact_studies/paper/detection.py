@@ -53,9 +53,7 @@ _SPEED_EDGES_M_S: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5)
 FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
 
 
-def detection(
-    root: Path, plan: Plan, progress: Callable[[float], None] = lambda _: None
-) -> dict[str, Any]:
+def detection(root: Path, plan: Plan, progress: Callable[[float], None]) -> dict[str, Any]:
     """Gather the evaluated streams into figures."""
     store = Store(root)
     known = learned(store, plan)

@@ -86,7 +86,7 @@ def _workspace(data: Any) -> Figure:
     del data
     figure = new_figure(9.0, 5.2)
     top, side = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
-    geometry = LegGeometry.of()
+    geometry = LegGeometry()
     lower, upper = WORKSPACES["paper"]
     top.margins(0.09)
     index = LEGS.index("rf")

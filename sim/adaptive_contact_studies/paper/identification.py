@@ -85,16 +85,9 @@ _WINDOWS: Final[tuple[tuple[LibraryName, tuple[int, int, int]], ...]] = (
 
 
 def identification(
-    robot: Robot,
-    train: Stream,
-    test: Stream,
-    progress: Callable[[float], None] = lambda _: None,
+    robot: Robot, train: Stream, test: Stream, progress: Callable[[float], None]
 ) -> dict[str, Any]:
-    """All of section 4.2 on one training and one test stream.
-
-    Returns:
-        A tree of figures, see the keys.
-    """
+    """All of section 4.2 on one training and one test stream."""
     leg = robot.leg(train.piece.leg_run.leg)
     library = leg_library(robot, leg, "paper", PAPER_WINDOW)
     rows, held = free_rows(train, library), free_rows(test, library)

@@ -21,7 +21,7 @@ from adaptive_contact.arrays import Array
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window
-from adaptive_contact.model.window import Rows, stack
+from adaptive_contact.model.window import stack
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.robot.description import Axis
 from adaptive_contact_studies.paper.comparison_rules import (
@@ -109,22 +109,18 @@ def _library(name: LibraryName, joints: int, slope: float) -> Library:
     )
 
 
-def _windows(library: Library, recording: Recording) -> Rows:
-    return stack(recording.measured, recording.desired, library.window)
-
-
 def _factor(library: Library, recordings: Sequence[Recording]) -> Factor:
     parts = []
     for recording in recordings:
-        windows = _windows(library, recording)
+        windows = stack(recording.measured, recording.desired, library.window)
         parts.append(factor_of(library, windows, windows.increment))
     return Factor.merged(parts, library.size, len(library.joints))
 
 
-def _fit(factor: Factor, tuning: Factor | None = None) -> tuple[FitStatus, Array]:
-    """Status and coefficients of the λ that predicts the tuning rows best; of λ = 0 without any."""
+def _fit(factor: Factor, tuning: Factor) -> tuple[FitStatus, Array]:
+    """Status and coefficients of the λ that predicts the tuning rows best."""
     plain = fit_sparse(factor, FitSettings())
-    if plain.status is not FitStatus.OK or tuning is None:
+    if plain.status is not FitStatus.OK:
         return plain.status, plain.coefficients
     unit = residual_unit(plain)
     best, error = plain.coefficients, float((tuning.rms(plain.coefficients) / unit).mean())
@@ -137,7 +133,7 @@ def _fit(factor: Factor, tuning: Factor | None = None) -> tuple[FitStatus, Array
 
 
 def _residual(library: Library, coefficients: Array, recording: Recording) -> Array:
-    windows = _windows(library, recording)
+    windows = stack(recording.measured, recording.desired, library.window)
     return np.asarray(windows.increment - blockwise(library, windows, coefficients))
 
 
@@ -234,7 +230,7 @@ def _best_slope(recordings: Sequence[Recording], joints: int) -> float:
 
 
 def _prediction(library: Library, coefficients: Array, recording: Recording) -> Prediction:
-    windows = _windows(library, recording)
+    windows = stack(recording.measured, recording.desired, library.window)
     increment = np.full_like(recording.measured, np.nan)
     increment[windows.tick + 1] = blockwise(library, windows, coefficients)
     residual = np.full_like(recording.measured, np.nan)

@@ -6,6 +6,7 @@ robot: its servos differ from every other's, and it has models of its own.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -115,13 +116,11 @@ class Plan:
             return found
         for index, leg_run in enumerate(self.leg_runs):
             base = self._base(role) + 1000 * index
-            count = 0
-            for kind, seconds in self._times(role).items():
-                parts = max(1, round(seconds / _PIECE_S))
-                for _ in range(parts):
-                    settings = _settings(leg_run, kind, base + count)
-                    found.append(Piece(leg_run, role, kind, seconds / parts, settings))
-                    count += 1
+            for seed, (kind, seconds) in enumerate(_parts(self._times(role)), base):
+                settings = SimulationSettings(
+                    motion=_motion(leg_run.leg, kind), seed=seed, robot_seed=leg_run.robot_seed
+                )
+                found.append(Piece(leg_run, role, kind, seconds, settings))
         return found
 
     def paper_pieces(self, role: Literal["train", "tune"]) -> list[Piece]:
@@ -152,20 +151,13 @@ class Plan:
         found: list[Piece] = []
         for robot in self.robots:
             # Below 900,000 of a role's seeds lie those of its leg-runs.
-            count = 0 if role == "free" else 900_000
-            for kind, seconds in times.get(role, {}).items():
-                parts = max(1, round(seconds / _PIECE_S))
-                for _ in range(parts):
-                    settings = GantrySettings(
-                        motions=tuple(_motion(leg, kind) for leg in LEGS),
-                        seed=self._base(role) + 1000 * robot + count,
-                        robot_seed=robot,
-                    )
-                    count += 1
-                    found += [
-                        Piece(LegRun(robot, leg), role, kind, seconds / parts, settings)
-                        for leg in self.legs
-                    ]
+            base = self._base(role) + 1000 * robot + (0 if role == "free" else 900_000)
+            for seed, (kind, seconds) in enumerate(_parts(times.get(role, {})), base):
+                motions = tuple(_motion(leg, kind) for leg in LEGS)
+                settings = GantrySettings(motions=motions, seed=seed, robot_seed=robot)
+                found += [
+                    Piece(LegRun(robot, leg), role, kind, seconds, settings) for leg in self.legs
+                ]
         return found
 
     def _base(self, role: Role) -> int:
@@ -179,11 +171,11 @@ class Plan:
         return self.stand_s if role == "stand" else self.touch_s
 
 
-def _settings(leg_run: LegRun, kind: str, seed: int) -> SimulationSettings:
-    """Settings of a stretch on five legs, by kind."""
-    return SimulationSettings(
-        motion=_motion(leg_run.leg, kind), seed=seed, robot_seed=leg_run.robot_seed
-    )
+def _parts(times: dict[str, float]) -> Iterator[tuple[str, float]]:
+    """The pieces that so much of every kind is simulated in: kind and length, s."""
+    for kind, seconds in times.items():
+        parts = max(1, round(seconds / _PIECE_S))
+        yield from [(kind, seconds / parts)] * parts
 
 
 def _motion(leg: str, kind: str) -> PoseSettings:

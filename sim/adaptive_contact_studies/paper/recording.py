@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -55,26 +55,17 @@ _TRIES: Final = 500
 _MOTION_STREAM: Final = 0x90F3
 
 
-@dataclass(frozen=True, eq=False)
 class PatientGeometry(LegGeometry):
     """Accepts any point after many refusals: ``joints`` pulls points within reach anyway."""
 
-    # Refusals in a row; in a list, for all else about a leg's geometry is frozen.
-    _refused: list[int] = field(default_factory=lambda: [0])
-
-    @classmethod
-    def patient(cls) -> PatientGeometry:
-        """Of the shipped robot."""
-        plain = LegGeometry.of()
-        return cls(**{f.name: getattr(plain, f.name) for f in fields(plain)})
+    _refused = 0  # in a row
 
     def reachable(self, points_m: Array) -> Mask:
         """Return which points are in reach; after :data:`_TRIES` refusals in a row, all are."""
         inside = super().reachable(points_m)
-        refused = self._refused
-        refused[0] = 0 if inside.all() else refused[0] + 1
-        if refused[0] > _TRIES:
-            refused[0] = 0
+        self._refused = 0 if inside.all() else self._refused + 1
+        if self._refused > _TRIES:
+            self._refused = 0
             return np.ones_like(inside)
         return inside
 
@@ -87,7 +78,7 @@ def simulation_of(settings: SimulationSettings) -> Simulation:
     harmless = replace(motion, workspace="paper", approach="descent")
     sim = Simulation(replace(settings, motion=harmless))
     rng = np.random.default_rng([settings.seed, _MOTION_STREAM])
-    sim.motion = PoseMotion(motion, PatientGeometry.patient(), sim.courses[0], rng)
+    sim.motion = PoseMotion(motion, PatientGeometry(), sim.courses[0], rng)
     return sim
 
 
@@ -119,7 +110,7 @@ def record_gantry(settings: GantrySettings, seconds: float) -> dict[str, LegArra
         period_s=PERIOD_S,
         supply_resistance_ohm=settings.supply_resistance_ohm,
     )
-    geometry = PatientGeometry.patient()
+    geometry = PatientGeometry()
     seeds = np.random.SeedSequence(settings.seed).spawn(len(LEGS) + 1)
     motions = [
         PoseMotion(motion, geometry, _NoObstacles(), np.random.default_rng(seed))

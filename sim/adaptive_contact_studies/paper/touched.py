@@ -31,6 +31,7 @@ from adaptive_contact.score import (
     match,
     summarise,
 )
+from adaptive_contact.score.matching import LONG_WINDOW_NS, WINDOW_NS
 from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.evaluate import leg_stream
 from adaptive_contact_studies.paper.comparison_rules import alarms
@@ -56,8 +57,6 @@ BOTH: Final = "headline and fast touches in slow approaches"
 # lifted on purpose is in the air for longer.
 SLIP_MS: Final = 300.0
 _SHOWN_MISSES: Final = 60
-_WINDOW_NS: Final = 120_000_000
-_LONG_WINDOW_NS: Final = 500_000_000
 
 
 class Touched(NamedTuple):
@@ -290,7 +289,7 @@ def late_events(outcomes: Sequence[LegOutcome], row: Row) -> dict[str, int]:
         for i in np.flatnonzero((table.row == ROWS.index(row)) & ~table.found):
             missed += 1
             after = outcome.alarms_ns - table.onset_ns[i]
-            inside = (after > _WINDOW_NS) & (after <= _LONG_WINDOW_NS)
+            inside = (after > WINDOW_NS) & (after <= LONG_WINDOW_NS)
             late += bool((inside & (outcome.alarm_swing == table.swing[i])).any())
     return {"missed": missed, "late": late}
 
@@ -306,7 +305,7 @@ def peaks(touched: Sequence[Touched], name: str) -> list[float] | None:
         table = match(t.truth, Events.of(())).touches
         for onset, row in zip(table.onset_ns, table.row, strict=True):
             after = t.truth.t_ns - onset
-            own = t.scores[name][(after > 0) & (after <= _WINDOW_NS)]
+            own = t.scores[name][(after > 0) & (after <= WINDOW_NS)]
             if row == headline and np.isfinite(own).any():
                 highest.append(float(np.nanmax(own)))
     return [float(q) for q in np.quantile(highest, (0.05, 0.5, 0.95))] if highest else None

@@ -15,13 +15,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from scipy.stats import t as student
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.fit import Fit, FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Domain, Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import Robot, shipped_robot
@@ -239,14 +239,6 @@ def compare_regions(
     return {n: _compare(robot, n, w, train, test, paper) for n, w in _LIBRARIES}
 
 
-class _Model(NamedTuple):
-    """Coefficients, (p, J), and how their fit ended."""
-
-    status: FitStatus
-    coefficients: Array
-    condition: float
-
-
 def _compare(
     robot: Robot,
     name: LibraryName,
@@ -274,13 +266,13 @@ def _compare(
         for r in range(REGIONS)
     ]
     near = [own[i] for i in nearest_regions(where, region)]
-    used: dict[str, list[_Model]] = {
+    used: dict[str, list[Fit]] = {
         "one model": [one] * REGIONS,
         "one per region": own,
         "region unseen, one model of the others": others,
         "region unseen, nearest region's model": near,
     }
-    before: _Model | None = None
+    before: Fit | None = None
     if paper is not None:
         subspaces = free_rows(paper, library).windows
         before = _fit(factor_of(library, subspaces, subspaces.increment))
@@ -320,7 +312,7 @@ def _compare(
     return tree
 
 
-def _residual(library: Library, held: Rows, region: Ints, models: Sequence[_Model]) -> Array:
+def _residual(library: Library, held: Rows, region: Ints, models: Sequence[Fit]) -> Array:
     """(n, J) rad, every window predicted by its region's model."""
     out = np.empty_like(held.increment)
     for r, model in enumerate(models):
@@ -391,12 +383,11 @@ def _region(point: Array, edges: Array) -> Ints:
     return np.asarray(above @ np.array([4, 2, 1]))
 
 
-def _fit(factor: Factor) -> _Model:
+def _fit(factor: Factor) -> Fit:
     """The thresholded fit; the plain one where that loses a joint."""
     whole = fit_sparse(factor, FitSettings())
     if whole.status in NO_MODEL:
-        return _Model(whole.status, whole.coefficients, whole.condition)
+        return whole
     settings = FitSettings(threshold=_THRESHOLD, unit=residual_unit(whole))
     sparse = fit_sparse(factor, settings)
-    fit = sparse if sparse.status is FitStatus.OK else whole
-    return _Model(fit.status, fit.coefficients, fit.condition)
+    return sparse if sparse.status is FitStatus.OK else whole

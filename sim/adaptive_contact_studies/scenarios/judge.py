@@ -26,8 +26,8 @@ from adaptive_contact.score import (
     summarise,
     swings_to_recovery,
 )
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_studies.evaluate import leg_stream
-from adaptive_contact_studies.scenarios.learners import robot
 from adaptive_contact_studies.scenarios.recording import Recording, file_of, load
 from adaptive_contact_studies.scenarios.replay import (
     STATUSES,
@@ -229,7 +229,7 @@ def judge_scenario(scenario: Scenario, folders: Folders) -> Judgement:
         other = own if twin == replay else _read(twin, folders)
         if own is None or other is None:
             continue
-        described = robot(scenario.robot)
+        described = simulated_robot(scenario.robot).description
         for leg in replay.recording.legs:
             stream = leg_stream(own[0], leg, described)
             twin_stream = stream if other is own else leg_stream(other[0], leg, described)

@@ -10,18 +10,12 @@ from adaptive_contact.errors import BaselineError
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline, shipped_baseline
-from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_studies.scenarios.spec import BaselineChoice, Variant
 
 HEXAPOD: Final = "hexapod"
 # The leg diagonally opposite: of the other side, and of the other end.
 OPPOSITE: Final = {"lf": "rr", "lm": "rm", "lr": "rf", "rf": "lr", "rm": "lm", "rr": "lf"}
-
-
-@functools.cache
-def robot(name: str = HEXAPOD) -> Robot:
-    """A simulated robot's description."""
-    return shipped_robot(name)
 
 
 @functools.cache
@@ -31,7 +25,7 @@ def reference_baseline(name: str = HEXAPOD) -> Baseline:
     Raises:
         BaselineError: none ships.
     """
-    found = shipped_baseline(robot(name).name)
+    found = shipped_baseline(simulated_robot(name).description.name)
     if found is None:
         raise BaselineError(
             f"no baseline ships for '{name}'; make one with `adaptive-contact sim baseline "
@@ -55,4 +49,5 @@ def learner(
 ) -> ContactLearner:
     """A new learner of a leg of the robot of this name."""
     baseline = baseline_for(choice, leg, name)
-    return ContactLearner(robot(name), leg, baseline, mode=LearnerMode(variant.value))
+    robot = simulated_robot(name).description
+    return ContactLearner(robot, leg, baseline, mode=LearnerMode(variant.value))

@@ -293,16 +293,13 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     )
     at_s, end_s = sizes.before_s, sizes.before_s + sizes.after_s
     free_s = at_s + sizes.caught_s
+    after_it = around(free_s, end_s, POSE_SWING_S)[1:]
     caught = Scenario(
         name="caught-30s",
         about=f"a foot hangs in a root for {sizes.caught_s:g} s, through all its swings",
         expect=Expect.RECOVER,
         recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s))),
-        phases=(
-            Phase("before", 0.0, at_s),
-            Phase("caught", at_s, free_s),
-            *around(free_s, end_s, POSE_SWING_S)[1:],
-        ),
+        phases=(Phase("before", 0.0, at_s), Phase("caught", at_s, free_s), *after_it),
         judged=("after",),
         # It is caught when it next rests, so that it comes free up to a swing late.
         marks=(Mark("free again", free_s + POSE_SWING_S),),
@@ -314,11 +311,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
         name="trailing-2N",
         about=f"a foot trails a branch for {sizes.caught_s:g} s, 2 N against its motion",
         recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s), trails_n=2.0)),
-        phases=(
-            Phase("before", 0.0, at_s),
-            Phase("trailing", at_s, free_s),
-            *around(free_s, end_s, POSE_SWING_S)[1:],
-        ),
+        phases=(Phase("before", 0.0, at_s), Phase("trailing", at_s, free_s), *after_it),
         marks=(Mark("tangled", at_s), Mark("free again", free_s + POSE_SWING_S)),
         poisonous=False,
     )

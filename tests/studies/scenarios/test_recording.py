@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import foot
+from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.score import TruthChanges, contacts_of
 from adaptive_contact.wire import Drift
 from adaptive_contact_sim.arrays import record_arrays
@@ -22,7 +22,6 @@ from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import samples_of
-from adaptive_contact_studies.scenarios.learners import robot
 from adaptive_contact_studies.scenarios.recording import (
     LegRecord,
     Recording,
@@ -151,7 +150,7 @@ def test_obstacles_can_stand_level() -> None:
     )
     spec = RecordingSpec(replace(POSE, motion=motion), 12.0, ("lm",), Staging(level_m=-0.045))
     taken = record(spec)
-    leg, described = taken.legs["lm"], robot().leg("lm")
+    leg, described = taken.legs["lm"], shipped_robot().leg("lm")
     assert described.lengths_m is not None
     height = foot(leg.measured, described.lengths_m, described.joint_axes)[:, 2]
     contacts = contacts_of(leg.truth, 0)
@@ -180,7 +179,7 @@ def test_obstacles_cannot_be_staged_in_a_walk() -> None:
 
 def test_a_caught_foot_stays_and_the_truth_says_so() -> None:
     taken = record(replace(SPEC, seconds=10.0, staging=Staging(caught_s=(3.0, 7.0))))
-    leg, described = taken.legs["lm"], robot().leg("lm")
+    leg, described = taken.legs["lm"], shipped_robot().leg("lm")
     assert described.lengths_m is not None
     real = foot(leg.measured, described.lengths_m, described.joint_axes)
     wanted = foot(leg.desired, described.lengths_m, described.joint_axes)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact.score import Row, match, summarise
 from adaptive_contact_studies.evaluate import leg_stream
 from adaptive_contact_studies.scenarios.judge import (
@@ -20,7 +21,6 @@ from adaptive_contact_studies.scenarios.judge import (
     quantile,
     within,
 )
-from adaptive_contact_studies.scenarios.learners import robot
 from adaptive_contact_studies.scenarios.recording import record
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.replay import STATUSES, replay
@@ -131,7 +131,7 @@ def test_a_foot_that_trails_too_much_is_ambiguous_and_the_leg_is_well_again_afte
         assert np.mean(status[late] == "ambiguous") > 0.8
         assert np.mean(status[t_s > 44.0] == "valid") > 0.8
         assert np.ptp(full.log.ticks[late]) == 0, "nothing of it is learned"
-        stream = leg_stream(taken, leg, robot())
+        stream = leg_stream(taken, leg, shipped_robot())
         trailing = [within(match(stream, one.events), 8.0, 38.0) for one in (frozen, full)]
         alarms = [len(outcome.alarms_ns) for outcome in trailing]
         assert alarms[0] > 20, "worth telling of"
