@@ -91,7 +91,7 @@ class Cycle:
             for joint in leg.joints
         }
         self.health = {joint.servo: ServoHealth() for joint in plan.joints}
-        self._drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
+        self.drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
         self._lacking: dict[str, list[int]] = {}
         self._look_every = round(_LOOK_S / plan.period_s)
         self._until_s = self._end_s = 0.0
@@ -101,7 +101,7 @@ class Cycle:
     @property
     def holding(self) -> list[str]:
         """Legs whose commands have stopped."""
-        return [leg for leg, driver in self._drivers.items() if driver.mode is Mode.HOLDING]
+        return [leg for leg, driver in self.drivers.items() if driver.mode is Mode.HOLDING]
 
     @property
     def lacking(self) -> dict[str, str]:
@@ -113,7 +113,7 @@ class Cycle:
                 for servo in servos:
                     reasons.setdefault(self._trouble(servo), []).append(str(servo))
                 names = "; ".join(f"{', '.join(ids)} ({why})" for why, ids in reasons.items())
-                begun = self._drivers[leg].goal is not None
+                begun = self.drivers[leg].goal is not None
                 does = "goes on without" if begun else "commands wait for"
                 notes[leg] = f"leg {leg}: {does} servo {names}"
         return notes
@@ -121,7 +121,7 @@ class Cycle:
     @property
     def limited(self) -> int:
         """Commands that limits or the largest step cut down."""
-        return sum(driver.limited for driver in self._drivers.values())
+        return sum(driver.limited for driver in self.drivers.values())
 
     @property
     def counts(self) -> dict[str, ServoCounts]:
@@ -143,7 +143,7 @@ class Cycle:
         for record in self.health.values():
             # A servo that was silent is asked, and reported, as silent until it answers.
             record.misses = SILENT_AFTER - 1 if record.silent else 0
-        for driver in self._drivers.values():
+        for driver in self.drivers.values():
             driver.forget()
         self._lacking.clear()
 
@@ -287,8 +287,8 @@ class Cycle:
     def _write(self, now_ns: int) -> None:
         """Limit the newest commands and write them, to servos that may be moved."""
         for leg in self.plan.legs:
-            self._take_command(leg, self._drivers[leg.id])
-        legs = [leg for leg in self.plan.legs if self._drivers[leg.id].is_asked(now_ns)]
+            self._take_command(leg, self.drivers[leg.id])
+        legs = [leg for leg in self.plan.legs if self.drivers[leg.id].is_asked(now_ns)]
         asked = [self._servos[joint.servo] for leg in legs for joint in leg.joints]
         fresh = [servo for servo in asked if servo.fresh]
         self._learn([servo for servo in fresh if servo.waker.wanted is not None])
@@ -297,7 +297,7 @@ class Cycle:
         here: dict[int, int] = {}
         on: dict[int, int] = {}
         for leg in self.plan.legs:
-            driver = self._drivers[leg.id]
+            driver = self.drivers[leg.id]
             servos = [self._servos[joint.servo] for joint in leg.joints]
             asked_now = leg in legs
             if not asked_now:
@@ -450,7 +450,7 @@ class Cycle:
             measured.append(servo.angle)
             desired.append(servo.joint.angle(servo.goal))
         valid = [servo.valid for servo in servos]
-        driver = self._drivers.get(leg.id)
+        driver = self.drivers.get(leg.id)
         return ServoSample(
             t_ns=t_ns,
             seq=seq,

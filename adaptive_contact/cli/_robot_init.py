@@ -46,7 +46,7 @@ def write_description(wishes: Wishes) -> None:
     devices = {port: str(Path(path).absolute()) for port, path in devices_of(wishes.device).items()}
     out = wishes.out
     if not devices and wishes.urdf is None and wishes.joints is None:
-        if wishes.legs is None or not _is_asked():
+        if wishes.legs is None or not is_asked():
             raise ConfigurationError(
                 "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on "
                 "no such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
@@ -333,7 +333,7 @@ def _asked(given: float | None, what: str, option: str, least: float, most: floa
     """An option's value, or a person's answer where one can be asked."""
     if given is not None:
         return given
-    if not _is_asked():
+    if not is_asked():
         raise ConfigurationError(f"{what}: not given; give {option}")
     while True:
         value: float = typer.prompt(what, type=float, err=True)
@@ -342,5 +342,5 @@ def _asked(given: float | None, what: str, option: str, least: float, most: floa
         say(f"{value:g}: expected {least:g} to {most:g}", err=True)
 
 
-def _is_asked() -> bool:
+def is_asked() -> bool:
     return sys.stdin.isatty()

@@ -226,7 +226,7 @@ class Gateway:
             if len(types) == 1:
                 self._show(rmw.Address(topic, types[0], self._types.hash_of(types[0])))
         self._service.subscribe(ALL_CONTACT, self._contacts, history=True)
-        self._service.subscribe(ALL_LEARNER, self._note_learner)
+        self._service.subscribe(ALL_LEARNER, self.note_learner)
 
     def _show(self, address: rmw.Address) -> None:
         """Let the graph see what is subscribed to; of several types, the one that comes."""
@@ -235,7 +235,8 @@ class Gateway:
             number = next(self._numbers)
             self._ros.token(self._node.endpoint_token("MS", number, address, rmw.STREAM))
 
-    def _note_learner(self, received: Received) -> None:
+    def note_learner(self, received: Received) -> None:
+        """Keep the newest status of a leg's learner, for the diagnostics."""
         if leg_of_key(received.key) in self._legs:
             self._learners[received.key] = received
             self._learner_s = self._now_s()
@@ -326,7 +327,7 @@ class Gateway:
                 reported = trouble
                 self._say(trouble or "the service and ROS 2 are there")
             try:
-                self._diagnostics.put(self._diagnosis(trouble))
+                self._diagnostics.put(self.diagnosis(trouble))
             except LinkError:
                 if not stop.is_set():
                     continue
@@ -356,7 +357,8 @@ class Gateway:
             return "no service publishes robot/leg/*/learner; run `adaptive-contact serve`"
         return None
 
-    def _diagnosis(self, trouble: str | None) -> bytes:
+    def diagnosis(self, trouble: str | None) -> bytes:
+        """Encode what ``/diagnostics`` shows; ``trouble`` is the gateway's own."""
         learners = {}
         for received in list(self._learners.values()):
             status = decode(received.payload, LearnerStatus, received.encoding)

@@ -148,14 +148,14 @@ def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
     threads: list[threading.Thread] = []
     servers: list[VirtualServer] = []
 
-    def make(noise_steps: float = 0.0, wire_time: bool = False, **shape: Any) -> Rig:
+    def make(noise_steps: float = 0.0, wire_time: bool = False, seed: int = 7, **shape: Any) -> Rig:
         robot = parse_robot(robot_text(tmp_path, **shape), source="rig")
         plans = plan_ports(robot)
         if not KNOWS_FAST and any(plan.port.fast for plan in plans):
             pytest.skip("this DynamixelSDK has no fast sync read")
         joints = [(plan, joint) for plan in plans for joint in plan.joints]
         backend = KinematicBackend(len(joints))
-        rng = np.random.default_rng(7)
+        rng = np.random.default_rng(seed)
         faults = FaultSchedule([], rng)
         index = {joint.servo: i for i, (_, joint) in enumerate(joints)}
         ports = tuple(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 from adaptive_contact.bridge.handshake import check_ports
@@ -144,8 +143,7 @@ def test_a_homing_offset_takes_away_the_turn_that_torque_would_lose() -> None:
 @pytest.mark.parametrize("kind", [AX, MX, XM])
 def test_late_answers_accuse_no_servo(rig: Callable, kind: dict) -> None:
     """Limits of 0 and 1023, and an answer to the first question in the place of the second's."""
-    r = rig(**kind)
-    r.faults._rng = np.random.default_rng(0)
+    r = rig(seed=0, **kind)
     r.fault("late:p=0.25,ms=45")
     findings = check_ports(r.plans, full=False, drive=True)
     for line in findings.errors + findings.advice:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -20,10 +21,12 @@ from anybus import AnyServo, Horns, any_servo
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
+from adaptive_contact.bridge import bus
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.cycle import Cycle
 from adaptive_contact.bridge.drive import EASY_SHARE
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
+from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
 from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.robot import Port
@@ -55,9 +58,16 @@ class Line:
         self.port.open()
         settings = Port(device=str(self.port.path), protocol=protocol, timeout_ms=1000)  # type: ignore[arg-type]
         self.plan = PortPlan("main", settings, (), PERIOD_S)
-        self.bus = Bus("main", settings)
+        opened: list[Any] = []
+
+        def kept(*given: Any) -> SdkPort:
+            opened.append(SdkPort(*given))
+            return opened[0]
+
+        with mock.patch.object(bus, "SdkPort", kept):
+            self.bus = Bus("main", settings)
         self.bus.open()
-        device: Any = self.bus._port
+        (device,) = opened
         write = device.writePort
 
         rng = np.random.default_rng(0)
@@ -239,7 +249,7 @@ def happen(stage: Stage, what: str, where: float) -> None:
     elif what == "switched on":
         put("torque_enable", 1)
     elif what == "another's goal":
-        lowest, highest = servo._goals()
+        lowest, highest = servo.goals()
         goal = servo.model.centre + round(where / servo.model.step_rad)
         least = -20000 if registers["goal_position"].signed else 0
         put("goal_position", min(max(goal, lowest, least), highest, 20000))
@@ -329,7 +339,7 @@ def test_nothing_moves_that_was_not_asked_to_move(
     near = stage.near_rad / model.step_rad
     assert max(servo.switched_on, default=0) <= near, "torque came on with an old goal"
     why = stage.cycle.lacking.get("l", "")
-    bounds = stage.cycle._drivers["l"].bounds[0]
+    bounds = stage.cycle.drivers["l"].bounds[0]
     wanted = min(max(last, bounds[0]), bounds[1])
     there = abs(stage.told() - wanted) <= 2 * model.step_rad
     # Found outside its limits, and not told to come in by a whole step.

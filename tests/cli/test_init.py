@@ -83,9 +83,9 @@ def test_without_a_urdf_joints_are_named() -> None:
     assert robot.leg("l").joint_axes == ("yaw", "pitch", "pitch", "pitch")
 
 
-def test_what_is_not_given_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_givenis_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a terminal; what does not fit is asked for once more."""
-    monkeypatch.setattr("adaptive_contact.cli._robot_init._is_asked", lambda: True)
+    monkeypatch.setattr("adaptive_contact.cli._robot_init.is_asked", lambda: True)
     said = invoke("robot", "init", "--legs", "l", "--joints", "2", answers="0\n50\n0.003\n")
     assert "control ticks per second" in said
     assert "0: expected 1 to 10000" in said

@@ -399,8 +399,8 @@ def test_learners_of_other_robots_take_no_places(config: Path) -> None:
     gateway = Gateway(load_robot(config), service, ros, 1, lambda line: None)
     for leg in ("x1", "x2", "x3", *LEGS):
         payload = encode(status(leg=leg), MSGPACK)
-        gateway._note_learner(Received(learner_key(leg), payload, MSGPACK, 0, None))
-    shown = typestore().deserialize_cdr(gateway._diagnosis(None), RosType.DIAGNOSTICS)
+        gateway.note_learner(Received(learner_key(leg), payload, MSGPACK, 0, None))
+    shown = typestore().deserialize_cdr(gateway.diagnosis(None), RosType.DIAGNOSTICS)
     names = [row.name for row in shown.status]
     assert names == [*(f"adaptive_contact: leg {leg}" for leg in LEGS), "adaptive_contact: gateway"]
 

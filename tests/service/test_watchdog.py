@@ -30,7 +30,7 @@ S = 1_000_000_000
 # `serve` with a learner that hangs at its first sample, and gives up sooner; what else hangs is
 # the first argument.
 HANGING = """
-import functools, sys, threading
+import sys, threading
 import fake_service
 from adaptive_contact.service import server, watchdog
 
@@ -42,9 +42,8 @@ def hangs(*_):
     threading.Event().wait()
 
 fake_service.FakeBank.judge = hangs
-if what == "the network":
-    server.Service._stalled = hangs
-server.Watchdog = functools.partial(watchdog.Watchdog, give_up_s=2.0)
+report = {"on_stall": hangs} if what == "the network" else {}
+server.Watchdog = lambda *a, **k: watchdog.Watchdog(*a, **k | report, give_up_s=2.0)
 fake_service.main()
 """
 

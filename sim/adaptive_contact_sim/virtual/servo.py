@@ -284,12 +284,12 @@ class VirtualServo:
             if at < 0 or at + register.size > len(data):
                 return None
             goal = int.from_bytes(data[at : at + register.size], "little", signed=register.signed)
-            lowest, highest = self._goals()
+            lowest, highest = self.goals()
             if not lowest <= goal <= highest:
                 return Refusal(ANGLE1 if one else LIMIT2)
         return None
 
-    def _goals(self) -> tuple[int, int]:
+    def goals(self) -> tuple[int, int]:
         """Goals that are taken."""
         if self._multi_turn:
             most = _MULTI_TURN_STEPS if self.model.compact else _MOST_STEPS
