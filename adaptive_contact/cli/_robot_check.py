@@ -95,7 +95,7 @@ def check_live(
                 if drawn and time.monotonic() - redrawn >= _REDRAW_S:
                     redrawn = time.monotonic()
                     live.update(
-                        _table(check.legs(), check.moves[-_MOVES_SHOWN:], console.width),
+                        legs_table(check.legs(), check.moves[-_MOVES_SHOWN:], console.width),
                         refresh=True,
                     )
         samples.close()
@@ -163,7 +163,7 @@ def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
     from adaptive_contact.cli.doctor import print_findings
 
     if report.legs:
-        console.print(_table(report.legs, report.moves if moves else [], console.width))
+        console.print(legs_table(report.legs, report.moves if moves else [], console.width))
     for line in report_lines(report):
         console.print(Text(line))
     print_findings(report.findings, console)
@@ -219,7 +219,7 @@ def report_lines(report: LiveReport) -> list[str]:
     return lines
 
 
-def _table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Table:
+def legs_table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Table:
     """Every joint as it is now, and where the foot is by the description, in so many columns."""
     import numpy as np
     from rich import box

@@ -72,7 +72,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     else:
         console.print("service  none" if not diagnosis.service_alive else "service  says nothing")
     if diagnosis.keys:
-        console.print(_traffic(diagnosis))
+        console.print(traffic_table(diagnosis))
     print_findings(diagnosis.findings, console)
     if diagnosis.exit_code == 0:
         console.print(Text("all is well", style="green"))
@@ -91,7 +91,8 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         console.print(Text(f"    -> {printable(finding.remedy)}", style="dim"))
 
 
-def _traffic(diagnosis: Diagnosis) -> Table:
+def traffic_table(diagnosis: Diagnosis) -> Table:
+    """Make the table of the keys that were heard."""
     from rich import box
     from rich.table import Table
     from rich.text import Text

@@ -18,7 +18,7 @@ from rich.console import Console
 
 import adaptive_contact.cli
 from adaptive_contact.cli import doctor, main
-from adaptive_contact.cli.doctor import _traffic
+from adaptive_contact.cli.doctor import traffic_table
 from adaptive_contact.service.doctor import Diagnosis, Examination, KeyTraffic, diagnose
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.recording import RecordingWriter
@@ -186,7 +186,7 @@ def test_doctor_shows_whole_keys_on_narrow_terminals(width: int) -> None:
         for key in keys
     ]
     screen = Console(width=width, file=io.StringIO())
-    screen.print(_traffic(Diagnosis(router="connected", router_line="", keys=seen)))
+    screen.print(traffic_table(Diagnosis(router="connected", router_line="", keys=seen)))
     shown = screen.file.getvalue()  # type: ignore[attr-defined]
     assert all(key in shown for key in keys)
     assert all(len(line) <= width for line in shown.splitlines())

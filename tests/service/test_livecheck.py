@@ -17,7 +17,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
-from adaptive_contact.cli._robot_check import _table, report_lines
+from adaptive_contact.cli._robot_check import legs_table, report_lines
 from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
@@ -201,7 +201,7 @@ def test_no_number_is_cut_where_names_are_those_of_a_urdf(width: int) -> None:
     robot = msgspec.structs.replace(robot, legs=legs)
     legs_seen = report([("lf", sample(k, (0.17, 1.09, -1.88))) for k in range(60)], robot).legs
     console = Console(width=width, file=io.StringIO())
-    console.print(_table(legs_seen, [], console.width))
+    console.print(legs_table(legs_seen, [], console.width))
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert all(number in text for number in ("50.0", "-1.88", "-107.7°", "+62..+62°"))
     assert "…" not in text

@@ -106,8 +106,8 @@ def test_trials_go_on_where_they_stopped(tmp_path: Path, monkeypatch: pytest.Mon
             raise KeyboardInterrupt
         return [trial(first=number + 1)]
 
-    monkeypatch.setattr(tried, "_of_run", run)
-    monkeypatch.setattr(tried, "_code", lambda: "code")
+    monkeypatch.setattr(tried, "legs_of_run", run)
+    monkeypatch.setattr(tried, "source_digest", lambda: "code")
     with pytest.raises(KeyboardInterrupt):
         trials(tmp_path, (KIND,), runs=3, processes=1)
     found = trials(tmp_path, (KIND,), runs=3, processes=1)

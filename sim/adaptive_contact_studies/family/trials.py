@@ -122,12 +122,14 @@ def table(found: Sequence[LegTrial]) -> str:
 
 def _kept(store: Store, wanted: tuple[str, int]) -> list[LegTrial]:
     kind, number = wanted
-    tree = store.tree(kind.replace(" ", "-"), (number, _code()), lambda: _of_run(kind, number))
+    tree = store.tree(
+        kind.replace(" ", "-"), (number, source_digest()), lambda: legs_of_run(kind, number)
+    )
     return msgspec.convert(tree, list[LegTrial])
 
 
 @functools.cache
-def _code() -> str:
+def source_digest() -> str:
     """Hash of all that decides a run."""
     digest = sources_digest(sorted(Path(__file__).parent.glob("*.py")))
     robots = [simulator_fingerprint(name) for name in ("hexapod", "quadruped12", "leg5")]
@@ -135,7 +137,8 @@ def _code() -> str:
     return name_of(digest.hexdigest(), learner_fingerprint(), robots, prior)
 
 
-def _of_run(kind: str, number: int) -> list[LegTrial]:
+def legs_of_run(kind: str, number: int) -> list[LegTrial]:
+    """Try the legs of a run."""
     run, robot, baseline = _recorded(kind, _FIRST_SEED + number)
     played = play(run, robot, None)
     known: dict[str, LegOutcome] = {}

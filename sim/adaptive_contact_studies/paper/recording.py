@@ -218,7 +218,7 @@ def physics_fingerprint() -> str:
 @functools.cache
 def source_fingerprint() -> str:
     """Hash of the source that evaluates, as this process found it first."""
-    return _source_now()
+    return source_now()
 
 
 def require_unchanged_source() -> None:
@@ -229,15 +229,15 @@ def require_unchanged_source() -> None:
     Raises:
         ConfigurationError: a file was changed meanwhile.
     """
-    if _source_now() != source_fingerprint():
+    if source_now() != source_fingerprint():
         raise ConfigurationError(
             "the source of adaptive-contact was changed while the run was going on; start the same "
             "command again (what still holds is kept)"
         )
 
 
-def _source_now() -> str:
-    """Of identification, detection, learner, score, and the experiments that evaluate."""
+def source_now() -> str:
+    """Compute the digest of identification, detection, learner, score, and the experiments that evaluate."""
     product = Path(adaptive_contact.__file__).parent
     files = [f for name in _EVALUATING for f in sorted((product / name).glob("*.py"))]
     here = sorted(Path(__file__).parent.glob("*.py"))

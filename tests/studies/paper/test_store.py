@@ -142,7 +142,7 @@ def test_source_that_changes_meanwhile_is_refused(
 
     store.source_fingerprint()
     store.require_unchanged_source()
-    monkeypatch.setattr(store, "_source_now", lambda: "other")
+    monkeypatch.setattr(store, "source_now", lambda: "other")
     with pytest.raises(ConfigurationError, match="start the same command again"):
         data.record_all(Store(tmp_path), SMALL.pieces("stand"), 2, lambda _: None)
 
