@@ -237,7 +237,7 @@ def require_unchanged_source() -> None:
 
 
 def source_now() -> str:
-    """Compute the digest of identification, detection, learner, score, and the experiments that evaluate."""
+    """Compute the digest of what identifies, detects, learns and scores, and of its evaluation."""
     product = Path(adaptive_contact.__file__).parent
     files = [f for name in _EVALUATING for f in sorted((product / name).glob("*.py"))]
     here = sorted(Path(__file__).parent.glob("*.py"))
