@@ -70,7 +70,15 @@ class _Servo:
 
 
 class Cycle:
-    """The control ticks of one port, which is open; ``run`` is that of the samples."""
+    """The control ticks of one port.
+
+    Args:
+        plan: what is on the port.
+        bus: the port, open.
+        mode: ``observe`` or ``drive``.
+        mailbox: commands, for drive mode.
+        run: the ``run`` of the samples.
+    """
 
     def __init__(
         self,

@@ -215,6 +215,10 @@ class GoalRegister(enum.Enum):
 class Waker:
     """Judges from one servo's readings whether, and from where, it may be moved.
 
+    Args:
+        joint: the servo.
+        max_step_rad: how far a goal may move in one tick.
+
     Attributes:
         setting: how it is set; None until its registers were read twice alike.
         awake: its torque was seen, and its goals are ours.
@@ -271,7 +275,13 @@ class Waker:
         return lower, min(self._joint.upper_rad, max(one, other))
 
     def place(self, stands: Standing | None, steps: int, goal: int) -> Place | None:
-        """From where it can be moved, by a tick's readings; None, and ``trouble``, if it cannot."""
+        """From where it can be moved, by one tick's readings; None, and ``trouble``, if it cannot.
+
+        Args:
+            stands: how it stands; None where that was not read.
+            steps: position.
+            goal: register.
+        """
         if stands is None or stands.shut or self.setting is None:
             return None
         if self.awake and not stands.torque:

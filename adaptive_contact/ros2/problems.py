@@ -52,7 +52,13 @@ class Complaints:
         self._said: dict[tuple[str, Reason], tuple[float, int]] = {}
 
     def take(self, topic: str, reason: Reason, detail: str, now_s: float) -> str | None:
-        """Count a problem, at a time of any clock that does not go back.
+        """Count a problem.
+
+        Args:
+            topic: where the message came.
+            reason: why it was not used.
+            detail: what was found, what was expected, what to do.
+            now_s: on any clock that does not go back, s.
 
         Returns:
             The line to say now, None while one of its kind was said a short time ago.

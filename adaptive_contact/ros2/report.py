@@ -39,6 +39,12 @@ def topic_of_leg(node: str, leg: str) -> str:
 class Report:
     """Makes the messages that go out.
 
+    Args:
+        types: of the distribution.
+        node: name of the gateway's node.
+        robot: its name, for the diagnostics.
+        legs: ids.
+
     Attributes:
         contacts: where each leg's contact goes.
         values: where those of all legs go.
@@ -107,7 +113,14 @@ class Report:
         gateway: Mapping[str, object],
         trouble: str | None,
     ) -> bytes:
-        """A ``DiagnosticArray`` of all learners, and of the gateway with what it has counted."""
+        """A ``DiagnosticArray`` of all learners and of the gateway.
+
+        Args:
+            now_ns: wall clock.
+            learners: newest status of each leg.
+            gateway: what the gateway has counted.
+            trouble: what is wrong with the gateway, None where nothing is.
+        """
         rows = [self._of_learner(status) for _, status in sorted(learners.items())]
         level = OK if trouble is None else ERROR
         text = "relays" if trouble is None else trouble
