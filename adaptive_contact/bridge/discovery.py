@@ -29,7 +29,7 @@ from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
 
 _PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
 # Servos are numbered one after the other: so far beyond the last found, all are asked again.
-_BEYOND: Final = 8
+BEYOND: Final = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +134,7 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | No
         bus.settle()  # were some late?  They are there, and the row goes on behind them
         if not pongs and not bus.late:
             return None
-        row = range(min(max({*pongs, *bus.late}) + _BEYOND, MAX_ID) + 1)
+        row = range(min(max({*pongs, *bus.late}) + BEYOND, MAX_ID) + 1)
         pongs = scan_again(bus, pongs, row)
         late = sorted(servo for servo in bus.late if servo not in pongs and servo in (ids or row))
         if late:  # a description without them would be of another robot

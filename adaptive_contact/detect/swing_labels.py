@@ -75,7 +75,7 @@ class SwingLabels:
         self.landings = Landings()
         self._first: LegModel | None = None
         self._region = 0
-        self._regions = _Regions()
+        self._regions = Regions()
         self._travel_judged = False
         self._rollout: Rollout | None = None  # from where the leg was before the swing
         self._unobserved = 0  # whole swings since a lift was labelled
@@ -316,7 +316,7 @@ def _not_pushed(rows: Rows, last_ns: int) -> Rows:
     return Rows(found.theta, found.aside, found.known, found.aside)
 
 
-class _Regions:
+class Regions:
     """Divides a leg's workspace coarsely: where the first joint points, how far the last bends.
 
     Thirds and halves of what the last swings have seen of them, as many as the buffer holds, so

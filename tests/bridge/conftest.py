@@ -51,7 +51,7 @@ def _few_ids(monkeypatch: pytest.MonkeyPatch) -> None:
     Commands that are processes of their own look for all.
     """
     monkeypatch.setattr(handshake, "ALL_IDS", range(31))
-    monkeypatch.setattr(discovery, "_BEYOND", 2)
+    monkeypatch.setattr(discovery, "BEYOND", 2)
 
 
 @dataclasses.dataclass

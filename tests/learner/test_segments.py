@@ -13,7 +13,7 @@ from adaptive_contact.detect.swing_labels import (
     MISSED_NIS,
     NEAR_TICKS,
     PUSHED_SIGMA,
-    _Regions,
+    Regions,
 )
 from adaptive_contact.learn.replay_buffer import MOST_ROWS, ReplayBuffer
 from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
@@ -282,7 +282,7 @@ def test_a_foot_that_is_kicked_up_does_not_speak_of_the_leg(robot: Robot) -> Non
 
 
 def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
-    regions = _Regions()
+    regions = Regions()
     rng = np.random.default_rng(0)
 
     def places(swings: int) -> set[int]:
