@@ -99,6 +99,7 @@ class Cycle:
             for joint in leg.joints
         }
         self.health = {joint.servo: ServoHealth() for joint in plan.joints}
+        # by leg; none where the port only observes
         self.drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
         self._lacking: dict[str, list[int]] = {}
         self._look_every = round(_LOOK_S / plan.period_s)

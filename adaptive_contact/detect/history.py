@@ -20,8 +20,8 @@ MAX_STEP_RAD_S: Final = 25.0
 # many, is more likely stale than stopped dead: it waits a tick, while the other joints are judged;
 # and one more while these move as predicted, to within so many steps: ground that stops one joint
 # dead does not leave the others alone.  Where the leverage h of the motion is above 1, the model
-# errs by √h times its noise, and must expect so much more: its error would take a reading's place.
-# Such a reading is judged as it is; as a foot that is held fast stands, too, it is not learned.
+# errs by √h times its noise, and the limit is as many times higher (decision 43).  A reading
+# between the two limits is judged as it is, and not learned: a foot that is held stands, too.
 STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
 # What a joint can do in a tick is learned from it: a reading off its prediction by more than this
@@ -47,7 +47,11 @@ UNSURE_VARIANCE: Final = 2.5
 
 @compiled
 def leverage(theta, reach):
-    """Compute the leverage of regressors: how far they lie outside of what the fit has seen."""
+    """Compute the leverage of (p,) regressors by the (p, p) reach of a training domain.
+
+    How far they lie outside of what the fit has seen, as
+    :meth:`~adaptive_contact.model.training_domain.Domain.leverage` has it.
+    """
     total = 0.0
     for r in range(reach.shape[0]):
         z = 0.0

@@ -241,7 +241,7 @@ class RateWatch:
 
     @property
     def leg(self) -> Any:
-        """The leg's scalars."""
+        """The leg's scalars: a record of :data:`~adaptive_contact.detect.layout.LEG`."""
         return self._own[0] if self._place is None else self._place.leg
 
     @property

@@ -13,6 +13,7 @@ made.
 from __future__ import annotations
 
 import gc
+import itertools
 import threading
 import time
 from collections import Counter, deque
@@ -429,7 +430,7 @@ class Service:
         return endpoint
 
     def _look_at(self, at: int, now_ns: int) -> None:
-        endpoint = list(self._endpoints.values())[at]
+        endpoint = next(itertools.islice(self._endpoints.values(), at, None))
         changed = endpoint.publish_status(now_ns)
         if changed is not None and endpoint.received_samples:
             _log.info("leg status", leg=endpoint.leg, status=changed)

@@ -96,7 +96,7 @@ print(compiled.is_cached())
     assert ended.stdout.split() == ["False"]
 
 
-@pytest.mark.slow  # all is compiled anew
+@pytest.mark.slow  # compiles everything
 def test_all_of_it_is_kept(folder: Path) -> None:
     code = """
 from adaptive_contact import compiled
