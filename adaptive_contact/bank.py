@@ -18,12 +18,13 @@ import numpy as np
 
 from adaptive_contact.compiled import note_cached
 from adaptive_contact.detect.leg_batch import LegBatch
+from adaptive_contact.detect.swing_labels import close_swing, let_go_row
 from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.learn.noise_tracker import whiten_rows
-from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most
+from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most, squares
 from adaptive_contact.leg_learner import EVENTS, ContactLearner, check_sample
 from adaptive_contact.model.library import Library, with_changes
 from adaptive_contact.model.model_file import Baseline
@@ -299,6 +300,9 @@ def compile_ahead() -> None:
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
     recursion.update(np.zeros(library.size), np.zeros(len(joints)))
     moves_at_most(recursion.coefficients, scale, 1.0)
+    squares(batch.row_values[0], np.ones(len(joints)), coefficients, coefficients)
+    let_go_row(batch.rows[0], 0)
+    close_swing(batch.rows[0], batch.row_values[0], 0, 0, 0, 0, 0, -1)
     of_no_rows = np.zeros((0, len(joints)))
     at = np.zeros(0, dtype=np.int64)
     whiten_rows(batch.whiten[0], at, of_no_rows, of_no_rows, of_no_rows[:, 0].copy())

@@ -37,7 +37,7 @@ from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import ConventionWatch, MotionTrack
 from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
-from adaptive_contact.learn.adapter import Adapter
+from adaptive_contact.learn.adapter import COEFFICIENTS, NOTHING, Adapter
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import LearnerMode, WhenAmbiguous
 from adaptive_contact.leg_report import LegReport
@@ -331,12 +331,17 @@ class ContactLearner:
                 self._let_go()
                 return True
             self.report.publish_withholding()
+        elif moved == NOTHING:
+            return False
         else:
-            if moved and adapter.version != self.report.version:
+            if adapter.version != self.report.version:
                 self.report.read_standing()
-            if not (moved and self.place.leg["ticks"]):  # a stance is not judged: it can wait
+            if not self.place.leg["ticks"]:  # a stance is not judged: it can wait
                 return False
-        self._publish()
+            if moved == COEFFICIENTS and not adapter.active.inflated:
+                self.place.predict_by(adapter.active.coefficients)
+                return False
+        self.place.judge_by(adapter.free_motion())
         return False
 
     def take_up_model(self) -> None:
@@ -379,13 +384,7 @@ class ContactLearner:
         assert isinstance(library, ChangeLibrary)
         place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
         self.report.publish_withholding()
-        self._publish(wanted=True)
-
-    def _publish(self, *, wanted: bool = False) -> None:
-        """Pass the adapter's ``FreeMotion`` to the arrays; the next tick is judged by it."""
-        adapter = self.lifecycle.adapter
-        assert adapter is not None
-        self.place.judge_by(adapter.free_motion(wanted=wanted or self._swing.ticks > 0))
+        place.judge_by(adapter.free_motion())
 
     def _hand_over(self, flags: int) -> None:
         """Label what this tick's flags say of the swing, and pass it to the adapter."""

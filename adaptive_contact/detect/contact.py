@@ -286,10 +286,13 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient):
 
 @compiled
 def enter_row(
-    leg, rows, thetas, targets, asides, theta, history, distance, value, free, past_top,
-    whiten, unit, last_measured, links, turns, gradient, target,
+    leg, rows, values, theta, history, distance, value, free, past_top, whiten, unit,
+    last_measured, links, turns, gradient, target,
 ):  # fmt: skip
-    """Hold a judged tick back until its swing is resolved."""
+    """Hold a judged tick back until its swing is resolved.
+
+    A row of ``values`` is one of :class:`~adaptive_contact.model.labelled_swing.Rows`.
+    """
     joints = history.shape[2]
     leg.found |= ENTERED
     if not leg.gated:
@@ -308,9 +311,7 @@ def enter_row(
     )
     if most >= MAX_ROWS:  # the oldest goes
         for k in range(first, at - 1):
-            rows[k], thetas[k], targets[k], asides[k] = (
-                rows[k + 1], thetas[k + 1], targets[k + 1], asides[k + 1],
-            )  # fmt: skip
+            rows[k], values[k] = rows[k + 1], values[k + 1]
         at -= 1
         if first == 0:
             leg.lift_n -= 1
@@ -321,13 +322,16 @@ def enter_row(
     row.context = leg.context
     row.t_ns = leg.at_ns
     row.calm, row.cleared, row.push, row.repeats = free, leg.cleared, False, leg.repeats
+    terms = len(theta)
+    for k in range(terms):
+        values[at, k] = theta[k]
     for j in range(joints):
         target[j] = history[0, 0, j] + history[1, 0, j]
-        targets[at, j] = target[j]
-    thetas[at] = theta
+        values[at, terms + j] = target[j]
     if leg.changed and not leg.rising and leg.has_lengths and leg.has_measured:
         height_gradient(last_measured, links, turns, gradient)
-        push_from_ground(leg, row, asides[at], history[0, 0], target, whiten, unit, gradient)
+        aside = values[at, terms + joints :]
+        push_from_ground(leg, row, aside, history[0, 0], target, whiten, unit, gradient)
     if not leg.gated:
         row.lift = leg.rising
         return

@@ -129,8 +129,8 @@ def restart_leg(leg, command, before, desired, suspects):
 def judge_tick(
     legs, floats, ints, bools, places, preview_in, ring, kept_angles, kept_stamps, echo_commands,
     echo_runs, parts, links, path, lags, preview, history, thetas, kind, first, entry, weight,
-    knee, law, xi0, coefficients, whiten, index, per_scale, root, domain, rows, row_thetas,
-    row_targets, row_asides, free_ring, some, room, now, sums,
+    knee, law, xi0, coefficients, whiten, index, per_scale, root, domain, rows, row_values,
+    free_ring, some, room, now, sums,
 ):  # fmt: skip
     """Judge a sample of every leg that has one: the first half of a tick, up to its events.
 
@@ -158,9 +158,8 @@ def judge_tick(
         borrow(xi0), borrow(coefficients), borrow(whiten), borrow(index), borrow(per_scale),
         borrow(root), borrow(domain),
     )  # fmt: skip
-    row_thetas, row_targets, row_asides, some, room, now, sums = (
-        borrow(row_thetas), borrow(row_targets), borrow(row_asides), borrow(some), borrow(room),
-        borrow(now), borrow(sums),
+    row_values, some, room, now, sums = (
+        borrow(row_values), borrow(some), borrow(room), borrow(now), borrow(sums),
     )  # fmt: skip
     joints = links.shape[1]
     table = (kind, first, entry, weight, knee, law)
@@ -388,10 +387,9 @@ def judge_tick(
                 )  # fmt: skip
             if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
                 enter_row(
-                    leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
-                    history[i], leg.distance, scores[0] * limits[0], free, past_lift,
-                    whiten[i], unit, last_measured, links[i], turns, room[0],
-                    room[1],
+                    leg, rows[i], row_values[i], thetas[i, 0], history[i], leg.distance,
+                    scores[0] * limits[0], free, past_lift, whiten[i], unit, last_measured,
+                    links[i], turns, room[0], room[1],
                 )  # fmt: skip
                 if leg.topped and not leg.broken and not leg.top_seen:
                     leg.top_seen = True

@@ -58,7 +58,8 @@ class LegBatch:
         thetas: (3, p), regressors of the last ticks.
         domain: (p, p) matrix whose product with regressors has the leverage as squared length.
         index, per_scale, root: covariance of the coefficients while it is inflated.
-        rows, row_thetas, row_targets, row_asides: rows of the swing until it is resolved.
+        rows, row_values: rows of the swing until it is resolved, as
+            :class:`~adaptive_contact.model.labelled_swing.Rows` has them.
         free_ring: residuals of the newest free ticks, rad.
     """
 
@@ -126,9 +127,8 @@ class LegBatch:
         self.per_scale, self.root = zeros(joints, p), zeros(joints, p, p)
         self.domain = zeros(p, p)
         # Labels.
-        self.rows = np.zeros((rows, capacity), dtype=ROW)
-        self.row_thetas, self.row_targets = zeros(capacity, p), zeros(capacity, joints)
-        self.row_asides = zeros(capacity, joints)
+        self.rows = records(np.zeros((rows, capacity), dtype=ROW))
+        self.row_values = zeros(capacity, p + 2 * joints)
         self.free_ring = zeros(STATUS_TICKS, joints)
         # Scratch.
         self.some, self.room = np.zeros((6, joints), dtype=b), np.zeros((9, joints))
@@ -153,8 +153,8 @@ class LegBatch:
             self.kept_angles, self.kept_stamps, self.echo_commands, self.echo_runs, self.parts,
             self.links, self.path, self.lags, self.preview, self.history, self.thetas, *self.table,
             self.xi0, self.coefficients, self.whiten, self.index, self.per_scale, self.root,
-            self.domain, records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
-            self.free_ring, self.some, self.room, self.now, self.sums,
+            self.domain, self.rows, self.row_values, self.free_ring, self.some, self.room,
+            self.now, self.sums,
         )  # fmt: skip
         self._finished = (
             records(self.legs), floats, self.places, self.preview_in, self.lags,
@@ -215,7 +215,8 @@ class LegBatch:
         """Make room for longer swings."""
         for name in _OF_ROWS:
             kept = getattr(self, name)
-            setattr(self, name, np.concatenate([kept, np.zeros_like(kept)], axis=1))
+            grown = np.concatenate([kept, np.zeros_like(kept)], axis=1)
+            setattr(self, name, records(grown) if name == "rows" else grown)
         self._gather()
 
     def forget_past(self, row: int) -> None:
@@ -231,7 +232,7 @@ class LegBatch:
         leg["sound"], leg["inflation"] = True, 1.0
 
 
-_OF_ROWS: Final = ("rows", "row_thetas", "row_targets", "row_asides")
+_OF_ROWS: Final = ("rows", "row_values")
 # Scratch, and what is adopted by other names.
 _SCRATCH: Final = ("some", "room", "now", "sums", "places", "accepted")
 # What belongs to a model and to the past under it.
@@ -346,9 +347,12 @@ class LegPlace:
             n = leg["root_n"] = terms.shape[1]
             batch.index[row, :, :n], batch.per_scale[row, :, :n] = terms, per_scale
             batch.root[row, :, :n, :n] = root
-        if free.coefficients is not None:
-            batch.coefficients[row] = free.coefficients
+        batch.coefficients[row] = free.coefficients
         self._judged_by = free
+
+    def predict_by(self, coefficients: Array) -> None:
+        """Put a model's (p, J) coefficients in force; the rest of free motion is as it was."""
+        self.batch.coefficients[self.row] = coefficients
 
     def _locate(self, batch: LegBatch, row: int) -> None:
         self.batch, self.row, self.leg = batch, row, batch.legs[row]

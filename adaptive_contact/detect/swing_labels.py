@@ -10,15 +10,12 @@ ticks before the onset is learned, too.
 
 from __future__ import annotations
 
-import bisect
 import functools
 from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.contact import MIN_LIFT_ROWS
 from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
 from adaptive_contact.detect.leg_batch import LegPlace
@@ -117,7 +114,7 @@ class SwingLabels:
         if not flags & ENTERED:
             return found
         if not leg["gated"]:
-            rows = _moving(self._rows(0, 1))
+            rows = moving(self._rows(0, 1))
             return [*found, LabelledSwing(Label.UNGATED, rows)] if rows else found
         joints = self._place.batch.measured.shape[1]
         nis = float(leg["distance"]) * float(leg["variance_scale"]) / joints
@@ -132,8 +129,8 @@ class SwingLabels:
         if not leg["known"]:
             return []
         self._unobserved += bool(leg["resolved_whole"])
-        first, last = int(leg["resolved_first"]), int(leg["resolved_last"])
-        descent = confirmed_of(self._rows(first, last))
+        first, last = int(leg["resolved_first"]), int(leg["resolved_last"]) - LAST_TICKS
+        descent = self._rows(first, last)
         return [
             *self._contact(),
             *self._confirmed(descent, lifted=self._swing.had_lifted),
@@ -179,14 +176,15 @@ class SwingLabels:
             if obstructed is not None:
                 ratio = swing.travel_ratio
                 found.append(LabelledSwing(Label.TRAVEL, obstructed=obstructed, travel_ratio=ratio))
-        rows = let_go_rows(self._rows(0, int(leg["lift_n"])))
-        if rows is None:
+        batch, row, count = self._place.batch, self._place.row, int(leg["lift_n"])
+        first, total = let_go_row(batch.rows[row], count)
+        if count - first < MIN_LIFT_ROWS:
             return found
-        leg["fits"] |= sum(rows.nis.tolist()) <= UNFIT_LEVEL * len(rows)
+        leg["fits"] |= total <= UNFIT_LEVEL * (count - first)
         if swing.lifted and not (swing.obstructed or leg["suspected"]):
             self._unobserved = 0
-            self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())
-            rows = _moving(rows)
+            self._region = self._regions.of(batch.desired[row].tolist())
+            rows = moving(self._rows(first, count))
             if len(rows) >= MIN_LIFT_ROWS:
                 found.append(LabelledSwing(Label.LIFT, rows, self._region, int(leg["at_ns"])))
         return found
@@ -195,7 +193,7 @@ class SwingLabels:
         """Label rows of a descent as free, unless the foot had not come up or was obstructed."""
         if not rows or not lifted or self._swing.obstructed:
             return []
-        rows = _moving(rows)
+        rows = moving(rows)
         return [LabelledSwing(Label.DESCENT, rows, self._region)] if rows else []
 
     def _contact(self) -> list[LabelledSwing]:
@@ -211,109 +209,113 @@ class SwingLabels:
     def _close(self, onset_ns: int, period_ns: int) -> Rows:
         """Close the swing at a contact; return the rows of its descent that are free."""
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
-        lift, commanded, count = (int(leg[name]) for name in ("lift_n", "commanded_n", "row_n"))
-        hole_ns = int(leg["hole_ns"])
-        kept, rows = confirmed_before(
-            batch.rows[row, :lift], commanded, self._rows(lift, count), onset_ns, period_ns,
-            None if hole_ns < 0 else hole_ns,
+        lift, count = int(leg["lift_n"]), int(leg["row_n"])
+        kept, free, near_ns = close_swing(
+            batch.rows[row], batch.row_values[row], lift, int(leg["commanded_n"]), count, onset_ns,
+            period_ns, int(leg["hole_ns"]),
         )  # fmt: skip
-        if len(kept) < lift:
-            for of in (batch.rows, batch.row_thetas, batch.row_targets, batch.row_asides):
-                of[row, : len(kept)] = of[row, kept]
-        leg["lift_n"] = leg["row_n"] = len(kept)
+        rows = self._rows(lift, free)
+        if free < count and batch.rows[row, free]["push"]:  # seldom: of a leg that has changed
+            rows = rows.then(not_pushed(self._rows(free, count), near_ns))
+        leg["lift_n"] = leg["row_n"] = kept
         leg["closed"] = True
         return rows
 
     def _rows(self, first: int, last: int) -> Rows:
         """Copy rows of the swing out of the arrays."""
         batch, at = self._place.batch, self._place.row
-        if first == last:
+        if first >= last:
             return NO_ROWS
-        return Rows(
-            batch.row_thetas[at, first:last].copy(),
-            batch.row_targets[at, first:last].copy(),
-            batch.rows[at, first:last].copy(),
-            batch.row_asides[at, first:last].copy(),
-        )
+        values, known = batch.row_values[at, first:last], batch.rows[at, first:last]
+        return Rows(values.copy(), known.copy(), batch.measured.shape[1])
 
 
-def confirmed_before(
-    lift: NDArray[np.void],
-    commanded: int,
-    descent: Rows,
-    onset_ns: int,
-    period_ns: int,
-    hole_ns: int | None,
-) -> tuple[list[int], Rows]:
-    """Select the rows of a swing with a contact that are free: those well before its onset.
-
-    Nearer to it, what the ground cannot have done is: the part of the movement that no push from
-    below accounts for.
+@compiled
+def let_go_row(rows, count):
+    """Find the part of a lift in which the foot is off the ground.
 
     Args:
-        lift: what is known of the rows of the lift, if its top has not been passed.
-        commanded: of these, the first so many had a command that went up, too.
-        descent: rows of the descent.
-        onset_ns: of the contact.
-        period_ns: control tick.
-        hole_ns: the last tick of the descent before a hole in its readings, None for none.
+        rows: what is known of the rows of a swing, see ``ROW``.
+        count: of these, those of the lift.
 
     Returns:
-        Which rows of the lift stay, and the rows of the descent that are confirmed.
+        Its first row, ``count`` for none, and the sum of the NIS from there.
+    """
+    first, total = 0, 0.0
+    if count and not rows[0].calm:
+        last = rows[count - 1].nis
+        limit = LET_GO_RATIO * max(1.0, min(last, rows[max(count - 2, 0)].nis))
+        first = count
+        while first > 0 and rows[first - 1].nis <= limit:
+            first -= 1
+    for k in range(first, count):
+        total += rows[k].nis
+    return first, total
+
+
+@compiled
+def close_swing(rows, values, lift, commanded, count, onset_ns, period_ns, hole_ns):
+    """Keep, of the rows of a swing with a contact, those that are free: well before its onset.
+
+    Args:
+        rows: of the swing, those of the lift first; those of it that stay move together.
+        values: likewise.
+        lift: how many are of the lift, if its top has not been passed.
+        commanded: of these, the first so many had a command that went up, too.
+        count: of all.
+        onset_ns: of the contact.
+        period_ns: control tick.
+        hole_ns: the last tick of the descent before a hole in its readings, -1 for none.
+
+    Returns:
+        How many rows of the lift stay, the first row of the descent that is not confirmed, and up
+        to when one may be that no push from below accounts for.
     """
     near_ns = onset_ns - NEAR_TICKS * period_ns
-    if hole_ns is not None:
-        after_ns = next((t_ns for t_ns in descent.t_ns.tolist() if t_ns > hole_ns), onset_ns)
+    if hole_ns >= 0:
+        after_ns = onset_ns
+        for k in range(lift, count):
+            if rows[k].t_ns > hole_ns:
+                after_ns = rows[k].t_ns
+                break
         if onset_ns - after_ns <= HOLE_TICKS * period_ns:
             onset_ns, near_ns = hole_ns, 0
-    last = onset_ns - GUARD_TICKS * period_ns
+    last_ns = onset_ns - GUARD_TICKS * period_ns
     # A foot on its way up while its command comes down lags behind, or has been kicked up.
-    nis = lift["nis"].tolist()
-    limit = LET_GO_RATIO * max([1.0, *nis[:commanded]])
-    kept = [
-        k for k, t_ns in enumerate(lift["t_ns"].tolist())
-        if k < commanded or t_ns <= last or nis[k] <= limit
-    ]  # fmt: skip
-    before = bisect.bisect_right(descent.t_ns.tolist(), last)
-    return kept, descent[:before].then(_not_pushed(descent[before:], near_ns))
+    limit = 1.0
+    for k in range(commanded):
+        limit = max(limit, rows[k].nis)
+    limit *= LET_GO_RATIO
+    kept = 0
+    for k in range(lift):
+        if k < commanded or rows[k].t_ns <= last_ns or rows[k].nis <= limit:
+            if kept < k:
+                rows[kept], values[kept] = rows[k], values[k]
+            kept += 1
+    free = lift
+    while free < count and rows[free].t_ns <= last_ns:
+        free += 1
+    return kept, free, near_ns
 
 
-def confirmed_of(descent: Rows) -> Rows:
-    """Select the confirmed rows of a descent after which the next stance has begun."""
-    return descent[:-LAST_TICKS]
-
-
-def let_go_rows(rows: Rows) -> Rows | None:
-    """Select the part of a lift in which the foot is off the ground; None if it is too short."""
-    if rows and not rows.known["calm"][0]:
-        nis = rows.nis.tolist()
-        limit = LET_GO_RATIO * max(1.0, min(nis[-2:]))
-        first = len(nis)
-        while first > 0 and nis[first - 1] <= limit:
-            first -= 1
-        rows = rows[first:]
-    return rows if len(rows) >= MIN_LIFT_ROWS else None
-
-
-def _moving(rows: Rows) -> Rows:
+def moving(rows: Rows) -> Rows:
     """Select the ticks in which no reading repeats itself where the model expects motion.
 
     What it repeats may be true, and the model wrong; but a foot that is held fast repeats its
     readings, too.
     """
     repeats = rows.known["repeats"]
-    return rows[~repeats] if repeats.any() else rows
+    return rows[~repeats] if any(repeats.tolist()) else rows
 
 
-def _not_pushed(rows: Rows, last_ns: int) -> Rows:
+def not_pushed(rows: Rows, last_ns: int) -> Rows:
     """Select, of a leg that has changed, the ticks that no push from below accounts for."""
-    if not (rows and rows.known["push"][0]):  # as in nearly every swing
-        return NO_ROWS
     pushed = (rows.t_ns > last_ns) | ~rows.known["push"] | (rows.known["sigma"] > PUSHED_SIGMA)
     if pushed.any():
         rows = rows[: int(pushed.argmax())]
     found = rows[rows.nis > MISSED_NIS]
-    return Rows(found.theta, found.aside, found.known, found.aside)
+    found.target[:] = found.aside
+    return found
 
 
 class Regions:

@@ -12,11 +12,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Mask
-from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, moves_at_most
+from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, moves_at_most, squares
 from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
 from adaptive_contact.model.change_prior import change_directions, core_support
 from adaptive_contact.model.free_motion import Covariance
-from adaptive_contact.model.labelled_swing import Row, Rows
+from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 
@@ -73,9 +73,8 @@ class FirstSwings:
 
 
 class _Good(NamedTuple):
-    """Holds the coefficients of a model that fitted, with the recursion that went on from it."""
+    """Holds a model that fitted, as the recursion that went on from it."""
 
-    coefficients: Array
     version: int
     rls: RecursiveLeastSquares
     inflated: bool
@@ -92,6 +91,7 @@ class ActiveModel:
         baseline: the model at the start.
         recursion: recursive least squares, which move the model.
         inflated: whether the recursion's covariance was, since the recursion began.
+        as_made: the model as it was last asked for; rows learned since are not in it.
     """
 
     def __init__(self, known: LegBaseline, *, on_fall: Callable[[str], None]) -> None:
@@ -100,14 +100,15 @@ class ActiveModel:
         self._settings = None if known.spread is None else RlsSettings(bound=PRIOR_BOUND)
         self._on_fall = on_fall
         self._noise = known.noise.rms
-        self._scale = np.array(known.scale)
-        self._model = known.model
-        self._coefficients = known.model.coefficients
-        self._moved = False  # the recursion has, since they were made
-        _, _, self.recursion, self.inflated = self._start()
+        self._per_noise, self._scale = 1.0 / known.noise.rms, np.array(known.scale)
+        # Copies, as compiled code takes an array that may not be written to for another kind.
+        self._known = np.array(known.model.coefficients, order="C")
         # What a term may move a tick by, at most.
         own = np.abs(known.model.coefficients * known.scale[:, None]).max()
         self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
+        self.as_made = known.model
+        self._moved = False  # the recursion has, since it was made
+        _, self.recursion, self.inflated = self._start()
         self._good: _Good | None = None
         self._better_baseline = 0  # lifts in a row
 
@@ -115,29 +116,20 @@ class ActiveModel:
     def model(self) -> LegModel:
         """Model in force; made on demand, as most rows are learned while the leg stands."""
         if self._moved:
-            self._take_coefficients()
+            self.as_made = self.as_made.moved(self.recursion.coefficients, self.version)
+            self._moved = False
         return self.as_made
 
     @property
     def version(self) -> int:
         """Of the model, without making it."""
-        moved = self._moved or self._coefficients is not self._model.coefficients
-        return max(1, self._model.version) if moved else self._model.version
+        version = self.as_made.version
+        return max(1, version) if self._moved else version
 
     @property
     def coefficients(self) -> Array:
-        """(p, J) of the model in force; made on demand, as most rows are learned in stances."""
-        if self._moved:
-            self._take_coefficients()
-        return self._coefficients
-
-    @property
-    def as_made(self) -> LegModel:
-        """Model as it was last asked for; rows learned since are not in it."""
-        if self._coefficients is not self._model.coefficients:
-            self._model = self._model.moved(self._coefficients, self.version)
-            self._coefficients = self._model.coefficients
-        return self._model
+        """(p, J) of the model in force; written over by the next row that is learned."""
+        return self.recursion.current
 
     @property
     def covariance(self) -> Covariance | None:
@@ -149,10 +141,17 @@ class ActiveModel:
         """Whether the recursion goes on from a prior."""
         return self.inflated and self._spread is not None
 
-    def learn(self, row: Row) -> list[float]:
-        """Learn a row; return its J innovations over the noise, from before it was learned."""
+    def learn(self, values: Array, at: int) -> None:
+        """Learn a row, as :meth:`RecursiveLeastSquares.learn`; fall back where it is implausible.
+
+        An implausible model is replaced by the last good one, or by the one at the start.
+        """
         self._moved = True
-        return self.recursion.update(row.theta, row.target)
+        if self.recursion.learn(values, at):
+            return
+        good = self._good or self._start()
+        self.recursion, self.inflated = good.rls.copy(), good.inflated
+        self._on_fall("the baseline" if self._good is None else "the last good model")
 
     def uncertainty(self, rows: Rows) -> float:
         """Compute the variance of predictions that comes from the coefficients, over the noise's.
@@ -169,16 +168,16 @@ class ActiveModel:
 
     def remember(self) -> None:
         """Keep the model in force as the last good one."""
-        coefficients, before = self.coefficients, self._good
+        before = self._good
         rls = self.recursion.copy(None if before is None else before.rls)
-        self._good = _Good(coefficients, self.version, rls, self.inflated)
+        self._good = _Good(self.version, rls, self.inflated)
 
     def recall(self) -> None:
         """Restore the last good model: what was learned since was of something else."""
         good = self._good
-        if good is None or good.version != self.model.version:
+        if good is None or good.version != self.version:
             return
-        self._put(self._model.moved(good.coefficients, good.version))
+        self._put(self.as_made.moved(good.rls.coefficients, good.version))
         self.recursion, self.inflated = good.rls.copy(), good.inflated
 
     def replace(self, model: LegModel) -> None:
@@ -194,8 +193,7 @@ class ActiveModel:
         """
         if self.version == 0:
             return False
-        own, known = self.coefficients, self.baseline.coefficients
-        now, before = self._error(rows, own), self._error(rows, known)
+        now, before = squares(rows.values, self._per_noise, self.coefficients, self._known)
         self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
         if self._better_baseline < RETURN_SWINGS:
             return False
@@ -204,7 +202,7 @@ class ActiveModel:
 
     def revert_to_baseline(self) -> None:
         """Put the baseline, or the prior, in force again; the version goes on."""
-        _, _, self.recursion, self.inflated = self._start()
+        _, self.recursion, self.inflated = self._start()
         self._moved = True
 
     def snapshot(self) -> dict[str, Any]:
@@ -229,10 +227,11 @@ class ActiveModel:
             raise ImplausibleError("its model is implausible")
         # A promoted model has a support of its own.
         rls = RecursiveLeastSquares(
-            state.coefficients, state.support, self._scale, self._noise, self._settings
-        )
+            state.coefficients, state.support, self._scale, self._noise, self._settings,
+            self._most_rad,
+        )  # fmt: skip
         rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
-        self._put(self._model.moved(state.coefficients, state.version))
+        self._put(self.as_made.moved(state.coefficients, state.version))
         self.recursion, self.inflated = rls, state.inflated
 
     def _start(self) -> _Good:
@@ -243,7 +242,7 @@ class ActiveModel:
         else:
             rls = self._recursion(model, (self._spread != 0.0).any(axis=1).T)
             rls.inflate(self._spread)
-        return _Good(model.coefficients, model.version, rls, self._spread is not None)
+        return _Good(model.version, rls, self._spread is not None)
 
     def _recursion(self, model: LegModel, more: Mask | None = None) -> RecursiveLeastSquares:
         """Return a recursion at a model, over its terms and (p, J) more of them."""
@@ -251,13 +250,8 @@ class ActiveModel:
         if more is not None:
             support |= more
         return RecursiveLeastSquares(
-            model.coefficients, support, self._scale, self._noise, self._settings
+            model.coefficients, support, self._scale, self._noise, self._settings, self._most_rad
         )
-
-    def _error(self, rows: Rows, coefficients: Array) -> float:
-        off = rows.residual(coefficients)
-        off /= self._noise
-        return float(np.vdot(off, off)) / off.size
 
     def plausible(self, coefficients: Array) -> bool:
         """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""
@@ -265,18 +259,6 @@ class ActiveModel:
         own = np.array(coefficients, order="C")
         return bool(moves_at_most(own, self._scale, self._most_rad))
 
-    def _take_coefficients(self) -> None:
-        """Take the recursion's coefficients over, or fall back where they are implausible."""
-        self._moved = False
-        coefficients, within = self.recursion.bounded(self._most_rad)
-        if within:
-            self._coefficients = coefficients
-            return
-        good = self._good or self._start()
-        self._coefficients = good.coefficients.copy()
-        self.recursion, self.inflated = good.rls.copy(), good.inflated
-        self._on_fall("the baseline" if self._good is None else "the last good model")
-
     def _put(self, model: LegModel) -> None:
         """Set the model in force."""
-        self._model, self._coefficients, self._moved = model, model.coefficients, False
+        self.as_made, self._moved = model, False

@@ -9,7 +9,7 @@ from __future__ import annotations
 import zlib
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from adaptive_contact.diagnose.change_classifier import ChangeClassifier
 from adaptive_contact.fit.refit_job import Refitter
@@ -22,7 +22,7 @@ from adaptive_contact.learn.drift import (
 )
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
-from adaptive_contact.learn.replay_buffer import ReplayBuffer
+from adaptive_contact.learn.replay_buffer import ReplayBuffer, RowQueue
 from adaptive_contact.learn.state import (
     FORMAT,
     ImplausibleError,
@@ -49,6 +49,13 @@ REFRESH_SWINGS: Final = 4
 # Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
 # fall into one tick.
 REFRESH_TICKS: Final = 16
+
+
+# What a tick of the learning may have moved of what the next one is judged by.
+Moved = Literal[0, 1, 2]
+NOTHING: Final = 0
+COEFFICIENTS: Final = 1
+ANYTHING: Final = 2
 
 
 class Standing(NamedTuple):
@@ -104,7 +111,7 @@ class Adapter:
         self._scale = known.scale
         self.active = ActiveModel(known, on_fall=self._fallen)
         self.first = None if known.spread is None else FirstSwings()
-        self._queue: deque[Row] = deque()
+        self._queue = RowQueue()
         self._learned_ns = -1  # the newest row learned
         self._suspected = NO_ROWS  # the descent after a suspected lift
         self._evidence: ChangeClassifier | None = None  # of the newest change
@@ -112,6 +119,7 @@ class Adapter:
         self._swings = 0  # since covariances were recomputed
         self._learned_swing = False
         self._refresh_in: int | None = None  # ticks
+        self._renewed = False  # covariances were, in this tick
         self.candidate = Candidate(
             leg, self._noise, self._scale, refitter, known.domain, self.active.plausible
         )
@@ -122,11 +130,6 @@ class Adapter:
     def model(self) -> LegModel:
         """Model in force."""
         return self.active.model
-
-    @property
-    def changed(self) -> bool:
-        """Whether the leg may differ from its model: begun with a prior, or by its lifts."""
-        return self.active.inflated or self.variance_in_force > 1.0
 
     @property
     def variance_in_force(self) -> float:
@@ -171,20 +174,13 @@ class Adapter:
         """Counts of refits, for the status."""
         return self.candidate.counts
 
-    def free_motion(self, *, wanted: bool) -> FreeMotion:
-        """Publish what the next tick is judged by.
-
-        Args:
-            wanted: the leg is in a swing; while it stands no tick needs the coefficients, and most
-                rows are learned then.
-        """
-        noise, active = self._noise_tracker, self.active
-        # First, as an implausible model is replaced when its coefficients are asked for.
-        coefficients = active.coefficients if wanted else None
-        changed = self.changed
+    def free_motion(self) -> FreeMotion:
+        """Publish what the next tick is judged by."""
+        noise, active, variance_scale = self._noise_tracker, self.active, self.variance_in_force
+        changed = active.inflated or variance_scale > 1.0
         return FreeMotion(
-            coefficients,
-            self.variance_in_force,
+            active.coefficients,
+            variance_scale,
             active.covariance,
             active.from_prior,
             changed,
@@ -211,7 +207,7 @@ class Adapter:
             case Label.DESCENT:
                 self._descent(part.rows, part.region)
             case Label.UNGATED:
-                self.active.learn(next(iter(part.rows)))
+                self.active.learn(part.rows.values, 0)
             case Label.CONTACT:
                 # While the leg is known, it is one to try candidates on.
                 if self.status == "valid" and part.touch is not None:
@@ -248,7 +244,7 @@ class Adapter:
         A row or two of them may have been learned, which the next swings outweigh; the buffer
         would have kept them.
         """
-        self._queue = deque(row for row in self._queue if row.t_ns < since_ns)
+        self._queue.drop_since(since_ns)
         self._suspected = self._suspected[self._suspected.t_ns < since_ns]
         self.buffer.drop_since(since_ns)
         self.monitor.distrust(since_ns)
@@ -265,8 +261,8 @@ class Adapter:
 
     def new_source(self) -> None:
         """Follow a restart of the source: times from before do not compare with its own."""
-        while self._queue:
-            self._learn(self._queue.popleft())
+        while self._queue.waiting:
+            self._learn()
         self._suspected = NO_ROWS
         self._learned_ns = -1
         self.confirmed_ns.clear()
@@ -297,30 +293,32 @@ class Adapter:
         if self.mode.refits:
             self.candidate.swing_done(self.model, self.buffer, self._era, learned=learned)
 
-    def tick(self, budget: int) -> bool:
+    def tick(self, budget: int) -> Moved:
         """Learn a few rows and collect a refit that is due; once per control tick.
 
         Args:
             budget: rows at most.
 
         Returns:
-            Whether what is known of free motion may be another.
+            What of free motion may be another.
         """
-        moved = bool(self._queue)
-        if self._queue:
+        moved: Moved = NOTHING
+        if self._queue.waiting:
+            moved = COEFFICIENTS
             for _ in range(self._share(budget)):
-                if not self._queue:  # a model that falls takes the rows that wait with it
+                if not self._queue.waiting:  # a model that falls takes the rows that wait with it
                     break
-                self._learn(self._queue.popleft())
-        moved |= self.candidate.tick()
-        if self._noise_tracker.domain is not self.candidate.domain:
-            self._noise_tracker.domain, moved = self.candidate.domain, True
+                self._learn()
+        if self.candidate.tick():
+            self._noise_tracker.domain, moved = self.candidate.domain, ANYTHING
         if self._noise_tracker.refreshing and self._noise_tracker.go_on():
-            moved = True
+            moved = ANYTHING
         if self._refresh_in is not None:
             self._refresh_in -= 1
             if self._refresh_in < 0:
                 self._refresh(at_once=False)
+        if self._renewed:
+            self._renewed, moved = False, ANYTHING
         return moved
 
     def _share(self, budget: int) -> int:
@@ -329,7 +327,7 @@ class Adapter:
         A swing brings some twenty rows and takes twice as many ticks; a queue that grows longer
         than a swing's is worked off at the full rate.
         """
-        return budget if self.monitor.status != "valid" or len(self._queue) > CALM_QUEUE else 1
+        return budget if self.monitor.status != "valid" or self._queue.waiting > CALM_QUEUE else 1
 
     def snapshot(self) -> dict[str, Any]:
         """Return what has been learned, for :meth:`restore`."""
@@ -392,25 +390,30 @@ class Adapter:
         self._era += 1
         if self.mode.recursive:
             self.active.inflate()
-        self.candidate.withdraw()
+        self._withdraw()
         self._refresh()
+
+    def _withdraw(self) -> None:
+        """Drop refit and candidate, and what they have widened."""
+        self.candidate.withdraw()
+        self._noise_tracker.domain = self.candidate.domain
 
     def _confirm(self, rows: Rows, region: int) -> None:
         """Take free rows: into the replay buffer, the noise tracker and the recursion's queue."""
         cleared = rows.known["cleared"]
-        if not cleared.all():
+        if not all(cleared.tolist()):
             rows = rows[cleared]
         self._learned_swing |= bool(rows)
         if self._evidence is not None and not self._evidence.complete:
             self._evidence.add(rows)
             self.monitor.kind = self._evidence.kind
-        if self.monitor.status == "valid" and rows and rows.known["lift"][0]:
+        if self.monitor.status == "valid" and rows and rows.lifting:
             # Lifts only: soft ground may be among the last rows of a descent.
             self._noise_tracker.count(rows)
         self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
         if self.mode.recursive:
-            self._queue.extend(rows)
+            self._queue.add(rows)
         else:
             for row in rows:
                 self._compare(row)
@@ -421,21 +424,24 @@ class Adapter:
             return
         self.active.revert_to_baseline()
         self._queue.clear()
-        self.candidate.withdraw()
+        self._withdraw()
         self.candidate.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self.monitor.mark_unchanged()
         self._evidence = None
         self._era += 1
         self._refresh()
 
-    def _learn(self, row: Row) -> None:
-        """Learn a row, and let a candidate, if there is one, be tried on it."""
-        self._learned_ns = row.t_ns
-        innovations = self.active.learn(row)
+    def _learn(self) -> None:
+        """Learn the next row, and let a candidate, if there is one, be tried on it."""
+        active, values = self.active, self._queue.values
+        at, self._learned_ns = self._queue.pop()
+        active.learn(values, at)
         if self.candidate.trying:
+            terms, joints = active.coefficients.shape
+            row = Row(values[at, :terms], values[at, terms : terms + joints], self._learned_ns)
             # Remade only for the row that decides: that is the model which stands by if replaced.
-            deciding, active = self.candidate.deciding, self.active
-            self._try(row, innovations, active.model if deciding else active.as_made)
+            model = active.model if self.candidate.deciding else active.as_made
+            self._try(row, active.recursion.innovations, model)
 
     def _compare(self, row: Row) -> None:
         """Let a candidate be tried on a row that is not learned."""
@@ -456,7 +462,7 @@ class Adapter:
         Args:
             at_once: now, as what they are of is another model or leg; else within a few ticks.
         """
-        self._swings, self._refresh_in = 0, None
+        self._swings, self._refresh_in, self._renewed = 0, None, at_once
         residuals, context = self.buffer.residuals(self.active.coefficients, self._era)
         if at_once:
             self._noise_tracker.refresh(residuals, context)
@@ -466,6 +472,6 @@ class Adapter:
     def _fallen(self, back_to: str) -> None:
         """Follow a return to another model, as the one in force was implausible."""
         self._queue.clear()
-        self.candidate.withdraw()
+        self._withdraw()
         self.candidate.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
         self._refresh()

@@ -32,6 +32,7 @@ FIRST_ROOM: Final = 2048
 FULL: Final = 0.8
 SPARE: Final = 1.5
 _EVICTED: Final = -1  # era of rows that are kept no more
+QUEUE_ROOM: Final = 64  # rows that wait to be learned, at first
 
 
 class Segment(NamedTuple):
@@ -67,8 +68,9 @@ class ReplayBuffer:
     _held: int = 0  # rows
     _of_source: int = 0  # segments, the newest: whose times are of the source in force
     _used: int = 0  # rows of the arrays, those evicted among them
-    _theta: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
-    _target: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    _terms: int = 0  # p
+    # (rows, p + J) regressors and movements, side by side
+    _values: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     _context: Ints = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
     _eras: Ints = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
 
@@ -78,8 +80,8 @@ class ReplayBuffer:
         found = []
         for s in self._segments:
             rows = slice(s.first, s.first + s.count)
-            theta, target, context = self._theta[rows], self._target[rows], self._context[rows]
-            found.append(Segment(theta, target, context, s.cell, s.era, s.t_ns))
+            theta, target = self._values[rows, : self._terms], self._values[rows, self._terms :]
+            found.append(Segment(theta, target, self._context[rows], s.cell, s.era, s.t_ns))
         return found
 
     @property
@@ -96,9 +98,10 @@ class ReplayBuffer:
         """Take in the confirmed rows of a lift or of a descent."""
         if not rows:
             return
-        cell = (0 if rows.known["lift"][0] else 1, region)
-        t_ns = int(rows.known["t_ns"][-1])
-        self._append(Segment(rows.theta, rows.target, rows.known["context"], cell, era, t_ns))
+        last = rows.values.shape[1] - rows.joints  # what was moved aside is not kept
+        cell, t_ns = (0 if rows.lifting else 1, region), int(rows.known[-1]["t_ns"])
+        place = _Place(self._used, len(rows), cell, era, t_ns)
+        self._append(place, rows.values[:, :last], rows.known["context"], last - rows.joints)
         self._of_source += 1
         if len(self._segments) > self.limit and (
             self._held > self.rows or len(self._segments) > MOST_SEGMENTS
@@ -114,8 +117,9 @@ class ReplayBuffer:
         """
         used = slice(self._used)
         if not self._used:
-            return self._target, self._context
-        off = self._target[used] - self._theta[used] @ coefficients
+            return np.zeros((0, coefficients.shape[1])), self._context
+        values, p = self._values[used], self._terms
+        off = values[:, p:] - values[:, :p] @ coefficients
         of_era = self._eras[used] == era
         return off[of_era], self._context[used][of_era]
 
@@ -123,27 +127,26 @@ class ReplayBuffer:
         """Count the segments of an era."""
         return sum(segment.era == era for segment in self._segments)
 
-    def _append(self, segment: Segment) -> None:
+    def _append(self, place: _Place, values: Array, context: Ints, terms: int) -> None:
         """Write a segment behind the others."""
-        count = len(segment.target)
-        if self._used + count > len(self._eras):
-            self._make_room(count, segment.theta.shape[1], segment.target.shape[1])
-        first, end = self._used, self._used + count
-        self._theta[first:end], self._target[first:end] = segment.theta, segment.target
-        self._context[first:end], self._eras[first:end] = segment.context, segment.era
-        self._used = end
-        self._segments.append(_Place(first, count, segment.cell, segment.era, segment.t_ns))
-        self._cells[segment.cell] += 1
-        self._held += count
+        if self._used + place.count > len(self._eras):
+            self._make_room(place.count, values.shape[1])
+        place.first, self._terms = self._used, terms
+        rows = slice(self._used, self._used + place.count)
+        self._values[rows], self._context[rows], self._eras[rows] = values, context, place.era
+        self._used = rows.stop
+        self._segments.append(place)
+        self._cells[place.cell] += 1
+        self._held += place.count
 
-    def _make_room(self, count: int, terms: int, joints: int) -> None:
+    def _make_room(self, count: int, width: int) -> None:
         """Move what is kept together; into larger arrays, where it nearly fills these."""
-        arrays = before = self._theta, self._target, self._context, self._eras
+        arrays = before = self._values, self._context, self._eras
         if self._held + count > FULL * len(self._eras):
             room = max(FIRST_ROOM, int(SPARE * (self._held + count)))
-            self._theta, self._target = np.zeros((room, terms)), np.zeros((room, joints))
+            self._values = np.zeros((room, width))
             self._context, self._eras = np.zeros(room, np.int64), np.zeros(room, np.int64)
-            arrays = self._theta, self._target, self._context, self._eras
+            arrays = self._values, self._context, self._eras
         self._used = 0
         for segment in self._segments:
             # One by one: a copy of all in between would leave holes in the process's memory.
@@ -165,8 +168,8 @@ class ReplayBuffer:
         """Drop one: first of older eras, then the oldest of the fullest cell."""
         index = 0  # eras are in order
         if self._segments[0].era == self._segments[-1].era:
-            most = max(self._cells.values())
-            index = next(i for i, s in enumerate(self._segments) if self._cells[s.cell] == most)
+            cells, most = self._cells, max(self._cells.values())
+            index = next(i for i, s in enumerate(self._segments) if cells[s.cell] == most)
         self._of_source -= index >= len(self._segments) - self._of_source
         self._drop(self._segments[index])
         del self._segments[index]
@@ -223,6 +226,59 @@ class ReplayBuffer:
         self._segments.clear()
         self._cells.clear()
         self._held = self._used = self._of_source = 0
-        for segment in segments[-MOST_SEGMENTS:]:
-            self._append(segment)
+        for s in segments[-MOST_SEGMENTS:]:
+            place = _Place(0, len(s.target), s.cell, s.era, s.t_ns)
+            values = np.concatenate([s.theta, s.target], axis=1)
+            self._append(place, values, s.context, s.theta.shape[1])
         self._bound()
+
+
+class RowQueue:
+    """Queues confirmed rows until the recursion learns them, a few in each tick.
+
+    Attributes:
+        values: (n, p + 2 J) as of :class:`Rows`, among others those that wait.
+        waiting: rows.
+    """
+
+    def __init__(self) -> None:
+        self.values: Array = np.zeros((0, 0))
+        self.waiting = 0
+        self._t_ns: Ints = np.zeros(0, np.int64)
+        self._first = 0
+
+    def add(self, rows: Rows) -> None:
+        """Queue rows behind the others."""
+        if not rows:
+            return
+        begin = self._first if self.waiting else 0
+        end = begin + self.waiting + len(rows)
+        if end > len(self.values):
+            before = slice(begin, begin + self.waiting)
+            values, t_ns = self.values[before], self._t_ns[before]
+            begin, end = 0, self.waiting + len(rows)
+            self.values = np.zeros((max(QUEUE_ROOM, 2 * end), rows.values.shape[1]))
+            self._t_ns = np.zeros(len(self.values), np.int64)
+            if self.waiting:
+                self.values[: self.waiting], self._t_ns[: self.waiting] = values, t_ns
+        self.values[end - len(rows) : end] = rows.values
+        self._t_ns[end - len(rows) : end] = rows.t_ns
+        self._first, self.waiting = begin, end - begin
+
+    def pop(self) -> tuple[int, int]:
+        """Take the oldest: its place in :attr:`values`, and its time, ns."""
+        at = self._first
+        self._first, self.waiting = at + 1, self.waiting - 1
+        return at, int(self._t_ns[at])
+
+    def clear(self) -> None:
+        """Drop all."""
+        self.waiting = 0
+
+    def drop_since(self, t_ns: int) -> None:
+        """Drop those of a time or later."""
+        rows = slice(self._first, self._first + self.waiting)
+        kept = self._t_ns[rows] < t_ns
+        values, times = self.values[rows][kept], self._t_ns[rows][kept]
+        self._first, self.waiting = 0, len(times)
+        self.values[: self.waiting], self._t_ns[: self.waiting] = values, times

@@ -54,6 +54,11 @@ class RecursiveLeastSquares:
         scale: (p,) typical size of each regressor.
         noise: (J,) rad, standard deviation of a residual.
         settings: see :class:`RlsSettings`.
+        most: that a term of a plausible model moves a typical tick by, rad.
+
+    Attributes:
+        rows: learned.
+        current: (p, J) coefficients at present; written over by the next row.
     """
 
     def __init__(
@@ -63,11 +68,12 @@ class RecursiveLeastSquares:
         scale: Array,
         noise: Array,
         settings: RlsSettings | None = None,
+        most: float = np.inf,
     ) -> None:
         self.settings = settings or RlsSettings()
-        self.noise, self._scale = noise.copy(), scale.copy()
+        self.noise, self._scale, self._most = noise.copy(), scale.copy(), most
         self.rows = 0
-        self._full = coefficients.copy()
+        self.current = np.array(coefficients, order="C")
         counts = support.sum(axis=0)
         size = int(counts.max(initial=0))
         self._counts = counts
@@ -88,16 +94,8 @@ class RecursiveLeastSquares:
 
     @property
     def coefficients(self) -> Array:
-        """(p, J) coefficients at present."""
-        return self.bounded(np.inf)[0]
-
-    def bounded(self, most: float) -> tuple[Array, bool]:
-        """Return the coefficients, and whether no term moves a typical tick by more, rad."""
-        full = self._full = self._full.copy()
-        within = write_raw(
-            self._xi, self._to_raw, self._index, self._counts, full, self._scale, most
-        )
-        return full, bool(within)
+        """(p, J) coefficients at present, a copy."""
+        return self.current.copy()
 
     @property
     def covariance(self) -> Array:
@@ -113,7 +111,7 @@ class RecursiveLeastSquares:
     @property
     def support(self) -> Mask:
         """(p, J) terms that may move, per joint."""
-        full = np.zeros(self._full.shape, dtype=bool)
+        full = np.zeros(self.current.shape, dtype=bool)
         full[self._places] = True
         return full
 
@@ -146,10 +144,10 @@ class RecursiveLeastSquares:
         """
         if into is None or into._index is not self._index:
             into = copy.copy(self)
-            into._xi, into._s = self._xi.copy(), self._s.copy()
+            into._xi, into._s, into.current = self._xi.copy(), self._s.copy(), self.current.copy()
             return into
-        into._xi[:], into._s[:] = self._xi, self._s
-        into._full, into.rows = self._full, self.rows
+        into._xi[:], into._s[:], into.current[:] = self._xi, self._s, self.current
+        into.rows = self.rows
         return into
 
     def reset_covariance(self) -> None:
@@ -160,7 +158,7 @@ class RecursiveLeastSquares:
 
     def reseed(self, coefficients: Array) -> None:
         """Take over the coefficients of an accepted refit; the covariance stays."""
-        self._full = coefficients.copy()
+        self.current[:] = coefficients
         self._xi = self._scaled(coefficients)
 
     @property
@@ -187,28 +185,42 @@ class RecursiveLeastSquares:
         return np.asarray(np.square(v).sum(axis=-1))
 
     def update(self, theta: Array, target: Array) -> list[float]:
-        """Learn one row.
-
-        Args:
-            theta: (p,) regressors.
-            target: (J,) rad, what they should have predicted.  A row with a value that is not
-                finite is left out.
+        """Learn a row by itself: (p,) regressors, and (J,) rad, what they should have predicted.
 
         Returns:
-            J innovations: how far the prediction was off before the row was learned, over the
-            noise.
+            :attr:`innovations`.
+        """
+        self.learn(np.concatenate([theta, target])[None], 0)
+        return self.innovations
+
+    def learn(self, values: Array, at: int) -> bool:
+        """Learn one row of several; one with a value that is not finite is left out.
+
+        Args:
+            values: (n, p + J and more) regressors, and behind them what they should have
+                predicted, rad.
+            at: which row.
+
+        Returns:
+            Whether the coefficients are plausible.
         """
         settings = self.settings
-        sound = learn_row(
-            theta, target, self._index, self._per_scale, self._per_noise, self._xi, self._s,
-            settings.forgetting, settings.huber, self._innovations, self._room,
+        sound, plausible = learn_row(
+            values, at, self._index, self._counts, self._per_scale, self._per_noise, self._to_raw,
+            self._xi, self._s, settings.forgetting, settings.huber, self._innovations, self._room,
+            self.current, self._scale, self._most,
         )  # fmt: skip
-        innovations: list[float] = self._innovations.tolist()
         if sound:
             self.rows += 1
             if self.rows % 64 == 0:
                 self._bound()
-        return innovations
+        return bool(plausible)
+
+    @property
+    def innovations(self) -> list[float]:
+        """J innovations: how far the last row was off its prediction, over the noise."""
+        found: list[float] = self._innovations.tolist()
+        return found
 
     def inflate(self, directions: Array) -> None:
         """Inflate the covariance along some directions, as the leg has changed.
@@ -247,16 +259,25 @@ class RecursiveLeastSquares:
 
 @compiled
 def learn_row(
-    theta, target, index, per_scale, per_noise, xi, s, forgetting, huber, innovations, room
+    values, at_row, index, counts, per_scale, per_noise, to_raw, xi, s, forgetting, huber,
+    innovations, room, current, scale, most,
 ):  # fmt: skip
-    """Learn one row, in place; False for one that is left out, its innovations not being finite.
+    """Learn one row, in place.
 
-    Of (p,) theta, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
+    Of its p regressors, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
     coefficients in units of scale and noise, ``s`` (J, n, n) the roots of their covariances.
-    (J,) ``innovations`` are filled, (2, J, n) ``room`` is scratch.
+    (J,) ``innovations`` and (p, J) ``current``, coefficients in raw units, are filled; (2, J, n)
+    ``room`` is scratch.
+
+    Returns:
+        Whether it was learned, or left out, as an innovation is not finite; and whether no term of
+        ``current`` moves a typical tick by more than ``most``.
     """
-    s, room = borrow(s), borrow(room)
+    s, room, current = borrow(s), borrow(room), borrow(current)
+    row = borrow(values)[at_row]
     joints, size = index.shape
+    terms = len(current)
+    theta, target = row[:terms], row[terms : terms + joints]
     whole = size - size % 4
     sound = True
     for j in range(joints):
@@ -268,7 +289,7 @@ def learn_row(
         innovations[j] = innovation
         sound &= math.isfinite(innovation)
     if not sound:
-        return False
+        return False, moves_at_most(current, scale, most)
     for j in range(joints):
         phi, v, root = room[0, j], room[1, j], s[j]
         v[:] = 0.0
@@ -300,20 +321,9 @@ def learn_row(
             at = sv * rate
             for c in range(size):
                 root[k, c] += at * v[c]
-    return True
-
-
-@compiled
-def write_raw(xi, to_raw, index, counts, full, scale, most):
-    """Write (J, n) coefficients in raw units to their places in (p, J) ``full``.
-
-    Returns:
-        Whether no term moves a typical tick by more than ``most``; false for NaN.
-    """
-    for j in range(len(counts)):
         for k in range(counts[j]):
-            full[index[j, k], j] = xi[j, k] * to_raw[j, k]
-    return moves_at_most(full, scale, most)
+            current[index[j, k], j] = xi[j, k] * to_raw[j, k]
+    return True, moves_at_most(current, scale, most)
 
 
 @compiled
@@ -324,3 +334,22 @@ def moves_at_most(coefficients, scale, most):
             if not abs(coefficients[i, j] * scale[i]) <= most:
                 return False
     return True
+
+
+@compiled
+def squares(values, per_noise, own, known):
+    """Sum the squared residuals of rows, over the noise, by (p, J) coefficients and by others."""
+    values, own, known = borrow(values), borrow(own), borrow(known)
+    terms, joints = own.shape
+    by_own = by_known = 0.0
+    for i in range(len(values)):
+        for j in range(joints):
+            off_own = off_known = values[i, terms + j]
+            for k in range(terms):
+                off_own -= values[i, k] * own[k, j]
+                off_known -= values[i, k] * known[k, j]
+            off_own *= per_noise[j]
+            off_known *= per_noise[j]
+            by_own += off_own * off_own
+            by_known += off_known * off_known
+    return by_own, by_known

@@ -23,8 +23,7 @@ class Covariance(NamedTuple):
 class FreeMotion(NamedTuple):
     """Holds all that a tick needs to judge a leg: model, whitening, thresholds, variance scale."""
 
-    # (p, J) of the model in force; None while the leg stands, when no tick needs them
-    coefficients: Array | None
+    coefficients: Array  # (p, J) of the model in force; good until the next row is learned
     # of the residuals, over the baseline's; 1 for a leg as it was first known
     variance_scale: float
     covariance: Covariance | None  # of the coefficients while it is inflated, else None

@@ -32,7 +32,7 @@ ROW: Final = np.dtype(
         ("lift", np.bool_),  # the foot was rising
         ("calm", np.bool_),  # the leg had been found free before
         ("cleared", np.bool_),  # the foot had left the ground before, by its height
-        ("push", np.bool_),  # `sigma` and the row of asides are set
+        ("push", np.bool_),  # `sigma` and what was moved aside from it are set
         ("repeats", np.bool_),  # a reading repeated itself where the model expected motion
     ],
     align=True,
@@ -51,23 +51,21 @@ class Rows:
     """Holds n ticks of a swing, in order, to learn from.
 
     Args:
-        theta: (n, p) regressors that predicted them.
-        target: (n, J) rad, the movements that were measured.
+        values: (n, p + 2 J), side by side: :attr:`theta`, :attr:`target` and :attr:`aside`.
         known: (n,) of :data:`ROW`, what was known of them.
-        aside: (n, J) rad, the movements without what a push from the ground can have made; where
-            the leg has changed, its geometry is known and the foot does not rise.
+        joints: J.
     """
 
-    __slots__ = ("aside", "known", "target", "theta")
+    __slots__ = ("joints", "known", "values")
 
-    def __init__(self, theta: Array, target: Array, known: NDArray[np.void], aside: Array) -> None:
-        self.theta, self.target, self.known, self.aside = theta, target, known, aside
+    def __init__(self, values: Array, known: NDArray[np.void], joints: int) -> None:
+        self.values, self.known, self.joints = values, known, joints
 
     def __len__(self) -> int:
         return len(self.known)
 
     def __getitem__(self, which: slice | Mask) -> Rows:
-        return Rows(self.theta[which], self.target[which], self.known[which], self.aside[which])
+        return Rows(self.values[which], self.known[which], self.joints)
 
     def __iter__(self) -> Iterator[Row]:
         return map(Row, self.theta, self.target, self.t_ns.tolist())
@@ -76,12 +74,39 @@ class Rows:
         """Return these and later ones."""
         if not (self and later):
             return self or later
-        pairs = ((getattr(self, name), getattr(later, name)) for name in _ARRAYS)
-        return Rows(*map(np.concatenate, pairs))
+        values, known = (self.values, later.values), (self.known, later.known)
+        return Rows(np.concatenate(values), np.concatenate(known), self.joints)
 
     def residual(self, coefficients: Array) -> Array:
         """Compute the (n, J) residuals, rad, under (p, J) coefficients."""
         return np.asarray(self.target - self.theta @ coefficients)
+
+    @property
+    def theta(self) -> Array:
+        """(n, p) regressors that predicted them."""
+        return self.values[:, : self._terms]
+
+    @property
+    def target(self) -> Array:
+        """(n, J) rad, the movements that were measured."""
+        return self.values[:, self._terms : self._terms + self.joints]
+
+    @property
+    def aside(self) -> Array:
+        """(n, J) rad, the movements without what a push from the ground can have made.
+
+        Where the leg has changed, its geometry is known and the foot does not rise.
+        """
+        return self.values[:, self._terms + self.joints :]
+
+    @property
+    def lifting(self) -> bool:
+        """Whether the foot was rising in the first of them."""
+        return bool(self.known[0]["lift"])
+
+    @property
+    def _terms(self) -> int:
+        return int(self.values.shape[1]) - 2 * self.joints
 
     @property
     def t_ns(self) -> Ints:
@@ -94,8 +119,7 @@ class Rows:
         return np.asarray(self.known["nis"])
 
 
-_ARRAYS: Final = ("theta", "target", "known", "aside")
-NO_ROWS: Final = Rows(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, ROW), np.zeros((0, 0)))
+NO_ROWS: Final = Rows(np.zeros((0, 0)), np.zeros(0, ROW), 0)
 
 
 class Touch(NamedTuple):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adaptive_contact.detect.contact import begin_labels, enter_row, note_hole
+from adaptive_contact.detect.contact import MIN_LIFT_ROWS, begin_labels, enter_row, note_hole
 from adaptive_contact.detect.history import (
     MAX_STEP_RAD_S,
     judged,
@@ -19,7 +19,7 @@ from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.detect.source import take_phase
 from adaptive_contact.detect.swing import follow_command, follow_foot, place_foot
 from adaptive_contact.detect.swing_judge import SwingJudge
-from adaptive_contact.detect.swing_labels import confirmed_before, confirmed_of, let_go_rows
+from adaptive_contact.detect.swing_labels import LAST_TICKS, close_swing, let_go_row, not_pushed
 from adaptive_contact.learn.lifecycle import ready_for_changes
 from adaptive_contact.model import Baseline, leg_library
 from adaptive_contact.model.labelled_swing import Rows
@@ -179,9 +179,9 @@ class Labels:
         joints = len(b.unit[0])
         before = int(leg["row_n"])
         enter_row(
-            leg, b.rows[0], b.row_thetas[0], b.row_targets[0], b.row_asides[0], b.theta[0],
-            b.history[0], row.nis * joints, row.value, row.calm, descending, b.whiten[0],
-            b.unit[0], b.last_measured[0], b.links[0], b.turns[0], b.room[0], b.room[1],
+            leg, b.rows[0], b.row_values[0], b.theta[0], b.history[0], row.nis * joints, row.value,
+            row.calm, descending, b.whiten[0], b.unit[0], b.last_measured[0], b.links[0],
+            b.turns[0], b.room[0], b.room[1],
         )  # fmt: skip
         if int(leg["row_n"]) > before:
             self._seen = [*self._seen[:before], row]
@@ -196,29 +196,34 @@ class Labels:
         if not leg["topped"] or leg["broken"] or self._lift_taken or not leg["lift_n"]:
             return None
         self._lift_taken = True
-        return let_go_rows(self._rows(0, int(leg["lift_n"])))
+        count = int(leg["lift_n"])
+        first, _ = let_go_row(self.place.batch.rows[0], count)
+        return self._rows(first, count) if count - first >= MIN_LIFT_ROWS else None
 
     def alarm(self, onset_ns: int, period_ns: int) -> Rows:
         """A contact was reported."""
-        leg = self.place.leg
+        b, leg = self.place.batch, self.place.leg
         lift, count = int(leg["lift_n"]), int(leg["row_n"])
-        hole = int(leg["hole_ns"])
-        kept, rows = confirmed_before(
-            self._rows(0, lift).known, int(leg["commanded_n"]), self._rows(lift, count), onset_ns,
-            period_ns, None if hole < 0 else hole,
+        kept, free, near_ns = close_swing(
+            b.rows[0], b.row_values[0], lift, int(leg["commanded_n"]), count, onset_ns, period_ns,
+            int(leg["hole_ns"]),
         )  # fmt: skip
-        self.place.batch.rows[0, : len(kept)] = self.place.batch.rows[0, kept]
-        self._seen = [self._seen[k] for k in kept]
-        leg["lift_n"] = leg["row_n"] = len(kept)
+        rows, rest = self._rows(lift, free), self._rows(free, count)
+        if rest and rest.known[0]["push"]:
+            rows = rows.then(not_pushed(rest, near_ns))
+        times = b.rows[0, :kept]["t_ns"].tolist()
+        self._seen = [tick for tick in self._seen[:lift] if tick.t_ns in times]
+        leg["lift_n"] = leg["row_n"] = kept
         leg["closed"] = True
         return rows
 
     def resolve(self) -> Rows:
         """The next stance has begun."""
         leg = self.place.leg
-        rows = self._rows(int(leg["lift_n"]), int(leg["row_n"]))
+        lift, count = int(leg["lift_n"]), int(leg["row_n"])
+        rows = self._rows(lift, max(lift, count - LAST_TICKS))
         leg["row_n"], leg["closed"] = leg["lift_n"], True
-        return confirmed_of(rows)
+        return rows
 
     def _rows(self, first: int, last: int) -> Rows:
         found = self.place.batch.rows[0, first:last]

@@ -21,7 +21,7 @@ from adaptive_contact.learn.adapter import (
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
 from adaptive_contact.model import Baseline, Domain, Factor
-from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Row, Rows
+from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Rows
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.robot import Leg, Robot, parse_robot
 from adaptive_contact.wire import DriftLevel
@@ -124,7 +124,8 @@ def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter, scale: A
 
     def jump(rows: Rows) -> Rows:
         rows.known["nis"], rows.known["value"] = 300.0, 900.0
-        return Rows(rows.theta, rng.normal(size=(len(rows), 3)) * 50.0, rows.known, rows.aside)
+        rows.target[:] = rng.normal(size=(len(rows), 3)) * 50.0
+        return rows
 
     lifts(adapter, scale, 40, jump)
     moved = np.abs(adapter.model.coefficients * scale[:, None]).max()
@@ -337,10 +338,9 @@ def test_a_model_that_falls_in_the_midst_of_a_tick_takes_the_rows_that_wait_with
     adapter.learn(LabelledSwing(Label.DESCENT, lift_of(np.zeros((30, p)), np.zeros((30, 3)))))
     learned = []
 
-    def falls(row: Row) -> list[float]:
-        learned.append(row)
+    def falls(_: Array, at: int) -> None:
+        learned.append(at)
         adapter.distrust(0)
-        return [0.0] * 3
 
     monkeypatch.setattr(adapter.active, "learn", falls)
     adapter.tick(3)

@@ -70,7 +70,7 @@ def spread_of(life: Lifecycle) -> np.ndarray:
     """(J, p) deviations of the coefficients, as far as they may move."""
     adapter = life.adapter
     assert adapter is not None
-    covariance = adapter.free_motion(wanted=True).covariance
+    covariance = adapter.free_motion().covariance
     assert covariance is not None
     return np.sqrt(np.square(covariance.root).sum(axis=2))
 

@@ -15,7 +15,6 @@ import pytest
 from adaptive_contact.fit import FitSettings, fit_sparse
 from adaptive_contact.learn.active_model import ActiveModel
 from adaptive_contact.model import Factor, Library, Window, stack, with_changes
-from adaptive_contact.model.labelled_swing import Row
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact_studies.paper.log_files import Recording, load_logs
@@ -117,5 +116,5 @@ def followed(active: ActiveModel, theta: np.ndarray, increment: np.ndarray) -> n
     off = []
     for row, moved in zip(theta, increment, strict=True):
         off.append(moved[0] - row @ active.coefficients[:, 0])
-        active.learn(Row(row, moved, 0))
+        active.learn(np.concatenate([row, moved])[None], 0)
     return np.array(off)

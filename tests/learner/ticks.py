@@ -46,4 +46,5 @@ def rows_of(ticks: Sequence[Tick]) -> Rows:
     known["sigma"] = [0.0 if tick.push is None else tick.push.sigma for tick in ticks]
     target = np.array([tick.target for tick in ticks])
     aside = np.array([tick.target if tick.push is None else tick.push.aside for tick in ticks])
-    return Rows(np.array([tick.theta for tick in ticks]), target, known, aside)
+    values = np.concatenate([np.array([tick.theta for tick in ticks]), target, aside], axis=1)
+    return Rows(values, known, target.shape[1])

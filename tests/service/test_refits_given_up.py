@@ -43,8 +43,8 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
     rng = np.random.default_rng(0)
     buffer = ReplayBuffer()
     for _ in range(40):
-        theta, known = np.tile(rng.normal(size=p), (12, 1)), np.zeros(12, dtype=ROW)
-        buffer.add(Rows(theta, np.zeros((12, 2)), known, np.zeros((12, 2))), 0, 0)
+        values = np.concatenate([np.tile(rng.normal(size=p), (12, 1)), np.zeros((12, 4))], axis=1)
+        buffer.add(Rows(values, np.zeros(12, dtype=ROW), 2), 0, 0)
     for status, words in (
         (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
         (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
