@@ -193,8 +193,9 @@ class LegReport:
         """Set for the tick whether contacts are reported, and in a swing that begins with it."""
         self.read_standing()
         leg, doubt = self._place.leg, self.doubt
-        leg["withholds"] = doubt is not None and self._withholds_at(doubt, fits=bool(leg["fits"]))
-        leg["withholds_begun"] = self._withholds_at(doubt, fits=False)
+        begun = leg["withholds_begun"] = self._withholds_at(doubt, fits=False)
+        # A leg that fits may have contacts reported that others have withheld, never the other way.
+        leg["withholds"] = begun and self._withholds_at(doubt, fits=bool(leg["fits"]))
 
     @property
     def misread(self) -> bool:

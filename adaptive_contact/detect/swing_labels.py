@@ -11,6 +11,7 @@ ticks before the onset is learned, too.
 from __future__ import annotations
 
 import functools
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Final
@@ -326,16 +327,27 @@ class Regions:
     """
 
     def __init__(self) -> None:
-        self._first, self._last = (deque[float](maxlen=SEGMENTS) for _ in range(2))
+        self._first, self._last = _Range(), _Range()
 
     def of(self, at: Sequence[float]) -> int:
         """Return the region, 0 to 5, of a command, (J,) rad."""
-        return 2 * _part(at[0], self._first, 3) + _part(at[-1], self._last, 2)
+        return 2 * self._first.part(at[0], 3) + self._last.part(at[-1], 2)
 
 
-def _part(value: float, seen: deque[float], parts: int) -> int:
-    """Note a value; compute which of so many equal parts of the range seen it lies in."""
-    seen.append(value)
-    least = min(seen)
-    width = max(seen) - least
-    return 0 if width <= 0.0 else min(int(parts * (value - least) / width), parts - 1)
+class _Range:
+    """Holds the range of the newest values."""
+
+    def __init__(self) -> None:
+        self._seen = deque[float](maxlen=SEGMENTS)
+        self._least, self._most = math.inf, -math.inf
+
+    def part(self, value: float, parts: int) -> int:
+        """Note a value; compute which of so many equal parts of the range it lies in."""
+        seen = self._seen
+        goes = seen[0] if len(seen) == SEGMENTS else None
+        seen.append(value)
+        if goes is not None and not self._least < goes < self._most:
+            self._least, self._most = min(seen), max(seen)
+        self._least, self._most = min(self._least, value), max(self._most, value)
+        width = self._most - self._least
+        return 0 if width <= 0.0 else min(int(parts * (value - self._least) / width), parts - 1)

@@ -22,7 +22,7 @@ from adaptive_contact.learn.drift import (
 )
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
-from adaptive_contact.learn.replay_buffer import ReplayBuffer, RowQueue
+from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.learn.state import (
     FORMAT,
     ImplausibleError,
@@ -103,7 +103,7 @@ class Adapter:
         self.baseline = known.model
         self.monitor = DriftMonitor(len(known.noise.rms))
         self.early = EarlyContacts()
-        self.buffer = ReplayBuffer(rows=rows_for_refit(known.model))
+        self.buffer = ReplayBuffer(rows=rows_for_refit(known.model), queues=mode.recursive)
         self._noise_tracker = noise_tracker
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
@@ -111,8 +111,7 @@ class Adapter:
         self._scale = known.scale
         self.active = ActiveModel(known, on_fall=self._fallen)
         self.first = None if known.spread is None else FirstSwings()
-        self._queue = RowQueue()
-        self._learned_ns = -1  # the newest row learned
+        self._learned_ns = -1  # end of the segment of the newest row learned
         self._suspected = NO_ROWS  # the descent after a suspected lift
         self._evidence: ChangeClassifier | None = None  # of the newest change
         self._era = 0
@@ -244,7 +243,6 @@ class Adapter:
         A row or two of them may have been learned, which the next swings outweigh; the buffer
         would have kept them.
         """
-        self._queue.drop_since(since_ns)
         self._suspected = self._suspected[self._suspected.t_ns < since_ns]
         self.buffer.drop_since(since_ns)
         self.monitor.distrust(since_ns)
@@ -261,7 +259,7 @@ class Adapter:
 
     def new_source(self) -> None:
         """Follow a restart of the source: times from before do not compare with its own."""
-        while self._queue.waiting:
+        while self.buffer.unlearned:
             self._learn()
         self._suspected = NO_ROWS
         self._learned_ns = -1
@@ -290,8 +288,9 @@ class Adapter:
             self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
         if self.monitor.status == "valid" and self.monitor.variance_scale < SETTLED_LEVEL:
             self.active.remember()
-        if self.mode.refits:
-            self.candidate.swing_done(self.model, self.buffer, self._era, learned=learned)
+        period_s = self.baseline.library.period_s
+        if self.mode.refits and self.candidate.swing_done(period_s, learned=learned):
+            self.candidate.request(self.model, self.buffer, self._era)
 
     def tick(self, budget: int) -> Moved:
         """Learn a few rows and collect a refit that is due; once per control tick.
@@ -303,10 +302,10 @@ class Adapter:
             What of free motion may be another.
         """
         moved: Moved = NOTHING
-        if self._queue.waiting:
+        if self.buffer.unlearned:
             moved = COEFFICIENTS
             for _ in range(self._share(budget)):
-                if not self._queue.waiting:  # a model that falls takes the rows that wait with it
+                if not self.buffer.unlearned:  # a model that falls takes the rows that wait with it
                     break
                 self._learn()
         if self.candidate.tick():
@@ -327,7 +326,7 @@ class Adapter:
         A swing brings some twenty rows and takes twice as many ticks; a queue that grows longer
         than a swing's is worked off at the full rate.
         """
-        return budget if self.monitor.status != "valid" or self._queue.waiting > CALM_QUEUE else 1
+        return budget if self.monitor.status != "valid" or self.buffer.unlearned > CALM_QUEUE else 1
 
     def snapshot(self) -> dict[str, Any]:
         """Return what has been learned, for :meth:`restore`."""
@@ -412,9 +411,7 @@ class Adapter:
             self._noise_tracker.count(rows)
         self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
-        if self.mode.recursive:
-            self._queue.add(rows)
-        else:
+        if not self.mode.recursive:
             for row in rows:
                 self._compare(row)
 
@@ -423,7 +420,7 @@ class Adapter:
         if not self.active.baseline_is_better(rows):
             return
         self.active.revert_to_baseline()
-        self._queue.clear()
+        self.buffer.learn_no_more()
         self._withdraw()
         self.candidate.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self.monitor.mark_unchanged()
@@ -433,8 +430,8 @@ class Adapter:
 
     def _learn(self) -> None:
         """Learn the next row, and let a candidate, if there is one, be tried on it."""
-        active, values = self.active, self._queue.values
-        at, self._learned_ns = self._queue.pop()
+        active, values = self.active, self.buffer.values
+        at, self._learned_ns = self.buffer.next_unlearned()
         active.learn(values, at)
         if self.candidate.trying:
             terms, joints = active.coefficients.shape
@@ -471,7 +468,7 @@ class Adapter:
 
     def _fallen(self, back_to: str) -> None:
         """Follow a return to another model, as the one in force was implausible."""
-        self._queue.clear()
+        self.buffer.learn_no_more()
         self._withdraw()
         self.candidate.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
         self._refresh()

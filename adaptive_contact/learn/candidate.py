@@ -166,24 +166,28 @@ class Candidate:
         reasons = "; ".join(filter(None, (self._reason, self._wait))) or None
         return RefitCounts(**self._counts, last_reason=reasons)
 
-    def swing_done(
-        self, model: LegModel, buffer: ReplayBuffer, era: int, *, learned: bool = True
-    ) -> None:
-        """Ask for a refit when it is time and there is enough to fit to.
+    def swing_done(self, period_s: float, *, learned: bool = True) -> bool:
+        """Count a swing; return whether it is time to :meth:`request` a refit.
+
+        Args:
+            period_s: control tick.
+            learned: some of its ticks were confirmed.
+        """
+        self._swings += learned
+        if self._pending or (self.trying and not self._again):
+            return False
+        waited_s = self._ticks * period_s
+        return self._swings >= self._every_swings or waited_s >= self._every_s or self._early
+
+    def request(self, model: LegModel, buffer: ReplayBuffer, era: int) -> None:
+        """Request a refit if there is enough to fit to.
 
         Args:
             model: in force.
             buffer: confirmed segments.
             era: the present state of the leg.
-            learned: some of the swing's ticks were confirmed.
         """
-        self._swings += learned
-        waits = self.trying and bool(self._again)
-        if self._pending or (self.trying and not waits):
-            return
-        waited_s = self._ticks * model.library.period_s
-        if self._swings < self._every_swings and waited_s < self._every_s and not self._early:
-            return
+        waits = self.trying  # for contacts
         p, joints = model.coefficients.shape
         fit, held_out = buffer.factors(p, joints, era=era)
         if fit.rows < MIN_ROWS_PER_TERM * p:

@@ -15,7 +15,6 @@ import functools
 from collections import deque
 from typing import Any, Final, NamedTuple
 
-import numpy as np
 from scipy.special import chdtri  # scipy.stats takes half a second to import
 
 from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
@@ -173,8 +172,8 @@ class DriftMonitor:
             rows: its ticks, at least one, all free.
             t_ns: now.
         """
-        kept = np.sort(rows.nis)[: max(1, len(rows) - 1)]  # one wild reading is no change
-        level = float(np.add.reduce(kept)) / len(kept)
+        kept = sorted(rows.nis.tolist())[: max(1, len(rows) - 1)]  # one wild reading is no change
+        level = sum(kept) / len(kept)
         self._lifts += 1
         self._lifts_far += level > UNFIT_LEVEL
         if level > FAR_LEVEL:

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.compiled import borrow, compiled
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 from adaptive_contact.wire import BufferCounts
@@ -32,7 +33,6 @@ FIRST_ROOM: Final = 2048
 FULL: Final = 0.8
 SPARE: Final = 1.5
 _EVICTED: Final = -1  # era of rows that are kept no more
-QUEUE_ROOM: Final = 64  # rows that wait to be learned, at first
 
 
 class Segment(NamedTuple):
@@ -55,11 +55,17 @@ class _Place:
     cell: tuple[int, int]
     era: int
     t_ns: int
+    unlearned: int = 0  # rows, the last
 
 
 @dataclasses.dataclass
 class ReplayBuffer:
-    """Buffers the confirmed segments of one leg."""
+    """Buffers the confirmed segments of one leg, and queues what the recursion is to learn.
+
+    Attributes:
+        values: (rows, p + J) regressors and movements, side by side.
+        unlearned: rows that wait for the recursion; those of a segment that goes do not.
+    """
 
     limit: int = SEGMENTS  # segments kept, more where they hold less than ``rows`` rows
     rows: int = 0  # that a refit wants
@@ -69,8 +75,10 @@ class ReplayBuffer:
     _of_source: int = 0  # segments, the newest: whose times are of the source in force
     _used: int = 0  # rows of the arrays, those evicted among them
     _terms: int = 0  # p
-    # (rows, p + J) regressors and movements, side by side
-    _values: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    queues: bool = False  # what is added, for the recursion
+    unlearned: int = 0
+    values: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    _queue: deque[_Place] = dataclasses.field(default_factory=deque)
     _context: Ints = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
     _eras: Ints = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
 
@@ -80,7 +88,7 @@ class ReplayBuffer:
         found = []
         for s in self._segments:
             rows = slice(s.first, s.first + s.count)
-            theta, target = self._values[rows, : self._terms], self._values[rows, self._terms :]
+            theta, target = self.values[rows, : self._terms], self.values[rows, self._terms :]
             found.append(Segment(theta, target, self._context[rows], s.cell, s.era, s.t_ns))
         return found
 
@@ -98,11 +106,16 @@ class ReplayBuffer:
         """Take in the confirmed rows of a lift or of a descent."""
         if not rows:
             return
-        last = rows.values.shape[1] - rows.joints  # what was moved aside is not kept
+        width = rows.values.shape[1] - rows.joints  # what was moved aside is not kept
         cell, t_ns = (0 if rows.lifting else 1, region), int(rows.known[-1]["t_ns"])
-        place = _Place(self._used, len(rows), cell, era, t_ns)
-        self._append(place, rows.values[:, :last], rows.known["context"], last - rows.joints)
+        place = _Place(0, len(rows), cell, era, t_ns)
+        self._append(place, width, rows.joints)
+        keep_rows(rows.values, rows.known, self.values, self._context, self._eras, place.first, era)
         self._of_source += 1
+        if self.queues:
+            place.unlearned = place.count
+            self.unlearned += place.count
+            self._queue.append(place)
         if len(self._segments) > self.limit and (
             self._held > self.rows or len(self._segments) > MOST_SEGMENTS
         ):
@@ -118,7 +131,7 @@ class ReplayBuffer:
         used = slice(self._used)
         if not self._used:
             return np.zeros((0, coefficients.shape[1])), self._context
-        values, p = self._values[used], self._terms
+        values, p = self.values[used], self._terms
         off = values[:, p:] - values[:, :p] @ coefficients
         of_era = self._eras[used] == era
         return off[of_era], self._context[used][of_era]
@@ -127,26 +140,46 @@ class ReplayBuffer:
         """Count the segments of an era."""
         return sum(segment.era == era for segment in self._segments)
 
-    def _append(self, place: _Place, values: Array, context: Ints, terms: int) -> None:
-        """Write a segment behind the others."""
+    def next_unlearned(self) -> tuple[int, int]:
+        """Take the oldest of the rows that wait: its place in :attr:`values`, and a time.
+
+        Returns:
+            And when its segment ended, ns.
+        """
+        place = self._queue[0]
+        while not place.unlearned:  # learned, or gone
+            self._queue.popleft()
+            place = self._queue[0]
+        at = place.first + place.count - place.unlearned
+        place.unlearned -= 1
+        self.unlearned -= 1
+        return at, place.t_ns
+
+    def learn_no_more(self) -> None:
+        """Drop what waits for the recursion; it stays in the buffer."""
+        for place in self._queue:
+            place.unlearned = 0
+        self._queue.clear()
+        self.unlearned = 0
+
+    def _append(self, place: _Place, width: int, joints: int) -> None:
+        """Give a segment its place behind the others."""
         if self._used + place.count > len(self._eras):
-            self._make_room(place.count, values.shape[1])
-        place.first, self._terms = self._used, terms
-        rows = slice(self._used, self._used + place.count)
-        self._values[rows], self._context[rows], self._eras[rows] = values, context, place.era
-        self._used = rows.stop
+            self._make_room(place.count, width)
+        place.first, self._terms = self._used, width - joints
+        self._used += place.count
         self._segments.append(place)
         self._cells[place.cell] += 1
         self._held += place.count
 
     def _make_room(self, count: int, width: int) -> None:
         """Move what is kept together; into larger arrays, where it nearly fills these."""
-        arrays = before = self._values, self._context, self._eras
+        arrays = before = self.values, self._context, self._eras
         if self._held + count > FULL * len(self._eras):
             room = max(FIRST_ROOM, int(SPARE * (self._held + count)))
-            self._values = np.zeros((room, width))
+            self.values = np.zeros((room, width))
             self._context, self._eras = np.zeros(room, np.int64), np.zeros(room, np.int64)
-            arrays = self._values, self._context, self._eras
+            arrays = self.values, self._context, self._eras
         self._used = 0
         for segment in self._segments:
             # One by one: a copy of all in between would leave holes in the process's memory.
@@ -158,6 +191,8 @@ class ReplayBuffer:
     def _drop(self, segment: _Place) -> None:
         self._eras[segment.first : segment.first + segment.count] = _EVICTED
         self._held -= segment.count
+        self.unlearned -= segment.unlearned
+        segment.unlearned = 0
         self._cells[segment.cell] -= 1
 
     def _bound(self) -> None:
@@ -223,62 +258,26 @@ class ReplayBuffer:
 
     def restore(self, segments: list[Segment]) -> None:
         """Take over saved segments, oldest first; beyond the limit, the newest."""
+        self.learn_no_more()
         self._segments.clear()
         self._cells.clear()
         self._held = self._used = self._of_source = 0
         for s in segments[-MOST_SEGMENTS:]:
             place = _Place(0, len(s.target), s.cell, s.era, s.t_ns)
-            values = np.concatenate([s.theta, s.target], axis=1)
-            self._append(place, values, s.context, s.theta.shape[1])
+            (_, terms), (_, joints) = s.theta.shape, s.target.shape
+            self._append(place, terms + joints, joints)
+            rows = slice(place.first, self._used)
+            self.values[rows, :terms], self.values[rows, terms:] = s.theta, s.target
+            self._context[rows], self._eras[rows] = s.context, s.era
         self._bound()
 
 
-class RowQueue:
-    """Queues confirmed rows until the recursion learns them, a few in each tick.
-
-    Attributes:
-        values: (n, p + 2 J) as of :class:`Rows`, among others those that wait.
-        waiting: rows.
-    """
-
-    def __init__(self) -> None:
-        self.values: Array = np.zeros((0, 0))
-        self.waiting = 0
-        self._t_ns: Ints = np.zeros(0, np.int64)
-        self._first = 0
-
-    def add(self, rows: Rows) -> None:
-        """Queue rows behind the others."""
-        if not rows:
-            return
-        begin = self._first if self.waiting else 0
-        end = begin + self.waiting + len(rows)
-        if end > len(self.values):
-            before = slice(begin, begin + self.waiting)
-            values, t_ns = self.values[before], self._t_ns[before]
-            begin, end = 0, self.waiting + len(rows)
-            self.values = np.zeros((max(QUEUE_ROOM, 2 * end), rows.values.shape[1]))
-            self._t_ns = np.zeros(len(self.values), np.int64)
-            if self.waiting:
-                self.values[: self.waiting], self._t_ns[: self.waiting] = values, t_ns
-        self.values[end - len(rows) : end] = rows.values
-        self._t_ns[end - len(rows) : end] = rows.t_ns
-        self._first, self.waiting = begin, end - begin
-
-    def pop(self) -> tuple[int, int]:
-        """Take the oldest: its place in :attr:`values`, and its time, ns."""
-        at = self._first
-        self._first, self.waiting = at + 1, self.waiting - 1
-        return at, int(self._t_ns[at])
-
-    def clear(self) -> None:
-        """Drop all."""
-        self.waiting = 0
-
-    def drop_since(self, t_ns: int) -> None:
-        """Drop those of a time or later."""
-        rows = slice(self._first, self._first + self.waiting)
-        kept = self._t_ns[rows] < t_ns
-        values, times = self.values[rows][kept], self._t_ns[rows][kept]
-        self._first, self.waiting = 0, len(times)
-        self.values[: self.waiting], self._t_ns[: self.waiting] = values, times
+@compiled
+def keep_rows(values, known, kept, contexts, eras, first, era):
+    """Copy rows to behind others: regressors and movements, contexts, and an era."""
+    values, kept = borrow(values), borrow(kept)
+    for i in range(len(known)):
+        for k in range(kept.shape[1]):
+            kept[first + i, k] = values[i, k]
+        contexts[first + i] = known[i].context
+        eras[first + i] = era

@@ -7,6 +7,7 @@ Detection makes them, the learning learns from them.  The value that passes the 
 from __future__ import annotations
 
 import enum
+import functools
 import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple
@@ -134,25 +135,24 @@ class Touch(NamedTuple):
     @classmethod
     def of(cls, kept: Array, count: int, terms: int, joints: int) -> Touch:
         """Copy so many ticks out of an array that has them one after the other."""
-        size = cls.size(terms, joints)
-        ticks, at = kept[: count * size].reshape(count, size).copy(), 0
-        found = []
-        for shape in _touch_shapes(terms, joints):
-            end = at + math.prod(shape)
-            found.append(ticks[:, at:end].reshape(count, *shape))
-            at = end
-        return cls(*found)
+        size, fields = _touch_fields(terms, joints)
+        ticks = kept[: count * size].reshape(count, size).copy()
+        return cls(*(ticks[:, field].reshape(count, *shape) for field, shape in fields))
 
     @staticmethod
     def size(terms: int, joints: int) -> int:
         """Compute how many numbers a tick takes."""
-        return sum(map(math.prod, _touch_shapes(terms, joints)))
+        return _touch_fields(terms, joints)[0]
 
 
-def _touch_shapes(terms: int, joints: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes of the fields of a :class:`Touch`, of one tick."""
-    w = max(WINDOWS)
-    return (w, terms), (w, joints), (w, joints, joints), (w,), ()
+@functools.cache
+def _touch_fields(terms: int, joints: int) -> tuple[int, list[tuple[slice, tuple[int, ...]]]]:
+    """Places and shapes of the fields of a :class:`Touch`, of one tick, and their size together."""
+    w, at, fields = max(WINDOWS), 0, []
+    shapes: list[tuple[int, ...]] = [(w, terms), (w, joints), (w, joints, joints), (w,), ()]
+    for shape in shapes:
+        fields.append((slice(at, at := at + math.prod(shape)), shape))
+    return at, fields
 
 
 class Label(enum.Enum):

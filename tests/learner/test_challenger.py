@@ -24,7 +24,7 @@ from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Baseline, Domain, Factor, LegModel
 from adaptive_contact.model.labelled_swing import Touch
 
-from .trials import NOISE, Given, answer, ask, compared, fill, row, stopped, tried
+from .trials import NOISE, Given, answer, ask, compared, fill, row, stopped, swing_done, tried
 
 
 def test_a_candidate_that_fits_better_and_sees_as_well_is_promoted(model: LegModel) -> None:
@@ -74,7 +74,7 @@ def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -
     given.collect = lambda leg, number: lost  # type: ignore[method-assign]
     trial.withdraw()
     for asked in (1, 2, 2):
-        trial.swing_done(model, buffer, 0)
+        swing_done(trial, model, buffer)
         assert given.asked == asked
         answer(trial)
     assert trial.counts.refused == 2
@@ -177,7 +177,7 @@ def test_only_swings_of_which_something_was_learned_count(model: LegModel) -> No
     buffer = ReplayBuffer()
     fill(buffer, np.random.default_rng(0), model.library.size)
     for _ in range(3 * REFIT_EVERY_SWINGS):
-        trial.swing_done(model, buffer, 0, learned=False)
+        swing_done(trial, model, buffer, learned=False)
     assert given.asked == 0
 
 
@@ -206,7 +206,7 @@ def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
         for _ in range(ticks):
             trial.tick()
         before = given.asked
-        trial.swing_done(model, buffer, 0)
+        swing_done(trial, model, buffer)
         if given.asked > before:
             answer(trial)
         return given.asked

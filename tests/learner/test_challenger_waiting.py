@@ -15,7 +15,19 @@ from adaptive_contact.learn.candidate import (
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import LegModel
 
-from .trials import NOISE, Given, answer, ask, compared, fill, looked_at, row, stopped, tried
+from .trials import (
+    NOISE,
+    Given,
+    answer,
+    ask,
+    compared,
+    fill,
+    looked_at,
+    row,
+    stopped,
+    swing_done,
+    tried,
+)
 
 
 def test_a_better_candidate_waits_for_contacts_to_be_tried_on(model: LegModel) -> None:
@@ -55,7 +67,7 @@ def test_a_newer_refit_takes_the_place_of_a_candidate_that_waits(model: LegModel
         ask(trial, model, buffer)
         assert given.asked == turn + 1
         answer(trial)
-        trial.swing_done(model, buffer, 0)
+        swing_done(trial, model, buffer)
         assert given.asked == turn + 1, "one that is being tried is not replaced"
         for _ in range(2 * TRIAL_ROWS):
             assert compared(trial, row(rng, p, truth=0.06), model) is None

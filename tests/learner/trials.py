@@ -73,10 +73,18 @@ def stopped(model: LegModel) -> Touch:
     return Touch(theta, np.zeros((1, 3, 3)), whiten, np.full((1, 3), 30.0), np.ones(1))
 
 
+def swing_done(
+    trial: Candidate, model: LegModel, buffer: ReplayBuffer, *, learned: bool = True
+) -> None:
+    """A swing has ended."""
+    if trial.swing_done(model.library.period_s, learned=learned):
+        trial.request(model, buffer, 0)
+
+
 def ask(trial: Candidate, model: LegModel, buffer: ReplayBuffer) -> None:
     """As many swings as there are before the first refit, or between one and the next."""
     for _ in range(first_refit_after("rf")[0]):
-        trial.swing_done(model, buffer, 0)
+        swing_done(trial, model, buffer)
 
 
 def answer(trial: Candidate) -> None:

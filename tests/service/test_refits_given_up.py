@@ -51,7 +51,8 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
     ):
         challenger = Candidate("rf", np.full(2, 0.01), np.ones(p), Giving(up_with=status))
         for _ in range(first_refit_after("rf")[0]):
-            challenger.swing_done(LegModel(library, np.zeros((p, 2))), buffer, 0)
+            if challenger.swing_done(0.02):
+                challenger.request(LegModel(library, np.zeros((p, 2))), buffer, 0)
         for _ in range(REFIT_DUE_TICKS + 1):
             challenger.tick()
         assert challenger.counts.refused == 1
