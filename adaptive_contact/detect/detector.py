@@ -8,10 +8,11 @@ Python takes what the first half has flagged.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
-from adaptive_contact.compiled import borrow, compiled
+from adaptive_contact.compiled import Handover, compiled
 from adaptive_contact.detect.contact import (
     begin_labels,
     break_off,
@@ -40,6 +41,7 @@ from adaptive_contact.detect.history import (
 from adaptive_contact.detect.layout import (
     BEGAN,
     DEPTH,
+    LEG,
     RATE_OFF,
     RELEASE_PENDING,
     RESOLVED,
@@ -73,6 +75,7 @@ from adaptive_contact.detect.swing import (
     height_gradient,
     place_foot,
 )
+from adaptive_contact.model.labelled_swing import ROW
 
 
 @compiled
@@ -125,42 +128,46 @@ def restart_leg(leg, command, before, desired, suspects):
     restart_history(leg, suspects)
 
 
+# The arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, as each half receives them.
+_F8, _I8, _B1 = np.float64, np.int64, np.bool_
+_TABLE: Final = ((_I8, 1), (_I8, 1), (_I8, 1), (_F8, 1), (_F8, 1), (_I8, 1))
+JUDGED: Final = Handover(
+    (LEG, 1), (_F8, 2), (_I8, 2), (_B1, 2), (_I8, 2), (_F8, 3), (_I8, 3), (_F8, 3), (_I8, 3),
+    (_F8, 3), (_F8, 4), (_F8, 3), (_F8, 3), (_F8, 3), (_I8, 1), (_F8, 4), (_F8, 3), *_TABLE,
+    (_F8, 3), (_F8, 3), (_F8, 5), (_I8, 3), (_F8, 3), (_F8, 4), (_F8, 3), (ROW, 2), (_F8, 3),
+    (_F8, 3), (_B1, 2), (_F8, 2), (_F8, 1), (_F8, 2),
+)  # fmt: skip
+FINISHED: Final = Handover(
+    (LEG, 1), (_F8, 2), (_I8, 2), (_F8, 3), (_I8, 1), *_TABLE, (_F8, 3), (_F8, 3), (_F8, 2)
+)
+receive_judged: Final = JUDGED.receive
+receive_finished: Final = FINISHED.receive
+
+
 @compiled
-def judge_tick(
-    legs, floats, ints, bools, places, preview_in, ring, kept_angles, kept_stamps, echo_commands,
-    echo_runs, parts, links, path, lags, preview, history, thetas, kind, first, entry, weight,
-    knee, law, xi0, coefficients, whiten, index, per_scale, root, domain, rows, row_values,
-    free_ring, some, room, now, sums,
-):  # fmt: skip
+def judge_tick(handed):
     """Judge a sample of every leg that has one: the first half of a tick, up to its events.
 
-    Arguments are arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, a row per leg;
-    ``legs`` are the scalars of :mod:`adaptive_contact.detect.layout`, ``floats``, ``ints`` and
-    ``bools`` its vectors, ``kind`` to ``law`` a
-    :class:`~adaptive_contact.detect.regressors.TermTable`.  The last four are scratch: ``some``
-    holds masks of joints, ``now`` a place of the foot, ``sums`` what a statistic or a prediction
-    adds up, and ``room`` vectors.  Three of these pass between steps: ``room[6]`` the repaired
-    reading, ``room[2]`` the reciprocal deviations of this tick, ``room[3]`` the gradient of the
-    foot's height.
+    Args:
+        handed: arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, a row per leg, by
+            :data:`JUDGED`.  ``legs`` are the scalars of :mod:`adaptive_contact.detect.layout`,
+            ``floats``, ``ints`` and ``bools`` its vectors, ``kind`` to ``law`` a
+            :class:`~adaptive_contact.detect.regressors.TermTable`.  The last four are scratch:
+            ``some`` holds masks of joints, ``now`` a place of the foot, ``sums`` what a statistic
+            or a prediction adds up, and ``room`` vectors.  Three of these pass between steps:
+            ``room[6]`` the repaired reading, ``room[2]`` the reciprocal deviations of this tick,
+            ``room[3]`` the gradient of the foot's height.
+
+    Returns:
+        The flags of all legs, in one.
     """
-    legs, rows, floats, ints, bools = (
-        borrow(legs), borrow(rows), borrow(floats), borrow(ints), borrow(bools),
-    )  # fmt: skip
-    preview_in, ring, links, path, parts, kept_angles, kept_stamps = (
-        borrow(preview_in), borrow(ring), borrow(links), borrow(path), borrow(parts),
-        borrow(kept_angles), borrow(kept_stamps),
-    )  # fmt: skip
-    echo_commands, echo_runs, history, thetas, free_ring = (
-        borrow(echo_commands), borrow(echo_runs), borrow(history), borrow(thetas),
-        borrow(free_ring),
-    )  # fmt: skip
-    xi0, coefficients, whiten, index, per_scale, root, domain = (
-        borrow(xi0), borrow(coefficients), borrow(whiten), borrow(index), borrow(per_scale),
-        borrow(root), borrow(domain),
-    )  # fmt: skip
-    row_values, some, room, now, sums = (
-        borrow(row_values), borrow(some), borrow(room), borrow(now), borrow(sums),
-    )  # fmt: skip
+    (
+        legs, floats, ints, bools, places, preview_in, ring, kept_angles, kept_stamps,
+        echo_commands, echo_runs, parts, links, path, shape, history, thetas, kind, first, entry,
+        weight, knee, law, xi0, coefficients, whiten, index, per_scale, root, domain, rows,
+        row_values, free_ring, some, room, now, sums,
+    ) = receive_judged(handed)  # fmt: skip
+    lags, preview = shape[0], shape[1]
     joints = links.shape[1]
     table = (kind, first, entry, weight, knee, law)
     predicting = sums.reshape(2 * joints)
@@ -445,19 +452,22 @@ def bridge(
 
 
 @compiled
-def finish_tick(
-    legs, floats, places, preview_in, lags, preview, kind, first, entry, weight, knee, law, xi0,
-    coefficients, room,
-):  # fmt: skip
+def finish_tick(handed):
     """Put commands in force and predict the next tick: the second half.
+
+    Args:
+        handed: as for :func:`judge_tick`, by :data:`FINISHED`.
 
     Returns:
         Rows held back of the leg that has most.
     """
-    legs, floats, preview_in = borrow(legs), borrow(floats), borrow(preview_in)
-    xi0, coefficients = borrow(xi0), borrow(coefficients)
+    (
+        legs, floats, places, preview_in, shape, kind, first, entry, weight, knee, law, xi0,
+        coefficients, room,
+    ) = receive_finished(handed)  # fmt: skip
+    lags, preview = shape[0], shape[1]
     joints = coefficients.shape[2]
-    predicting = borrow(room).reshape(2 * joints)
+    predicting = room.reshape(2 * joints)
     most = 0
     for i in range(len(legs)):
         if not legs[i].unfinished:

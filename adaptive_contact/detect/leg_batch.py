@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.compiled import records
-from adaptive_contact.detect.detector import finish_tick, judge_tick
+from adaptive_contact.detect.detector import FINISHED, JUDGED, finish_tick, judge_tick
 from adaptive_contact.detect.layout import (
     DEPTH,
     FREE,
@@ -94,6 +94,7 @@ class LegBatch:
         self.table = term_table(library)
         self.lags = shape.past_measured + 1
         self.preview = shape.preview
+        self.shape = np.array([self.lags, self.preview])
         depth = self.lags + shape.past_desired + 1 + shape.preview
         q, p = len(self.table.kind), library.size
         f, b, i = np.float64, np.bool_, np.int64
@@ -146,19 +147,19 @@ class LegBatch:
         self._gather()
 
     def _gather(self) -> None:
-        """Gather what the two halves of a tick take: a tick has no time to look up fifty names."""
+        """Hand over what the two halves of a tick receive."""
         floats, ints, bools = self.vectors
-        self._judged = (
-            records(self.legs), floats, ints, bools, self.places, self.preview_in, self.ring,
-            self.kept_angles, self.kept_stamps, self.echo_commands, self.echo_runs, self.parts,
-            self.links, self.path, self.lags, self.preview, self.history, self.thetas, *self.table,
-            self.xi0, self.coefficients, self.whiten, self.index, self.per_scale, self.root,
-            self.domain, self.rows, self.row_values, self.free_ring, self.some, self.room,
-            self.now, self.sums,
+        legs = records(self.legs)
+        self._judged = JUDGED.table(
+            legs, floats, ints, bools, self.places, self.preview_in, self.ring, self.kept_angles,
+            self.kept_stamps, self.echo_commands, self.echo_runs, self.parts, self.links,
+            self.path, self.shape, self.history, self.thetas, *self.table, self.xi0,
+            self.coefficients, self.whiten, self.index, self.per_scale, self.root, self.domain,
+            self.rows, self.row_values, self.free_ring, self.some, self.room, self.now, self.sums,
         )  # fmt: skip
-        self._finished = (
-            records(self.legs), floats, self.places, self.preview_in, self.lags,
-            self.preview, *self.table, self.xi0, self.coefficients, self.sums,
+        self._finished = FINISHED.table(
+            legs, floats, self.places, self.preview_in, self.shape, *self.table, self.xi0,
+            self.coefficients, self.sums,
         )  # fmt: skip
 
     @property
@@ -169,12 +170,12 @@ class LegBatch:
 
     def judge(self) -> int:
         """Run the first half of a tick; returns the flags of all legs, in one."""
-        found: int = judge_tick(*self._judged)
+        found: int = judge_tick(self._judged)
         return found
 
     def finish(self) -> None:
         """Run the second half of a tick."""
-        most = finish_tick(*self._finished)
+        most = finish_tick(self._finished)
         if most + 2 > self.rows.shape[1]:
             self.grow()
 
@@ -203,7 +204,7 @@ class LegBatch:
             self.grow()
         for name, mine in vars(self).items():
             theirs = vars(other).get(name)
-            if not isinstance(mine, np.ndarray) or name in _SCRATCH or theirs is None:
+            if not isinstance(mine, np.ndarray) or name in _NO_ROWS_OF_LEGS or theirs is None:
                 continue
             if name in _OF_ROWS:
                 if whole:
@@ -233,8 +234,10 @@ class LegBatch:
 
 
 _OF_ROWS: Final = ("rows", "row_values")
-# Scratch, and what is adopted by other names.
-_SCRATCH: Final = ("some", "room", "now", "sums", "places", "accepted")
+# Scratch, what is handed over, and what is adopted by other names.
+_NO_ROWS_OF_LEGS: Final = (
+    "some", "room", "now", "sums", "places", "accepted", "shape", "_judged", "_finished",
+)  # fmt: skip
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",

@@ -22,12 +22,13 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+from typing import Final
 
 import numpy as np
 import scipy.linalg
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.compiled import borrow, compiled
+from adaptive_contact.compiled import Handover, borrow, compiled
 from adaptive_contact.model.free_motion import Covariance
 
 
@@ -71,7 +72,8 @@ class RecursiveLeastSquares:
         most: float = np.inf,
     ) -> None:
         self.settings = settings or RlsSettings()
-        self.noise, self._scale, self._most = noise.copy(), scale.copy(), most
+        self.noise, self._scale = noise.copy(), scale.copy()
+        self._limits = np.array([self.settings.forgetting, self.settings.huber, most])
         self.rows = 0
         self.current = np.array(coefficients, order="C")
         counts = support.sum(axis=0)
@@ -91,6 +93,7 @@ class RecursiveLeastSquares:
         self._innovations = np.zeros(len(noise))
         self._room = np.zeros((2, len(noise), size))
         self.reset_covariance()
+        self._hand_over()
 
     @property
     def coefficients(self) -> Array:
@@ -145,6 +148,7 @@ class RecursiveLeastSquares:
         if into is None or into._index is not self._index:
             into = copy.copy(self)
             into._xi, into._s, into.current = self._xi.copy(), self._s.copy(), self.current.copy()
+            into._hand_over()
             return into
         into._xi[:], into._s[:], into.current[:] = self._xi, self._s, self.current
         into.rows = self.rows
@@ -159,7 +163,7 @@ class RecursiveLeastSquares:
     def reseed(self, coefficients: Array) -> None:
         """Take over the coefficients of an accepted refit; the covariance stays."""
         self.current[:] = coefficients
-        self._xi = self._scaled(coefficients)
+        self._xi[:] = self._scaled(coefficients)
 
     @property
     def size(self) -> int:
@@ -204,12 +208,7 @@ class RecursiveLeastSquares:
         Returns:
             Whether the coefficients are plausible.
         """
-        settings = self.settings
-        sound, plausible = learn_row(
-            values, at, self._index, self._counts, self._per_scale, self._per_noise, self._to_raw,
-            self._xi, self._s, settings.forgetting, settings.huber, self._innovations, self._room,
-            self.current, self._scale, self._most,
-        )  # fmt: skip
+        sound, plausible = learn_row(values, at, self._handed)
         if sound:
             self.rows += 1
             if self.rows % 64 == 0:
@@ -235,6 +234,13 @@ class RecursiveLeastSquares:
             self._take_root(joint, np.concatenate([self._s[joint, :n, :n], moves.T], axis=1))
         self._bound()
 
+    def _hand_over(self) -> None:
+        """Hand over what learning a row receives; the arrays stay where they are."""
+        self._handed = LEARNED.table(
+            self._index, self._counts, self._per_scale, self._per_noise, self._to_raw, self._xi,
+            self._s, self._limits, self._innovations, self._room, self.current, self._scale,
+        )  # fmt: skip
+
     def _scaled(self, coefficients: Array) -> Array:
         """(J, n), in units of scale and noise, of (p, J)."""
         joints = np.arange(len(self._index))[:, None]
@@ -257,12 +263,19 @@ class RecursiveLeastSquares:
             self._s *= shrink[:, :, None]
 
 
+# Places, counts and units of the terms, their coefficients and roots, the three limits (forgetting,
+# Huber's, plausible), innovations, scratch, coefficients in raw units, scale of regressors.
+LEARNED: Final = Handover(
+    (np.int64, 2), (np.int64, 1), (np.float64, 2), (np.float64, 1), (np.float64, 2),
+    (np.float64, 2), (np.float64, 3), (np.float64, 1), (np.float64, 1), (np.float64, 3),
+    (np.float64, 2), (np.float64, 1),
+)  # fmt: skip
+receive_learned: Final = LEARNED.receive
+
+
 @compiled
-def learn_row(
-    values, at_row, index, counts, per_scale, per_noise, to_raw, xi, s, forgetting, huber,
-    innovations, room, current, scale, most,
-):  # fmt: skip
-    """Learn one row, in place.
+def learn_row(values, at_row, handed):
+    """Learn one row of several, in place.
 
     Of its p regressors, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
     coefficients in units of scale and noise, ``s`` (J, n, n) the roots of their covariances.
@@ -273,7 +286,11 @@ def learn_row(
         Whether it was learned, or left out, as an innovation is not finite; and whether no term of
         ``current`` moves a typical tick by more than ``most``.
     """
-    s, room, current = borrow(s), borrow(room), borrow(current)
+    (
+        index, counts, per_scale, per_noise, to_raw, xi, s, limits, innovations, room, current,
+        scale,
+    ) = receive_learned(handed)  # fmt: skip
+    forgetting, huber, most = limits[0], limits[1], limits[2]
     row = borrow(values)[at_row]
     joints, size = index.shape
     terms = len(current)
