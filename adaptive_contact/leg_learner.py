@@ -323,6 +323,9 @@ class ContactLearner:
             if assessed:
                 self.report.read_standing()
             return another
+        if not (assessed or adapter.busy):
+            adapter.pass_tick()
+            return False
         moved = adapter.tick(ROWS_PER_TICK)
         if assessed:
             if adapter.monitor.unfit and self.place.leg["ticks"]:

@@ -86,6 +86,7 @@ class Adapter:
         monitor: whether the lifts fit.
         early: touches reported at the top of swings.
         buffer: confirmed rows.
+        busy: whether the next :meth:`tick` has anything to do.
         first: progress of a leg that began with a prior; None once it is known.
     """
 
@@ -119,6 +120,7 @@ class Adapter:
         self._learned_swing = False
         self._refresh_in: int | None = None  # ticks
         self._renewed = False  # covariances were, in this tick
+        self.busy = True
         self.candidate = Candidate(
             leg, self._noise, self._scale, refitter, known.domain, self.active.plausible
         )
@@ -194,6 +196,7 @@ class Adapter:
 
     def learn(self, part: LabelledSwing) -> None:
         """Learn from a part of a swing."""
+        self.busy = True
         match part.label:
             case Label.BEGIN:
                 self.monitor.begin_swing()
@@ -301,6 +304,7 @@ class Adapter:
         Returns:
             What of free motion may be another.
         """
+        self.candidate.ticks += 1
         moved: Moved = NOTHING
         if self.buffer.unlearned:
             moved = COEFFICIENTS
@@ -318,7 +322,15 @@ class Adapter:
                 self._refresh(at_once=False)
         if self._renewed:
             self._renewed, moved = False, ANYTHING
+        self.busy = (
+            self.buffer.unlearned > 0 or self._noise_tracker.refreshing or self.candidate.waits
+            or self._refresh_in is not None
+        )  # fmt: skip
         return moved
+
+    def pass_tick(self) -> None:
+        """Count a tick in which nothing is :attr:`busy`."""
+        self.candidate.ticks += 1
 
     def _share(self, budget: int) -> int:
         """Return how many rows a tick learns: a known leg can wait, a changed one cannot.
@@ -371,6 +383,7 @@ class Adapter:
         self._noise_tracker.domain = self.candidate.domain
         self._noise_tracker.restore(saved.get("recent"))
         self._refresh()
+        self.busy = True
         return None
 
     # -- private ----------------------------------------------------------------------------------

@@ -126,6 +126,7 @@ class Candidate:
 
     Attributes:
         domain: where the leg has been: the baseline's, widened by the newest refit.
+        ticks: since the last refit was asked for; whose ticks they are counts them.
         contacts: that a candidate must find as well as the model in force does.
     """
 
@@ -145,7 +146,7 @@ class Candidate:
         self._noise = noise
         self._scale = scale
         self._refitter = refitter
-        self._swings = self._ticks = 0  # since the last refit was asked for
+        self._swings = self.ticks = 0  # since the last refit was asked for
         self._every_swings, self._every_s = first_refit_after(leg)
         self._early = False
         self._retries = 0  # after a change, for a refit whose process was lost
@@ -176,7 +177,7 @@ class Candidate:
         self._swings += learned
         if self._pending or (self.trying and not self._again):
             return False
-        waited_s = self._ticks * period_s
+        waited_s = self.ticks * period_s
         return self._swings >= self._every_swings or waited_s >= self._every_s or self._early
 
     def request(self, model: LegModel, buffer: ReplayBuffer, era: int) -> None:
@@ -198,7 +199,7 @@ class Candidate:
                 f"{MIN_ROWS_PER_TERM * p} are needed"
             )
             return
-        self._swings = self._ticks = 0
+        self._swings = self.ticks = 0
         self._every_swings, self._every_s = REFIT_EVERY_SWINGS, REFIT_EVERY_S
         self._early = False
         if not waits:
@@ -212,7 +213,6 @@ class Candidate:
 
     def tick(self) -> bool:
         """Collect a result that is due; True if one came."""
-        self._ticks += 1
         if self._pending is None:
             return False
         job, wait = self._pending
@@ -239,6 +239,11 @@ class Candidate:
             return
         self.domain, self._wait = result.domain, None
         self._try(result.coefficients, probation=False)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a result is to come, for :meth:`tick`."""
+        return self._pending is not None
 
     @property
     def trying(self) -> bool:
