@@ -323,10 +323,7 @@ class ContactLearner:
             if assessed:
                 self.report.read_standing()
             return another
-        if not (assessed or adapter.busy):
-            adapter.pass_tick()
-            return False
-        moved = adapter.tick(ROWS_PER_TICK)
+        moved = adapter.tick(ROWS_PER_TICK) if adapter.busy else adapter.pass_tick()
         if assessed:
             if adapter.monitor.unfit and self.place.leg["ticks"]:
                 # Taken up behind the tick: its command is then the first of the next model's past.

@@ -86,7 +86,7 @@ class Adapter:
         monitor: whether the lifts fit.
         early: touches reported at the top of swings.
         buffer: confirmed rows.
-        busy: whether the next :meth:`tick` has anything to do.
+        busy: whether the next tick is one of :meth:`tick`, not of :meth:`pass_tick`.
         first: progress of a leg that began with a prior; None once it is known.
     """
 
@@ -304,7 +304,6 @@ class Adapter:
         Returns:
             What of free motion may be another.
         """
-        self.candidate.ticks += 1
         moved: Moved = NOTHING
         if self.buffer.unlearned:
             moved = COEFFICIENTS
@@ -312,8 +311,7 @@ class Adapter:
                 if not self.buffer.unlearned:  # a model that falls takes the rows that wait with it
                     break
                 self._learn()
-        if self.candidate.tick():
-            self._noise_tracker.domain, moved = self.candidate.domain, ANYTHING
+        moved = self.pass_tick() or moved
         if self._noise_tracker.refreshing and self._noise_tracker.go_on():
             moved = ANYTHING
         if self._refresh_in is not None:
@@ -323,14 +321,17 @@ class Adapter:
         if self._renewed:
             self._renewed, moved = False, ANYTHING
         self.busy = (
-            self.buffer.unlearned > 0 or self._noise_tracker.refreshing or self.candidate.waits
+            self.buffer.unlearned > 0 or self._noise_tracker.refreshing
             or self._refresh_in is not None
         )  # fmt: skip
         return moved
 
-    def pass_tick(self) -> None:
-        """Count a tick in which nothing is :attr:`busy`."""
-        self.candidate.ticks += 1
+    def pass_tick(self) -> Moved:
+        """Collect a refit that is due, in a tick in which nothing else is to be done."""
+        if not self.candidate.tick():
+            return NOTHING
+        self._noise_tracker.domain = self.candidate.domain
+        return ANYTHING
 
     def _share(self, budget: int) -> int:
         """Return how many rows a tick learns: a known leg can wait, a changed one cannot.

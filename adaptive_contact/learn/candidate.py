@@ -126,7 +126,6 @@ class Candidate:
 
     Attributes:
         domain: where the leg has been: the baseline's, widened by the newest refit.
-        ticks: since the last refit was asked for; whose ticks they are counts them.
         contacts: that a candidate must find as well as the model in force does.
     """
 
@@ -146,12 +145,12 @@ class Candidate:
         self._noise = noise
         self._scale = scale
         self._refitter = refitter
-        self._swings = self.ticks = 0  # since the last refit was asked for
+        self._swings = self._ticks = 0  # since the last refit was asked for
         self._every_swings, self._every_s = first_refit_after(leg)
         self._early = False
         self._retries = 0  # after a change, for a refit whose process was lost
         self._jobs = 0
-        self._pending: tuple[int, int] | None = None  # job, ticks to go
+        self._pending: int | None = None  # job
         self._candidate: Array | None = None
         self._probation = False  # the candidate is the active model of before
         # How far the active model (over the noise) and candidate were off in the rows of its trial.
@@ -175,9 +174,9 @@ class Candidate:
             learned: some of its ticks were confirmed.
         """
         self._swings += learned
-        if self._pending or (self.trying and not self._again):
+        if self._pending is not None or (self.trying and not self._again):
             return False
-        waited_s = self.ticks * period_s
+        waited_s = self._ticks * period_s
         return self._swings >= self._every_swings or waited_s >= self._every_s or self._early
 
     def request(self, model: LegModel, buffer: ReplayBuffer, era: int) -> None:
@@ -199,7 +198,7 @@ class Candidate:
                 f"{MIN_ROWS_PER_TERM * p} are needed"
             )
             return
-        self._swings = self.ticks = 0
+        self._swings = self._ticks = 0
         self._every_swings, self._every_s = REFIT_EVERY_SWINGS, REFIT_EVERY_S
         self._early = False
         if not waits:
@@ -209,17 +208,14 @@ class Candidate:
         self._refitter.submit(
             RefitJob(self._leg, self._jobs, fit, held_out, self._noise, prior, self._of_baseline)
         )
-        self._pending = (self._jobs, REFIT_DUE_TICKS)
+        self._pending = self._jobs
 
     def tick(self) -> bool:
         """Collect a result that is due; True if one came."""
-        if self._pending is None:
+        self._ticks += 1
+        if self._pending is None or self._ticks <= REFIT_DUE_TICKS:
             return False
-        job, wait = self._pending
-        if wait > 0:
-            self._pending = (job, wait - 1)
-            return False
-        result = self._refitter.collect(self._leg, job)
+        result = self._refitter.collect(self._leg, self._pending)
         if result is None:
             return False
         self._take(result)
@@ -239,11 +235,6 @@ class Candidate:
             return
         self.domain, self._wait = result.domain, None
         self._try(result.coefficients, probation=False)
-
-    @property
-    def waits(self) -> bool:
-        """Whether a result is to come, for :meth:`tick`."""
-        return self._pending is not None
 
     @property
     def trying(self) -> bool:
