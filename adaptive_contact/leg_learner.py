@@ -31,7 +31,7 @@ from adaptive_contact.detect.layout import (
     TOUCHING,
 )
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
-from adaptive_contact.detect.stream import StreamGuard
+from adaptive_contact.detect.stream import NEXT, StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import ConventionWatch, MotionTrack
@@ -161,10 +161,10 @@ class ContactLearner:
         place = self.place
         if len(place.batch.legs) > 1:  # of a group, whose other legs wait
             place.move(self._batch(), 0)
-        if place.leg["unfinished"]:  # what it learned from raised
+        if place.leg.unfinished:  # what it learned from raised
             self._end_tick()
         event = None
-        place.leg["accepted"] = False
+        place.leg.accepted = False
         if self.take(sample):
             flags = place.batch.judge()
             if flags & EVENTS:
@@ -191,12 +191,12 @@ class ContactLearner:
 
     def request_release(self) -> None:
         """Request a release: another process may have reported that the leg touches."""
-        self.place.leg["release_pending"] = True
+        self.place.leg.release_pending = True
 
     @property
     def contact(self) -> bool:
         """Whether the leg touches, by its last event."""
-        return bool(self.place.leg["reported"])
+        return bool(self.place.leg.reported)
 
     @property
     def model(self) -> LegModel | None:
@@ -206,11 +206,11 @@ class ContactLearner:
     def judged(self) -> JudgedTick | None:
         """Return the last tick's residual and scores; None where it could not be judged."""
         leg, recent = self.place.leg, self.lifecycle.recent
-        usable = int(leg["usable"])
+        usable = leg.usable
         if recent is None or not usable:
             return None
         unit = self.place.batch.unit[self.place.row]
-        whiten = recent.whiten[int(leg["context"])] / np.sqrt(unit)
+        whiten = recent.whiten[leg.context] / np.sqrt(unit)
         found = statistic(self.place.residuals, self.place.increments, whiten, np.array(usable))
         thresholds = recent.thresholds
         residual = self.place.residuals[0].copy()
@@ -267,14 +267,14 @@ class ContactLearner:
         if self._frame is not None:
             sample = self._frame.sample(sample)
         result = self._guard.admit(sample)
-        if isinstance(result, Reject):
+        if result is not NEXT and isinstance(result, Reject):
             self.count(result)
             return False
         self._sample = sample
         track = self._track
         if track is not None and (self._misread or track.finding is not None):
             self._follow_convention(track)
-        self.place.take(sample, lost=result.missed, restart=result.restart)
+        self.place.take(sample, result.missed, result.restart)
         return True
 
     def event_of(self, flags: int) -> ContactEvent | None:
@@ -286,17 +286,17 @@ class ContactLearner:
             self._assess(flags)
             self.report.read_standing()
         if flags & RELEASE_PENDING:
-            leg["release_pending"] = False
+            leg.release_pending = False
             event = self.report.event(
-                sample, contact=False, onset_ns=int(leg["at_ns"]), score=0.0,
+                sample, contact=False, onset_ns=leg.at_ns, score=0.0,
                 residual=[0.0] * len(self.leg.joints),
             )  # fmt: skip
         if flags & DECIDED:
-            contact = bool(leg["contact"])
-            if contact or leg["reported"]:  # else the end of one that was withheld
+            contact = leg.contact
+            if contact or leg.reported:  # else the end of one that was withheld
                 event = self.report.event(
-                    sample, contact=contact, onset_ns=int(leg["onset_ns"]),
-                    score=float(leg["score"]), residual=self.place.residuals[0].tolist(),
+                    sample, contact=contact, onset_ns=leg.onset_ns,
+                    score=leg.score, residual=self.place.residuals[0].tolist(),
                 )  # fmt: skip
         return event
 
@@ -325,7 +325,7 @@ class ContactLearner:
             return another
         moved = adapter.tick(ROWS_PER_TICK) if adapter.busy else adapter.pass_tick()
         if assessed:
-            if adapter.monitor.unfit and self.place.leg["ticks"]:
+            if adapter.monitor.unfit and self.place.leg.ticks:
                 # Taken up behind the tick: its command is then the first of the next model's past.
                 lifecycle.forget()
                 self._let_go()
@@ -336,7 +336,7 @@ class ContactLearner:
         else:
             if adapter.version != self.report.version:
                 self.report.read_standing()
-            if not self.place.leg["ticks"]:  # a stance is not judged: it can wait
+            if not self.place.leg.ticks:  # a stance is not judged: it can wait
                 return False
             if moved == COEFFICIENTS and not adapter.active.inflated:
                 self.place.predict_by(adapter.active.coefficients)
@@ -421,20 +421,20 @@ class ContactLearner:
         if track.spoils and not self._misread:
             self._let_go()
         self._misread = track.spoils
-        self.place.leg["misread"] = self._misread
+        self.place.leg.misread = self._misread
 
     def _let_go(self) -> None:
         """Forget whether the leg touches: it is not known any more."""
         leg = self.place.leg
-        leg["release_pending"] |= leg["reported"]
-        leg["contact"], leg["loaded"], leg["calm"] = False, True, 0
+        leg.release_pending |= leg.reported
+        leg.contact, leg.loaded, leg.calm = False, True, 0
 
     def _retract(self) -> None:
         """Retract what was learned from a faulty source."""
         leg, lifecycle = self.place.leg, self.lifecycle
         # The fault may have begun in the swing before, too late in it to be detected.
         if lifecycle.adapter is not None:
-            lifecycle.adapter.retract(int(leg["began_ns"]))
+            lifecycle.adapter.retract(leg.began_ns)
 
     @property
     def _adapter(self) -> Adapter | None:

@@ -125,7 +125,7 @@ class LegReport:
         leg = self._place.leg
         doubt, withheld = self.doubt, self.withholds
         reported = contact and not withheld
-        leg["reported"] = reported
+        leg.reported = reported
         if contact:
             self.counters.counts["withheld" if withheld else "contacts"] += 1
         return ContactEvent(
@@ -133,7 +133,7 @@ class LegReport:
             t_ns=sample.t_ns,
             seq=sample.seq,
             # In the stamps' own time, of which the schedule is a smoothed one.
-            onset_ns=sample.t_ns - max(int(leg["at_ns"]) - onset_ns, 0),
+            onset_ns=sample.t_ns - max(leg.at_ns - onset_ns, 0),
             contact=reported,
             status=self._status,
             score=score,
@@ -149,10 +149,10 @@ class LegReport:
         adapter, leg, counts = self._adapter, self._place.leg, self.counters.counts
         self.collect_counts()
         self.read_standing()
-        untouched_ns = int(leg["untouched_ns"])
+        untouched_ns = leg.untouched_ns
         return LearnerStatus(
             leg=self._leg.id,
-            t_ns=int(leg["t_ns"]),
+            t_ns=leg.t_ns,
             status=self._status,
             model_version=self._standing.version,
             residual_rms=self._place.free_rms,
@@ -164,12 +164,12 @@ class LegReport:
             rejects={str(reason): n for reason, n in sorted(self.counters.rejects.items())},
             missed=self._guard.missed,
             restarts=self._guard.restarts,
-            contact=bool(leg["reported"]),
+            contact=leg.reported,
             contacts=counts["contacts"],
             withheld=counts["withheld"],
             doubt=self.doubt,
             jitter_ms=self.rate.jitter_ms,
-            untouched=int(leg["untouched"]),
+            untouched=leg.untouched,
             untouched_ns=None if untouched_ns < 0 else untouched_ns,
             note=self._note(),
         )
@@ -177,7 +177,7 @@ class LegReport:
     @property
     def withholds(self) -> bool:
         """Whether contacts are not reported, as the leg is ambiguous."""
-        return self._withholds_at(self.doubt, fits=bool(self._place.leg["fits"]))
+        return self._withholds_at(self.doubt, fits=self._place.leg.fits)
 
     def read_standing(self) -> None:
         """Take over what the learning says of the leg, for the events of the next ticks."""
@@ -193,19 +193,19 @@ class LegReport:
         """Set for the tick whether contacts are reported, and in a swing that begins with it."""
         self.read_standing()
         leg, doubt = self._place.leg, self.doubt
-        begun = leg["withholds_begun"] = self._withholds_at(doubt, fits=False)
+        begun = leg.withholds_begun = self._withholds_at(doubt, fits=False)
         # A leg that fits may have contacts reported that others have withheld, never the other way.
-        leg["withholds"] = begun and self._withholds_at(doubt, fits=bool(leg["fits"]))
+        leg.withholds = begun and self._withholds_at(doubt, fits=leg.fits)
 
     @property
     def misread(self) -> bool:
         """Whether the leg's angles are not counted as described."""
-        return bool(self._place.leg["misread"])
+        return bool(self._place.leg.misread)
 
     @property
     def doubt(self) -> Doubt | None:
         """Why the leg is ambiguous; None where it is not."""
-        cause = SOURCE_CAUSES[int(self._place.leg["cause"])]
+        cause = SOURCE_CAUSES[int(self._place.leg.cause)]
         if cause is not None:
             return cause
         return "angles" if self.misread else self._standing.doubt
@@ -213,11 +213,11 @@ class LegReport:
     def collect_counts(self) -> None:
         """Take over what ticks have counted since the last call."""
         leg = self._place.leg
-        self.counters.counts["ticks"] += int(leg["accepted_n"])
-        refused = int(leg["refused"])
+        self.counters.counts["ticks"] += leg.accepted_n
+        refused = leg.refused
         if refused:
             self.counters.rejects[Reject.IMPLAUSIBLE] += refused
-        leg["accepted_n"] = leg["refused"] = 0
+        leg.accepted_n = leg.refused = 0
 
     # -- private -------------------------------------------------------------------------------
 
@@ -228,7 +228,7 @@ class LegReport:
     @property
     def _void(self) -> bool:
         """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
-        return self.misread or bool(self._place.leg["cause"])
+        return self.misread or bool(self._place.leg.cause)
 
     def _withholds_at(self, doubt: Doubt | None, *, fits: bool) -> bool:
         if doubt is None:
@@ -260,7 +260,7 @@ class LegReport:
             None if adapter is None else adapter.note,
             self._labels.unobservable_note,
             self._labels.landings.note,
-            _NO_PREVIEW if self._place.leg["lacking"] else None,
+            _NO_PREVIEW if self._place.leg.lacking else None,
         )
         return next((note for note in notes if note is not None), None)
 

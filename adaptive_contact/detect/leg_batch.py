@@ -23,6 +23,7 @@ from adaptive_contact.detect.layout import (
     SAMPLE,
     TOUCH_TICKS,
     new_legs,
+    scalars_of,
     vectors,
 )
 from adaptive_contact.detect.regressors import term_table
@@ -185,7 +186,7 @@ class LegBatch:
         first = places[0].batch
         batch = cls(
             [leg for place in places for leg in [place.batch.described[place.row]]], first.library,
-            [float(place.leg["quantum"]) for place in places], int(first.legs["period_ns"][0]),
+            [place.leg.quantum for place in places], int(first.legs["period_ns"][0]),
             max_step=float(first.legs["max_step"][0]),
         )  # fmt: skip
         for row, place in enumerate(places):
@@ -224,13 +225,13 @@ class LegBatch:
         """Forget a row's past under its last model, as another begins."""
         for name in _OF_MODEL:
             getattr(self, name)[row] = 0
-        leg = self.legs[row]
+        leg = scalars_of(self.legs, row)
         for name in ("filled", "impossible", "unsure", "refused", "reach_ticks", "values_n"):
-            leg[name] = 0
+            setattr(leg, name, 0)
         for name in ("usable", "thetas_n", "root_n", "touch_n"):
-            leg[name] = 0
-        leg["predicted"] = leg["bad"] = leg["seen"] = leg["touching"] = False
-        leg["sound"], leg["inflation"] = True, 1.0
+            setattr(leg, name, 0)
+        leg.predicted = leg.bad = leg.seen = leg.touching = False
+        leg.sound, leg.inflation = True, 1.0
 
 
 _OF_ROWS: Final = ("rows", "row_values")
@@ -260,11 +261,13 @@ class LegPlace:
     Attributes:
         batch: that has them.
         row: of the leg.
-        leg: its scalars.
+        leg: its scalars, read and written by name.
+        record: the same, as compiled code takes them.
     """
 
     __slots__ = (
-        "_judged_by", "_write_angles", "_write_free", "_write_sample", "batch", "leg", "row",
+        "_judged_by", "_write_angles", "_write_free", "_write_sample", "batch", "leg", "record",
+        "row",
     )  # fmt: skip
 
     def __init__(self, batch: LegBatch, row: int = 0) -> None:
@@ -276,7 +279,7 @@ class LegPlace:
         batch.adopt(row, self.batch, self.row)
         self._locate(batch, row)
 
-    def take(self, sample: ServoSample, *, lost: int, restart: bool) -> None:
+    def take(self, sample: ServoSample, lost: int, restart: bool) -> None:
         """Put an accepted sample in, for the next tick to judge."""
         batch, row = self.batch, self.row
         missing = sample.valid is not None and not all(sample.valid)
@@ -288,27 +291,27 @@ class LegPlace:
             batch.valid[row] = sample.valid
         if batch.preview:
             ahead = sample.preview or ()
-            count = self.leg["preview_n"] = min(len(ahead), batch.preview)
+            count = self.leg.preview_n = min(len(ahead), batch.preview)
             batch.preview_in[row, :count] = ahead[:count] if count else 0.0
 
     def drop_tick(self) -> None:
         """Drop the present tick."""
-        self.leg["accepted"] = self.leg["unfinished"] = False
-        self.leg["found"] = 0
+        self.leg.accepted = self.leg.unfinished = False
+        self.leg.found = 0
 
     def restart_swing(self) -> None:
         """Forget the present swing."""
         leg = self.leg
         for name in ("whole", "stood", "obstructed", "has_desired", "has_measured", "open"):
-            leg[name] = False
+            setattr(leg, name, False)
         for name in ("surface", "touch_at", "touch_before"):
-            leg[name] = -np.inf
+            setattr(leg, name, -np.inf)
         for name in ("ticks", "after", "heights_n", "low_n", "low_at", "still", "lift_n", "row_n"):
-            leg[name] = 0
-        leg["commanded_n"], leg["hole_ns"], leg["apex"] = 0, -1, -np.inf
+            setattr(leg, name, 0)
+        leg.commanded_n, leg.hole_ns, leg.apex = 0, -1, -np.inf
         for name in ("swing_phase", "topped", "closed", "top_seen", "touching"):
-            leg[name] = False
-        leg["broken"] = True
+            setattr(leg, name, False)
+        leg.broken = True
 
     def begin(self, library: ChangeLibrary, sigma: Array, *, gated: bool, learning: bool) -> None:
         """Prepare the arrays for a model that takes over.
@@ -320,13 +323,13 @@ class LegPlace:
             learning: anything is learned at all.
         """
         leg, batch, row = self.leg, self.batch, self.row
-        leg["known"], leg["gated"], leg["learning"] = True, gated, learning
+        leg.known, leg.gated, leg.learning = True, gated, learning
         batch.xi0[row], batch.sigma[row] = library.first, sigma
         self._judged_by = None
 
     def end(self) -> None:
         """Mark that no model is in force."""
-        self.leg["known"] = False
+        self.leg.known = False
 
     def judge_by(self, free: FreeMotion) -> None:
         """Put what is known of free motion into the arrays that ticks judge by."""
@@ -340,14 +343,14 @@ class LegPlace:
         if before is None or free.thresholds is not before.thresholds:
             batch.limits[row], batch.limits_awaited[row] = free.thresholds, free.awaited
         if before is None or free.domain is not before.domain:
-            leg["has_domain"] = free.domain is not None
+            leg.has_domain = free.domain is not None
             if free.domain is not None:
                 reach = free.domain.reach
                 batch.domain[row] = 0.0
                 batch.domain[row, : len(reach), : len(reach)] = reach
         if free.covariance is not None:
             terms, per_scale, root = free.covariance
-            n = leg["root_n"] = terms.shape[1]
+            n = leg.root_n = terms.shape[1]
             batch.index[row, :, :n], batch.per_scale[row, :, :n] = terms, per_scale
             batch.root[row, :, :n, :n] = root
         batch.coefficients[row] = free.coefficients
@@ -358,7 +361,8 @@ class LegPlace:
         self.batch.coefficients[self.row] = coefficients
 
     def _locate(self, batch: LegBatch, row: int) -> None:
-        self.batch, self.row, self.leg = batch, row, batch.legs[row]
+        self.batch, self.row, self.record = batch, row, batch.legs[row]
+        self.leg: Any = scalars_of(batch.legs, row)
         joints = batch.measured.shape[1]
         scalars, floats = _bytes(batch.legs[row : row + 1]), _bytes(batch.vectors[0][row])
         self._write_sample = partial(SAMPLE.pack_into, scalars, 0)
@@ -369,7 +373,7 @@ class LegPlace:
     def free_rms(self) -> list[float]:
         """(J,) rad, root mean square of the newest free residuals; zeros without any."""
         kept = self.batch.free_ring[self.row]
-        count = max(1, min(int(self.leg["free_n"]), len(kept)))
+        count = max(1, min(self.leg.free_n, len(kept)))
         rms: list[float] = np.sqrt(np.square(kept).sum(axis=0) / count).tolist()
         return rms
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import unwrap
-from adaptive_contact.detect.layout import RING, new_legs
+from adaptive_contact.detect.layout import RING, new_legs, scalars_of
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.source import (
     COMMANDS,
@@ -123,7 +123,7 @@ class SourceWatch:
     @property
     def cause(self) -> Doubt | None:
         """``echo`` or ``phase`` while the samples say nothing of the leg, else None."""
-        return SOURCE_CAUSES[int(self._place.leg["cause"])]
+        return SOURCE_CAUSES[int(self._place.leg.cause)]
 
     @property
     def note(self) -> str | None:
@@ -156,44 +156,45 @@ class RateWatch:
     def __init__(self, period_ns: int, place: LegPlace | None = None) -> None:
         self._place = place
         self._own = new_legs(1)
+        self._own_leg = scalars_of(self._own, 0)
         self._own["period_ns"] = period_ns
         self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
 
     @classmethod
     def of(cls, place: LegPlace) -> RateWatch:
         """Make the watch of a leg in a batch."""
-        return cls(int(place.leg["period_ns"]), place)
+        return cls(place.leg.period_ns, place)
 
     @property
     def off(self) -> bool:
         """Whether the mean rate is another than described."""
-        return bool(self.leg["rate_off"])
+        return bool(self.leg.rate_off)
 
     @property
     def rate_ticks(self) -> int:
         """Ticks by which the rate is judged."""
-        return int(self.leg["rate_ticks"])
+        return int(self.leg.rate_ticks)
 
     @property
     def found_ns(self) -> float | None:
         """Mean distance of ticks, None while that is unknown."""
-        found = float(self.leg["found_ns"])
+        found = self.leg.found_ns
         return None if math.isnan(found) else found
 
     @property
     def at_ns(self) -> int:
         """Time of the newest tick, by the schedule that follows the stamps."""
-        return int(self.leg["at_ns"])
+        return int(self.leg.at_ns)
 
     @property
     def late(self) -> bool | None:
         """Whether readings are as late as their stamps; None while that is not known."""
-        return (None, False, True)[int(self.leg["late"]) + 1]
+        return (None, False, True)[self.leg.late + 1]
 
     @property
     def since_ns(self) -> int:
         """Scheduled time of the oldest tick by which the rate is judged."""
-        count = int(self.leg["ring_n"])
+        count = self.leg.ring_n
         if not count:
             return 0
         return int(self._ring[(count - min(self.rate_ticks, count, RING)) % RING, 2])
@@ -202,17 +203,17 @@ class RateWatch:
     def jitter(self) -> float:
         """Root mean square of recent deviations from the schedule, periods."""
         leg = self.leg
-        return math.sqrt(max(float(leg["jitter_square"]) - float(leg["jitter_mean"]) ** 2, 0.0))
+        return math.sqrt(max(leg.jitter_square - leg.jitter_mean**2, 0.0))
 
     @property
     def jitter_ms(self) -> float:
         """The same, ms."""
-        return self.jitter * int(self.leg["period_ns"]) / 1e6
+        return float(self.jitter * self.leg.period_ns / 1e6)
 
     @property
     def note(self) -> str | None:
         """One line for a person while the rate is off, or stamps are far off their schedule."""
-        period_ms = int(self.leg["period_ns"]) / 1e6
+        period_ms = self.leg.period_ns / 1e6
         found_ns = self.found_ns
         if self.off and found_ns is not None:
             return (
@@ -241,8 +242,8 @@ class RateWatch:
 
     @property
     def leg(self) -> Any:
-        """The leg's scalars: a record of :data:`~adaptive_contact.detect.layout.LEG`."""
-        return self._own[0] if self._place is None else self._place.leg
+        """The leg's scalars, by the names of :data:`~adaptive_contact.detect.layout.LEG`."""
+        return self._own_leg if self._place is None else self._place.leg
 
     @property
     def _ring(self) -> NDArray[np.int64]:

@@ -57,7 +57,7 @@ class Accepted(NamedTuple):
     restart: bool  # the source has restarted; what came before does not connect
 
 
-_NEXT: Final = Accepted(missed=0, restart=False)  # what nearly every sample is
+NEXT: Final = Accepted(missed=0, restart=False)  # what nearly every sample is
 
 
 class _Newcomer(NamedTuple):
@@ -193,7 +193,7 @@ class StreamGuard:
         if since_start % SETTLED_SAMPLES == 0:
             self._short_lived = max(0, self._short_lived - 1)
         if missed == 0:
-            return _NEXT
+            return NEXT
         self.missed += missed
         return Accepted(missed=missed, restart=False)
 

@@ -82,12 +82,12 @@ class SwingJudge:
     @property
     def ticks(self) -> int:
         """Samples since the swing began, 1 at its first, 0 in stance."""
-        return int(self._place.leg["ticks"])
+        return int(self._place.leg.ticks)
 
     @property
     def obstructed(self) -> bool:
         """Whether the foot does not follow its command: obstructed, or without strength."""
-        return bool(self._place.leg["obstructed"])
+        return bool(self._place.leg.obstructed)
 
     @property
     def measures(self) -> bool:
@@ -97,17 +97,17 @@ class SwingJudge:
     @property
     def lifted(self) -> bool:
         """Whether the foot has come up at all; assumed without geometry."""
-        return self._leg.chain is None or float(self._place.leg["rise"]) > self._lifted_m
+        return self._leg.chain is None or self._place.leg.rise > self._lifted_m
 
     @property
     def had_lifted(self) -> bool:
         """The same of the swing that has ended last."""
-        return self._leg.chain is None or float(self._place.leg["resolved_rise"]) > self._lifted_m
+        return self._leg.chain is None or self._place.leg.resolved_rise > self._lifted_m
 
     @property
     def phase_unknown_note(self) -> str | None:
         """One line for a person when swings cannot be found at all."""
-        if not self._place.leg["phase_lacking"] or self.measures:
+        if not self._place.leg.phase_lacking or self.measures:
             return None
         return (
             "samples carry no phase and robot.toml no lengths_m: swings cannot be found, contacts "
@@ -117,7 +117,7 @@ class SwingJudge:
     @property
     def unobservable_note(self) -> str | None:
         """One line for a person when changes of the leg cannot be seen."""
-        count = min(int(self._place.leg["lengths_n"]), SWINGS)
+        count = min(self._place.leg.lengths_n, SWINGS)
         if self.measures or not count:
             return None
         if int(self._place.batch.lengths_ticks[self._place.row, :count].min()) // 2 >= LIFT_TICKS:
@@ -137,20 +137,20 @@ class SwingJudge:
                 asked only of a foot that is behind.
         """
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
-        count = int(leg["asked_n"])
+        count = leg.asked_n
         asked = float(batch.asked[row, (count - min(count, ASKED)) % ASKED])
         if asked <= self._least_way_m:
             # In a gait of small steps nothing would ever show that the foot is free again.
             self._unasked += 1
             if self._unasked >= FORGET_SWINGS:
-                leg["obstructed"] = False
+                leg.obstructed = False
             return None
         self._unasked = 0
-        moved = float(leg["moved"])
+        moved = leg.moved
         self.travel_ratio = moved / asked
-        enough = FREE_SHARE if leg["obstructed"] else HELD_SHARE
-        kept = int(leg["path_n"])
-        unbroken = int(leg["path_last"]) - int(leg["path_first"]) + 1 == kept
+        enough = FREE_SHARE if leg.obstructed else HELD_SHARE
+        kept = leg.path_n
+        unbroken = leg.path_last - leg.path_first + 1 == kept
         if self.travel_ratio < enough and rollout is not None and unbroken:
             # Servos that are slow for this gait never bring the foot where the command was.
             path = batch.path[row, :kept].tolist()
@@ -163,8 +163,8 @@ class SwingJudge:
                 self.travel_ratio = moved / way
         if self._turned_around():
             self.travel_ratio = 0.0
-        leg["obstructed"] = self.travel_ratio < enough
-        return bool(leg["obstructed"])
+        obstructed = leg.obstructed = self.travel_ratio < enough
+        return obstructed
 
     def _turned_around(self) -> bool:
         """Return whether readings went down by most of what the command rose, and away from it.
@@ -173,10 +173,10 @@ class SwingJudge:
         """
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
         start = float(batch.start[row, 2])
-        fell = start - float(leg["low_at_m"])
+        fell = start - leg.low_at_m
         if self.lifted or fell < self._least_way_m * TURNED_SHARE:
             return False
-        path = batch.path[row, : int(leg["path_n"])].tolist()
+        path = batch.path[row, : leg.path_n].tolist()
         heights = [self._foot(angles)[2] for angles in path]
         asked = max(heights) - min(heights[0], start)
         below = heights[-1] - float(batch.foot[row, 2])
@@ -185,7 +185,7 @@ class SwingJudge:
     def touched(self, ticks: int) -> None:
         """Note the foot's height at a contact, whose onset was so many ticks ago."""
         leg = self._place.leg
-        count = int(leg["heights_n"])
+        count = leg.heights_n
         if not count or not self.measures:
             return
         heights, kept = self._place.batch.heights[self._place.row], min(count, HEIGHTS)
@@ -193,9 +193,9 @@ class SwingJudge:
             float(heights[(count - 1 - min(back, kept - 1)) % HEIGHTS])
             for back in (ticks, ticks + SURFACE_TICKS)
         )
-        leg["touch_at"], leg["touch_before"] = at, before
-        if math.isnan(leg["fallen"]):
-            leg["fallen"] = leg["top"] - at
+        leg.touch_at, leg.touch_before = at, before
+        if math.isnan(leg.fallen):
+            leg.fallen = leg.top - at
 
     def touched_early(self) -> bool | None:
         """Return whether the last swing reported an early contact.
@@ -204,10 +204,10 @@ class SwingJudge:
             None where that is not known; False also where no contact was reported.
         """
         leg = self._place.leg
-        if not (self.measures and leg["resolved_whole"] and self.had_lifted) or leg["obstructed"]:
+        if not (self.measures and leg.resolved_whole and self.had_lifted) or leg.obstructed:
             return None
-        fallen = float(leg["resolved_fallen"])
-        return not math.isnan(fallen) and fallen < EARLY_SHARE * float(leg["resolved_rise"])
+        fallen = leg.resolved_fallen
+        return not math.isnan(fallen) and fallen < EARLY_SHARE * leg.resolved_rise
 
     def restart(self) -> None:
         """Forget past lifts: the source has started again."""

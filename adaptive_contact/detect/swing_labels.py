@@ -82,7 +82,7 @@ class SwingLabels:
     def unobservable_note(self) -> str | None:
         """One line for a person when changes of the leg cannot be seen."""
         leg = self._place.leg
-        if not (leg["known"] and leg["gated"]):
+        if not (leg.known and leg.gated):
             return None
         if self._unobserved < UNOBSERVED_SWINGS:
             return self._swing.unobservable_note
@@ -97,15 +97,15 @@ class SwingLabels:
 
     def restart(self) -> None:
         """Forget the present swing: the source has started again."""
-        self._place.leg["touch_n"] = 0
+        self._place.leg.touch_n = 0
 
     def assess(self, flags: int) -> list[LabelledSwing]:
         """Label what the next tick is judged by: a swing that begins, a lift past its top."""
         leg = self._place.leg
         if flags & (RESTARTED | BROKE_OFF | BEGAN):
-            leg["touch_n"] = 0
+            leg.touch_n = 0
         found: list[LabelledSwing] = []
-        if not leg["known"]:
+        if not leg.known:
             return found
         if flags & BEGAN:
             self._begin_swing()
@@ -114,11 +114,11 @@ class SwingLabels:
             found += self._contact()
         if not flags & ENTERED:
             return found
-        if not leg["gated"]:
+        if not leg.gated:
             rows = moving(self._rows(0, 1))
             return [*found, LabelledSwing(Label.UNGATED, rows)] if rows else found
         joints = self._place.batch.measured.shape[1]
-        nis = float(leg["distance"]) * float(leg["variance_scale"]) / joints
+        nis = leg.distance * leg.variance_scale / joints
         found.append(LabelledSwing(Label.TICK, nis=nis))
         if flags & TOPPED:
             found += self._lift()
@@ -127,10 +127,10 @@ class SwingLabels:
     def resolve(self) -> list[LabelledSwing]:
         """Label the rest of the swing that has ended."""
         leg = self._place.leg
-        if not leg["known"]:
+        if not leg.known:
             return []
-        self._unobserved += bool(leg["resolved_whole"])
-        first, last = int(leg["resolved_first"]), int(leg["resolved_last"]) - LAST_TICKS
+        self._unobserved += leg.resolved_whole
+        first, last = leg.resolved_first, leg.resolved_last - LAST_TICKS
         descent = self._rows(first, last)
         return [
             *self._contact(),
@@ -141,15 +141,13 @@ class SwingLabels:
     def alarm(self) -> list[LabelledSwing]:
         """Label what a contact that has just begun confirms."""
         leg = self._place.leg
-        if not leg["known"]:
+        if not leg.known:
             return []
-        onset_ns, now_ns, period_ns = (
-            int(leg[name]) for name in ("onset_ns", "at_ns", "period_ns")
-        )
+        onset_ns, now_ns, period_ns = leg.onset_ns, leg.at_ns, leg.period_ns
         self._swing.touched(round((now_ns - onset_ns) / period_ns))
-        self.landings.touched(int(leg["after"]) - (now_ns - onset_ns) // period_ns)
+        self.landings.touched(leg.after - (now_ns - onset_ns) // period_ns)
         rows = self._close(onset_ns, period_ns)
-        if leg["from_prior"] and leg["after"] and rows:
+        if leg.from_prior and leg.after and rows:
             last_ns = min(onset_ns, int(rows.t_ns[-1]) + period_ns) - CAUTIOUS_TICKS * period_ns
             rows = rows[rows.t_ns < last_ns]
         return self._confirmed(rows, lifted=self._swing.lifted)
@@ -158,11 +156,11 @@ class SwingLabels:
 
     def _begin_swing(self) -> None:
         self._travel_judged = False
-        self._place.leg["fits"] = False
+        self._place.leg.fits = False
         self._rollout = None
         # By the model as it was first known: what was learned since may be of what holds the foot.
         batch, row = self._place.batch, self._place.row
-        if self._place.leg["began_full"] and self._first is not None:
+        if self._place.leg.began_full and self._first is not None:
             window = batch.began_window[row].copy()
             self._rollout = functools.partial(rollout, self._first, window)
 
@@ -177,17 +175,17 @@ class SwingLabels:
             if obstructed is not None:
                 ratio = swing.travel_ratio
                 found.append(LabelledSwing(Label.TRAVEL, obstructed=obstructed, travel_ratio=ratio))
-        batch, row, count = self._place.batch, self._place.row, int(leg["lift_n"])
+        batch, row, count = self._place.batch, self._place.row, leg.lift_n
         first, total = let_go_row(batch.rows[row], count)
         if count - first < MIN_LIFT_ROWS:
             return found
-        leg["fits"] |= total <= UNFIT_LEVEL * (count - first)
-        if swing.lifted and not (swing.obstructed or leg["suspected"]):
+        leg.fits |= total <= UNFIT_LEVEL * (count - first)
+        if swing.lifted and not (swing.obstructed or leg.suspected):
             self._unobserved = 0
             self._region = self._regions.of(batch.desired[row].tolist())
             rows = moving(self._rows(first, count))
             if len(rows) >= MIN_LIFT_ROWS:
-                found.append(LabelledSwing(Label.LIFT, rows, self._region, int(leg["at_ns"])))
+                found.append(LabelledSwing(Label.LIFT, rows, self._region, leg.at_ns))
         return found
 
     def _confirmed(self, rows: Rows, *, lifted: bool) -> list[LabelledSwing]:
@@ -200,26 +198,26 @@ class SwingLabels:
     def _contact(self) -> list[LabelledSwing]:
         """Label the first ticks of a contact, for candidate models to be tried on."""
         batch, leg = self._place.batch, self._place.leg
-        count = int(leg["touch_n"])
+        count = leg.touch_n
         if not count:
             return []
-        leg["touch_n"], leg["touching"] = 0, False
+        leg.touch_n, leg.touching = 0, False
         ticks = Touch.of(batch.touch[self._place.row], count, *batch.coefficients.shape[1:])
         return [LabelledSwing(Label.CONTACT, touch=ticks)]
 
     def _close(self, onset_ns: int, period_ns: int) -> Rows:
         """Close the swing at a contact; return the rows of its descent that are free."""
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
-        lift, count = int(leg["lift_n"]), int(leg["row_n"])
+        lift, count = leg.lift_n, leg.row_n
         kept, free, near_ns = close_swing(
-            batch.rows[row], batch.row_values[row], lift, int(leg["commanded_n"]), count, onset_ns,
-            period_ns, int(leg["hole_ns"]),
+            batch.rows[row], batch.row_values[row], lift, leg.commanded_n, count, onset_ns,
+            period_ns, leg.hole_ns,
         )  # fmt: skip
         rows = self._rows(lift, free)
         if free < count and batch.rows[row, free]["push"]:  # seldom: of a leg that has changed
             rows = rows.then(not_pushed(self._rows(free, count), near_ns))
-        leg["lift_n"] = leg["row_n"] = kept
-        leg["closed"] = True
+        leg.lift_n = leg.row_n = kept
+        leg.closed = True
         return rows
 
     def _rows(self, first: int, last: int) -> Rows:

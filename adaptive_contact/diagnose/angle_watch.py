@@ -56,7 +56,7 @@ class MotionTrack:
     @property
     def begun(self) -> bool:
         """Whether the leg has had samples."""
-        return bool(self._place.leg["kept_n"])
+        return bool(self._place.leg.kept_n)
 
     @property
     def spoils(self) -> bool:

@@ -28,7 +28,7 @@ class KeptSamples(NamedTuple):
     @classmethod
     def of(cls, place: LegPlace, most: int = KEPT) -> KeptSamples:
         """Copy the newest samples of a leg since its source began, so many at most."""
-        count = int(place.leg["kept_n"])
+        count = place.leg.kept_n
         at = np.arange(max(count - most, 0), count) % KEPT
         t_ns, seq, phase = place.batch.kept_stamps[place.row, at].T
         measured, desired = np.split(place.batch.kept_angles[place.row, at], 2, axis=1)

@@ -133,8 +133,8 @@ class ReplayBuffer:
             return np.zeros((0, coefficients.shape[1])), self._context
         values, p = self.values[used], self._terms
         off = values[:, p:] - values[:, :p] @ coefficients
-        of_era = self._eras[used] == era
-        return off[of_era], self._context[used][of_era]
+        of_era = np.flatnonzero(self._eras[used] == era)
+        return off.take(of_era, axis=0), self._context.take(of_era)
 
     def of_era(self, era: int) -> int:
         """Count the segments of an era."""

@@ -304,7 +304,7 @@ class TraceBank:
     def _judged_ns(self, leg: str) -> int:
         """Time of the leg's newest accepted sample."""
         learner = self._bank.learner(leg)
-        return -1 if learner is None else int(learner.place.leg["t_ns"])
+        return -1 if learner is None else learner.place.leg.t_ns
 
     def traces(self, recorded: TracedRecords) -> list[LegTrace]:
         """Put together what was decided with what the recording says."""

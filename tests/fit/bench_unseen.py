@@ -161,7 +161,7 @@ def alarms(
                     motion.desired[tick - 1, j] - motion.desired[tick - 2, j],
                 )  # fmt: skip
                 of_joint = [float(step) / QUANTUM_RAD for step in steps]
-                replaced = float(learner.place.leg["inflation"]) > 1.0
+                replaced = float(learner.place.record["inflation"]) > 1.0
                 found.append(Alarm(motion.name, tick, event.score, j + 1, *of_joint, replaced))
             judged = learner.judged()
             if judged is not None:

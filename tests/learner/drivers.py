@@ -54,7 +54,7 @@ class Swings:
         angles = [(list(v) * joints)[:joints] for v in (sample.measured, sample.desired)]
         b.measured[0], b.desired[0] = angles
         ended: bool = follow_command(
-            self.place.leg, _PHASES[sample.phase], b.measured[0], b.desired[0], sample.seq,
+            self.place.record, _PHASES[sample.phase], b.measured[0], b.desired[0], sample.seq,
             b.links[0], b.turns[0], b.low[0], b.lengths_ticks[0], b.last_desired[0],
             b.last_measured[0], b.last_read[0], b.path[0], b.asked[0], b.commanded[0], b.foot[0],
             b.start[0], b.now, awaited,
@@ -65,7 +65,7 @@ class Swings:
         """Where the leg is."""
         b = self.place.batch
         follow_foot(
-            self.place.leg, np.array(measured), b.links[0], b.turns[0], b.lengths_ticks[0],
+            self.place.record, np.array(measured), b.links[0], b.turns[0], b.lengths_ticks[0],
             b.last_measured[0], b.heights[0], b.asked[0], b.commanded[0], b.foot[0], b.start[0],
             b.now,
         )  # fmt: skip
@@ -78,7 +78,7 @@ class Swings:
     @property
     def cleared(self) -> bool:
         """The foot was off the ground before."""
-        return bool(self.place.leg["cleared"])
+        return bool(self.place.record["cleared"])
 
 
 class Readings:
@@ -95,7 +95,7 @@ class Readings:
         """One tick; the residual it left."""
         self.observe(reading, valid)
         residual = self.place.residuals[0].copy()
-        b, leg = self.place.batch, self.place.leg
+        b, leg = self.place.batch, self.place.record
         push_command(leg, reading, b.window[0], b.lags, b.preview)
         b.increment[0] = self._expected
         leg["predicted"] = True
@@ -103,14 +103,14 @@ class Readings:
 
     def leave_range(self, leverage: float) -> None:
         """Have the motion lie so far out of what the model was fitted to, in every tick."""
-        b, leg = self.place.batch, self.place.leg
+        b, leg = self.place.batch, self.place.record
         leg["has_domain"] = True
         b.domain[0], b.theta[0] = 0.0, 0.0
         b.domain[0, 0, 0], b.theta[0, 0] = np.sqrt(leverage), 1.0
 
     def observe(self, reading: np.ndarray, valid: list[bool] | None = None) -> None:
         """Take a reading in."""
-        b, leg = self.place.batch, self.place.leg
+        b, leg = self.place.batch, self.place.record
         flags = np.ones(3, dtype=bool) if valid is None else np.array(valid)
         repair(
             leg, np.asarray(reading, dtype=float), flags, valid is not None and not all(valid),
@@ -124,27 +124,27 @@ class Readings:
 
     def restart(self) -> None:
         """Drop the past."""
-        restart_history(self.place.leg, self.place.batch.suspects[0])
+        restart_history(self.place.record, self.place.batch.suspects[0])
 
     @property
     def substituted(self) -> bool:
         """The last reading of a joint was replaced by the model's prediction."""
-        return bool(self.place.leg["bad"])
+        return bool(self.place.record["bad"])
 
     @property
     def unlearned(self) -> bool:
         """A reading repeats itself, and no row of the tick is learned."""
-        return bool(self.place.leg["repeats"])
+        return bool(self.place.record["repeats"])
 
     @property
     def usable(self) -> int:
         """Sound residuals, the newest in a row."""
-        return int(self.place.leg["usable"])
+        return int(self.place.record["usable"])
 
     @property
     def full(self) -> bool:
         """The window holds enough for a prediction."""
-        return bool(self.place.leg["filled"] >= self.place.leg["length"])
+        return bool(self.place.record["filled"] >= self.place.record["length"])
 
 
 class Labels:
@@ -152,27 +152,27 @@ class Labels:
 
     def __init__(self, robot: Robot) -> None:
         self.place = place_of(robot, robot.leg("rf"))
-        self.place.leg["gated"] = self.place.leg["learning"] = True
+        self.place.record["gated"] = self.place.record["learning"] = True
         self._seen: list[Tick] = []
         self._lift_taken = False
 
     def begin(self) -> None:
         """A swing begins."""
-        begin_labels(self.place.leg)
+        begin_labels(self.place.record)
         self._seen, self._lift_taken = [], False
 
     def discard(self) -> None:
         """The swing was broken off."""
-        begin_labels(self.place.leg)
-        self.place.leg["broken"] = True
+        begin_labels(self.place.record)
+        self.place.record["broken"] = True
 
     def hole(self) -> None:
         """Readings were lost."""
-        note_hole(self.place.leg, self.place.batch.rows[0])
+        note_hole(self.place.record, self.place.batch.rows[0])
 
     def add(self, row: Tick, ticks: int, *, descending: bool) -> None:
         """Enter a tick."""
-        b, leg = self.place.batch, self.place.leg
+        b, leg = self.place.batch, self.place.record
         leg["ticks"], leg["rising"], leg["cleared"], leg["at_ns"] = (
             ticks, row.lift, row.cleared, row.t_ns,
         )  # fmt: skip
@@ -192,7 +192,7 @@ class Labels:
 
     def take_lift(self) -> Rows | None:
         """The rows of the lift, once its top is past."""
-        leg = self.place.leg
+        leg = self.place.record
         if not leg["topped"] or leg["broken"] or self._lift_taken or not leg["lift_n"]:
             return None
         self._lift_taken = True
@@ -202,7 +202,7 @@ class Labels:
 
     def alarm(self, onset_ns: int, period_ns: int) -> Rows:
         """A contact was reported."""
-        b, leg = self.place.batch, self.place.leg
+        b, leg = self.place.batch, self.place.record
         lift, count = int(leg["lift_n"]), int(leg["row_n"])
         kept, free, near_ns = close_swing(
             b.rows[0], b.row_values[0], lift, int(leg["commanded_n"]), count, onset_ns, period_ns,
@@ -219,7 +219,7 @@ class Labels:
 
     def resolve(self) -> Rows:
         """The next stance has begun."""
-        leg = self.place.leg
+        leg = self.place.record
         lift, count = int(leg["lift_n"]), int(leg["row_n"])
         rows = self._rows(lift, max(lift, count - LAST_TICKS))
         leg["row_n"], leg["closed"] = leg["lift_n"], True
@@ -243,7 +243,7 @@ class Phases:
 
     def take(self, sample: ServoSample) -> None:
         """A sample's phase and command."""
-        b, leg, height = self.place.batch, self.place.leg, 0.0
+        b, leg, height = self.place.batch, self.place.record, 0.0
         desired = np.array(sample.desired)
         if leg["has_lengths"]:
             place_foot(desired, b.links[0], b.turns[0], b.now)
@@ -254,4 +254,4 @@ class Phases:
     @property
     def swapped(self) -> bool:
         """Stance is published as swing."""
-        return bool(self.place.leg["swapped"])
+        return bool(self.place.record["swapped"])

@@ -60,7 +60,7 @@ def belied(
         watch.follow(sample)
         if k == len(heights) + STANCE:
             break
-        whole = bool(watch.place.leg["whole"])
+        whole = bool(watch.place.record["whole"])
         watch.observe(sample.measured)
         if onset is not None and k == STANCE + onset + 2:
             watch.judge.touched(2)
@@ -71,7 +71,7 @@ def belied(
 
 def belied_of(watch: Swings, *, whole: bool) -> bool | None:
     """What the swing in hand shows where it ends."""
-    leg = watch.place.leg
+    leg = watch.place.record
     leg["resolved_whole"], leg["resolved_rise"] = whole, leg["rise"]
     leg["resolved_fallen"] = leg["fallen"]
     return watch.judge.touched_early()

@@ -146,7 +146,7 @@ def test_a_reading_that_is_none_says_nothing_of_the_foots_height(
         for k, sample in enumerate(samples(measured, desired, swing)):
             learner.update(junk(sample) if k == TICKS * 20 + 2 else sample)
             if TICKS * 20 <= k < TICKS * 20 + 20:
-                cleared.append(bool(learner.place.leg["cleared"]))
+                cleared.append(bool(learner.place.record["cleared"]))
         seen.append(cleared.index(True))
     assert seen[1] >= seen[0] - 1
 

@@ -44,7 +44,7 @@ def test_a_model_that_runs_away_is_not_followed(robot: Robot) -> None:
 
 def test_a_way_that_is_not_foretold_to_its_end_counts_for_nothing(robot: Robot) -> None:
     watch = Swings(robot)
-    leg, batch = watch.place.leg, watch.place.batch
+    leg, batch = watch.place.record, watch.place.batch
     batch.asked[0] = 0.06
     leg["asked_n"], leg["path_n"], leg["path_last"], leg["moved"] = 8, 8, 7, 0.03
     at = robot.leg("rf")

@@ -28,7 +28,7 @@ def test_what_is_shown_is_what_was_judged(robot: Robot) -> None:
     for k, sample in enumerate(samples(measured, desired, swing)):
         learner.update(sample)
         judged, place = learner.judged(), learner.place
-        if judged is None or place.leg["after"] or not 12 < k % EACH < TURN:
+        if judged is None or place.record["after"] or not 12 < k % EACH < TURN:
             continue
         compiled = place.batch.scores[place.row]
         at = np.isfinite(compiled) & (compiled > 0.0)
@@ -129,7 +129,7 @@ def test_a_prior_that_takes_over_in_mid_swing_sees_no_movement_from_nowhere(
             if learner.status.status == "learning":
                 break
     assert sample.phase == "swing"
-    leg = learner.place.leg
+    leg = learner.place.record
     assert (leg["filled"], leg["predicted"]) == (0, False)
     taken = []
     for sample in stream:

@@ -93,7 +93,7 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
     rng = np.random.default_rng(34)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, samples(*FakeLeg(seed=34).run(4)[:3]))
-    batch, leg, recent = learner.place.batch, learner.place.leg, learner.lifecycle.recent
+    batch, leg, recent = learner.place.batch, learner.place.record, learner.lifecycle.recent
     assert recent is not None
     told = {True: 0, False: 0}
     leg["context"], leg["usable"] = context_of(leg, np.zeros(3), np.full(3, 0.02)), 3
@@ -139,9 +139,9 @@ def test_waiting_ends_with_a_touch_a_standstill_a_swing_or_16_ticks(steps: list[
     for k, (phase, air, moves) in enumerate(steps):
         at += moves
         sample = ServoSample(t_ns=k, seq=k, measured=[0.1 * at] * 3, desired=[0.1] * 3, phase=phase)
-        was = int(watch.place.leg["after"])
+        was = int(watch.place.record["after"])
         ended = watch.follow(sample, awaited=air)
-        after, ticks = (int(watch.place.leg[name]) for name in ("after", "ticks"))
+        after, ticks = (int(watch.place.record[name]) for name in ("after", "ticks"))
         if phase == "swing":
             assert ended == (was > 0)
             assert after == 0 < ticks
@@ -170,7 +170,7 @@ class TestLandings:
         self, quiet: int, after: int, awaited: bool, counts: bool
     ) -> None:
         watch = Swings(ROBOT)
-        leg = watch.place.leg
+        leg = watch.place.record
         leg["ticks"], leg["after"], leg["quiet"], leg["same"], leg["t_ns"] = 30, after, quiet, 5, 7
         watch.follow(
             ServoSample(t_ns=7, seq=7, measured=[0.1] * 3, desired=[0.1] * 3, phase="stance"),
@@ -206,7 +206,7 @@ def test_a_swing_without_ground_is_told_in_the_status(robot: Robot, baseline: Ba
     assert learner.status.untouched == 0
     told = []
     for i in range(1, 40):
-        batch, leg = learner.place.batch, learner.place.leg
+        batch, leg = learner.place.batch, learner.place.record
         free = learner.place.window[0] + (batch.increment[0] if leg["predicted"] else 0.0)
         down = [last.desired[0], last.desired[1] - 0.004 * i, last.desired[2]]
         sample = msgspec.structs.replace(

@@ -121,7 +121,7 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
                 desired=angles,
                 phase="stance",
             )
-            places[name].take(sample, lost=0, restart=k == 0)
+            places[name].take(sample, 0, k == 0)
             places[name].batch.judge()
         watch.look()
         said.append([name for name, track in tracks.items() if track.note is not None])

@@ -102,7 +102,7 @@ def test_no_value_is_refused_for_being_itself(robot: Robot, baseline: Baseline, 
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, stream)
     assert not learner.status.rejects, "and stops, and lifts, of a clean leg are none, too"
-    batch, leg = learner.place.batch, learner.place.leg
+    batch, leg = learner.place.batch, learner.place.record
     for sample in stream:
         if sample.seq % 4 == 0:  # of the values to come, as many as are remembered
             to_come = [s.measured[joint] for s in stream[sample.seq : sample.seq + VALUES]]

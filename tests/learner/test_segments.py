@@ -302,8 +302,8 @@ def test_a_lift_that_does_not_end_keeps_its_newest_ticks(robot: Robot) -> None:
     book.begin()
     for tick in range(1, 10 * MAX_ROWS):
         book.add(row(tick, lift=True, calm=True), tick, descending=False)
-        assert book.place.leg["lift_n"] <= MAX_ROWS
-    assert book.place.leg["commanded_n"] == MAX_ROWS
+        assert book.place.record["lift_n"] <= MAX_ROWS
+    assert book.place.record["commanded_n"] == MAX_ROWS
     book.add(row(10 * MAX_ROWS, lift=False), 10 * MAX_ROWS, descending=True)
     assert ticks(book.take_lift()) == list(range(9 * MAX_ROWS, 10 * MAX_ROWS))
 

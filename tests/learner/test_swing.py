@@ -166,8 +166,8 @@ def test_a_swing_without_end_takes_no_more_memory(robot: Robot) -> None:
     for k in range(100, 3 * PATH_TICKS):
         sample = ServoSample(t_ns=k, seq=k, measured=at, desired=at, phase="swing")
         watch.take(sample)
-    assert watch.place.leg["path_n"] == PATH_TICKS
+    assert watch.place.record["path_n"] == PATH_TICKS
     asked: list[object] = []
-    watch.place.leg["obstructed"], watch.place.leg["moved"] = False, 0.01
+    watch.place.record["obstructed"], watch.place.record["moved"] = False, 0.01
     assert watch.judge.judge_travel(lambda path: asked.append(path) or []) is True  # type: ignore[func-returns-value]
     assert not asked
