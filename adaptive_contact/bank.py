@@ -18,7 +18,7 @@ import numpy as np
 
 from adaptive_contact.compiled import note_cached
 from adaptive_contact.detect.leg_batch import LegBatch
-from adaptive_contact.detect.swing_labels import close_swing, let_go_row
+from adaptive_contact.detect.swing_labels import close_swing, copy_rows, let_go_row
 from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
@@ -317,6 +317,7 @@ def compile_ahead() -> None:
     recursion.update(np.zeros(library.size), np.zeros(len(joints)))
     moves_at_most(recursion.coefficients, scale, 1.0)
     squares(batch.row_values[0], np.ones(len(joints)), coefficients, coefficients)
+    copy_rows(batch.row_values[0], batch.rows[0], 0, 0)
     let_go_row(batch.rows[0], 0)
     close_swing(batch.rows[0], batch.row_values[0], 0, 0, 0, 0, 0, -1)
     of_rows = np.ones((2, len(joints)))

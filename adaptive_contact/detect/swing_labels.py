@@ -225,8 +225,14 @@ class SwingLabels:
         batch, at = self._place.batch, self._place.row
         if first >= last:
             return NO_ROWS
-        values, known = batch.row_values[at, first:last], batch.rows[at, first:last]
-        return Rows(values.copy(), known.copy(), batch.measured.shape[1])
+        values, known = copy_rows(batch.row_values[at], batch.rows[at], first, last)
+        return Rows(values, known, batch.measured.shape[1])
+
+
+@compiled
+def copy_rows(values, rows, first, last):
+    """Copy some rows: numpy takes four times as long for those that have fields."""
+    return values[first:last].copy(), rows[first:last].copy()
 
 
 @compiled

@@ -133,6 +133,11 @@ class Adapter:
         return self.active.model
 
     @property
+    def changed(self) -> bool:
+        """Whether the leg may differ from its model: begun with a prior, or by its lifts."""
+        return self.active.inflated or self.variance_in_force > 1.0
+
+    @property
     def variance_in_force(self) -> float:
         """Variance scale by which this swing is judged.
 
@@ -177,11 +182,10 @@ class Adapter:
 
     def free_motion(self) -> FreeMotion:
         """Publish what the next tick is judged by."""
-        noise, active, variance_scale = self._noise_tracker, self.active, self.variance_in_force
-        changed = active.inflated or variance_scale > 1.0
+        noise, active, changed = self._noise_tracker, self.active, self.changed
         return FreeMotion(
             active.coefficients,
-            variance_scale,
+            self.variance_in_force,
             active.covariance,
             active.from_prior,
             changed,
