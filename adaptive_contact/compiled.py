@@ -116,39 +116,6 @@ def compiled(function: Callable[..., Any]) -> Any:
         _config.CACHE_DIR = before
 
 
-def _borrowing() -> Any:
-    """An array without its count of references, which every slice would raise and lower."""
-    from numba import extending
-    from numba.core import cgutils as generate
-    from numba.np import arrayobj
-
-    arrays: Any = arrayobj  # these three have no types
-    cgutils: Any = generate
-    intrinsic: Any = extending.intrinsic
-
-    def borrow(_context: Any, array: Any) -> Any:
-        def make(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            of_kind = arrays.make_array(array)
-            given, found = of_kind(context, builder, values[0]), of_kind(context, builder)
-            arrays.populate_array(
-                found,
-                data=given.data,
-                shape=cgutils.unpack_tuple(builder, given.shape),
-                strides=cgutils.unpack_tuple(builder, given.strides),
-                itemsize=given.itemsize,
-                meminfo=None,
-            )
-            return found._getvalue()
-
-        return array(array), make
-
-    return intrinsic(borrow)
-
-
-# Returns an array for as long as the caller holds it: slices of it cost nothing.
-borrow: Any = _borrowing() if compiles() else np.asanyarray
-
-
 class Handover:
     """Hands arrays over to compiled code in one table, by their addresses.
 
@@ -159,13 +126,13 @@ class Handover:
         kinds: type and number of dimensions of each array.
 
     Attributes:
-        receive: returns the arrays, in compiled code, from what :meth:`table` has made; slices of
-            them cost nothing, see :data:`borrow`.
+        receive: returns the arrays, in compiled code, from what :meth:`table` has made.  They have
+            no count of references, which every slice would raise and lower.
     """
 
     def __init__(self, *kinds: tuple[Any, int]) -> None:
         self._kinds = [(np.dtype(kind), dimensions) for kind, dimensions in kinds]
-        self.receive: Any = _receiving(self._kinds) if compiles() else _as_it_is
+        self.receive: Any = _receiving(self._kinds) if compiles() else tuple
 
     def table(self, *arrays: NDArray[Any]) -> Any:
         """Make what compiled code receives; uncompiled, that is the arrays themselves.
@@ -182,10 +149,6 @@ class Handover:
                 raise TypeError(f"found {found}; expected {kind}, contiguous and writable")
             cells[: 1 + array.ndim] = array.ctypes.data, *array.shape
         return table
-
-
-def _as_it_is(handed: Any) -> Any:
-    return handed
 
 
 _CELLS: Final = 6  # of an array in a table: its address, and up to five lengths

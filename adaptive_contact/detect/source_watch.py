@@ -151,13 +151,16 @@ class RateWatch:
         period_ns: what ticks should be apart.
         place: arrays of the leg, which its tick follows; own ones where absent, to be followed
             with :meth:`follow`.
+
+    Attributes:
+        own: scalars of a leg without a place, as compiled code takes them.
     """
 
     def __init__(self, period_ns: int, place: LegPlace | None = None) -> None:
         self._place = place
-        self._own = new_legs(1)
-        self._own_leg = scalars_of(self._own, 0)
-        self._own["period_ns"] = period_ns
+        self.own = new_legs(1)
+        self._own_leg = scalars_of(self.own, 0)
+        self.own["period_ns"] = period_ns
         self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
 
     @classmethod
@@ -236,7 +239,7 @@ class RateWatch:
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """
-        own, ring = records(self._own), self._own_ring
+        own, ring = records(self.own), self._own_ring
         missed = follow_one(own, ring, t_ns, seq, restart)
         return None if missed == PAUSE else int(missed)
 

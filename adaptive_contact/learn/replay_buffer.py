@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
-from adaptive_contact.compiled import borrow, compiled
+from adaptive_contact.compiled import compiled
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 from adaptive_contact.wire import BufferCounts
@@ -275,7 +275,6 @@ class ReplayBuffer:
 @compiled
 def keep_rows(values, known, kept, contexts, eras, first, era):
     """Copy rows to behind others: regressors and movements, contexts, and an era."""
-    values, kept = borrow(values), borrow(kept)
     for i in range(len(known)):
         for k in range(kept.shape[1]):
             kept[first + i, k] = values[i, k]

@@ -28,7 +28,7 @@ import numpy as np
 import scipy.linalg
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.compiled import Handover, borrow, compiled
+from adaptive_contact.compiled import Handover, compiled
 from adaptive_contact.model.free_motion import Covariance
 
 
@@ -291,7 +291,7 @@ def learn_row(values, at_row, handed):
         scale,
     ) = receive_learned(handed)  # fmt: skip
     forgetting, huber, most = limits[0], limits[1], limits[2]
-    row = borrow(values)[at_row]
+    row = values[at_row]
     joints, size = index.shape
     terms = len(current)
     theta, target = row[:terms], row[terms : terms + joints]
@@ -356,7 +356,6 @@ def moves_at_most(coefficients, scale, most):
 @compiled
 def squares(values, per_noise, own, known):
     """Sum the squared residuals of rows, over the noise, by (p, J) coefficients and by others."""
-    values, own, known = borrow(values), borrow(own), borrow(known)
     terms, joints = own.shape
     by_own = by_known = 0.0
     for i in range(len(values)):

@@ -9,9 +9,11 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from adaptive_contact import compiled
+from adaptive_contact.detect.layout import LEG, new_legs, scalars_of
 
 
 @pytest.fixture
@@ -183,3 +185,47 @@ def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> No
     compiled.note_cached()
     assert compiled.is_cached()
     assert (old.exists(), recent.exists()) == (False, True)
+
+
+GIVEN = compiled.Handover((np.float64, 2), (np.int64, 1), (LEG, 1))
+receive_given = GIVEN.receive
+
+
+@compiled.compiled
+def turned_in(handed):  # type: ignore[no-untyped-def]
+    """Reads and writes what was handed over."""
+    values, at, legs = receive_given(handed)
+    values[at[0], at[1]] += 1.0
+    legs[1].seq = values.shape[0] * 100 + values.shape[1]
+    return values[at[0]].sum()
+
+
+def test_arrays_are_handed_over_as_they_are() -> None:
+    values, at, legs = np.arange(12.0).reshape(3, 4), np.array([2, 1]), new_legs(2)
+    handed = GIVEN.table(values, at, compiled.records(legs))
+    assert turned_in(handed) == 8 + 10 + 10 + 11
+    assert values[2, 1] == 10.0
+    assert legs[1]["seq"] == 304
+    at[0] = 0  # the arrays themselves, not what they were
+    assert turned_in(handed) == 0 + 2 + 2 + 3
+
+
+@pytest.mark.skipif(not compiled.compiles(), reason="uncompiled, any array will do")
+@pytest.mark.parametrize(
+    "values",
+    [np.zeros((3, 4), np.float32), np.zeros(3), np.zeros((3, 4)).T, np.zeros((3, 8))[:, ::2]],
+)
+def test_an_array_of_another_kind_is_refused(values: np.ndarray) -> None:
+    with pytest.raises(TypeError, match=r"expected .*contiguous and writable"):
+        GIVEN.table(values, np.zeros(2, np.int64), new_legs(1))
+
+
+def test_the_scalars_of_a_leg_are_those_of_its_record() -> None:
+    legs = new_legs(2)
+    leg, before = scalars_of(legs, 1), legs[0].copy()
+    for number, name in enumerate(LEG.names or ()):
+        legs[1][name] = number
+        assert getattr(leg, name) == legs[1][name]
+        setattr(leg, name, 0)
+        assert legs[1][name] == 0
+    assert legs[0].tobytes() == before.tobytes()

@@ -76,14 +76,14 @@ def test_where_readings_are_known_to_be_late_a_late_tick_is_one_without_a_readin
 def observe(rate: RateWatch, *, late: bool, ticks: int = 60) -> None:
     """Ticks late by up to a quarter of a period, and readings that are so, too, or are not."""
     rng = np.random.default_rng(0)
-    moved, sigma, leg = np.array([0.08, -0.05]), np.array([0.004, 0.004]), rate.leg
+    moved, sigma, leg = np.array([0.08, -0.05]), np.array([0.004, 0.004]), rate.own[0]
     for k in range(ticks):
         rate.follow(k * STEP + round(rng.uniform(0, STEP / 4)), k, restart=k == 0)
-        stretch = float(leg["stretch"])
+        stretch = float(rate.leg.stretch)
         if stretch:
             # Where readings are known to be late they are moved to their ticks, and leave nothing.
             share = stretch if late else 0.0
-            moved_by = stretch if leg["late"] == 1 else 0.0
+            moved_by = stretch if rate.leg.late == 1 else 0.0
             shown = (share - moved_by) * moved + rng.normal(size=2) * 0.004
             vote_late(leg, shown, moved, sigma)
     assert rate.late is late
@@ -129,7 +129,7 @@ def test_delays_that_add_up_are_no_other_rate_for_a_moment(share: float, delay: 
     stamps = np.round(np.cumsum(steps) * STEP).astype(int).tolist()
     off = []
     for k, t_ns in enumerate(stamps):
-        rate.leg["late"] = 1  # by its readings
+        rate.leg.late = 1  # by its readings
         assert rate.follow(t_ns, k, restart=k == 0) is not None
         off.append(rate.off)
     assert not any(off)

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptive_contact.learn.noise_tracker import MOST, SEGMENTS_PER_TICK, NoiseTracker
+from adaptive_contact.learn.noise_tracker import (
+    CLIP,
+    MOST,
+    SEGMENTS_PER_TICK,
+    SHRINK_TICKS,
+    NoiseTracker,
+    turned_by,
+)
 from adaptive_contact.model import Domain
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_prior import prior_tails
@@ -188,3 +195,25 @@ def test_what_the_model_extrapolates_is_no_noise(noise: NoiseModel) -> None:
     strange.count(rows([30.0] * 500, theta=there))
     assert known.tail_factors[0] > 1.5
     assert strange.tail_factors == (1.0, 1.0)
+
+
+def test_whitening_is_turned_as_dense_algebra_does(noise: NoiseModel) -> None:
+    rng = np.random.default_rng(5)
+    whiten = np.array(noise.whiten)
+    for ticks in (1, 7, 400, 401):
+        residuals = rng.normal(size=(ticks, J)) @ rng.normal(size=(J, J)) * SIGMA
+        residuals[::50] *= 30.0  # wild ones, which are clipped
+        context = rng.integers(0, len(whiten), ticks)
+        z = np.matvec(whiten[context, 0], residuals)
+        size = np.sqrt(np.square(z).mean(axis=1))
+        z *= np.minimum(1.0, CLIP * np.median(size) / size)[:, None]
+        shape = z.T @ z + SHRINK_TICKS * np.square(z).mean() * np.eye(J)
+        shape *= J / shape.trace()
+        expected = np.linalg.inv(np.linalg.cholesky(shape)) @ whiten
+        np.testing.assert_allclose(turned_by(whiten, residuals, context), expected, rtol=1e-9)
+
+
+def test_residuals_without_scatter_turn_nothing(noise: NoiseModel) -> None:
+    of = recent(noise)
+    of.refresh(np.zeros((20, J)), np.zeros(20, dtype=np.int64))
+    np.testing.assert_array_equal(of.whiten, noise.whiten)

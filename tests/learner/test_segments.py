@@ -296,6 +296,41 @@ def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
     assert places(60) == set(range(6))
 
 
+def test_regions_are_parts_of_the_range_of_the_newest_commands() -> None:
+    """Against the extremes of all of them, looked for each time."""
+    rng = np.random.default_rng(1)
+    regions, seen = Regions(), list[np.ndarray]()
+    for k in range(1000):
+        seen.append(rng.choice([-1.0, 0.0, 0.2, 1.0, 3.0], 2) * (5.0 if k % 97 == 0 else 1.0))
+        newest = np.array(seen[-SEGMENTS:])
+        least, most = newest.min(axis=0), newest.max(axis=0)
+        place = (seen[-1] - least) / np.where(most > least, most - least, np.inf)
+        first, last = np.minimum((place * (3, 2)).astype(int), (2, 1))
+        assert regions.of(seen[-1].tolist()) == 2 * first + last
+
+
+def test_rows_wait_in_the_buffer_until_they_are_learned() -> None:
+    rng = np.random.default_rng(4)
+    buffer, waiting = ReplayBuffer(limit=12, queues=True), list[float]()
+    for k in range(300):
+        ticks = [row(100 * k + i, lift=True) for i in range(rng.integers(1, 30))]
+        buffer.add(rows_of(ticks), region=int(rng.choice(3)), era=0)
+        waiting += [float(tick.theta[0]) for tick in ticks]
+        while waiting and rng.random() < 0.97:
+            at, t_ns = buffer.next_unlearned()
+            first = waiting.pop(0)
+            assert buffer.values[at, 0] == first, "in order, wherever they have been moved to"
+            assert t_ns // PERIOD // 100 == first // 100
+        assert buffer.unlearned == len(waiting)
+        if k % 40 == 39:  # what is dropped is not learned any more
+            since = int(waiting[0] if waiting else 100 * k) // 100 * 100
+            buffer.drop_since(since * PERIOD)
+            waiting = [at for at in waiting if at < since]
+    buffer.learn_no_more()
+    assert buffer.unlearned == 0
+    assert len(buffer.segments) > 0
+
+
 def test_a_lift_that_does_not_end_keeps_its_newest_ticks(robot: Robot) -> None:
     """A leg held up for an hour, or a source that says "swing" for good."""
     book = Labels(robot)

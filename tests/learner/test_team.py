@@ -131,11 +131,11 @@ def test_a_leg_that_begins_anew_in_mid_tick_goes_no_further(
     learner.reset_after_fault(RuntimeError("on purpose"))
     group.finish()
     begun, known = learner.place, other.place
-    assert (begun.leg["filled"], begun.leg["predicted"]) == (0, False)
-    assert known.leg["filled"] == known.leg["length"]
+    assert (begun.leg.filled, begun.leg.predicted) == (0, False)
+    assert known.leg.filled == known.leg.length
     for sample in stream[41:80]:
         group.advance([sample, sample])
-    assert begun.leg["filled"] == begun.leg["length"]
+    assert begun.leg.filled == begun.leg.length
     np.testing.assert_array_equal(begun.window, known.window)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.detect.contact import model_uncertainty
-from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings
+from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, squares
 
 P, J = 6, 2
 NOISE = np.array([0.5, 2.0])
@@ -198,3 +198,43 @@ def test_loosening_adds_covariance_along_the_directions() -> None:
     for j in range(J):
         moves = (directions[j] * SCALE * SUPPORT[:, j])[:, rls.terms]
         np.testing.assert_allclose(rls.covariance[j], before[j] + moves.T @ moves, atol=1e-9)
+
+
+def test_coefficients_beyond_what_a_term_may_move_are_told() -> None:
+    theta, target, truth = data(60, seed=7)
+    most = 1.2 * float(np.abs(truth * SCALE[:, None]).max())
+    settings = RlsSettings(prior=5.0)
+    rls = RecursiveLeastSquares(truth, SUPPORT, SCALE, NOISE, settings, most)
+    values = np.concatenate([theta, target], axis=1)
+    assert all(rls.learn(values, k) for k in range(60))
+    assert not all(rls.learn(np.concatenate([theta, 40.0 * target], axis=1), k) for k in range(60))
+    assert np.abs(rls.coefficients * SCALE[:, None]).max() > most
+    nan = RecursiveLeastSquares(truth * np.nan, SUPPORT, SCALE, NOISE, settings, most)
+    assert not nan.learn(values, 0)
+
+
+def test_squares_are_those_of_residuals() -> None:
+    theta, target, truth = data(9, seed=8)
+    values = np.concatenate([theta, target, target + 1.0], axis=1)
+    other = truth + 0.1
+    found = squares(values, 1.0 / NOISE, truth, other)
+    expected = [np.square((target - theta @ by) / NOISE).sum() for by in (truth, other)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_a_copy_goes_its_own_way() -> None:
+    theta, target, _ = data(40, seed=9)
+    rls = make()
+    for row, y in zip(theta[:20], target[:20], strict=True):
+        rls.update(row, y)
+    kept, before = rls.copy(), rls.coefficients
+    for row, y in zip(theta[20:], target[20:], strict=True):
+        rls.update(row, y)
+    np.testing.assert_array_equal(kept.coefficients, before)
+    after = rls.coefficients
+    kept.update(theta[20], target[20])
+    np.testing.assert_array_equal(rls.coefficients, after)
+    again = rls.copy(kept)
+    assert again is kept
+    np.testing.assert_array_equal(again.coefficients, after)
+    np.testing.assert_array_equal(again.covariance, rls.covariance)
