@@ -80,7 +80,7 @@ def test_the_report_tells_the_whole_command(
 ) -> None:
     """All options, and one BLAS thread while it runs."""
     import typer
-    from threadpoolctl import threadpool_info
+    from threadpoolctl import threadpool_info, threadpool_limits
 
     from adaptive_contact.cli.paper import paper
     from adaptive_contact_studies.paper import run
@@ -96,7 +96,8 @@ def test_the_report_tells_the_whole_command(
     app.command()(paper)
     document = tmp_path / "a page.md"
     words = ["--quick", "--out", str(tmp_path / "out"), "--seed", "7", "--stage", "logs"]
-    result = CliRunner().invoke(app, [*words, "--docs", str(document)])
+    with threadpool_limits(2):
+        result = CliRunner().invoke(app, [*words, "--docs", str(document)])
     assert result.exit_code == 0, result.output
     command = f"adaptive-contact paper {' '.join(words)} --docs '{document}'"
     # In the order of the options' own list.
