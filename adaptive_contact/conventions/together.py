@@ -26,6 +26,7 @@ from adaptive_contact.conventions.rigid import (
     Feet,
     Reading,
     fit_readings,
+    meetings,
     on_body,
     refine,
     rigidity,
@@ -195,6 +196,7 @@ class _Others:
         self._streams = [leg.stream for leg in legs]
         self._plain = [Reading.plain(len(leg.leg.joints)) for leg in legs]
         self._shared: Feet | None = None
+        self._met = meetings(self._streams)
 
     def orders(self) -> dict[str, int]:
         """Another order of joints, the same for all legs."""
@@ -353,7 +355,7 @@ class _Others:
         phase_given = all(stream.swing is not None for stream in self._streams)
         if phase_given and self._shared is not None:
             return self._shared
-        feet = Feet(self._streams, self._lag, self._period_s, readings or self._plain)
+        feet = Feet(self._streams, self._lag, self._period_s, readings or self._plain, self._met)
         if phase_given:
             self._shared = feet
         return feet

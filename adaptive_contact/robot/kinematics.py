@@ -123,19 +123,22 @@ class Chain:
             for i in range(len(self.axes) - 1, -1, -1):
                 place = turned(place + self.origins_m[i], self.vectors[i], angles[..., i])
             return place
-        lengths = np.asarray(self._lengths, dtype=np.float64)
-        yaw_mask = np.array([1.0 if axis == "yaw" else 0.0 for axis in self.axes])
-        phi = link_angles(angles, self.axes)
-        heading = np.cumsum(angles * yaw_mask, axis=-1)
-        reach = lengths * np.cos(phi)
-        return np.stack(
-            [
-                np.sum(reach * np.cos(heading), axis=-1),
-                np.sum(reach * np.sin(heading), axis=-1),
-                np.sum(lengths * np.sin(phi), axis=-1),
-            ],
-            axis=-1,
-        )
+        # A column for each coordinate: sums along rows of three cost numpy more than the sines.
+        pitch = yaw = x = y = z = np.zeros(())
+        cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
+        for i, (length, axis) in enumerate(zip(self._lengths, self.axes, strict=True)):
+            if axis == "pitch":
+                pitch = pitch + angles[..., i]
+            else:
+                yaw = yaw + angles[..., i]
+                cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
+            reach = length * np.cos(pitch)
+            x = x + reach * cos_yaw
+            y = y + reach * sin_yaw
+            z = z + length * np.sin(pitch)
+        place = np.empty((*angles.shape[:-1], 3))
+        place[..., 0], place[..., 1], place[..., 2] = x, y, z
+        return place
 
     def point(self, q: Sequence[float]) -> Vector:
         """Place of the foot in one posture, m, equal to ``foot(q)``: what a control tick asks.

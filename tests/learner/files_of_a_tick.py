@@ -6,6 +6,7 @@ files for each contact event; ``bank.judge`` is the way from a sample to its eve
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 from pathlib import Path
@@ -21,6 +22,13 @@ from learner import conftest as made
 PACKAGE = Path(adaptive_contact.__file__).parent
 
 
+@functools.cache
+def ours(file: str) -> str | None:
+    """A source of the package by its name there, None for any other: asked at every call."""
+    path = Path(file)
+    return str(path.relative_to(PACKAGE)) if PACKAGE in path.parents else None
+
+
 def main() -> None:
     """Walk a leg whose every other swing touches, and print what its contact ticks enter."""
     robot = parse_robot(made.TOML, source="test")
@@ -30,9 +38,7 @@ def main() -> None:
         entered: dict[str, int] = {}
 
         def enter(frame: Any, kind: str, _: Any, entered: dict[str, int] = entered) -> None:
-            path = Path(frame.f_code.co_filename)
-            if kind == "call" and PACKAGE in path.parents:
-                name = str(path.relative_to(PACKAGE))
+            if kind == "call" and (name := ours(frame.f_code.co_filename)) is not None:
                 entered[name] = entered.get(name, 0) + 1
 
         sys.setprofile(enter)

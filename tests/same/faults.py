@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from .compare import compare
-from .trees import Tree, playing
+from .trees import PACKAGE, Tree, playing
 
 __all__ = ["FAULTS", "Fault", "find", "planted"]
 
@@ -156,8 +156,9 @@ def planted(fault: Fault, sound: Tree, folder: Path) -> Iterator[Tree]:
     """
     path = folder / "planted"
     shutil.rmtree(path, ignore_errors=True)
-    shutil.copytree(sound.path, path)
-    file = path / "adaptive_contact" / fault.file
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(sound.path / PACKAGE, path / PACKAGE, ignore=ignored)
+    file = path / PACKAGE / fault.file
     text = file.read_text(encoding="utf-8") if file.is_file() else ""
     if text.count(fault.old) != 1:
         raise SystemExit(

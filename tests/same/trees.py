@@ -27,12 +27,22 @@ import msgspec
 import numpy  # noqa: F401 - its BLAS is among the kernels
 import threadpoolctl
 
-__all__ = ["ROOT", "Playing", "Tree", "load", "missing", "of_revision", "playing", "working"]
+__all__ = [
+    "PACKAGE",
+    "ROOT",
+    "Playing",
+    "Tree",
+    "load",
+    "missing",
+    "of_revision",
+    "playing",
+    "working",
+]
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 _PLAY: Final = Path(__file__).with_name("play.py")
 # What a revision is replayed with; its simulator and its models are not used.
-_PACKAGE: Final = "adaptive_contact"
+PACKAGE: Final = "adaptive_contact"
 _NUMERIC: Final = ("numpy", "scipy", "scikit-learn", "pysindy", "msgspec", "numba", "llvmlite")
 _ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
@@ -57,7 +67,7 @@ class Tree:
     def at(cls, name: str, path: Path) -> Tree:
         """The tree in a folder."""
         digest = hashlib.sha256()
-        for file in sorted((path / _PACKAGE).rglob("*.py")):
+        for file in sorted((path / PACKAGE).rglob("*.py")):
             digest.update(f"{file.relative_to(path)}\0".encode())
             digest.update(hashlib.sha256(file.read_bytes()).digest())
         return cls(name, path, digest.hexdigest()[:16])
@@ -79,7 +89,7 @@ def of_revision(revision: str, folder: Path) -> Tree:
     path = folder / commit[:16]
     if not path.is_dir():
         archive = subprocess.run(
-            ["git", "archive", commit, _PACKAGE], cwd=ROOT, capture_output=True, check=True
+            ["git", "archive", commit, PACKAGE], cwd=ROOT, capture_output=True, check=True
         )
         draft = folder / f"{commit[:16]}.draft-{os.getpid()}"
         with tarfile.open(fileobj=BytesIO(archive.stdout)) as tar:
@@ -92,8 +102,8 @@ def working(folder: Path, name: str = "working tree") -> Tree:
     """Copy the working tree's package, so that it may be edited meanwhile."""
     path = folder / f"working-{os.getpid()}"
     shutil.rmtree(path, ignore_errors=True)
-    source = ROOT / _PACKAGE
-    shutil.copytree(source, path / _PACKAGE, ignore=shutil.ignore_patterns("__pycache__"))
+    source = ROOT / PACKAGE
+    shutil.copytree(source, path / PACKAGE, ignore=shutil.ignore_patterns("__pycache__"))
     return Tree.at(name, path)
 
 
