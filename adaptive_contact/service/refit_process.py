@@ -25,6 +25,8 @@ from adaptive_contact.priority import yield_priority
 
 # Says that no thread is disturbed yet by what it imports.
 HURRY: Final = "--hurry"
+# Says that jobs come at once, and most of them need nothing of it: a fit imports it, if one comes.
+UNPREPARED: Final = "--unprepared"
 
 _LENGTH: Final = struct.Struct(">Q")
 # What fits need, seconds to import: before the first job, not while it waits.
@@ -56,7 +58,7 @@ def main() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     hurry = HURRY in sys.argv
     yield_priority(0 if hurry else _NICE)
-    for module in _NEEDED:
+    for module in () if UNPREPARED in sys.argv else _NEEDED:
         importlib.import_module(module)
     if hurry:
         yield_priority(_NICE)
@@ -72,7 +74,7 @@ ONE_BLAS_THREAD: Final = {
 }
 
 
-def start_process(*, hurry: bool = False) -> subprocess.Popen[bytes]:
+def start_process(*, hurry: bool = False, prepared: bool = True) -> subprocess.Popen[bytes]:
     """Start a process that refits, for one :class:`~.refits.ProcessRefitter`.
 
     It ends with its stdin, and so with the process that started it.
@@ -80,17 +82,19 @@ def start_process(*, hurry: bool = False) -> subprocess.Popen[bytes]:
     Args:
         hurry: no thread has an event in hand yet, and it need not stand behind others before it is
             there.
+        prepared: it imports what fits need before it takes a job.
 
     Raises:
         OSError: there cannot be one more.
     """
+    words = [word for word, said in ((HURRY, hurry), (UNPREPARED, not prepared)) if said]
     env = {**os.environ, **ONE_BLAS_THREAD}
     home = Path(adaptive_contact.__file__).parents[1]
     if home.name not in ("site-packages", "dist-packages"):  # run from a source tree
         env["PYTHONPATH"] = os.pathsep.join(filter(None, (str(home), env.get("PYTHONPATH"))))
     return subprocess.Popen(
         # Safe paths: the current folder, which may be anybody's, has nothing to say.
-        [sys.executable, "-P", "-m", _MODULE, *((HURRY,) if hurry else ())],
+        [sys.executable, "-P", "-m", _MODULE, *words],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=env,

@@ -165,11 +165,12 @@ class WaitingRefitter(ProcessRefitter):
     """For replays, which have no clock to keep: a result that is asked for is waited for.
 
     So the events are the same every time, while ticks and fits go on side by side.  The process
-    is started at once: what it has to import takes as long as a minute of recording.
+    is started at once, and imports what fits need with the first of them: a short recording asks
+    for none, and its judgements of the motion would wait for seconds.
     """
 
     def __init__(self, timeout_s: float = JOB_TIMEOUT_S) -> None:
-        super().__init__(timeout_s, process=start_process(hurry=True))
+        super().__init__(timeout_s, process=start_process(hurry=True, prepared=False))
 
     def collect(self, leg: str, number: int) -> object | None:
         """The result of a job that was submitted, as soon as it is there."""

@@ -18,8 +18,8 @@ import dataclasses, signal, sys
 # A suite that a shell runs in the background inherits that SIGINT is ignored; a terminal's is not.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from adaptive_contact_studies.paper import plan
-plan.QUICK = dataclasses.replace(plan.QUICK, train_segments=480, test_segments=80)
-plan._PART_SEGMENTS = 40
+plan.QUICK = dataclasses.replace(plan.QUICK, train_segments=240, test_segments=40)
+plan._PART_SEGMENTS = 20
 from adaptive_contact.cli.main import main
 sys.argv = ["adaptive-contact", "paper", "--quick", "--stage", "dataset", "--stage",
             "compression", "--workers", "2", "--out", sys.argv[1]]
