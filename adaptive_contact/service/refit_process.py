@@ -26,6 +26,7 @@ from adaptive_contact.priority import yield_priority
 # Says that no thread is disturbed yet by what it imports.
 HURRY: Final = "--hurry"
 # Says that jobs come at once, and most of them need nothing of it: a fit imports it, if one comes.
+# Who sends them waits for each, so that it yields to nobody.
 UNPREPARED: Final = "--unprepared"
 
 _LENGTH: Final = struct.Struct(">Q")
@@ -58,10 +59,11 @@ def main() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     hurry = HURRY in sys.argv
     yield_priority(0 if hurry else _NICE)
-    for module in () if UNPREPARED in sys.argv else _NEEDED:
-        importlib.import_module(module)
-    if hurry:
-        yield_priority(_NICE)
+    if UNPREPARED not in sys.argv:
+        for module in _NEEDED:
+            importlib.import_module(module)
+        if hurry:
+            yield_priority(_NICE)
     with contextlib.suppress(BrokenPipeError):
         while (frame := read_frame(sys.stdin.buffer)) is not None:
             write_frame(results, pickle.dumps(pickle.loads(frame).run()))
@@ -82,7 +84,7 @@ def start_process(*, hurry: bool = False, prepared: bool = True) -> subprocess.P
     Args:
         hurry: no thread has an event in hand yet, and it need not stand behind others before it is
             there.
-        prepared: it imports what fits need before it takes a job.
+        prepared: it imports what fits need before it takes a job, and is in a hurry no longer.
 
     Raises:
         OSError: there cannot be one more.
