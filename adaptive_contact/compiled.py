@@ -110,7 +110,11 @@ def compiled(function: Callable[..., Any]) -> Any:
     try:
         # Other floating-point rules than IEEE's would make results depend on the machine.
         return numba.njit(
-            cache=folder is not None, inline="never", error_model="numpy", nogil=True, no_cfunc_wrapper=True
+            cache=folder is not None,
+            inline="never",
+            error_model="numpy",
+            nogil=True,
+            no_cfunc_wrapper=True,
         )(function)
     finally:
         _config.CACHE_DIR = before

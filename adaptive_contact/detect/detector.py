@@ -425,6 +425,7 @@ def bridge(
     The last three are scratch of :func:`judge_tick`: ``sums``, ``some`` and ``room``.
     """
     joints = len(desired)
+    has_valid = np.bool_(False)  # a literal would have `repair` compiled once more
     origin = floats[7]
     for j in range(joints):
         origin[j] = window[lags * joints + j]
@@ -435,9 +436,9 @@ def bridge(
         for j in range(joints):
             floats[8, j] = window[j] + increment[j]
         repair(
-            leg, floats[8], bools[0], False, floats[6], window, lags, preview, history, increment,
-            reach, last_good, last, suspects, stale, refused, values, counts, table, xi0,
-            coefficients, domain, theta, room, bools, floats,
+            leg, floats[8], bools[0], has_valid, floats[6], window, lags, preview, history,
+            increment, reach, last_good, last, suspects, stale, refused, values, counts, table,
+            xi0, coefficients, domain, theta, room, bools, floats,
         )  # fmt: skip
         take(leg, floats[6], window, lags, history, increment)
         judged(leg, theta, thetas)

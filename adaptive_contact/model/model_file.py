@@ -246,28 +246,6 @@ def leg_tree(known: LegBaseline) -> dict[str, object]:
     }
 
 
-def leg_of_tree(tree: object, library: Library) -> LegBaseline:
-    """Make a leg's baseline from the result of :func:`leg_tree`.
-
-    Args:
-        tree: as it was read.
-        library: that the leg's model must be of.
-
-    Raises:
-        BaselineError: it is no such tree, or of another library.
-    """
-    try:
-        if not isinstance(tree, dict):
-            raise BaselineError("what it started from is missing")
-        of = msgspec.convert(tree.get("library"), _LibraryFile)
-        known = _leg("?", msgspec.convert(tree.get("leg"), _LegFile), of)
-    except (msgspec.ValidationError, ConfigurationError, IdentificationError) as error:
-        raise BaselineError(f"what it started from cannot be read: {error}") from error
-    if known.model.library != library:
-        raise BaselineError("it belongs to another library, other joints or another rate")
-    return known
-
-
 def _library_file(library: Library) -> _LibraryFile:
     return _LibraryFile(
         name=library.name,

@@ -31,12 +31,13 @@ from adaptive_contact.bridge.tables import models_named
 from adaptive_contact_sim.virtual import (
     Backend,
     FaultSchedule,
-    KinematicBackend,
     VirtualPort,
     VirtualServer,
     VirtualServo,
 )
 from adaptive_contact_sim.virtual.servo import Refusal
+
+from .kinematic import KinematicBackend
 
 OWN: Final = ("at", "baud", "number", "short", "keeps")
 

@@ -25,12 +25,13 @@ from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, ServoSample, encode
 from adaptive_contact_sim.virtual import (
     FaultSchedule,
-    KinematicBackend,
     VirtualPort,
     VirtualServer,
     VirtualServo,
     parse_fault,
 )
+
+from .kinematic import KinematicBackend
 
 sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
 from anybus import serve

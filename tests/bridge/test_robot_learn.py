@@ -22,7 +22,8 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key, servo_key
-from adaptive_contact_sim.virtual import KinematicBackend
+
+from .kinematic import KinematicBackend
 
 AX = {"model": "AX-12A", "protocol": 1}
 PERIOD_S = 0.02

@@ -17,7 +17,6 @@ from adaptive_contact_sim import Simulation, load_scenario
 from adaptive_contact_sim.elements import HEXAPOD
 from adaptive_contact_sim.virtual import (
     FaultSchedule,
-    KinematicBackend,
     VirtualServo,
     parse_fault,
 )
@@ -30,6 +29,8 @@ from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend, QuadrupedPlant
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
 from adaptive_contact_studies.quadruped_trials import SCENARIOS, record
+
+from .kinematic import KinematicBackend
 
 
 def horns(robot: str = "hexapod") -> Horns:

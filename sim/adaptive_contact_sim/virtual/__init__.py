@@ -7,7 +7,7 @@ Any Dynamixel software can open them, ours or others'.  Bytes and control tables
 from __future__ import annotations
 
 from adaptive_contact_sim.virtual.assembly import VirtualServer
-from adaptive_contact_sim.virtual.backend import Backend, KinematicBackend
+from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.faults import FaultSchedule, FaultSpec, parse_fault
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.servo import VirtualServo
@@ -16,7 +16,6 @@ __all__ = [
     "Backend",
     "FaultSchedule",
     "FaultSpec",
-    "KinematicBackend",
     "VirtualPort",
     "VirtualServer",
     "VirtualServo",
