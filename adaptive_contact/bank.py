@@ -25,7 +25,7 @@ from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.learn.noise_tracker import turned_by
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
-from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most, squares
+from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most, squared_errors
 from adaptive_contact.leg_learner import EVENTS, ContactLearner, check_sample
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.library import Library, with_changes
@@ -316,7 +316,7 @@ def compile_ahead() -> None:
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
     recursion.update(np.zeros(library.size), np.zeros(len(joints)))
     moves_at_most(recursion.coefficients, scale, 1.0)
-    squares(batch.row_values[0], np.ones(len(joints)), coefficients, coefficients)
+    squared_errors(batch.row_values[0], np.ones(len(joints)), coefficients, coefficients)
     copy_rows(batch.row_values[0], batch.rows[0], 0, 0)
     let_go_row(batch.rows[0], 0)
     close_swing(batch.rows[0], batch.row_values[0], 0, 0, 0, 0, 0, -1)

@@ -17,12 +17,11 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 numba: Any
 _config: Any  # numba's settings are made at import, and have no types
@@ -123,36 +122,51 @@ def compiled(function: Callable[..., Any]) -> Any:
 class Handover:
     """Hands arrays over to compiled code in one table, by their addresses.
 
-    Each array that is passed by itself takes an eighth of a microsecond, and some functions take
-    forty.  Who hands arrays over keeps them, and makes another table where it replaces one.
+    Each array that is passed by itself takes an eighth of a microsecond: forty take longer than
+    many a function.
 
     Args:
-        kinds: type and number of dimensions of each array.
+        kinds: by name, type and number of dimensions of each array.
 
     Attributes:
-        receive: returns the arrays, in compiled code, from what :meth:`table` has made.  They have
-            no count of references, which every slice would raise and lower.
+        names: of the arrays, in the order in which they are received.
+        receive: returns the arrays, in compiled code, from the first argument of a function that
+            was bound.  They have no count of references, which every slice would raise and lower.
     """
 
-    def __init__(self, *kinds: tuple[Any, int]) -> None:
-        self._kinds = [(np.dtype(kind), dimensions) for kind, dimensions in kinds]
+    def __init__(self, **kinds: tuple[Any, int]) -> None:
+        self.names = tuple(kinds)
+        self._kinds = [(np.dtype(kind), dimensions) for kind, dimensions in kinds.values()]
         self.receive: Any = _receiving(self._kinds) if compiles() else tuple
 
-    def table(self, *arrays: NDArray[Any]) -> Any:
-        """Make what compiled code receives; uncompiled, that is the arrays themselves.
+    def bind(self, function: Callable[..., Any], arrays: Mapping[str, Any]) -> Any:
+        """Bind a compiled function to arrays, its first argument.
+
+        Args:
+            function: compiled.
+            arrays: by name, those it receives and any others.  They are kept with what is
+                returned: whoever puts another array in the place of one binds the function again.
+
+        Returns:
+            The function of its other arguments.
 
         Raises:
-            TypeError: one is not as it was declared.
+            TypeError: an array is not as it was declared.
         """
+        kept = tuple(arrays[name] for name in self.names)
         if not compiles():
-            return arrays
-        table = np.zeros((len(self._kinds), _CELLS), dtype=np.int64)
-        for cells, array, kind in zip(table, arrays, self._kinds, strict=True):
+            return functools.partial(function, kept)
+        table = np.zeros((len(kept), _CELLS), dtype=np.int64)
+        for name, cells, array, kind in zip(self.names, table, kept, self._kinds, strict=True):
             if (array.dtype, array.ndim) != kind or not array.flags.carray:
-                found = f"{array.dtype}, {array.ndim} dimensions, {array.flags}"
-                raise TypeError(f"found {found}; expected {kind}, contiguous and writable")
+                raise TypeError(
+                    f"{name}: found {array.ndim} dimensions of {array.dtype}; expected {kind[1]} "
+                    f"of {kind[0]}, contiguous and writable"
+                )
             cells[: 1 + array.ndim] = array.ctypes.data, *array.shape
-        return table
+        bound: Any = functools.partial(function, table)
+        bound.arrays = kept
+        return bound
 
 
 _CELLS: Final = 6  # of an array in a table: its address, and up to five lengths
@@ -177,7 +191,7 @@ def _receiving(kinds: list[tuple[Any, int]]) -> Any:
     def receive(_context: Any, table: Any) -> Any:
         def make(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             cells = arrays.make_array(table)(context, builder, values[0]).data
-            word = cells.type.pointee
+            word = ir.IntType(64)
             found = []
             for at, (of_kind, (kind, ndim)) in enumerate(zip(of_kinds, kinds, strict=True)):
                 address, *shape = (

@@ -8,7 +8,7 @@ Python takes what the first half has flagged.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -130,16 +130,23 @@ def restart_leg(leg, command, before, desired, suspects):
 
 # The arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, as each half receives them.
 _F8, _I8, _B1 = np.float64, np.int64, np.bool_
-_TABLE: Final = ((_I8, 1), (_I8, 1), (_I8, 1), (_F8, 1), (_F8, 1), (_I8, 1))
+_TABLE: Final[dict[str, tuple[Any, int]]] = {
+    "kind": (_I8, 1), "first": (_I8, 1), "entry": (_I8, 1), "weight": (_F8, 1), "knee": (_F8, 1),
+    "law": (_I8, 1),
+}  # fmt: skip
 JUDGED: Final = Handover(
-    (LEG, 1), (_F8, 2), (_I8, 2), (_B1, 2), (_I8, 2), (_F8, 3), (_I8, 3), (_F8, 3), (_I8, 3),
-    (_F8, 3), (_F8, 4), (_F8, 3), (_F8, 3), (_F8, 3), (_I8, 1), (_F8, 4), (_F8, 3), *_TABLE,
-    (_F8, 3), (_F8, 3), (_F8, 5), (_I8, 3), (_F8, 3), (_F8, 4), (_F8, 3), (ROW, 2), (_F8, 3),
-    (_F8, 3), (_B1, 2), (_F8, 2), (_F8, 1), (_F8, 2),
+    legs=(LEG, 1), floats=(_F8, 2), ints=(_I8, 2), bools=(_B1, 2), places=(_I8, 2),
+    preview_in=(_F8, 3), ring=(_I8, 3), kept_angles=(_F8, 3), kept_stamps=(_I8, 3),
+    echo_commands=(_F8, 3), echo_runs=(_F8, 4), parts=(_F8, 3), links=(_F8, 3), path=(_F8, 3),
+    depths=(_I8, 1), history=(_F8, 4), thetas=(_F8, 3), **_TABLE, xi0=(_F8, 3),
+    coefficients=(_F8, 3), whiten=(_F8, 5), index=(_I8, 3), per_scale=(_F8, 3), root=(_F8, 4),
+    domain=(_F8, 3), rows=(ROW, 2), row_values=(_F8, 3), free_ring=(_F8, 3), some=(_B1, 2),
+    room=(_F8, 2), now=(_F8, 1), sums=(_F8, 2),
 )  # fmt: skip
 FINISHED: Final = Handover(
-    (LEG, 1), (_F8, 2), (_I8, 2), (_F8, 3), (_I8, 1), *_TABLE, (_F8, 3), (_F8, 3), (_F8, 2)
-)
+    legs=(LEG, 1), floats=(_F8, 2), places=(_I8, 2), preview_in=(_F8, 3), depths=(_I8, 1),
+    **_TABLE, xi0=(_F8, 3), coefficients=(_F8, 3), sums=(_F8, 2),
+)  # fmt: skip
 receive_judged: Final = JUDGED.receive
 receive_finished: Final = FINISHED.receive
 
@@ -163,11 +170,11 @@ def judge_tick(handed):
     """
     (
         legs, floats, ints, bools, places, preview_in, ring, kept_angles, kept_stamps,
-        echo_commands, echo_runs, parts, links, path, shape, history, thetas, kind, first, entry,
+        echo_commands, echo_runs, parts, links, path, depths, history, thetas, kind, first, entry,
         weight, knee, law, xi0, coefficients, whiten, index, per_scale, root, domain, rows,
         row_values, free_ring, some, room, now, sums,
     ) = receive_judged(handed)  # fmt: skip
-    lags, preview = shape[0], shape[1]
+    lags, preview = depths[0], depths[1]
     joints = links.shape[1]
     table = (kind, first, entry, weight, knee, law)
     predicting = sums.reshape(2 * joints)
@@ -463,12 +470,12 @@ def finish_tick(handed):
         Rows held back of the leg that has most.
     """
     (
-        legs, floats, places, preview_in, shape, kind, first, entry, weight, knee, law, xi0,
-        coefficients, room,
+        legs, floats, places, preview_in, depths, kind, first, entry, weight, knee, law, xi0,
+        coefficients, sums,
     ) = receive_finished(handed)  # fmt: skip
-    lags, preview = shape[0], shape[1]
+    lags, preview = depths[0], depths[1]
     joints = coefficients.shape[2]
-    predicting = room.reshape(2 * joints)
+    predicting = sums.reshape(2 * joints)
     most = 0
     for i in range(len(legs)):
         if not legs[i].unfinished:

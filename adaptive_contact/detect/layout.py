@@ -1,9 +1,9 @@
 """Lays out the state of several legs' ticks: one row of every array is one leg.
 
 Scalars stand in one structured array, so that compiled code names them.  Vectors, which have as
-many entries as a leg has joints, say, stand side by side in one array for each kind of number:
-each array that is passed to compiled code costs an eighth of a microsecond.  Only what has more
-dimensions is an array of its own.
+many entries as a leg has joints, say, stand side by side in one array for each kind of number, so
+that what a tick uses of a leg is close together.  Only what has more dimensions is an array of its
+own.
 """
 
 from __future__ import annotations
@@ -275,6 +275,7 @@ _C_TYPES: Final[dict[Any, Any]] = {
 class LegScalars(ctypes.Structure):
     """Names the scalars of one leg for Python: numpy takes fifteen times as long for each."""
 
+    __slots__ = ()  # a name that there is not is refused
     _fields_ = [(name, _C_TYPES[LEG[name].type]) for name in LEG.names or ()]
 
 

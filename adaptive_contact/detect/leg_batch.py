@@ -58,6 +58,7 @@ class LegBatch:
         history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
         thetas: (3, p), regressors of the last ticks.
         domain: (p, p) matrix whose product with regressors has the leverage as squared length.
+        depths: measured lags of a window, and commands to come.
         index, per_scale, root: covariance of the coefficients while it is inflated.
         rows, row_values: rows of the swing until it is resolved, as
             :class:`~adaptive_contact.model.labelled_swing.Rows` has them.
@@ -95,7 +96,7 @@ class LegBatch:
         self.table = term_table(library)
         self.lags = shape.past_measured + 1
         self.preview = shape.preview
-        self.shape = np.array([self.lags, self.preview])
+        self.depths = np.array([self.lags, self.preview])
         depth = self.lags + shape.past_desired + 1 + shape.preview
         q, p = len(self.table.kind), library.size
         f, b, i = np.float64, np.bool_, np.int64
@@ -148,20 +149,14 @@ class LegBatch:
         self._gather()
 
     def _gather(self) -> None:
-        """Hand over what the two halves of a tick receive."""
+        """Bind the two halves of a tick to the arrays as they are."""
         floats, ints, bools = self.vectors
-        legs = records(self.legs)
-        self._judged = JUDGED.table(
-            legs, floats, ints, bools, self.places, self.preview_in, self.ring, self.kept_angles,
-            self.kept_stamps, self.echo_commands, self.echo_runs, self.parts, self.links,
-            self.path, self.shape, self.history, self.thetas, *self.table, self.xi0,
-            self.coefficients, self.whiten, self.index, self.per_scale, self.root, self.domain,
-            self.rows, self.row_values, self.free_ring, self.some, self.room, self.now, self.sums,
-        )  # fmt: skip
-        self._finished = FINISHED.table(
-            legs, floats, self.places, self.preview_in, self.shape, *self.table, self.xi0,
-            self.coefficients, self.sums,
-        )  # fmt: skip
+        arrays = {
+            **vars(self), **self.table._asdict(), "legs": records(self.legs), "floats": floats,
+            "ints": ints, "bools": bools,
+        }  # fmt: skip
+        self._judge = JUDGED.bind(judge_tick, arrays)
+        self._finish = FINISHED.bind(finish_tick, arrays)
 
     @property
     def flags(self) -> list[int]:
@@ -171,12 +166,12 @@ class LegBatch:
 
     def judge(self) -> int:
         """Run the first half of a tick; returns the flags of all legs, in one."""
-        found: int = judge_tick(self._judged)
+        found: int = self._judge()
         return found
 
     def finish(self) -> None:
         """Run the second half of a tick."""
-        most = finish_tick(self._finished)
+        most = self._finish()
         if most + 2 > self.rows.shape[1]:
             self.grow()
 
@@ -201,11 +196,11 @@ class LegBatch:
     def adopt(self, row: int, other: LegBatch, of: int) -> None:
         """Copy a row of another batch: what fits, where its library is another."""
         whole = self.alike(other)
-        while whole and self.rows.shape[1] < other.rows.shape[1]:
+        while self.rows.shape[1] < other.rows.shape[1]:
             self.grow()
         for name, mine in vars(self).items():
             theirs = vars(other).get(name)
-            if not isinstance(mine, np.ndarray) or name in _NO_ROWS_OF_LEGS or theirs is None:
+            if not isinstance(mine, np.ndarray) or name in _OF_NO_LEG or theirs is None:
                 continue
             if name in _OF_ROWS:
                 if whole:
@@ -235,10 +230,8 @@ class LegBatch:
 
 
 _OF_ROWS: Final = ("rows", "row_values")
-# Scratch, what is handed over, and what is adopted by other names.
-_NO_ROWS_OF_LEGS: Final = (
-    "some", "room", "now", "sums", "places", "accepted", "shape", "_judged", "_finished",
-)  # fmt: skip
+# Scratch, what is of all legs, and what is adopted by other names.
+_OF_NO_LEG: Final = ("some", "room", "now", "sums", "places", "accepted", "depths")
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",

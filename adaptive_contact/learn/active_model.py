@@ -12,7 +12,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Mask
-from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, moves_at_most, squares
+from adaptive_contact.learn.rls import (
+    RecursiveLeastSquares,
+    RlsSettings,
+    moves_at_most,
+    squared_errors,
+)
 from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
 from adaptive_contact.model.change_prior import change_directions, core_support
 from adaptive_contact.model.free_motion import Covariance
@@ -89,7 +94,7 @@ class ActiveModel:
 
     Attributes:
         baseline: the model at the start.
-        recursion: recursive least squares, which move the model.
+        recursion: recursive least squared_errors, which move the model.
         inflated: whether the recursion's covariance was, since the recursion began.
         as_made: the model as it was last asked for; rows learned since are not in it.
     """
@@ -142,9 +147,11 @@ class ActiveModel:
         return self.inflated and self._spread is not None
 
     def learn(self, values: Array, at: int) -> None:
-        """Learn a row, as :meth:`RecursiveLeastSquares.learn`; fall back where it is implausible.
+        """Learn a row; a model that becomes implausible gives way to the last good one.
 
-        An implausible model is replaced by the last good one, or by the one at the start.
+        Args:
+            values: as of :meth:`RecursiveLeastSquares.learn`.
+            at: which row.
         """
         self._moved = True
         if self.recursion.learn(values, at):
@@ -193,7 +200,7 @@ class ActiveModel:
         """
         if self.version == 0:
             return False
-        now, before = squares(rows.values, self._per_noise, self.coefficients, self._known)
+        now, before = squared_errors(rows.values, self._per_noise, self.coefficients, self._known)
         self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
         if self._better_baseline < RETURN_SWINGS:
             return False

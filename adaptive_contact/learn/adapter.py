@@ -119,7 +119,7 @@ class Adapter:
         self._swings = 0  # since covariances were recomputed
         self._learned_swing = False
         self._refresh_in: int | None = None  # ticks
-        self._renewed = False  # covariances were, in this tick
+        self._renewed = False  # covariances were, since the last `tick`
         self.busy = True
         self.candidate = Candidate(
             leg, self._noise, self._scale, refitter, known.domain, self.active.plausible
@@ -438,7 +438,7 @@ class Adapter:
         if not self.active.baseline_is_better(rows):
             return
         self.active.revert_to_baseline()
-        self.buffer.learn_no_more()
+        self.buffer.drop_unlearned()
         self._withdraw()
         self.candidate.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self.monitor.mark_unchanged()
@@ -477,7 +477,8 @@ class Adapter:
         Args:
             at_once: now, as what they are of is another model or leg; else within a few ticks.
         """
-        self._swings, self._refresh_in, self._renewed = 0, None, at_once
+        self._swings, self._refresh_in = 0, None
+        self._renewed |= at_once
         residuals, context = self.buffer.residuals(self.active.coefficients, self._era)
         if at_once:
             self._noise_tracker.refresh(residuals, context)
@@ -486,7 +487,7 @@ class Adapter:
 
     def _fallen(self, back_to: str) -> None:
         """Follow a return to another model, as the one in force was implausible."""
-        self.buffer.learn_no_more()
+        self.buffer.drop_unlearned()
         self._withdraw()
         self.candidate.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
         self._refresh()

@@ -226,11 +226,11 @@ def turn(whiten, z, size, usual, shape, turned):
     trace = 0.0
     for r in range(joints):
         trace += shape[r, r]
-    if not 0.0 < trace < np.inf:
+    by = joints / (trace * (1.0 + SHRINK_TICKS / n))
+    if not (trace > 0.0 and 0.0 < by < np.inf):
         return False
     for r in range(joints):
         shape[r, r] += SHRINK_TICKS * trace / joints / n
-    by = joints / (trace * (1.0 + SHRINK_TICKS / n))
     # Its Cholesky factor, in place; then what that factor turns into the baseline's whitening.
     for r in range(joints):
         for c in range(r + 1):

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
-from adaptive_contact.compiled import compiled
+from adaptive_contact.compiled import compiled, records
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 from adaptive_contact.wire import BufferCounts
@@ -63,21 +63,24 @@ class ReplayBuffer:
     """Buffers the confirmed segments of one leg, and queues what the recursion is to learn.
 
     Attributes:
+        limit: segments kept, more where they hold less than ``rows`` rows.
+        rows: that a refit wants.
+        queues: what is added waits for the recursion.
         values: (rows, p + J) regressors and movements, side by side.
         unlearned: rows that wait for the recursion; those of a segment that goes do not.
     """
 
-    limit: int = SEGMENTS  # segments kept, more where they hold less than ``rows`` rows
-    rows: int = 0  # that a refit wants
+    limit: int = SEGMENTS
+    rows: int = 0
+    queues: bool = False
+    unlearned: int = 0
+    values: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     _segments: deque[_Place] = dataclasses.field(default_factory=deque)
     _cells: Counter[tuple[int, int]] = dataclasses.field(default_factory=Counter)
     _held: int = 0  # rows
     _of_source: int = 0  # segments, the newest: whose times are of the source in force
     _used: int = 0  # rows of the arrays, those evicted among them
     _terms: int = 0  # p
-    queues: bool = False  # what is added, for the recursion
-    unlearned: int = 0
-    values: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     _queue: deque[_Place] = dataclasses.field(default_factory=deque)
     _context: Ints = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
     _eras: Ints = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
@@ -110,7 +113,8 @@ class ReplayBuffer:
         cell, t_ns = (0 if rows.lifting else 1, region), int(rows.known[-1]["t_ns"])
         place = _Place(0, len(rows), cell, era, t_ns)
         self._append(place, width, rows.joints)
-        keep_rows(rows.values, rows.known, self.values, self._context, self._eras, place.first, era)
+        known = records(rows.known)
+        keep_rows(rows.values, known, self.values, self._context, self._eras, place.first, era)
         self._of_source += 1
         if self.queues:
             place.unlearned = place.count
@@ -141,10 +145,13 @@ class ReplayBuffer:
         return sum(segment.era == era for segment in self._segments)
 
     def next_unlearned(self) -> tuple[int, int]:
-        """Take the oldest of the rows that wait: its place in :attr:`values`, and a time.
+        """Take the oldest of the rows that wait.
 
         Returns:
-            And when its segment ended, ns.
+            Its place in :attr:`values`, and when its segment ended, ns.
+
+        Raises:
+            IndexError: none waits.
         """
         place = self._queue[0]
         while not place.unlearned:  # learned, or gone
@@ -155,7 +162,7 @@ class ReplayBuffer:
         self.unlearned -= 1
         return at, place.t_ns
 
-    def learn_no_more(self) -> None:
+    def drop_unlearned(self) -> None:
         """Drop what waits for the recursion; it stays in the buffer."""
         for place in self._queue:
             place.unlearned = 0
@@ -203,8 +210,8 @@ class ReplayBuffer:
         """Drop one: first of older eras, then the oldest of the fullest cell."""
         index = 0  # eras are in order
         if self._segments[0].era == self._segments[-1].era:
-            cells, most = self._cells, max(self._cells.values())
-            index = next(i for i, s in enumerate(self._segments) if cells[s.cell] == most)
+            most = max(self._cells.values())
+            index = next(i for i, s in enumerate(self._segments) if self._cells[s.cell] == most)
         self._of_source -= index >= len(self._segments) - self._of_source
         self._drop(self._segments[index])
         del self._segments[index]
@@ -258,7 +265,7 @@ class ReplayBuffer:
 
     def restore(self, segments: list[Segment]) -> None:
         """Take over saved segments, oldest first; beyond the limit, the newest."""
-        self.learn_no_more()
+        self.drop_unlearned()
         self._segments.clear()
         self._cells.clear()
         self._held = self._used = self._of_source = 0

@@ -154,6 +154,10 @@ class RecursiveLeastSquares:
         into.rows = self.rows
         return into
 
+    def __deepcopy__(self, _: object) -> RecursiveLeastSquares:
+        """As :meth:`copy`: what is bound to the arrays of one is of no use to another."""
+        return self.copy()
+
     def reset_covariance(self) -> None:
         """Reset the covariance to the prior: every term may move by as much as it says."""
         self._s[:] = 0.0
@@ -208,7 +212,7 @@ class RecursiveLeastSquares:
         Returns:
             Whether the coefficients are plausible.
         """
-        sound, plausible = learn_row(values, at, self._handed)
+        sound, plausible = self._learn(values, at)
         if sound:
             self.rows += 1
             if self.rows % 64 == 0:
@@ -235,10 +239,15 @@ class RecursiveLeastSquares:
         self._bound()
 
     def _hand_over(self) -> None:
-        """Hand over what learning a row receives; the arrays stay where they are."""
-        self._handed = LEARNED.table(
-            self._index, self._counts, self._per_scale, self._per_noise, self._to_raw, self._xi,
-            self._s, self._limits, self._innovations, self._room, self.current, self._scale,
+        """Bind the learning of a row to the arrays; they stay where they are."""
+        self._learn = LEARNED.bind(
+            learn_row,
+            {
+                "index": self._index, "counts": self._counts, "per_scale": self._per_scale,
+                "per_noise": self._per_noise, "to_raw": self._to_raw, "xi": self._xi, "s": self._s,
+                "limits": self._limits, "innovations": self._innovations, "room": self._room,
+                "current": self.current, "scale": self._scale,
+            },
         )  # fmt: skip
 
     def _scaled(self, coefficients: Array) -> Array:
@@ -263,24 +272,23 @@ class RecursiveLeastSquares:
             self._s *= shrink[:, :, None]
 
 
-# Places, counts and units of the terms, their coefficients and roots, the three limits (forgetting,
-# Huber's, plausible), innovations, scratch, coefficients in raw units, scale of regressors.
 LEARNED: Final = Handover(
-    (np.int64, 2), (np.int64, 1), (np.float64, 2), (np.float64, 1), (np.float64, 2),
-    (np.float64, 2), (np.float64, 3), (np.float64, 1), (np.float64, 1), (np.float64, 3),
-    (np.float64, 2), (np.float64, 1),
+    index=(np.int64, 2), counts=(np.int64, 1), per_scale=(np.float64, 2), per_noise=(np.float64, 1),
+    to_raw=(np.float64, 2), xi=(np.float64, 2), s=(np.float64, 3), limits=(np.float64, 1),
+    innovations=(np.float64, 1), room=(np.float64, 3), current=(np.float64, 2),
+    scale=(np.float64, 1),
 )  # fmt: skip
 receive_learned: Final = LEARNED.receive
 
 
 @compiled
-def learn_row(values, at_row, handed):
+def learn_row(handed, values, at_row):
     """Learn one row of several, in place.
 
     Of its p regressors, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
     coefficients in units of scale and noise, ``s`` (J, n, n) the roots of their covariances.
     (J,) ``innovations`` and (p, J) ``current``, coefficients in raw units, are filled; (2, J, n)
-    ``room`` is scratch.
+    ``room`` is scratch; ``limits`` are forgetting, Huber's, and what is plausible.
 
     Returns:
         Whether it was learned, or left out, as an innovation is not finite; and whether no term of
@@ -354,7 +362,7 @@ def moves_at_most(coefficients, scale, most):
 
 
 @compiled
-def squares(values, per_noise, own, known):
+def squared_errors(values, per_noise, own, known):
     """Sum the squared residuals of rows, over the noise, by (p, J) coefficients and by others."""
     terms, joints = own.shape
     by_own = by_known = 0.0

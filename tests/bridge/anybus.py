@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from kinematic import KinematicBackend
 
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact_sim.virtual import (
@@ -36,8 +37,6 @@ from adaptive_contact_sim.virtual import (
     VirtualServo,
 )
 from adaptive_contact_sim.virtual.servo import Refusal
-
-from .kinematic import KinematicBackend
 
 OWN: Final = ("at", "baud", "number", "short", "keeps")
 

@@ -31,11 +31,10 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 
-from .kinematic import KinematicBackend
-
 sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
 from anybus import serve
 from described import KNOWS_FAST, Serve
+from kinematic import KinematicBackend
 
 PERIOD_S = 0.02
 

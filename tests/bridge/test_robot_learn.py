@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from kinematic import KinematicBackend
 from typer.testing import CliRunner
 
 from adaptive_contact.bridge.training import free_swings
@@ -22,8 +23,6 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key, servo_key
-
-from .kinematic import KinematicBackend
 
 AX = {"model": "AX-12A", "protocol": 1}
 PERIOD_S = 0.02

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kinematic import KinematicBackend
 
 from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.bridge.tables import models_named
@@ -29,8 +30,6 @@ from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend, QuadrupedPlant
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
 from adaptive_contact_studies.quadruped_trials import SCENARIOS, record
-
-from .kinematic import KinematicBackend
 
 
 def horns(robot: str = "hexapod") -> Horns:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import os
 import shutil
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from adaptive_contact import compiled
+from adaptive_contact.detect.detector import FINISHED, JUDGED, finish_tick, judge_tick
 from adaptive_contact.detect.layout import LEG, new_legs, scalars_of
+from adaptive_contact.learn.rls import LEARNED, learn_row
 
 
 @pytest.fixture
@@ -187,7 +193,7 @@ def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> No
     assert (old.exists(), recent.exists()) == (False, True)
 
 
-GIVEN = compiled.Handover((np.float64, 2), (np.int64, 1), (LEG, 1))
+GIVEN = compiled.Handover(values=(np.float64, 2), at=(np.int64, 1), legs=(LEG, 1))
 receive_given = GIVEN.receive
 
 
@@ -202,12 +208,14 @@ def turned_in(handed):  # type: ignore[no-untyped-def]
 
 def test_arrays_are_handed_over_as_they_are() -> None:
     values, at, legs = np.arange(12.0).reshape(3, 4), np.array([2, 1]), new_legs(2)
-    handed = GIVEN.table(values, at, compiled.records(legs))
-    assert turned_in(handed) == 8 + 10 + 10 + 11
+    turn_in = GIVEN.bind(
+        turned_in, {"legs": compiled.records(legs), "values": values, "more": 0, "at": at}
+    )
+    assert turn_in() == 8 + 10 + 10 + 11
     assert values[2, 1] == 10.0
     assert legs[1]["seq"] == 304
     at[0] = 0  # the arrays themselves, not what they were
-    assert turned_in(handed) == 0 + 2 + 2 + 3
+    assert turn_in() == 0 + 2 + 2 + 3
 
 
 @pytest.mark.skipif(not compiled.compiles(), reason="uncompiled, any array will do")
@@ -216,8 +224,25 @@ def test_arrays_are_handed_over_as_they_are() -> None:
     [np.zeros((3, 4), np.float32), np.zeros(3), np.zeros((3, 4)).T, np.zeros((3, 8))[:, ::2]],
 )
 def test_an_array_of_another_kind_is_refused(values: np.ndarray) -> None:
-    with pytest.raises(TypeError, match=r"expected .*contiguous and writable"):
-        GIVEN.table(values, np.zeros(2, np.int64), new_legs(1))
+    arrays = {"values": values, "at": np.zeros(2, np.int64), "legs": new_legs(1)}
+    with pytest.raises(TypeError, match=r"values: found .*expected 2 of float64, contiguous"):
+        GIVEN.bind(turned_in, arrays)
+
+
+@pytest.mark.parametrize(
+    ("function", "handover"),
+    [(judge_tick, JUDGED), (finish_tick, FINISHED), (learn_row, LEARNED), (turned_in, GIVEN)],
+)
+def test_arrays_are_received_by_the_names_they_are_handed_over_by(
+    function: Any, handover: compiled.Handover
+) -> None:
+    source = textwrap.dedent(inspect.getsource(getattr(function, "py_func", function)))
+    received = [
+        tuple(name.id for name in node.targets[0].elts)  # type: ignore[attr-defined]
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Assign) and "receive_" in ast.unparse(node.value)
+    ]
+    assert received == [handover.names]
 
 
 def test_the_scalars_of_a_leg_are_those_of_its_record() -> None:
@@ -229,3 +254,26 @@ def test_the_scalars_of_a_leg_are_those_of_its_record() -> None:
         setattr(leg, name, 0)
         assert legs[1][name] == 0
     assert legs[0].tobytes() == before.tobytes()
+    with pytest.raises(AttributeError):
+        leg.no_such_name = 0
+
+
+def test_rows_of_a_leg_that_changes_are_kept_uncompiled() -> None:
+    """What two lifts have confirmed is joined, and the buffer and the recursion take it."""
+    code = """
+import numpy as np
+from adaptive_contact.learn.replay_buffer import ReplayBuffer
+from adaptive_contact.learn.rls import RecursiveLeastSquares
+from adaptive_contact.model.labelled_swing import ROW, Rows
+rows = Rows(np.ones((3, 4)), np.zeros(3, ROW).view(np.recarray), 1)
+buffer = ReplayBuffer(queues=True)
+buffer.add(rows.then(rows), 0, 0)
+rls = RecursiveLeastSquares(np.zeros((2, 1)), np.ones((2, 1), bool), np.ones(2), np.ones(1))
+assert rls.learn(buffer.values, buffer.next_unlearned()[0])
+print(buffer.unlearned, rls.rows)
+"""
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["5", "1"]

@@ -326,7 +326,7 @@ def test_rows_wait_in_the_buffer_until_they_are_learned() -> None:
             since = int(waiting[0] if waiting else 100 * k) // 100 * 100
             buffer.drop_since(since * PERIOD)
             waiting = [at for at in waiting if at < since]
-    buffer.learn_no_more()
+    buffer.drop_unlearned()
     assert buffer.unlearned == 0
     assert len(buffer.segments) > 0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.detect.contact import model_uncertainty
-from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, squares
+from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, squared_errors
 
 P, J = 6, 2
 NOISE = np.array([0.5, 2.0])
@@ -217,7 +217,7 @@ def test_squares_are_those_of_residuals() -> None:
     theta, target, truth = data(9, seed=8)
     values = np.concatenate([theta, target, target + 1.0], axis=1)
     other = truth + 0.1
-    found = squares(values, 1.0 / NOISE, truth, other)
+    found = squared_errors(values, 1.0 / NOISE, truth, other)
     expected = [np.square((target - theta @ by) / NOISE).sum() for by in (truth, other)]
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
