@@ -5,7 +5,7 @@ is what makes six legs cost little more than one.  A tick has two halves.  The f
 :meth:`LegGroup.judge`, goes from samples to contact events.  The second, :meth:`LegGroup.finish`,
 learns from the tick and predicts the next; no event waits for it.
 
-Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._step`).
+Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._each`).
 """
 
 from __future__ import annotations
@@ -89,28 +89,23 @@ class LegGroup:
             self.finish()
         self._regroup()
         events: list[ContactEvent | None] = [None] * len(self.learners)
-        here: list[int] = []
         for batch, _ in self._batches:
             batch.accepted.fill(False)
-        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
-            if sample is None:
-                continue
-            try:  # as in `_step`, but six times in every tick
-                taken = learner.take(sample)
-            except Exception as fault:
-                self._reset(learner, fault)
-                continue
-            if taken:
-                here.append(i)
+        numbered = enumerate(zip(self.learners, samples, strict=True))
+        taken = [(i, o.take, (sample,)) for i, (o, sample) in numbered if sample is not None]
+        here = [i for i, _ in self._each(taken)]
         if not here:
             return events
         self._open.update(here)
         # Every batch is judged before the first event is made.
         for batch, members in [pair for pair in self._batches if pair[0].judge() & EVENTS]:
-            for i, flags in zip(members, batch.flags, strict=True):
-                learner = self.learners[i]
-                if flags & EVENTS and batch.accepted[learner.place.row]:
-                    events[i] = self._step(learner, learner.event_of, flags)
+            deciding = [
+                (i, self.learners[i].event_of, (flags,))
+                for i, flags in zip(members, batch.flags, strict=True)
+                if flags & EVENTS and batch.accepted[self.learners[i].place.row]
+            ]
+            for i, event in self._each(deciding):
+                events[i] = event
         return events
 
     def finish(self) -> None:
@@ -120,43 +115,47 @@ class LegGroup:
         for that.
         """
         if self._open:
-            taking_over: list[ContactLearner] = []
+            another: list[tuple[int, bool]] = []
             for batch, members in self._batches:
-                for i, flags in zip(members, batch.flags, strict=True):
-                    if i not in self._open:
-                        continue
-                    learner = self.learners[i]
-                    try:
-                        another = learner.finish(flags)
-                    except Exception as fault:
-                        self._reset(learner, fault)
-                        continue
-                    if another:
-                        taking_over.append(learner)
+                numbered = zip(members, batch.flags, strict=True)
+                judged = [
+                    (i, self.learners[i].finish, (flags,))
+                    for i, flags in numbered
+                    if i in self._open
+                ]
+                another += self._each(judged)
                 batch.finish()
             self._open.clear()
-            for learner in taking_over:
-                self._step(learner, learner.take_up_model)
+            self._each([(i, self.learners[i].take_up_model, ()) for i, _ in another])
         self._regroup()
 
-    def _step(self, learner: ContactLearner, step: Callable[..., T], *given: object) -> T | None:
-        """Make one leg's step; reset that leg if it raises, so that the others go on.
+    def _each(
+        self, steps: Sequence[tuple[int, Callable[..., T | None], tuple[object, ...]]]
+    ) -> list[tuple[int, T]]:
+        """Make steps of several legs; reset a leg whose step raises, so that the others go on.
+
+        Args:
+            steps: the place of the leg among the learners, its step, and what the step takes.
 
         Returns:
-            What the step does; None where it raised.  Without ``on_fault`` it is raised again.
+            Places and results of the steps that returned something true.  Without ``on_fault``
+            what a step raises is raised again.
         """
-        try:
-            return step(*given)
-        except Exception as fault:  # of any kind, as the other legs must go on
-            self._reset(learner, fault)
-            return None
-
-    def _reset(self, learner: ContactLearner, fault: Exception) -> None:
-        """Reset a leg whose step has raised; without ``on_fault``, raise it."""
-        if self._on_fault is None:
-            raise fault
-        learner.reset_after_fault(fault)
-        self._on_fault(learner.leg.id, fault)
+        found: list[tuple[int, T]] = []
+        left, at = iter(steps), 0
+        while True:
+            try:
+                for at, step, given in left:
+                    result = step(*given)
+                    if result:
+                        found.append((at, result))
+                return found
+            except Exception as fault:  # of any kind, as the other legs must go on
+                if self._on_fault is None:
+                    raise
+                learner = self.learners[at]
+                learner.reset_after_fault(fault)
+                self._on_fault(learner.leg.id, fault)
 
     def _regroup(self) -> None:
         """Put learners of equal libraries into one batch, where a leg's batch is another now."""
@@ -314,7 +313,7 @@ def compile_ahead() -> None:
     every = np.ones((library.size, len(joints)), dtype=np.bool_)
     coefficients, scale = np.zeros(every.shape), np.ones(library.size)
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
-    recursion.update(np.zeros(library.size), np.zeros(len(joints)))
+    recursion.learn(batch.row_values[0], 0)
     moves_at_most(recursion.coefficients, scale, 1.0)
     squared_errors(batch.row_values[0], np.ones(len(joints)), coefficients, coefficients)
     copy_rows(batch.row_values[0], batch.rows[0], 0, 0)

@@ -145,7 +145,7 @@ class Handover:
         Args:
             function: compiled.
             arrays: by name, those it receives and any others.  They are kept with what is
-                returned: whoever puts another array in the place of one binds the function again.
+                returned: who puts another array in the place of one binds the function again.
 
         Returns:
             The function of its other arguments.

@@ -8,11 +8,10 @@ Python takes what the first half has flagged.
 from __future__ import annotations
 
 import math
-from typing import Any, Final
 
 import numpy as np
 
-from adaptive_contact.compiled import Handover, compiled
+from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.contact import (
     begin_labels,
     break_off,
@@ -41,7 +40,6 @@ from adaptive_contact.detect.history import (
 from adaptive_contact.detect.layout import (
     BEGAN,
     DEPTH,
-    LEG,
     RATE_OFF,
     RELEASE_PENDING,
     RESOLVED,
@@ -49,6 +47,8 @@ from adaptive_contact.detect.layout import (
     SLOT,
     TOPPED,
     TOUCHED,
+    receive_finished,
+    receive_judged,
 )
 from adaptive_contact.detect.regressors import predict, regressors
 from adaptive_contact.detect.source import (
@@ -75,7 +75,6 @@ from adaptive_contact.detect.swing import (
     height_gradient,
     place_foot,
 )
-from adaptive_contact.model.labelled_swing import ROW
 
 
 @compiled
@@ -128,36 +127,13 @@ def restart_leg(leg, command, before, desired, suspects):
     restart_history(leg, suspects)
 
 
-# The arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, as each half receives them.
-_F8, _I8, _B1 = np.float64, np.int64, np.bool_
-_TABLE: Final[dict[str, tuple[Any, int]]] = {
-    "kind": (_I8, 1), "first": (_I8, 1), "entry": (_I8, 1), "weight": (_F8, 1), "knee": (_F8, 1),
-    "law": (_I8, 1),
-}  # fmt: skip
-JUDGED: Final = Handover(
-    legs=(LEG, 1), floats=(_F8, 2), ints=(_I8, 2), bools=(_B1, 2), places=(_I8, 2),
-    preview_in=(_F8, 3), ring=(_I8, 3), kept_angles=(_F8, 3), kept_stamps=(_I8, 3),
-    echo_commands=(_F8, 3), echo_runs=(_F8, 4), parts=(_F8, 3), links=(_F8, 3), path=(_F8, 3),
-    depths=(_I8, 1), history=(_F8, 4), thetas=(_F8, 3), **_TABLE, xi0=(_F8, 3),
-    coefficients=(_F8, 3), whiten=(_F8, 5), index=(_I8, 3), per_scale=(_F8, 3), root=(_F8, 4),
-    domain=(_F8, 3), rows=(ROW, 2), row_values=(_F8, 3), free_ring=(_F8, 3), some=(_B1, 2),
-    room=(_F8, 2), now=(_F8, 1), sums=(_F8, 2),
-)  # fmt: skip
-FINISHED: Final = Handover(
-    legs=(LEG, 1), floats=(_F8, 2), places=(_I8, 2), preview_in=(_F8, 3), depths=(_I8, 1),
-    **_TABLE, xi0=(_F8, 3), coefficients=(_F8, 3), sums=(_F8, 2),
-)  # fmt: skip
-receive_judged: Final = JUDGED.receive
-receive_finished: Final = FINISHED.receive
-
-
 @compiled
 def judge_tick(handed):
     """Judge a sample of every leg that has one: the first half of a tick, up to its events.
 
     Args:
         handed: arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, a row per leg, by
-            :data:`JUDGED`.  ``legs`` are the scalars of :mod:`adaptive_contact.detect.layout`,
+            ``JUDGED`` of :mod:`adaptive_contact.detect.layout`.  ``legs`` are its scalars,
             ``floats``, ``ints`` and ``bools`` its vectors, ``kind`` to ``law`` a
             :class:`~adaptive_contact.detect.regressors.TermTable`.  The last four are scratch:
             ``some`` holds masks of joints, ``now`` a place of the foot, ``sums`` what a statistic
@@ -464,7 +440,7 @@ def finish_tick(handed):
     """Put commands in force and predict the next tick: the second half.
 
     Args:
-        handed: as for :func:`judge_tick`, by :data:`FINISHED`.
+        handed: as for :func:`judge_tick`, by ``FINISHED``.
 
     Returns:
         Rows held back of the leg that has most.

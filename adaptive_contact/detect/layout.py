@@ -17,6 +17,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.compiled import Handover
+from adaptive_contact.model.labelled_swing import ROW
+
 DEPTH: Final = 3  # ticks of the longest window of the statistic
 HEIGHTS: Final = 12  # of the foot, remembered
 LOW_TICKS: Final = 10  # of the commanded foot, whose low a swing rises from
@@ -292,6 +295,28 @@ SAMPLE: Final = struct.Struct("3qi3?")
 FREE: Final = struct.Struct("d4?")
 assert LEG.fields is not None
 FREE_AT: Final[int] = LEG.fields["variance_scale"][1]
+
+
+# The arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, as each half receives them.
+_TABLE: Final[dict[str, tuple[Any, int]]] = {
+    "kind": (i8, 1), "first": (i8, 1), "entry": (i8, 1), "weight": (f8, 1), "knee": (f8, 1),
+    "law": (i8, 1),
+}  # fmt: skip
+JUDGED: Final = Handover(
+    legs=(LEG, 1), floats=(f8, 2), ints=(i8, 2), bools=(b1, 2), places=(i8, 2),
+    preview_in=(f8, 3), ring=(i8, 3), kept_angles=(f8, 3), kept_stamps=(i8, 3),
+    echo_commands=(f8, 3), echo_runs=(f8, 4), parts=(f8, 3), links=(f8, 3), path=(f8, 3),
+    depths=(i8, 1), history=(f8, 4), thetas=(f8, 3), **_TABLE, xi0=(f8, 3),
+    coefficients=(f8, 3), whiten=(f8, 5), index=(i8, 3), per_scale=(f8, 3), root=(f8, 4),
+    domain=(f8, 3), rows=(ROW, 2), row_values=(f8, 3), free_ring=(f8, 3), some=(b1, 2),
+    room=(f8, 2), now=(f8, 1), sums=(f8, 2),
+)  # fmt: skip
+FINISHED: Final = Handover(
+    legs=(LEG, 1), floats=(f8, 2), places=(i8, 2), preview_in=(f8, 3), depths=(i8, 1),
+    **_TABLE, xi0=(f8, 3), coefficients=(f8, 3), sums=(f8, 2),
+)  # fmt: skip
+receive_judged: Final = JUDGED.receive
+receive_finished: Final = FINISHED.receive
 
 
 def vectors(

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.compiled import records
-from adaptive_contact.detect.detector import FINISHED, JUDGED, finish_tick, judge_tick
+from adaptive_contact.detect.detector import finish_tick, judge_tick
 from adaptive_contact.detect.layout import (
     DEPTH,
+    FINISHED,
     FREE,
     FREE_AT,
+    JUDGED,
     KEPT,
     PATH_TICKS,
     RING,

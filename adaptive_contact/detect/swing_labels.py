@@ -231,7 +231,10 @@ class SwingLabels:
 
 @compiled
 def copy_rows(values, rows, first, last):
-    """Copy some rows: numpy takes four times as long for those that have fields."""
+    """Copy the (p + 2 J,) values and the records of some rows of a swing.
+
+    numpy takes four times as long for records.
+    """
     return values[first:last].copy(), rows[first:last].copy()
 
 

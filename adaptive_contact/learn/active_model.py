@@ -94,7 +94,7 @@ class ActiveModel:
 
     Attributes:
         baseline: the model at the start.
-        recursion: recursive least squared_errors, which move the model.
+        recursion: recursive least squares, which move the model.
         inflated: whether the recursion's covariance was, since the recursion began.
         as_made: the model as it was last asked for; rows learned since are not in it.
     """

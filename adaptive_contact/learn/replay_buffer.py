@@ -281,7 +281,17 @@ class ReplayBuffer:
 
 @compiled
 def keep_rows(values, known, kept, contexts, eras, first, era):
-    """Copy rows to behind others: regressors and movements, contexts, and an era."""
+    """Copy rows to behind others.
+
+    Args:
+        values: (n, p + 2 J) of :class:`~adaptive_contact.model.labelled_swing.Rows`.
+        known: (n,) of them.
+        kept: (rows, p + J) that get regressors and movements.
+        contexts: (rows,) that get their contexts.
+        eras: (rows,) that get ``era``.
+        first: row of the first copy.
+        era: of the leg.
+    """
     for i in range(len(known)):
         for k in range(kept.shape[1]):
             kept[first + i, k] = values[i, k]

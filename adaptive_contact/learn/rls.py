@@ -192,15 +192,6 @@ class RecursiveLeastSquares:
         v = np.matmul(phi[..., None, :], self._s)[..., 0, :]
         return np.asarray(np.square(v).sum(axis=-1))
 
-    def update(self, theta: Array, target: Array) -> list[float]:
-        """Learn a row by itself: (p,) regressors, and (J,) rad, what they should have predicted.
-
-        Returns:
-            :attr:`innovations`.
-        """
-        self.learn(np.concatenate([theta, target])[None], 0)
-        return self.innovations
-
     def learn(self, values: Array, at: int) -> bool:
         """Learn one row of several; one with a value that is not finite is left out.
 
@@ -363,7 +354,18 @@ def moves_at_most(coefficients, scale, most):
 
 @compiled
 def squared_errors(values, per_noise, own, known):
-    """Sum the squared residuals of rows, over the noise, by (p, J) coefficients and by others."""
+    """Sum the squared residuals of rows by two models, over the noise.
+
+    Args:
+        values: (n, p + J and more) regressors, and behind them what they should have predicted,
+            rad.
+        per_noise: (J,) reciprocal of its standard deviation, 1/rad.
+        own: (p, J) coefficients.
+        known: (p, J) others.
+
+    Returns:
+        The sums by ``own`` and by ``known``.
+    """
     terms, joints = own.shape
     by_own = by_known = 0.0
     for i in range(len(values)):

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from adaptive_contact import compiled
-from adaptive_contact.detect.detector import FINISHED, JUDGED, finish_tick, judge_tick
-from adaptive_contact.detect.layout import LEG, new_legs, scalars_of
+from adaptive_contact.detect.detector import finish_tick, judge_tick
+from adaptive_contact.detect.layout import FINISHED, JUDGED, LEG, new_legs, scalars_of
 from adaptive_contact.learn.rls import LEARNED, learn_row
 
 

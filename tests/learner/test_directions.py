@@ -144,7 +144,7 @@ def heard_in_lifts(known: LegBaseline, moved: Rows, joint: int) -> tuple[np.ndar
     rls = RecursiveLeastSquares(model.coefficients, core_support(model), known.scale, noise)
     rls.inflate(change_directions(model, known.scale, noise))
     for row in lifts:
-        rls.update(theta[row], moved.increment[row])
+        rls.learn(np.append(theta[row], moved.increment[row])[None], 0)
     off = moved.increment - theta @ model.coefficients
     left = moved.increment - theta @ rls.coefficients
     return off[descents, joint] / noise[joint], left[descents, joint] / noise[joint]

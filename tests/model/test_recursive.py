@@ -26,6 +26,11 @@ def data(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return theta, theta @ truth + rng.normal(size=(n, J)) * NOISE, truth
 
 
+def learn(rls: RecursiveLeastSquares, theta: np.ndarray, target: np.ndarray) -> None:
+    """A row by itself."""
+    rls.learn(np.append(theta, target)[None], 0)
+
+
 def uncertainty(rls: RecursiveLeastSquares, theta: np.ndarray) -> np.ndarray:
     """(n, J) as a tick computes it: variance of predictions over the noise's."""
     index, per_scale, root = rls.roots
@@ -42,7 +47,7 @@ def test_without_forgetting_one_by_one_equals_batch() -> None:
     theta, target, _ = data(80)
     rls = make(forgetting=1.0, prior=3.0, bound=1e9, huber=1e9)
     for row, y in zip(theta, target, strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     for j in range(J):
         on = SUPPORT[:, j]
         phi = theta[:, on]
@@ -63,7 +68,7 @@ def test_terms_outside_the_support_never_move() -> None:
     theta, target, _ = data(200)
     rls = make()
     for row, y in zip(theta, target, strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     assert (rls.coefficients[~SUPPORT] == 0.0).all()
 
 
@@ -73,7 +78,7 @@ def test_it_follows_a_change() -> None:
     target[1500:] += theta[1500:] @ (moved - truth)
     rls = make(forgetting=0.98, prior=5.0)
     for row, y in zip(theta, target, strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     error = np.abs(rls.coefficients - moved) * SCALE[:, None] / NOISE
     assert error[SUPPORT].max() < 0.6
 
@@ -87,14 +92,14 @@ def test_standing_still_for_an_hour_changes_nothing_else() -> None:
     theta, target, truth = data(500, seed=3)
     rls = make(forgetting=0.998)
     for row, y in zip(theta, target, strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     xi, before = rls.coefficients, rls.covariance
     still = np.array([[1.0, 4.0, -0.05, 1.0, 0.3, 2.0], [1.0, 4.0, -0.05, 1.1, 0.3, 2.0]])
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(50 * 3600, J)) * NOISE
     which = (rng.random(len(noise)) < 0.3).astype(int)
     for row, y in zip(still[which], still[which] @ truth + noise, strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     assert rls.rows == 500 + 180_000
     for j in range(J):
         on = np.flatnonzero(SUPPORT[rls.terms, j])
@@ -139,7 +144,7 @@ def test_the_covariance_stays_definite_and_bounded(rows: int) -> None:
             rls.inflate(units * noise[:, None, None] * rng.normal(size=(joints, 6, p)) / scale)
         for k in range(first, first + 64):
             n = first % len(theta) if idle else k % len(theta)
-            rls.update(theta[n], target[n])
+            learn(rls, theta[n], target[n])
         if first % 6400 == 0 or first + 64 >= rows:
             covariance = rls.covariance
             for j in range(joints):
@@ -154,7 +159,7 @@ def test_the_covariance_stays_definite_and_bounded(rows: int) -> None:
     assert (rls.coefficients[~support] == 0.0).all()
     # It has not only stayed finite: after a minute of swings it knows its leg.
     for row, y in zip(theta, target, strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     error = theta @ (rls.coefficients - truth) / noise
     assert np.sqrt(np.square(error).mean()) < 0.5
 
@@ -163,9 +168,9 @@ def test_an_outlier_moves_it_little() -> None:
     theta, target, _ = data(500, seed=5)
     rls = make(prior=5.0)
     for row, y in zip(theta, target, strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     before = rls.coefficients
-    rls.update(theta[0], target[0] + 1000.0 * NOISE)
+    learn(rls, theta[0], target[0] + 1000.0 * NOISE)
     moved = np.abs(rls.coefficients - before) * SCALE[:, None] / NOISE
     assert moved.max() < 0.3
 
@@ -173,8 +178,8 @@ def test_an_outlier_moves_it_little() -> None:
 def test_bad_rows_are_left_out() -> None:
     rls = make()
     before = rls.coefficients
-    rls.update(np.full(P, np.nan), np.zeros(J))
-    rls.update(np.ones(P), np.array([np.inf, 0.0]))
+    learn(rls, np.full(P, np.nan), np.zeros(J))
+    learn(rls, np.ones(P), np.array([np.inf, 0.0]))
     np.testing.assert_array_equal(rls.coefficients, before)
     assert rls.rows == 0
 
@@ -183,7 +188,7 @@ def test_uncertainty_is_the_variance_of_the_prediction() -> None:
     theta, target, _ = data(60, seed=6)
     rls = make()
     for row, y in zip(theta[:30], target[:30], strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     phi = theta[30:, rls.terms] / SCALE[rls.terms]
     expected = np.einsum("nq,jqr,nr->nj", phi, rls.covariance, phi) / NOISE**2
     np.testing.assert_allclose(uncertainty(rls, theta[30:]), expected, rtol=1e-9)
@@ -226,13 +231,13 @@ def test_a_copy_goes_its_own_way() -> None:
     theta, target, _ = data(40, seed=9)
     rls = make()
     for row, y in zip(theta[:20], target[:20], strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     kept, before = rls.copy(), rls.coefficients
     for row, y in zip(theta[20:], target[20:], strict=True):
-        rls.update(row, y)
+        learn(rls, row, y)
     np.testing.assert_array_equal(kept.coefficients, before)
     after = rls.coefficients
-    kept.update(theta[20], target[20])
+    learn(kept, theta[20], target[20])
     np.testing.assert_array_equal(rls.coefficients, after)
     again = rls.copy(kept)
     assert again is kept

@@ -169,7 +169,7 @@ def test_two_processes_give_the_same_to_the_last_bit(
     assert compare(*outcomes).same
 
 
-# Processes of a planted tree compile a tick that nobody has run: minutes on a busy machine.
+# Processes of a planted tree compile a tick that no process has run: minutes on a busy machine.
 pytestmark = pytest.mark.timeout(900)
 
 QUICK = "sign of the onset's share"
