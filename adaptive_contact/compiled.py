@@ -17,7 +17,8 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -119,6 +120,14 @@ def compiled(function: Callable[..., Any]) -> Any:
         _config.CACHE_DIR = before
 
 
+def stage(function: Callable[..., Any]) -> Any:
+    """Make a function a part of the compiled functions that call it.
+
+    Each has one caller, to which it gives a shape: what it receives and returns costs nothing.
+    """
+    return numba.njit(inline="always", error_model="numpy")(function) if compiles() else function
+
+
 class Handover:
     """Hands arrays over to compiled code in one table, by their addresses.
 
@@ -136,8 +145,38 @@ class Handover:
 
     def __init__(self, **kinds: tuple[Any, int]) -> None:
         self.names = tuple(kinds)
+        self._of = _named("Arrays", self.names)
         self._kinds = [(np.dtype(kind), dimensions) for kind, dimensions in kinds.values()]
-        self.receive: Any = _receiving(self._kinds) if compiles() else tuple
+        self.receive: Any = _receiving(self._kinds, self._of) if compiles() else self._of._make
+
+    def part(
+        self, of: Any, vectors: Mapping[str, tuple[str, int]], whole: Sequence[str]
+    ) -> Callable[[Any, int], Any]:
+        """Make the function that takes, of what was received, the arrays of one row.
+
+        Args:
+            of: a named tuple of these arrays.
+            vectors: those that stand side by side in one array: its name, and their number.  The
+                array ``places`` has the (n, 2) ends of each.
+            whole: those that all rows share.
+        """
+        if compiles():
+            made: Callable[[Any, int], Any] = _parting(of, vectors, whole)
+            return made
+
+        def part(given: Any, row: int) -> Any:
+            found = []
+            for name in of._fields:
+                if name in vectors:
+                    source, slot = vectors[name]
+                    first, last = given.places[slot]
+                    found.append(getattr(given, source)[row, first:last])
+                else:
+                    array = getattr(given, name)
+                    found.append(array if name in whole else array[row])
+            return of(*found)
+
+        return part
 
     def bind(self, function: Callable[..., Any], arrays: Mapping[str, Any]) -> Any:
         """Bind a compiled function to arrays, its first argument.
@@ -153,7 +192,7 @@ class Handover:
         Raises:
             TypeError: an array is not as it was declared.
         """
-        kept = tuple(arrays[name] for name in self.names)
+        kept = self._of._make(arrays[name] for name in self.names)
         if not compiles():
             return functools.partial(function, kept)
         table = np.zeros((len(kept), _CELLS), dtype=np.int64)
@@ -169,10 +208,11 @@ class Handover:
         return bound
 
 
+_named: Final[Any] = namedtuple  # of names that are known at run time
 _CELLS: Final = 6  # of an array in a table: its address, and up to five lengths
 
 
-def _receiving(kinds: list[tuple[Any, int]]) -> Any:
+def _receiving(kinds: list[tuple[Any, int]], named: Any) -> Any:
     """Make the function that reads a table, for compiled code."""
     from llvmlite import ir
     from numba import extending
@@ -186,7 +226,7 @@ def _receiving(kinds: list[tuple[Any, int]]) -> Any:
     types: Any = of_numba
     intrinsic: Any = extending.intrinsic
     of_kinds = [types.Array(of_numpy.from_dtype(kind), ndim, "C") for kind, ndim in kinds]
-    result = types.Tuple(of_kinds)
+    result = types.NamedTuple(of_kinds, named)
 
     def receive(_context: Any, table: Any) -> Any:
         def make(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -216,6 +256,73 @@ def _receiving(kinds: list[tuple[Any, int]]) -> Any:
         return result(table), make
 
     return intrinsic(receive)
+
+
+def _parting(of: Any, vectors: Mapping[str, tuple[str, int]], whole: Sequence[str]) -> Any:
+    """Make the function that takes a row's arrays out of those of all rows, for compiled code."""
+    from llvmlite import ir
+    from numba import extending
+    from numba.core import cgutils as generate
+    from numba.core import types as of_numba
+    from numba.np import arrayobj
+
+    arrays: Any = arrayobj  # these have no types
+    cgutils: Any = generate
+    types: Any = of_numba
+    intrinsic: Any = extending.intrinsic
+    word = ir.IntType(64)
+
+    def part(_context: Any, given: Any, row: Any) -> Any:
+        kinds = dict(zip(given.fields, given.types, strict=True))
+        sources = [vectors[name][0] if name in vectors else name for name in of._fields]
+
+        def kind_of(name: str, source: str) -> Any:
+            kind = kinds[source]
+            return kind if name in whole else types.Array(kind.dtype, kind.ndim - 1, "C")
+
+        results = [kind_of(name, source) for name, source in zip(of._fields, sources, strict=True)]
+        result = types.NamedTuple(results, of)
+
+        def make(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            def array_of(name: str) -> Any:
+                at = given.fields.index(name)
+                value = builder.extract_value(values[0], at)
+                return arrays.make_array(kinds[name])(context, builder, value)
+
+            ends = array_of("places").data
+            found = []
+            for name, source, kind in zip(of._fields, sources, results, strict=True):
+                array = array_of(source)
+                if name in whole:
+                    found.append(array._getvalue())
+                    continue
+                shape, strides = (
+                    cgutils.unpack_tuple(builder, tuple_) for tuple_ in (array.shape, array.strides)
+                )
+                start, shape = builder.mul(values[1], strides[0]), shape[1:]
+                if name in vectors:
+                    slot = vectors[name][1]
+                    first, last = (
+                        builder.load(builder.gep(ends, [ir.Constant(word, 2 * slot + k)]))
+                        for k in range(2)
+                    )
+                    start = builder.add(start, builder.mul(first, strides[1]))
+                    shape = [builder.sub(last, first)]
+                view = arrays.make_array(kind)(context, builder)
+                arrays.populate_array(
+                    view,
+                    data=cgutils.pointer_add(builder, array.data, start),
+                    shape=shape,
+                    strides=strides[1:],
+                    itemsize=strides[-1],
+                    meminfo=None,
+                )
+                found.append(view._getvalue())
+            return context.make_tuple(builder, result, found)
+
+        return result(given, types.int64), make
+
+    return intrinsic(part)
 
 
 def _expanded(name: str | None) -> Path | None:

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from adaptive_contact.compiled import compiled
+from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.detect.layout import (
     BROKE_OFF,
     DECIDED,
@@ -76,10 +76,8 @@ def model_uncertainty(theta, index, per_scale, root, size, joint):
     return total
 
 
-@compiled
-def statistic(
-    leg, history, whiten, shrink, limits, awaited, scores, sums, gradient, against
-):  # fmt: skip
+@stage
+def statistic(leg, noise, history, gradient, against):
     """Fill the (windows,) test ratios, NaN where a window reaches too far back.
 
     A foot about to stand has arrived, and what it is predicted to do says nothing of where the
@@ -88,11 +86,10 @@ def statistic(
     one that reaches back into the swing would apply them to motion judged before.  The first
     residual after the turn is of the swing, too: it is of the way to that sample.
 
-    ``shrink`` are the (J,) reciprocal roots of this tick's variances over the baseline's.
-
     Returns:
         The squared distance of the last residual from zero, whitened.
     """
+    whiten, shrink, scores, sums = noise.whiten, noise.shrink, noise.scores, noise.sums
     joints = history.shape[2]
     distance = 0.0
     for j in range(joints):
@@ -115,7 +112,8 @@ def statistic(
         if width + 1 > leg.usable:
             scores[width] = np.nan
         else:
-            limit = awaited[width] if width + 1 < leg.after else limits[width]
+            late = width + 1 < leg.after
+            limit = noise.limits_awaited[width] if late else noise.limits[width]
             scores[width] = square / limit if product < 0.0 else 0.0
     return distance
 
@@ -230,9 +228,10 @@ def break_off(leg):
     leg.broken = True
 
 
-@compiled
-def keep_touch(leg, touch, thetas, history, whiten, unit, limits, awaited):
+@stage
+def keep_touch(leg, past, noise, touch):
     """Keep a tick of a contact with the two before it, as a ``Touch`` has them; flag the last."""
+    history, thetas, whiten, unit = past.history, past.thetas, noise.whiten, noise.unit
     depth, joints = history.shape[1:]
     at = leg.touch_n * (len(touch) // TOUCH_TICKS)
     known = min(leg.usable, leg.thetas_n)
@@ -250,7 +249,8 @@ def keep_touch(leg, touch, thetas, history, whiten, unit, limits, awaited):
                 touch[at] = whiten[leg.context, width, r, c] / math.sqrt(unit[c])
                 at += 1
     for width in range(depth):
-        touch[at] = awaited[width] if width + 1 < leg.after else limits[width]
+        late = width + 1 < leg.after
+        touch[at] = noise.limits_awaited[width] if late else noise.limits[width]
         at += 1
     touch[at] = known
     leg.touch_n += 1
@@ -284,20 +284,24 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient):
         aside[j] = target[j] - gradient[j] * (row.sigma / length)
 
 
-@compiled
-def enter_row(
-    leg, rows, values, theta, history, distance, value, free, past_top, whiten, unit,
-    last_measured, links, turns, gradient, target,
-):  # fmt: skip
+@stage
+def enter_row(leg, swing, past, noise, kept, value, free, past_lift):
     """Hold a judged tick back until its swing is resolved.
 
-    A row of ``values`` is one of :class:`~adaptive_contact.model.labelled_swing.Rows`.
+    Args:
+        leg, swing, past, noise, kept: of the leg.  A row of ``kept.row_values`` is one of
+            :class:`~adaptive_contact.model.labelled_swing.Rows`.
+        value: the statistic of one tick.
+        free: the leg is neither loaded nor touches.
+        past_lift: the command is past the lift.
     """
+    rows, values, theta, history = kept.rows, kept.row_values, past.thetas[0], past.history
+    target = kept.target
     joints = history.shape[2]
     leg.found |= ENTERED
     if not leg.gated:
         pass
-    elif leg.broken or not (leg.topped or leg.rising or past_top):
+    elif leg.broken or not (leg.topped or leg.rising or past_lift):
         return
     elif leg.rising and not leg.topped:
         if not (free or leg.ticks >= FREE_LIFT_TICKS):
@@ -317,7 +321,7 @@ def enter_row(
             leg.lift_n -= 1
             leg.commanded_n = max(leg.commanded_n - 1, 0)
     row = rows[at]
-    row.nis = distance * leg.variance_scale / joints
+    row.nis = leg.distance * leg.variance_scale / joints
     row.value = value
     row.context = leg.context
     row.t_ns = leg.at_ns
@@ -329,9 +333,11 @@ def enter_row(
         target[j] = history[0, 0, j] + history[1, 0, j]
         values[at, terms + j] = target[j]
     if leg.changed and not leg.rising and leg.has_lengths and leg.has_measured:
-        height_gradient(last_measured, links, turns, gradient)
+        height_gradient(swing.last_measured, swing.links, swing.turns, swing.gradient)
         aside = values[at, terms + joints :]
-        push_from_ground(leg, row, aside, history[0, 0], target, whiten, unit, gradient)
+        push_from_ground(
+            leg, row, aside, history[0, 0], target, noise.whiten, noise.unit, swing.gradient
+        )
     if not leg.gated:
         row.lift = leg.rising
         return
@@ -339,7 +345,7 @@ def enter_row(
     if leg.rising and not leg.topped:
         row.lift = True
         leg.lift_n = at + 1
-        if not past_top:
+        if not past_lift:
             leg.commanded_n = leg.lift_n
         return
     leg.topped = True

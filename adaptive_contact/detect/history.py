@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from adaptive_contact.compiled import compiled
+from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.detect.layout import DEPTH, VALUES
 from adaptive_contact.detect.regressors import predict, regressors
 
@@ -73,18 +73,21 @@ def restart_history(leg, suspects):
 
 
 @compiled
-def predict_next(leg, window, preview, table, xi0, coefficients, theta, increment, room):
+def predict_next(leg, past, model):
     """Predict the next movement if that is not done and can be without a preview; True if it is."""
-    if not leg.predicted and leg.filled >= leg.length and preview == 0:
-        kind, first, entry, weight, knee, law = table
-        regressors(window, kind, first, entry, weight, knee, law, xi0, theta, room)
-        leg.predicted = predict(theta, coefficients, increment)
+    if not leg.predicted and leg.filled >= leg.length and model.depths[1] == 0:
+        regressors(
+            past.window, model.kind, model.first, model.entry, model.weight, model.knee, model.law,
+            model.xi0, past.theta, model.forms,
+        )  # fmt: skip
+        leg.predicted = predict(past.theta, model.coefficients, past.increment)
     return leg.predicted
 
 
 @compiled
-def remember_refused(leg, measured, refused, values, counts):
+def remember_refused(leg, past, measured, refused):
     """Count refused readings and keep their values; the one least often refused goes first."""
+    values, counts = past.values, past.counts
     joints = len(measured)
     for j in range(joints):
         if not refused[j]:
@@ -119,17 +122,22 @@ def remember_refused(leg, measured, refused, values, counts):
         leg.values_n = n
 
 
-@compiled
-def beyond_reach(
-    leg, measured, last, valid, has_valid, impossible, has_impossible,
-    window, lags, preview, history, increment, reach, last_good, suspects, values, counts,
-    table, xi0, coefficients, theta, room, known, jumps, limits, recent, offs, found,
-):  # fmt: skip
+@stage
+def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossible):
     """Find joints that read what they cannot have reached in a tick.
 
+    ``measured`` and ``last`` are (J,) rad, this reading and the one before; ``valid`` says, if
+    ``has_valid``, which joints have one.  Where ``has_impossible``, ``some[1]`` holds joints that
+    were found to read what is impossible.
+
     Returns:
-        0 where there are none, 1 where ``found`` holds them, 2 where a joint reads so twice.
+        0 where there are none, 1 where ``some[2]`` holds them, 2 where a joint reads so twice.
     """
+    window, increment, reach, history = past.window, past.increment, past.reach, past.history
+    suspects, values, counts, last_good = past.suspects, past.values, past.counts, past.last_good
+    impossible, found, known = past.some[1], past.some[2], past.some[3]
+    jumps, limits, recent, offs = past.room[1], past.room[2], past.room[3], past.room[4]
+    lags = model.depths[0]
     joints = len(measured)
     some_known = some_refused = suspect = False
     learned = leg.reach_ticks >= REACH_TICKS
@@ -163,7 +171,7 @@ def beyond_reach(
                 suspect = True
         if not suspect and not some_known:
             return 0
-        if not predict_next(leg, window, preview, table, xi0, coefficients, theta, increment, room):
+        if not predict_next(leg, past, model):
             return 2 if suspect else 0
         for j in range(joints):
             recent[j] = limits[j]
@@ -200,23 +208,24 @@ def beyond_reach(
     for j in range(joints):
         if limits[j] > 0.0 and offs[j] > known_step and (not has_valid or valid[j]):
             found[j] = True
-    remember_refused(leg, measured, found, values, counts)
+    remember_refused(leg, past, measured, found)
     for j in range(joints):
         suspects[j] = found[j]
     return 1
 
 
 @compiled
-def repair(
-    leg, measured, valid, has_valid, reading,
-    window, lags, preview, history, increment, reach, last_good, last, suspects, stale, refused,
-    values, counts, table, xi0, coefficients, domain, theta, room, bools, floats,
-):  # fmt: skip
-    """Fill the (J,) reading that enters the window, with substitutes for what is bad."""
+def repair(leg, past, model, measured, valid, has_valid):
+    """Fill the reading that enters the window, with substitutes for what is bad.
+
+    ``measured`` is (J,) rad, as it was read; ``valid`` says, if ``has_valid``, which joints have a
+    reading.  What is filled is ``past.reading``.
+    """
+    window, increment, reading, last = past.window, past.increment, past.reading, past.last
+    last_good, stale, refused = past.last_good, past.stale, past.refused
+    bad, impossible, found, missing = past.some[0], past.some[1], past.some[2], past.some[4]
+    steps, jumps, before = past.room[0], past.room[1], past.room[5]
     joints = len(measured)
-    bad, impossible, found, known, missing = bools[0], bools[1], bools[2], bools[3], bools[4]
-    steps, jumps, limits, recent, offs = floats[0], floats[1], floats[2], floats[3], floats[4]
-    before = floats[5]
     substituted = leg.bad
     leg.sound, leg.bad, leg.repeats = True, False, False
     seen = leg.seen
@@ -246,7 +255,7 @@ def repair(
     if largest > leg.max_step:
         leg.impossible += 1
         if leg.impossible > MAX_IMPOSSIBLE:
-            restart_history(leg, suspects)
+            restart_history(leg, past.suspects)
             for j in range(joints):
                 last_good[j] = reading[j] = measured[j]
             return
@@ -259,15 +268,11 @@ def repair(
             again |= missing[j] and refused[j]
         if not again:
             leg.impossible = 0
-    said = beyond_reach(
-        leg, measured, before, valid, some_missing, impossible, has_impossible,
-        window, lags, preview, history, increment, reach, last_good, suspects, values, counts,
-        table, xi0, coefficients, theta, room, known, jumps, limits, recent, offs, found,
-    )  # fmt: skip
+    said = beyond_reach(leg, past, model, measured, before, valid, some_missing, has_impossible)
     if said == 0 and has_impossible:
-        remember_refused(leg, measured, impossible, values, counts)
+        remember_refused(leg, past, measured, impossible)
     elif said == 2:  # two in a row that agree
-        restart_history(leg, suspects)
+        restart_history(leg, past.suspects)
         for j in range(joints):
             last_good[j] = reading[j] = measured[j]
         return
@@ -282,7 +287,7 @@ def repair(
             if steps[j] == 0.0 and abs(increment[j]) > expected:
                 maybe_stale = True
     if maybe_stale and leg.has_domain:
-        expected *= math.sqrt(max(leverage(theta, domain), 1.0))
+        expected *= math.sqrt(max(leverage(past.theta, model.domain), 1.0))
     if not maybe_stale:
         stale[:] = 0
     else:
@@ -316,7 +321,7 @@ def repair(
         for j in range(joints):
             if not bad[j]:
                 leg.sound = True
-        ahead = predict_next(leg, window, preview, table, xi0, coefficients, theta, increment, room)
+        ahead = predict_next(leg, past, model)
     for j in range(joints):
         if some_bad and bad[j]:
             reading[j] = window[j] + increment[j] if ahead else window[j]
@@ -326,7 +331,7 @@ def repair(
 
 
 @compiled
-def take(leg, reading, window, lags, history, increment):
+def take(reading, increment, window, history, lags):
     """Shift a reading into the window, and its residual and prediction into the history."""
     joints = len(reading)
     for lag in range(DEPTH - 1, 0, -1):
@@ -363,8 +368,9 @@ def judged(leg, theta, thetas):
 
 
 @compiled
-def push_command(leg, desired, window, lags, preview):
+def push_command(leg, window, depths, desired):
     """Shift a command into the window; True if it is full."""
+    lags, preview = depths[0], depths[1]
     joints = len(desired)
     first = lags * joints
     last = len(window) - preview * joints

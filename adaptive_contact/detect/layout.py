@@ -12,7 +12,7 @@ import ctypes
 import struct
 from collections import namedtuple
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,10 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "limits_awaited": DEPTH,
         "scores": DEPTH,  # test ratios of this tick
         "touch": "t",  # the first ticks of a contact, each as a `Touch` has it
+        "reading": "J",  # rad, of this tick, repaired
+        "shrink": "J",  # reciprocal roots of `unit`
+        "gradient": "J",  # m per rad, of the foot's height
+        "target": "J",  # rad, movement of this tick
     },
     i8: {
         "lengths_ticks": SWINGS,
@@ -298,25 +302,148 @@ FREE_AT: Final[int] = LEG.fields["variance_scale"][1]
 
 
 # The arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, as each half receives them.
-_TABLE: Final[dict[str, tuple[Any, int]]] = {
+_SHARED: Final[dict[str, tuple[Any, int]]] = {
     "kind": (i8, 1), "first": (i8, 1), "entry": (i8, 1), "weight": (f8, 1), "knee": (f8, 1),
-    "law": (i8, 1),
+    "law": (i8, 1), "depths": (i8, 1), "some": (b1, 2), "room": (f8, 2), "now": (f8, 1),
+    "sums": (f8, 2), "forms": (f8, 1),
 }  # fmt: skip
+SHARED: Final = tuple(_SHARED)  # by all legs: their library, and scratch
 JUDGED: Final = Handover(
     legs=(LEG, 1), floats=(f8, 2), ints=(i8, 2), bools=(b1, 2), places=(i8, 2),
     preview_in=(f8, 3), ring=(i8, 3), kept_angles=(f8, 3), kept_stamps=(i8, 3),
     echo_commands=(f8, 3), echo_runs=(f8, 4), parts=(f8, 3), links=(f8, 3), path=(f8, 3),
-    depths=(i8, 1), history=(f8, 4), thetas=(f8, 3), **_TABLE, xi0=(f8, 3),
-    coefficients=(f8, 3), whiten=(f8, 5), index=(i8, 3), per_scale=(f8, 3), root=(f8, 4),
-    domain=(f8, 3), rows=(ROW, 2), row_values=(f8, 3), free_ring=(f8, 3), some=(b1, 2),
-    room=(f8, 2), now=(f8, 1), sums=(f8, 2),
-)  # fmt: skip
-FINISHED: Final = Handover(
-    legs=(LEG, 1), floats=(f8, 2), places=(i8, 2), preview_in=(f8, 3), depths=(i8, 1),
-    **_TABLE, xi0=(f8, 3), coefficients=(f8, 3), sums=(f8, 2),
+    history=(f8, 4), thetas=(f8, 3), xi0=(f8, 3), coefficients=(f8, 3), whiten=(f8, 5),
+    index=(i8, 3), per_scale=(f8, 3), root=(f8, 4), domain=(f8, 3), rows=(ROW, 2),
+    row_values=(f8, 3), free_ring=(f8, 3), **_SHARED,
 )  # fmt: skip
 receive_judged: Final = JUDGED.receive
-receive_finished: Final = FINISHED.receive
+
+
+# The arrays of one leg, by what they are of.  Shapes and units stand at their names above, and in
+# :class:`~adaptive_contact.detect.leg_batch.LegBatch`.
+
+
+class Sample(NamedTuple):
+    """Holds a sample, and the commands before it."""
+
+    measured: Any
+    desired: Any
+    valid: Any
+    preview_in: Any
+    seam: Any
+    command: Any
+    before: Any
+
+
+class Source(NamedTuple):
+    """Holds what is known of a leg's source: clock, copied commands, phases."""
+
+    ring: Any
+    kept_angles: Any
+    kept_stamps: Any
+    echo_commands: Any
+    echo_runs: Any
+    echo_off: Any
+    echoing: Any
+    parts: Any
+    phase_before: Any
+
+
+class Swing(NamedTuple):
+    """Holds the geometry of a leg, and where its foot is in a swing."""
+
+    links: Any
+    turns: Any
+    low: Any
+    lengths_ticks: Any
+    last_desired: Any
+    last_measured: Any
+    last_read: Any
+    path: Any
+    asked: Any
+    commanded: Any
+    foot: Any
+    start: Any
+    heights: Any
+    gradient: Any
+    now: Any  # (3,) m, scratch: a place of the foot
+
+
+class Past(NamedTuple):
+    """Holds the window of a prediction, what was predicted, and readings that were bad."""
+
+    window: Any
+    began_window: Any
+    history: Any
+    thetas: Any
+    theta: Any
+    increment: Any
+    reach: Any
+    last_good: Any
+    last: Any
+    suspects: Any
+    stale: Any
+    refused: Any
+    values: Any
+    counts: Any
+    reading: Any
+    some: Any  # (6, J) scratch: joints
+    room: Any  # (8, J) scratch
+
+
+class Model(NamedTuple):
+    """Holds a model: its terms, coefficients, and what they were fitted to."""
+
+    kind: Any
+    first: Any
+    entry: Any
+    weight: Any
+    knee: Any
+    law: Any
+    xi0: Any
+    coefficients: Any
+    domain: Any
+    depths: Any
+    forms: Any  # (2 J,) scratch of `regressors`
+
+
+class Noise(NamedTuple):
+    """Holds what a residual is weighed by, and the test ratios that come of it."""
+
+    sigma: Any
+    unit: Any
+    whiten: Any
+    index: Any
+    per_scale: Any
+    root: Any
+    limits: Any
+    limits_awaited: Any
+    scores: Any
+    shrink: Any
+    sums: Any  # (2, J) scratch
+
+
+class Kept(NamedTuple):
+    """Holds what is kept of a swing to be learned, and for the status."""
+
+    rows: Any
+    row_values: Any
+    touch: Any
+    target: Any
+    free_ring: Any
+
+
+_KINDS: Final = {f8: "floats", i8: "ints", b1: "bools"}
+_PLACES: Final = {
+    name: (_KINDS[kind], getattr(SLOT, name)) for kind, names in VECTORS.items() for name in names
+}
+sample_of: Final = JUDGED.part(Sample, _PLACES, SHARED)
+source_of: Final = JUDGED.part(Source, _PLACES, SHARED)
+swing_of: Final = JUDGED.part(Swing, _PLACES, SHARED)
+past_of: Final = JUDGED.part(Past, _PLACES, SHARED)
+model_of: Final = JUDGED.part(Model, _PLACES, SHARED)
+noise_of: Final = JUDGED.part(Noise, _PLACES, SHARED)
+kept_of: Final = JUDGED.part(Kept, _PLACES, SHARED)
 
 
 def vectors(

@@ -15,7 +15,6 @@ from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
 from adaptive_contact.detect.layout import (
     DEPTH,
-    FINISHED,
     FREE,
     FREE_AT,
     JUDGED,
@@ -23,6 +22,7 @@ from adaptive_contact.detect.layout import (
     PATH_TICKS,
     RING,
     SAMPLE,
+    SHARED,
     TOUCH_TICKS,
     new_legs,
     scalars_of,
@@ -136,8 +136,9 @@ class LegBatch:
         self.row_values = zeros(capacity, p + 2 * joints)
         self.free_ring = zeros(STATUS_TICKS, joints)
         # Scratch.
-        self.some, self.room = np.zeros((6, joints), dtype=b), np.zeros((9, joints))
+        self.some, self.room = np.zeros((6, joints), dtype=b), np.zeros((8, joints))
         self.now, self.sums = np.zeros(3), np.zeros((2, joints))
+        self.forms = np.zeros(2 * joints)
         for row, leg in enumerate(legs):
             legs_[row]["quantum"] = quantum_rad[row]
             legs_[row]["max_step"] = max_step
@@ -158,7 +159,7 @@ class LegBatch:
             "ints": ints, "bools": bools,
         }  # fmt: skip
         self._judge = JUDGED.bind(judge_tick, arrays)
-        self._finish = FINISHED.bind(finish_tick, arrays)
+        self._finish = JUDGED.bind(finish_tick, arrays)
 
     @property
     def flags(self) -> list[int]:
@@ -233,7 +234,7 @@ class LegBatch:
 
 _OF_ROWS: Final = ("rows", "row_values")
 # Scratch, what is of all legs, and what is adopted by other names.
-_OF_NO_LEG: Final = ("some", "room", "now", "sums", "places", "accepted", "depths")
+_OF_NO_LEG: Final = (*SHARED, "places", "accepted")
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from adaptive_contact.compiled import compiled
+from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.detect.contact import break_off, let_go
 from adaptive_contact.detect.history import restart_history
 from adaptive_contact.detect.layout import RING, SOURCE
@@ -411,7 +411,7 @@ def take_phase(leg, phase, desired, height, before, parts):
         compare_parts(leg, parts, phase == 1, False)
 
 
-@compiled
+@stage
 def follow_source(
     leg, measured, valid, has_valid, commands, runs, off, echoing, suspects
 ):  # fmt: skip

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.compiled import compiled
+from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.detect.layout import ASKED, HEIGHTS, LOW_TICKS, PATH_TICKS, SWINGS
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, RISE_M, STILL_M, STILL_TICKS
 from adaptive_contact.robot.kinematics import Chain
@@ -191,15 +191,16 @@ def half_swing(leg, lengths_ticks):
 
 
 @compiled
-def stand(leg, measured, desired, lengths_ticks, last_desired, last_read, awaited):
+def stand(leg, swing, measured, desired, awaited):
     """End the swing as the gait says stance, or go on until the touch."""
+    last_desired, last_read = swing.last_desired, swing.last_read
     same = leg.has_desired
     for j in range(len(desired)):
         same &= desired[j] == last_desired[j] and measured[j] == last_read[j]
     leg.same = leg.same + 1 if same else 0
     leg.stood = True
     if leg.ticks and leg.whole and not leg.after:
-        lengths_ticks[leg.lengths_n % SWINGS] = leg.ticks
+        swing.lengths_ticks[leg.lengths_n % SWINGS] = leg.ticks
         leg.lengths_n += 1
     expired = leg.after == AFTER_TICKS and awaited
     if leg.ticks and awaited and leg.after < AFTER_TICKS and leg.same < SAME_TICKS:
@@ -214,12 +215,8 @@ def stand(leg, measured, desired, lengths_ticks, last_desired, last_read, awaite
     leg.quiet = 0
 
 
-@compiled
-def follow_command(
-    leg, phase, measured, desired, seq, links, turns,
-    low, lengths_ticks, last_desired, last_measured, last_read, path, asked, commanded, foot,
-    start, now, awaited,
-):  # fmt: skip
+@stage
+def follow_command(leg, swing, measured, desired, awaited):
     """Take in a sample's phase, and in a swing the place that its command sends the foot to.
 
     Where the foot is ``awaited`` to touch, a swing goes on in stance for up to 16 ticks.
@@ -227,6 +224,8 @@ def follow_command(
     Returns:
         True where the swing in hand ends, as the next one begins before these are over.
     """
+    links, turns, now, commanded = swing.links, swing.turns, swing.now, swing.commanded
+    foot, start, phase = swing.foot, swing.start, leg.phase
     joints = len(desired)
     placed = False
     if phase == UNKNOWN and leg.has_lengths:
@@ -235,7 +234,7 @@ def follow_command(
         if leg.has_phase:
             forget_phase(leg)
         leg.has_phase = False
-        swinging = infer_phase(leg, now[2], low)
+        swinging = infer_phase(leg, now[2], swing.low)
         leg.phase_lacking = max(leg.phase_lacking - 1, 0)
     else:
         leg.has_phase = phase != UNKNOWN
@@ -250,20 +249,20 @@ def follow_command(
         leg.ticks += 1
         leg.same = 0
     else:
-        stand(leg, measured, desired, lengths_ticks, last_desired, last_read, awaited)
+        stand(leg, swing, measured, desired, awaited)
     if leg.ticks == 1:
         leg.whole = leg.stood
     if swinging and leg.has_lengths:
         if leg.ticks == 1:
             leg.path_n = 0
-            leg.path_first = seq
-            place_foot(last_desired if leg.has_desired else desired, links, turns, commanded)
-            place_foot(last_measured if leg.has_measured else measured, links, turns, start)
+            leg.path_first = leg.seq
+            place_foot(swing.last_desired if leg.has_desired else desired, links, turns, commanded)
+            place_foot(swing.last_measured if leg.has_measured else measured, links, turns, start)
             for k in range(3):
                 foot[k] = start[k]
             leg.rise = leg.moved = 0.0
             leg.asked_n = 1
-            asked[0] = 0.0
+            swing.asked[0] = 0.0
             leg.surface = (
                 leg.touch_before if start[2] < leg.touch_at - SUNK_M * leg.size else -np.inf
             )
@@ -271,9 +270,9 @@ def follow_command(
             leg.top = leg.low_at_m = start[2]
             leg.fallen = np.nan
         if leg.path_n < PATH_TICKS:
-            path[leg.path_n] = desired
+            swing.path[leg.path_n] = desired
             leg.path_n += 1
-        leg.path_last = seq
+        leg.path_last = leg.seq
         if not placed:
             place_foot(desired, links, turns, now)
         leg.commanded_up = now[2] > commanded[2]
@@ -281,33 +280,31 @@ def follow_command(
             commanded[k] = now[k]
     leg.has_desired = True
     for j in range(joints):
-        last_desired[j], last_read[j] = desired[j], measured[j]
+        swing.last_desired[j], swing.last_read[j] = desired[j], measured[j]
     return ends
 
 
-@compiled
-def follow_foot(
-    leg, reading, links, turns, lengths_ticks, last_measured, heights, asked,
-    commanded, foot, start, now,
-):  # fmt: skip
-    """Take in where the leg is, with substitutes for bad readings."""
+@stage
+def follow_foot(leg, swing, reading):
+    """Take in where the leg is, (J,) rad, with substitutes for bad readings."""
+    foot, start, now = swing.foot, swing.start, swing.now
     for j in range(len(reading)):
-        last_measured[j] = reading[j]
+        swing.last_measured[j] = reading[j]
     leg.has_measured = True
     if not leg.ticks:
         return
     if not leg.has_lengths:
-        half = half_swing(leg, lengths_ticks)
+        half = half_swing(leg, swing.lengths_ticks)
         leg.cleared = leg.ticks >= CLEAR_TICKS
         leg.rising = half >= LIFT_TICKS and LIFT_OFF_TICKS < leg.ticks <= half
         return
     out = foot[2] > leg.surface or leg.ticks >= SOFT_TICKS
     leg.cleared = out and (leg.rise > CLEARANCE_M * leg.size or leg.ticks >= CLEAR_TICKS)
-    place_foot(reading, links, turns, now)
+    place_foot(reading, swing.links, swing.turns, now)
     leg.rising = now[2] > foot[2]
     for k in range(3):
         foot[k] = now[k]
-    heights[leg.heights_n % HEIGHTS] = now[2]
+    swing.heights[leg.heights_n % HEIGHTS] = now[2]
     leg.heights_n += 1
     if leg.after:
         return  # where the stance takes the foot says nothing of whether it lifted or is held
@@ -315,7 +312,7 @@ def follow_foot(
     leg.low_at_m = min(leg.low_at_m, now[2])
     leg.rise = max(leg.rise, now[2] - start[2])
     leg.moved = max(leg.moved, distance(now, start))
-    asked[leg.asked_n % ASKED] = distance(commanded, start)
+    swing.asked[leg.asked_n % ASKED] = distance(swing.commanded, start)
     leg.asked_n += 1
 
 

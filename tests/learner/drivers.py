@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
+from adaptive_contact.detect import layout
 from adaptive_contact.detect.contact import MIN_LIFT_ROWS, begin_labels, enter_row, note_hole
 from adaptive_contact.detect.history import (
     MAX_STEP_RAD_S,
@@ -40,6 +42,28 @@ def place_of(robot: Robot, leg: Leg) -> LegPlace:
     return LegPlace(LegBatch([leg], library, [0.005], PERIOD_NS, max_step=MAX_STEP_RAD_S * 0.02))
 
 
+class Arrays(NamedTuple):
+    """What a tick has of one leg, as `arrays_of` names it."""
+
+    sample: layout.Sample
+    source: layout.Source
+    swing: layout.Swing
+    past: layout.Past
+    model: layout.Model
+    noise: layout.Noise
+    kept: layout.Kept
+
+
+def arrays_of(place: LegPlace) -> Arrays:
+    """The arrays of a leg, views of those of its batch."""
+    given = {**vars(place.batch), **place.batch.table._asdict()}
+
+    def array(name: str) -> Any:
+        return given[name] if name in layout.SHARED else given[name][place.row]
+
+    return Arrays(*(of(*map(array, of._fields)) for of in get_type_hints(Arrays).values()))
+
+
 class Swings:
     """Follows the swings of a leg, as a tick does."""
 
@@ -53,22 +77,16 @@ class Swings:
         b, joints = self.place.batch, len(self.place.batch.desired[0])
         angles = [(list(v) * joints)[:joints] for v in (sample.measured, sample.desired)]
         b.measured[0], b.desired[0] = angles
+        leg = self.place.record
+        leg["phase"], leg["seq"] = _PHASES[sample.phase], sample.seq
         ended: bool = follow_command(
-            self.place.record, _PHASES[sample.phase], b.measured[0], b.desired[0], sample.seq,
-            b.links[0], b.turns[0], b.low[0], b.lengths_ticks[0], b.last_desired[0],
-            b.last_measured[0], b.last_read[0], b.path[0], b.asked[0], b.commanded[0], b.foot[0],
-            b.start[0], b.now, awaited,
-        )  # fmt: skip
+            leg, arrays_of(self.place).swing, b.measured[0], b.desired[0], awaited
+        )
         return ended
 
     def observe(self, measured: Sequence[float]) -> None:
         """Where the leg is."""
-        b = self.place.batch
-        follow_foot(
-            self.place.record, np.array(measured), b.links[0], b.turns[0], b.lengths_ticks[0],
-            b.last_measured[0], b.heights[0], b.asked[0], b.commanded[0], b.foot[0], b.start[0],
-            b.now,
-        )  # fmt: skip
+        follow_foot(self.place.record, arrays_of(self.place).swing, np.array(measured))
 
     def take(self, sample: ServoSample) -> None:
         """All of a sample."""
@@ -96,7 +114,7 @@ class Readings:
         self.observe(reading, valid)
         residual = self.place.residuals[0].copy()
         b, leg = self.place.batch, self.place.record
-        push_command(leg, reading, b.window[0], b.lags, b.preview)
+        push_command(leg, b.window[0], b.depths, reading)
         b.increment[0] = self._expected
         leg["predicted"] = True
         return residual
@@ -110,17 +128,12 @@ class Readings:
 
     def observe(self, reading: np.ndarray, valid: list[bool] | None = None) -> None:
         """Take a reading in."""
-        b, leg = self.place.batch, self.place.record
+        b, leg, own = self.place.batch, self.place.record, arrays_of(self.place)
         flags = np.ones(3, dtype=bool) if valid is None else np.array(valid)
-        repair(
-            leg, np.asarray(reading, dtype=float), flags, valid is not None and not all(valid),
-            b.room[6], b.window[0], b.lags, b.preview, b.history[0], b.increment[0], b.reach[0],
-            b.last_good[0], b.last[0], b.suspects[0], b.stale[0], b.refused[0], b.values[0],
-            b.counts[0], tuple(b.table), b.xi0[0], b.coefficients[0], b.domain[0], b.theta[0],
-            b.sums.reshape(-1), b.some, b.room,
-        )  # fmt: skip
-        take(leg, b.room[6], b.window[0], b.lags, b.history[0], b.increment[0])
-        judged(leg, b.theta[0], b.thetas[0])
+        measured = np.asarray(reading, dtype=float)
+        repair(leg, own.past, own.model, measured, flags, valid is not None and not all(valid))
+        take(own.past.reading, own.past.increment, own.past.window, own.past.history, b.lags)
+        judged(leg, own.past.theta, own.past.thetas)
 
     def restart(self) -> None:
         """Drop the past."""
@@ -176,13 +189,9 @@ class Labels:
         leg["ticks"], leg["rising"], leg["cleared"], leg["at_ns"] = (
             ticks, row.lift, row.cleared, row.t_ns,
         )  # fmt: skip
-        joints = len(b.unit[0])
-        before = int(leg["row_n"])
-        enter_row(
-            leg, b.rows[0], b.row_values[0], b.theta[0], b.history[0], row.nis * joints, row.value,
-            row.calm, descending, b.whiten[0], b.unit[0], b.last_measured[0], b.links[0],
-            b.turns[0], b.room[0], b.room[1],
-        )  # fmt: skip
+        own, before = arrays_of(self.place), int(leg["row_n"])
+        leg["distance"] = row.nis * len(b.unit[0])
+        enter_row(leg, own.swing, own.past, own.noise, own.kept, row.value, row.calm, descending)
         if int(leg["row_n"]) > before:
             self._seen = [*self._seen[:before], row]
         elif int(leg["row_n"]) == before and before and b.rows[0, before - 1]["t_ns"] == row.t_ns:

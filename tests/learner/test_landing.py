@@ -21,7 +21,7 @@ from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import ServoSample
 
 from .conftest import TOML, FakeLeg, play, samples
-from .drivers import Swings
+from .drivers import Swings, arrays_of
 
 TICKS = 28  # of a swing and its stance, as FakeLeg makes them
 ROBOT = parse_robot(TOML, source="testbot")
@@ -93,19 +93,17 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
     rng = np.random.default_rng(34)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, samples(*FakeLeg(seed=34).run(4)[:3]))
-    batch, leg, recent = learner.place.batch, learner.place.record, learner.lifecycle.recent
+    leg, recent = learner.place.record, learner.lifecycle.recent
     assert recent is not None
     told = {True: 0, False: 0}
     leg["context"], leg["usable"] = context_of(leg, np.zeros(3), np.full(3, 0.02)), 3
+    noise = arrays_of(learner.place).noise
+    noise.shrink[:], scores = 1.0, noise.scores
     for trial in range(200):
         after = leg["after"] = 1 + trial % 4  # ticks since the turn to stance
         residual, gradient = rng.normal(0.0, 0.02, (3, 3)), rng.normal(0.0, 0.1, 3)
         history = np.stack([residual, rng.normal(0.0, 0.02, (3, 3))])
-        scores = batch.scores[0]
-        statistic(
-            leg, history, batch.whiten[0], np.ones(3), recent.thresholds,
-            recent.awaited, scores, batch.sums, gradient, True,
-        )  # fmt: skip
+        statistic(leg, noise, history, gradient, True)
         for w in (1, 2, 3):
             whiten = recent.whiten[int(leg["context"])][w - 1]
             z = whiten @ residual[:w].sum(axis=0)
