@@ -20,15 +20,15 @@ from adaptive_contact.detect.history import MAX_STEP_RAD_S
 from adaptive_contact.detect.layout import (
     BEGAN,
     DECIDED,
-    ENTERED,
     RATE_OFF,
     RELEASE_PENDING,
     RESOLVED,
     RESTARTED,
     SOURCE,
     TOPPED,
+    TOUCH_KEPT,
     TOUCHED,
-    TOUCHING,
+    WEIGHED,
 )
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.detect.stream import NEXT, StreamGuard
@@ -55,7 +55,7 @@ ROWS_PER_TICK: Final = 3
 # Flags of a tick that make an event; few ticks have one.
 EVENTS: Final = DECIDED | RELEASE_PENDING
 # Flags that change nothing of what the next tick is judged by.
-WAITING: Final = EVENTS | ENTERED | TOUCHING
+WAITING: Final = EVENTS | WEIGHED | TOUCH_KEPT
 
 
 def check_sample(sample: object) -> None:
@@ -205,7 +205,7 @@ class ContactLearner:
 
     def judged(self) -> JudgedTick | None:
         """Return the last tick's residual and scores; None where it could not be judged."""
-        leg, recent = self.place.leg, self.lifecycle.recent
+        leg, recent = self.place.leg, self.lifecycle.noise_tracker
         usable = leg.usable
         if recent is None or not usable:
             return None
@@ -232,7 +232,7 @@ class ContactLearner:
     @property
     def model_report(self) -> ModelReport | None:
         """The model in terms and equations, or None while there is none."""
-        adapter, recent = self._adapter, self.lifecycle.recent
+        adapter, recent = self._adapter, self.lifecycle.noise_tracker
         if adapter is None or recent is None:
             return None
         threshold = float(recent.thresholds[0])
@@ -252,6 +252,8 @@ class ContactLearner:
         """
         refused = self.lifecycle.restore(saved)
         if refused is not None:
+            if self._begun != self.lifecycle.begun:  # what was refused has ended the model before
+                self._begin()
             return refused
         self._begin()
         self.report.counters.restore(saved)
@@ -284,7 +286,7 @@ class ContactLearner:
         if flags & (BEGAN | TOPPED):
             # A swing that begins, or a lift whose top is past, changes the status of the event.
             self._assess(flags)
-            self.report.read_standing()
+            self.report.read_status()
         if flags & RELEASE_PENDING:
             leg.release_pending = False
             event = self.report.event(
@@ -311,18 +313,17 @@ class ContactLearner:
         # In most ticks a row was entered that only waits for its swing: nothing to assess.  While
         # the monitor watches a suspected lift, each tick may change the variance scale.
         assessed = flags & ~WAITING or (
-            flags & ENTERED and (adapter is None or adapter.monitor.watches or not adapter.gated)
+            flags & WEIGHED and (adapter is None or adapter.monitor.watches or not adapter.gated)
         )
-        if assessed or flags & TOUCHING:
+        if assessed or flags & TOUCH_KEPT:
             self._hand_over(flags)
             self._assessed = False
             if flags & SOURCE:
                 self._faulty = self.report.source.cause is not None
-        another = self._begun != lifecycle.begun
-        if another or self._misread or self._faulty or adapter is None or not adapter.learning:
+        if self._misread or self._faulty or adapter is None or not adapter.learning:
             if assessed:
-                self.report.read_standing()
-            return another
+                self.report.read_status()
+            return False
         moved = adapter.tick(ROWS_PER_TICK) if adapter.busy else adapter.pass_tick()
         if assessed:
             if adapter.monitor.unfit and self.place.leg.ticks:
@@ -335,8 +336,8 @@ class ContactLearner:
             return False
         else:
             if adapter.version != self.report.version:
-                self.report.read_standing()
-            if not self.place.leg.ticks:  # a stance is not judged: it can wait
+                self.report.read_status()
+            if not self.place.leg.ticks:  # a stance is not judged: the swing that begins passes it
                 return False
             if moved == COEFFICIENTS and not adapter.active.inflated:
                 self.place.predict_by(adapter.active.coefficients)
@@ -374,7 +375,7 @@ class ContactLearner:
             place.move(self._batch(), 0)
         place.batch.forget_past(place.row)
         self._begun = lifecycle.begun
-        self.report.read_standing()
+        self.report.read_status()
         adapter = lifecycle.adapter
         self._labels.begin(None if adapter is None else adapter.baseline)
         if adapter is None:

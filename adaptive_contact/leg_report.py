@@ -12,7 +12,7 @@ from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import MotionTrack
 from adaptive_contact.diagnose.leg_ids import IdTrack
-from adaptive_contact.learn.adapter import Adapter, Standing
+from adaptive_contact.learn.adapter import Adapter, EventStatus
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.robot import Leg
@@ -102,7 +102,7 @@ class LegReport:
         self.counters = Counters()
         self.rate = RateWatch.of(place)
         self.source = SourceWatch(leg, place)
-        self._standing = Standing()
+        self._learning = EventStatus()
 
     def event(
         self,
@@ -138,7 +138,7 @@ class LegReport:
             status=self._status,
             score=score,
             residual=residual,
-            model_version=self._standing.version,
+            model_version=self._learning.version,
             withheld=withheld,
             doubt=doubt,
         )
@@ -148,13 +148,13 @@ class LegReport:
         """Status of the learner, as it is published."""
         adapter, leg, counts = self._adapter, self._place.leg, self.counters.counts
         self.collect_counts()
-        self.read_standing()
+        self.read_status()
         untouched_ns = leg.untouched_ns
         return LearnerStatus(
             leg=self._leg.id,
             t_ns=leg.t_ns,
             status=self._status,
-            model_version=self._standing.version,
+            model_version=self._learning.version,
             residual_rms=self._place.free_rms,
             noise_floor=self._lifecycle.noise_floor,
             buffer=BufferCounts() if adapter is None else adapter.buffer.counts,
@@ -179,19 +179,19 @@ class LegReport:
         """Whether contacts are not reported, as the leg is ambiguous."""
         return self._withholds_at(self.doubt, fits=self._place.leg.fits)
 
-    def read_standing(self) -> None:
+    def read_status(self) -> None:
         """Take over what the learning says of the leg, for the events of the next ticks."""
         adapter = self._adapter
-        self._standing = Standing() if adapter is None else adapter.standing
+        self._learning = EventStatus() if adapter is None else adapter.event_status
 
     @property
     def version(self) -> int:
         """Of the model in force, as events state it."""
-        return self._standing.version
+        return self._learning.version
 
     def publish_withholding(self) -> None:
         """Set for the tick whether contacts are reported, and in a swing that begins with it."""
-        self.read_standing()
+        self.read_status()
         leg, doubt = self._place.leg, self.doubt
         begun = leg.withholds_begun = self._withholds_at(doubt, fits=False)
         # A leg that fits may have contacts reported that others have withheld, never the other way.
@@ -208,7 +208,7 @@ class LegReport:
         cause = SOURCE_CAUSES[int(self._place.leg.cause)]
         if cause is not None:
             return cause
-        return "angles" if self.misread else self._standing.doubt
+        return "angles" if self.misread else self._learning.doubt
 
     def collect_counts(self) -> None:
         """Take over what ticks have counted since the last call."""
@@ -243,7 +243,7 @@ class LegReport:
 
     @property
     def _status(self) -> Status:
-        return "ambiguous" if self._void else self._standing.status
+        return "ambiguous" if self._void else self._learning.status
 
     def _note(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""

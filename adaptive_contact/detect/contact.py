@@ -24,10 +24,10 @@ from adaptive_contact.detect.layout import (
     BROKE_OFF,
     DECIDED,
     DEPTH,
-    ENTERED,
+    TOUCH_KEPT,
     TOUCH_TICKS,
     TOUCHED,
-    TOUCHING,
+    WEIGHED,
 )
 from adaptive_contact.detect.swing import LEAST_WAY_M, height_gradient
 from adaptive_contact.model.noise import SPEED_EDGES_QUANTA, UNFIT_LEVEL
@@ -142,7 +142,7 @@ def release(leg, t_ns, score):
 
 
 @compiled
-def swing_tick(leg, score, distance, onset_ns, past_lift):
+def swing_tick(leg, score, distance, onset_ns, past_top):
     """Update loaded, free or contact by a tick's test ratio; NaN changes nothing.
 
     Args:
@@ -150,7 +150,7 @@ def swing_tick(leg, score, distance, onset_ns, past_lift):
         score: test ratio of the tick, the largest over the windows.
         distance: squared length of the last whitened residual over the threshold, for calm.
         onset_ns: of the contact, if it begins here.
-        past_lift: the descent has begun, after a lift that was seen: free even if not calm.
+        past_top: the descent has begun, after a lift that was seen: free even if not calm.
     """
     if score != score:
         return
@@ -158,7 +158,7 @@ def swing_tick(leg, score, distance, onset_ns, past_lift):
     if leg.calm == 1:
         leg.calm_since = leg.at_ns
     if leg.loaded:
-        if leg.calm < CALM_TICKS and not past_lift:
+        if leg.calm < CALM_TICKS and not past_top:
             return
         leg.loaded = False
         release(leg, leg.at_ns, score)
@@ -256,7 +256,7 @@ def keep_touch(leg, past, noise, touch):
     leg.touch_n += 1
     if leg.touch_n == TOUCH_TICKS:
         leg.touching = False
-        leg.found |= TOUCHING
+        leg.found |= TOUCH_KEPT
 
 
 @compiled
@@ -289,8 +289,12 @@ def enter_row(leg, swing, past, noise, kept, value, free, past_lift):
     """Hold a judged tick back until its swing is resolved.
 
     Args:
-        leg, swing, past, noise, kept: of the leg.  A row of ``kept.row_values`` is one of
-            :class:`~adaptive_contact.model.labelled_swing.Rows`.
+        leg: its scalars.
+        swing: its arrays, as those that follow.
+        past: what was predicted.
+        noise: what residuals are weighed by.
+        kept: where the row goes; one of ``row_values`` is as
+            :class:`~adaptive_contact.model.labelled_swing.Rows` has it.
         value: the statistic of one tick.
         free: the leg is neither loaded nor touches.
         past_lift: the command is past the lift.
@@ -298,7 +302,7 @@ def enter_row(leg, swing, past, noise, kept, value, free, past_lift):
     rows, values, theta, history = kept.rows, kept.row_values, past.thetas[0], past.history
     target = kept.target
     joints = history.shape[2]
-    leg.found |= ENTERED
+    leg.found |= WEIGHED
     if not leg.gated:
         pass
     elif leg.broken or not (leg.topped or leg.rising or past_lift):

@@ -131,7 +131,7 @@ def judge_tick(handed):
         connect(leg, sample, source, past, model, kept)
         follow_swing(leg, sample, source, swing, past, model)
         watch_source(leg, sample, source, past)
-        if leg.known and read(leg, sample, swing, past, model, kept):
+        if leg.has_model and read(leg, sample, swing, past, model, kept):
             weigh(leg, sample, swing, past, noise)
             decide(leg, swing, past, model, noise, kept)
         found |= leg.found
@@ -156,7 +156,7 @@ def connect(leg, sample, source, past, model, kept):
         restart_leg(leg, sample.command, sample.before, desired, past.suspects)
         restart_phase(leg, source.parts)
         leg.began_ns, leg.began_n, leg.began_count = leg.at_ns, leg.total_n, 1
-    elif missed and leg.known:
+    elif missed and leg.has_model:
         if missed != PAUSE and missed < leg.length:
             note_hole(leg, kept.rows)
             bridge(leg, past, model, desired if leg.lost else sample.command, missed)
@@ -179,10 +179,10 @@ def follow_swing(leg, sample, source, swing, past, model):
         place_foot(desired, swing.links, swing.turns, swing.now)
         height = swing.now[2]
     take_phase(leg, leg.phase, desired, height, source.phase_before, source.parts)
-    awaited = leg.known and not (leg.loaded or leg.contact)
+    awaited = leg.has_model and not (leg.loaded or leg.contact)
     whole = leg.whole
     ends = follow_command(leg, swing, sample.measured, desired, awaited)
-    if (ends or leg.ticks == 0) and leg.open and leg.known:
+    if (ends or leg.ticks == 0) and leg.open and leg.has_model:
         leg.open = False
         leg.found |= RESOLVED
         leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
@@ -203,8 +203,8 @@ def follow_swing(leg, sample, source, swing, past, model):
         leg.withholds = leg.withholds_begun
         leg.broken = not (leg.whole or leg.has_lengths)
         leg.loaded, leg.calm = True, 0
-        leg.began_full = leg.known and leg.filled >= leg.length and model.depths[1] == 0
-        if leg.known:
+        leg.began_full = leg.has_model and leg.filled >= leg.length and model.depths[1] == 0
+        if leg.has_model:
             leg.usable = 0
             past.began_window[:] = past.window
 
@@ -412,7 +412,7 @@ def finish_tick(handed):
             sample.command[j] = sample.desired[j]
         if leg.has_lengths:
             leg.descent = not leg.commanded_up
-        if not leg.known:
+        if not leg.has_model:
             continue
         full = push_command(leg, past.window, model.depths, sample.desired)
         ready = full

@@ -46,17 +46,17 @@ UNSURE_VARIANCE: Final = 2.5
 
 
 @compiled
-def leverage(theta, reach):
-    """Compute the leverage of (p,) regressors by the (p, p) reach of a training domain.
+def leverage(theta, domain):
+    """Compute the leverage of (p,) regressors by the (p, p) matrix of a training domain.
 
     How far they lie outside of what the fit has seen, as
     :meth:`~adaptive_contact.model.training_domain.Domain.leverage` has it.
     """
     total = 0.0
-    for r in range(reach.shape[0]):
+    for r in range(domain.shape[0]):
         z = 0.0
-        for c in range(reach.shape[1]):
-            z += reach[r, c] * theta[c]
+        for c in range(domain.shape[1]):
+            z += domain[r, c] * theta[c]
         total += z * z
     return total
 
@@ -135,11 +135,11 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
     """
     window, increment, reach, history = past.window, past.increment, past.reach, past.history
     suspects, values, counts, last_good = past.suspects, past.values, past.counts, past.last_good
-    impossible, found, known = past.some[1], past.some[2], past.some[3]
+    impossible, found, repeats = past.some[1], past.some[2], past.some[3]
     jumps, limits, recent, offs = past.room[1], past.room[2], past.room[3], past.room[4]
     lags = model.depths[0]
     joints = len(measured)
-    some_known = some_refused = suspect = False
+    some_repeat = some_refused = suspect = False
     learned = leg.reach_ticks >= REACH_TICKS
     for j in range(joints):
         found[j] = suspects[j]  # of the reading before
@@ -159,17 +159,17 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
             if largest > reach[j]:
                 reach[j] = min(largest, leg.max_step)
         limits[j] = min(REACH * reach[j] + allowance, leg.max_step)
-        known[j] = False
+        repeats[j] = False
         for k in range(leg.values_n):
             if values[k] == measured[j]:
-                known[j] = counts[k] > 1
-        some_known |= known[j]
+                repeats[j] = counts[k] > 1
+        some_repeat |= repeats[j]
         jumps[j] = abs(measured[j] - last_good[j])
     if not leg.predicted:
         for j in range(joints):
             if learned and jumps[j] > limits[j]:
                 suspect = True
-        if not suspect and not some_known:
+        if not suspect and not some_repeat:
             return 0
         if not predict_next(leg, past, model):
             return 2 if suspect else 0
@@ -185,12 +185,12 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
     for j in range(joints):
         offs[j] = min(abs(measured[j] - window[j] - increment[j]), jumps[j])
         beyond = learned and offs[j] > limits[j]
-        once = offs[j] > recent[j] or (known[j] and offs[j] > known_step)
+        once = offs[j] > recent[j] or (repeats[j] and offs[j] > known_step)
         before = found[j]
         suspected = beyond or (once and not before)
         if has_valid and not valid[j]:
             suspected = beyond = False
-        if beyond and before and not known[j] and abs(measured[j] - last[j]) <= limits[j]:
+        if beyond and before and not repeats[j] and abs(measured[j] - last[j]) <= limits[j]:
             agreed = True
         found[j] = suspected
         some_refused |= suspected or (has_impossible and impossible[j])

@@ -36,11 +36,11 @@ RESTARTED: Final = 1  # the source began again
 BROKE_OFF: Final = 2  # a gap or fault: the swing is not learned
 RESOLVED: Final = 4  # the swing before has ended: its rows can be labelled
 BEGAN: Final = 8  # a swing begins
-ENTERED: Final = 16  # a row was entered
+WEIGHED: Final = 16  # a residual was weighed; its row is held back, unless it may not be learned
 TOPPED: Final = 32  # the top of the lift has just been passed
 DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
-TOUCHING: Final = 256  # the first ticks of a contact are kept
+TOUCH_KEPT: Final = 256  # the first ticks of a contact are kept, all of them
 RATE_OFF: Final = 512  # ticks are not as far apart as described
 SOURCE: Final = 2048  # the source begins or ceases to copy commands or swap phases
 RELEASE_PENDING: Final = 1024  # a contact is to end that no tick can decide any more
@@ -127,7 +127,7 @@ LEG: Final = np.dtype(
         ("max_step", f8),  # rad per tick, beyond which a reading is impossible
         ("length", i4),  # samples in a row before a prediction
         ("period_ns", i8),
-        ("known", b1),  # a model is in force
+        ("has_model", b1),  # a model is in force
         ("gated", b1),  # learns only what is confirmed
         ("learning", b1),  # anything is learned at all
         # Stream and clock.
@@ -191,7 +191,7 @@ LEG: Final = np.dtype(
         ("fallen", f8),  # m below the top at the first onset; NaN without
         # History.
         ("filled", i4),  # samples in the window, up to `length`
-        ("predicted", b1),  # this tick had a prediction
+        ("predicted", b1),  # the reading to come, or just taken, has a prediction
         ("inflation", f8),  # of the variance, for replaced readings
         ("usable", i4),  # residuals in a row that may be judged
         ("sound", b1),  # a reading of this tick is usable
@@ -246,7 +246,7 @@ LEG: Final = np.dtype(
         ("has_before", b1),  # a command before is known
         ("echo_n", i4),  # commands known
         ("echoes", b1),  # a joint copies its command
-        ("suspected", b1),  # it may, by the swing so far
+        ("echo_suspected", b1),  # a joint may copy its command, by the swing so far
         ("cause", i4),  # 0 none, 1 echo, 2 phase
         ("began_ns", i8),  # of the last swing but one
         ("began_n", i8),  # samples until then
@@ -265,7 +265,7 @@ LEG: Final = np.dtype(
         ("found", i8),  # flags, see the top of this file
         ("score", f8),  # test ratio at the decision
         ("onset_ns", i8),  # estimated begin or end of the contact
-        ("distance", f8),  # squared length of the whitened residual
+        ("distance", f8),  # squared length of the whitened residual, of one tick
         ("free_n", i8),  # free residuals kept
     ],
     align=True,

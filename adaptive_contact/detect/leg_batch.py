@@ -319,13 +319,13 @@ class LegPlace:
             learning: anything is learned at all.
         """
         leg, batch, row = self.leg, self.batch, self.row
-        leg.known, leg.gated, leg.learning = True, gated, learning
+        leg.has_model, leg.gated, leg.learning = True, gated, learning
         batch.xi0[row], batch.sigma[row] = library.first, sigma
         self._judged_by = None
 
     def end(self) -> None:
         """Mark that no model is in force."""
-        self.leg.known = False
+        self.leg.has_model = False
 
     def judge_by(self, free: FreeMotion) -> None:
         """Put what is known of free motion into the arrays that ticks judge by."""

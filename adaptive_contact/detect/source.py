@@ -303,7 +303,7 @@ def take_readings(
     leg, measured, valid, has_valid, step_rad, most_rad, commands, runs, off, echoing
 ):
     """Compare readings with the commands up to their own."""
-    leg.suspected = False
+    leg.echo_suspected = False
     for j in range(len(measured)):
         if not (has_valid and not valid[j]):
             matched = False
@@ -335,7 +335,9 @@ def take_readings(
         for lag in range(LAGS):
             moved = runs[j, lag, 4]
             if moved >= SUSPECT_MOVED:
-                leg.suspected |= moved * (runs[j, lag, 3] - runs[j, lag, 2]) >= SUSPECT_EVIDENCE
+                leg.echo_suspected |= (
+                    moved * (runs[j, lag, 3] - runs[j, lag, 2]) >= SUSPECT_EVIDENCE
+                )
     leg.echoes = echoing.any()
 
 
@@ -431,6 +433,6 @@ def follow_source(
     if cause != NONE:
         let_go(leg)
         return
-    if leg.known:
+    if leg.has_model:
         restart_history(leg, suspects)
     leg.loaded, leg.calm = True, 0

@@ -18,7 +18,7 @@ from typing import Final
 
 from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.contact import MIN_LIFT_ROWS
-from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
+from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, RESTARTED, TOPPED, TOUCH_KEPT, WEIGHED
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
 from adaptive_contact.model.labelled_swing import (
@@ -82,7 +82,7 @@ class SwingLabels:
     def unobservable_note(self) -> str | None:
         """One line for a person when changes of the leg cannot be seen."""
         leg = self._place.leg
-        if not (leg.known and leg.gated):
+        if not (leg.has_model and leg.gated):
             return None
         if self._unobserved < UNOBSERVED_SWINGS:
             return self._swing.unobservable_note
@@ -96,7 +96,7 @@ class SwingLabels:
         self._first = first
 
     def restart(self) -> None:
-        """Forget the present swing: the source has started again."""
+        """Forget the present swing, after a fault of the learning."""
         self._place.leg.touch_n = 0
 
     def assess(self, flags: int) -> list[LabelledSwing]:
@@ -105,14 +105,14 @@ class SwingLabels:
         if flags & (RESTARTED | BROKE_OFF | BEGAN):
             leg.touch_n = 0
         found: list[LabelledSwing] = []
-        if not leg.known:
+        if not leg.has_model:
             return found
         if flags & BEGAN:
             self._begin_swing()
             found.append(LabelledSwing(Label.BEGIN))
-        if flags & TOUCHING:
+        if flags & TOUCH_KEPT:
             found += self._contact()
-        if not flags & ENTERED:
+        if not flags & WEIGHED:
             return found
         if not leg.gated:
             rows = moving(self._rows(0, 1))
@@ -127,13 +127,13 @@ class SwingLabels:
     def resolve(self) -> list[LabelledSwing]:
         """Label the rest of the swing that has ended."""
         leg = self._place.leg
-        if not leg.known:
+        if not leg.has_model:
             return []
         self._unobserved += leg.resolved_whole
         first, last = leg.resolved_first, leg.resolved_last - LAST_TICKS
         descent = self._rows(first, last)
         return [
-            *self._contact(),
+            *self._contact(),  # of a touch that the end of its swing has cut short
             *self._confirmed(descent, lifted=self._swing.had_lifted),
             LabelledSwing(Label.END, early=self._swing.touched_early()),
         ]
@@ -141,7 +141,7 @@ class SwingLabels:
     def alarm(self) -> list[LabelledSwing]:
         """Label what a contact that has just begun confirms."""
         leg = self._place.leg
-        if not leg.known:
+        if not leg.has_model:
             return []
         onset_ns, now_ns, period_ns = leg.onset_ns, leg.at_ns, leg.period_ns
         self._swing.touched(round((now_ns - onset_ns) / period_ns))
@@ -180,7 +180,7 @@ class SwingLabels:
         if count - first < MIN_LIFT_ROWS:
             return found
         leg.fits |= total <= UNFIT_LEVEL * (count - first)
-        if swing.lifted and not (swing.obstructed or leg.suspected):
+        if swing.lifted and not (swing.obstructed or leg.echo_suspected):
             self._unobserved = 0
             self._region = self._regions.of(batch.desired[row].tolist())
             rows = moving(self._rows(first, count))
@@ -225,8 +225,8 @@ class SwingLabels:
         batch, at = self._place.batch, self._place.row
         if first >= last:
             return NO_ROWS
-        values, known = copy_rows(batch.row_values[at], batch.rows[at], first, last)
-        return Rows(values, known, batch.measured.shape[1])
+        values, records = copy_rows(batch.row_values[at], batch.rows[at], first, last)
+        return Rows(values, records, batch.measured.shape[1])
 
 
 @compiled
@@ -312,13 +312,13 @@ def moving(rows: Rows) -> Rows:
     What it repeats may be true, and the model wrong; but a foot that is held fast repeats its
     readings, too.
     """
-    repeats = rows.known["repeats"]
+    repeats = rows.records["repeats"]
     return rows[~repeats] if any(repeats.tolist()) else rows
 
 
 def not_pushed(rows: Rows, last_ns: int) -> Rows:
     """Select, of a leg that has changed, the ticks that no push from below accounts for."""
-    pushed = (rows.t_ns > last_ns) | ~rows.known["push"] | (rows.known["sigma"] > PUSHED_SIGMA)
+    pushed = (rows.t_ns > last_ns) | ~rows.records["push"] | (rows.records["sigma"] > PUSHED_SIGMA)
     if pushed.any():
         rows = rows[: int(pushed.argmax())]
     found = rows[rows.nis > MISSED_NIS]

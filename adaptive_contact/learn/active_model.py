@@ -89,8 +89,8 @@ class ActiveModel:
     """Owns one leg's model in force, its recursion and the last good model.
 
     Args:
-        known: the baseline, or a prior.
-        on_fall: called with the name of the model that replaces an implausible one.
+        start: what the leg begins with, the baseline or a prior.
+        on_drop: called with the name of the model that replaces an implausible one.
 
     Attributes:
         baseline: the model at the start.
@@ -99,19 +99,19 @@ class ActiveModel:
         as_made: the model as it was last asked for; rows learned since are not in it.
     """
 
-    def __init__(self, known: LegBaseline, *, on_fall: Callable[[str], None]) -> None:
-        self.baseline = known.model
-        self._spread = known.spread
-        self._settings = None if known.spread is None else RlsSettings(bound=PRIOR_BOUND)
-        self._on_fall = on_fall
-        self._noise = known.noise.rms
-        self._per_noise, self._scale = 1.0 / known.noise.rms, np.array(known.scale)
+    def __init__(self, start: LegBaseline, *, on_drop: Callable[[str], None]) -> None:
+        self.baseline = start.model
+        self._spread = start.spread
+        self._settings = None if start.spread is None else RlsSettings(bound=PRIOR_BOUND)
+        self._on_drop = on_drop
+        self._noise = start.noise.rms
+        self._per_noise, self._scale = 1.0 / start.noise.rms, np.array(start.scale)
         # Copies, as compiled code takes an array that may not be written to for another kind.
-        self._known = np.array(known.model.coefficients, order="C")
+        self._first = np.array(start.model.coefficients, order="C")
         # What a term may move a tick by, at most.
-        own = np.abs(known.model.coefficients * known.scale[:, None]).max()
+        own = np.abs(start.model.coefficients * start.scale[:, None]).max()
         self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
-        self.as_made = known.model
+        self.as_made = start.model
         self._moved = False  # the recursion has, since it was made
         _, self.recursion, self.inflated = self._start()
         self._good: _Good | None = None
@@ -158,7 +158,7 @@ class ActiveModel:
             return
         good = self._good or self._start()
         self.recursion, self.inflated = good.rls.copy(), good.inflated
-        self._on_fall("the baseline" if self._good is None else "the last good model")
+        self._on_drop("the baseline" if self._good is None else "the last good model")
 
     def uncertainty(self, rows: Rows) -> float:
         """Compute the variance of predictions that comes from the coefficients, over the noise's.
@@ -200,7 +200,7 @@ class ActiveModel:
         """
         if self.version == 0:
             return False
-        now, before = squared_errors(rows.values, self._per_noise, self.coefficients, self._known)
+        now, before = squared_errors(rows.values, self._per_noise, self.coefficients, self._first)
         self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
         if self._better_baseline < RETURN_SWINGS:
             return False

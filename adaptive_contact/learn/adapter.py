@@ -58,7 +58,7 @@ COEFFICIENTS: Final = 1
 ANYTHING: Final = 2
 
 
-class Standing(NamedTuple):
+class EventStatus(NamedTuple):
     """Holds what the learning says of a leg, as its events report it."""
 
     # learning where a leg has no model, or began with a prior and is not known yet
@@ -72,7 +72,7 @@ class Adapter:
 
     Args:
         leg: its id.
-        known: the baseline, or the prior.
+        start: what the leg begins with, the baseline or a prior.
         noise_tracker: covariances and thresholds, which it keeps up to date.
         mode: what it may do.
         refitter: does the sparse refits.
@@ -93,7 +93,7 @@ class Adapter:
     def __init__(
         self,
         leg: str,
-        known: LegBaseline,
+        start: LegBaseline,
         noise_tracker: NoiseTracker,
         mode: LearnerMode,
         refitter: Refitter,
@@ -101,17 +101,17 @@ class Adapter:
         self.mode = mode
         self.learning = mode is not LearnerMode.FROZEN
         self.gated = mode.gated
-        self.baseline = known.model
-        self.monitor = DriftMonitor(len(known.noise.rms))
+        self.baseline = start.model
+        self.monitor = DriftMonitor(len(start.noise.rms))
         self.early = EarlyContacts()
-        self.buffer = ReplayBuffer(rows=rows_for_refit(known.model), queues=mode.recursive)
+        self.buffer = ReplayBuffer(rows=rows_for_refit(start.model), queues=mode.recursive)
         self._noise_tracker = noise_tracker
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
-        self._noise = known.noise.rms
-        self._scale = known.scale
-        self.active = ActiveModel(known, on_fall=self._fallen)
-        self.first = None if known.spread is None else FirstSwings()
+        self._noise = start.noise.rms
+        self._scale = start.scale
+        self.active = ActiveModel(start, on_drop=self._dropped)
+        self.first = None if start.spread is None else FirstSwings()
         self._learned_ns = -1  # end of the segment of the newest row learned
         self._suspected = NO_ROWS  # the descent after a suspected lift
         self._evidence: ChangeClassifier | None = None  # of the newest change
@@ -122,7 +122,7 @@ class Adapter:
         self._renewed = False  # covariances were, since the last `tick`
         self.busy = True
         self.candidate = Candidate(
-            leg, self._noise, self._scale, refitter, known.domain, self.active.plausible
+            leg, self._noise, self._scale, refitter, start.domain, self.active.plausible
         )
 
     # -- what detection and status read -----------------------------------------------------------
@@ -151,7 +151,12 @@ class Adapter:
 
     @property
     def status(self) -> Status:
-        """Status of the leg; learning while one that began with a prior is not known yet."""
+        """Status of the leg, as contacts are believed by.
+
+        ``monitor.status`` says whether the lifts fit the model in force, and governs the learning.
+        This one says more: a leg that began with a prior is learning until it is known, though its
+        lifts fit, and one whose early touches were none is ambiguous.
+        """
         status = self.monitor.status
         if status == "valid" and self.early.reported:
             return "ambiguous"
@@ -163,12 +168,12 @@ class Adapter:
         return self.active.version
 
     @property
-    def standing(self) -> Standing:
+    def event_status(self) -> EventStatus:
         """Status, doubt and version, for events and the leg's status."""
         status, doubt = self.status, self.monitor.doubt
         if doubt is None and status == "ambiguous":
             doubt = "descents"
-        return Standing(status, doubt, self.active.version)
+        return EventStatus(status, doubt, self.active.version)
 
     @property
     def note(self) -> str | None:
@@ -215,7 +220,7 @@ class Adapter:
             case Label.UNGATED:
                 self.active.learn(part.rows.values, 0)
             case Label.CONTACT:
-                # While the leg is known, it is one to try candidates on.
+                # Of a leg that is not known, or whose early touches were none, it may be none.
                 if self.status == "valid" and part.touch is not None:
                     self.candidate.contacts.add(part.touch)
             case Label.END:
@@ -284,16 +289,16 @@ class Adapter:
         learned, self._learned_swing = self._learned_swing, False
         if not self.gated:
             return
-        known = self.monitor.status == "valid"
-        if self.first is not None and self.first.end_swing(valid=known):
+        valid = self.monitor.status == "valid"
+        if self.first is not None and self.first.end_swing(valid=valid):
             self.first = None
-        if known and early is not None and self.early.take(early):
+        if valid and early is not None and self.early.take(early):
             # They were not contacts.  None are stored meanwhile, so that no refit is promoted.
             self.candidate.contacts.clear()
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
             self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
-        if self.monitor.status == "valid" and self.monitor.variance_scale < SETTLED_LEVEL:
+        if valid and self.monitor.variance_scale < SETTLED_LEVEL:
             self.active.remember()
         period_s = self.baseline.library.period_s
         if self.mode.refits and self.candidate.swing_done(period_s, learned=learned):
@@ -340,8 +345,8 @@ class Adapter:
     def _share(self, budget: int) -> int:
         """Return how many rows a tick learns: a known leg can wait, a changed one cannot.
 
-        A swing brings some twenty rows and takes twice as many ticks; a queue that grows longer
-        than a swing's is worked off at the full rate.
+        A swing brings a dozen rows and takes some 70 ticks; a queue that grows longer than that of
+        a long swing is worked off at the full rate.
         """
         return budget if self.monitor.status != "valid" or self.buffer.unlearned > CALM_QUEUE else 1
 
@@ -417,7 +422,9 @@ class Adapter:
 
     def _confirm(self, rows: Rows, region: int) -> None:
         """Take free rows: into the replay buffer, the noise tracker and the recursion's queue."""
-        cleared = rows.known["cleared"]
+        # A foot that is not yet well off the ground may be pushed by it: its rows show whether a
+        # lift fits, and are not learned.
+        cleared = rows.records["cleared"]
         if not all(cleared.tolist()):
             rows = rows[cleared]
         self._learned_swing |= bool(rows)
@@ -466,7 +473,7 @@ class Adapter:
 
     def _try(self, row: Row, off: Sequence[float], model: LegModel) -> None:
         """Compare the candidate with the model in force on a row; put it in force if it wins."""
-        won = self.candidate.compare(row, off, model, known=self.monitor.status == "valid")
+        won = self.candidate.compare(row, off, model, valid=self.monitor.status == "valid")
         if won is not None:
             self.active.replace(won)
             self._refresh()
@@ -485,7 +492,7 @@ class Adapter:
         else:
             self._noise_tracker.begin_refresh(residuals, context, self.buffer.of_era(self._era))
 
-    def _fallen(self, back_to: str) -> None:
+    def _dropped(self, back_to: str) -> None:
         """Follow a return to another model, as the one in force was implausible."""
         self.buffer.drop_unlearned()
         self._withdraw()

@@ -248,7 +248,7 @@ class Candidate:
         return full and self._again <= 1
 
     def compare(
-        self, row: Row, off: Sequence[float], model: LegModel, *, known: bool = True
+        self, row: Row, off: Sequence[float], model: LegModel, *, valid: bool = True
     ) -> LegModel | None:
         """Compare the candidate on a new row; return it as the new model if it has won.
 
@@ -256,7 +256,8 @@ class Candidate:
             row: of a confirmed tick.
             off: (J,) how far the model in force was off there, over the noise.
             model: in force; asked for where :attr:`deciding`, any other will do elsewhere.
-            known: the leg is as the model in force says, so that its contacts are stored.
+            valid: the lifts fit the model in force: then its contacts are, or will be, stored, and
+                a candidate waits until there are some to try it on.
         """
         if self._candidate is None:
             return None
@@ -273,7 +274,7 @@ class Candidate:
         errors = mean / max(float(gain.std()) / len(gain) ** 0.5, 1e-12)
         better = errors >= PROMOTE_ERRORS  # NaN is not
         words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
-        untried = known and not self._probation and len(self.contacts) < TRIAL_CONTACTS
+        untried = valid and not self._probation and len(self.contacts) < TRIAL_CONTACTS
         if better and untried:
             self._wait = (
                 f"waiting: a candidate is {words}, and there are {len(self.contacts)} contacts to "

@@ -42,7 +42,7 @@ SETTLED_LEVEL: Final = 2.5
 PATIENCE_SWINGS: Final = 20
 WORN_LEVEL: Final = 6.25
 # Lifts between two inflations; and worn lifts in a row that are a change.
-LOOSEN_EVERY: Final = 5
+INFLATE_EVERY: Final = 5
 # A foot that does not rise in so many swings in a row is held by something.
 OBSTRUCTED_SWINGS: Final = 2
 # Nor does one whose lifts are so much further off (ten times the noise) than any drift takes them:
@@ -95,7 +95,7 @@ class DriftMonitor:
         self._newest: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
         self._settled = 0
         self._since_ns: int | None = None
-        self._swings_adapting = self._swings_loose = 0  # since the change, since the inflation
+        self._swings_adapting = self._swings_inflated = 0  # since the change, since the inflation
         self._worn_swings = 0
         self._obstructed_swings = self._far_swings = self._free_swings = 0
         self._sign = ""
@@ -218,7 +218,7 @@ class DriftMonitor:
         very lift, and is judged by how it fits now.
         """
         suspected = self._swing_level is not None and self._suspicions == 1
-        moving = self._swings_adapting and self._trusted and self._swings_loose <= SETTLED_SWINGS
+        moving = self._swings_adapting and self._trusted and self._swings_inflated <= SETTLED_SWINGS
         if not (suspected or (moving and self.variance_in_force > LEVEL_RANGE[0])):
             return
         self._newest.append(level)
@@ -276,7 +276,7 @@ class DriftMonitor:
         self._sign = "the foot was held when the state was saved"
         adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}
         self._swings_adapting = 0 if obstructed else adapting.get(status, 0)
-        self._swings_loose = LOOSEN_EVERY  # a suspicion that comes now is of something new
+        self._swings_inflated = INFLATE_EVERY  # a suspicion that comes now is of something new
         self._lifts, self._lifts_far = lifts_assessed
 
     def _drop_suspicions(self) -> None:
@@ -341,7 +341,7 @@ class DriftMonitor:
         """Whether the leg has left its model so slowly that no lift was suspected."""
         worn = self.status == "valid" and self.variance_scale > WORN_LEVEL
         self._worn_swings = self._worn_swings + 1 if worn else 0
-        return self._worn_swings >= LOOSEN_EVERY
+        return self._worn_swings >= INFLATE_EVERY
 
     def _changed(self, rows: Rows, since_ns: int) -> LiftAssessment:
         """Set status and counts for a leg that has changed, for the first time or still."""
@@ -349,8 +349,8 @@ class DriftMonitor:
         if first:
             self.status, self._since_ns, self.kind = "adapting", since_ns, None
             self._worn_swings = 0
-        loose = first or self._swings_loose >= LOOSEN_EVERY
-        self._swings_loose = 1 if loose else self._swings_loose + 1
+        loose = first or self._swings_inflated >= INFLATE_EVERY
+        self._swings_inflated = 1 if loose else self._swings_inflated + 1
         self._swings_adapting += 1
         if self._swings_adapting > PATIENCE_SWINGS:
             self.status = "ambiguous"
@@ -365,7 +365,7 @@ class DriftMonitor:
         if self.status == "valid":
             return
         self._swings_adapting += 1
-        self._swings_loose += 1
+        self._swings_inflated += 1
         self._settled = self._settled + 1 if level < SETTLED_LEVEL else 0
         patient = self._swings_adapting > PATIENCE_SWINGS
         if self._settled >= SETTLED_SWINGS or (patient and self.variance_scale <= WORN_LEVEL):

@@ -41,7 +41,8 @@ class Lifecycle:
         refitter: does the sparse refits.
 
     Attributes:
-        adapter, recent: keep the model, covariances and thresholds; None while there is no model.
+        adapter: keeps the model; None while there is none.
+        noise_tracker: keeps covariances and thresholds; likewise.
         begun: raised whenever another adapter takes over, or none does.
         origin: how the model began, for people.
         note: what is wrong with what is known, None when nothing is.
@@ -68,17 +69,17 @@ class Lifecycle:
     def start(self) -> None:
         """Begin as if nothing had been learned: from the baseline, or from a prior."""
         baseline = self._baseline
-        self.recent: NoiseTracker | None = None
+        self.noise_tracker: NoiseTracker | None = None
         self.adapter: Adapter | None = None
         self.begun += 1
         self.origin = None if baseline is None else baseline.origin
         self.note: str | None = None
         self._widening = 0.0  # factor on the prior's spread; 0 for a leg with a baseline
         self._unfit = False
-        self._known = self._choose(baseline)
-        if self._known is not None:
+        self._start = self._choose(baseline)
+        if self._start is not None:
             assert baseline is not None
-            self._begin(self._known, baseline.tails)
+            self._begin(self._start, baseline.tails)
         elif self._mode.recursive:
             self._begin_prior(1.0)
 
@@ -93,21 +94,21 @@ class Lifecycle:
     @property
     def sigma(self) -> Array:
         """(J,) rad, deviation of the residuals of the model at its start."""
-        assert self._known is not None
-        return self._known.noise.rms
+        assert self._start is not None
+        return self._start.noise.rms
 
     @property
     def noise_floor(self) -> list[float]:
         """(J,) rad, root mean square residual of the model at its start; zeros without one."""
-        if self._known is None:
+        if self._start is None:
             return [0.0] * len(self._leg.joints)
-        floor: list[float] = self._known.noise.rms.tolist()
+        floor: list[float] = self._start.noise.rms.tolist()
         return floor
 
     def forget(self) -> None:
         """Start again from a prior, or a wider one: what it began with was never this leg's."""
         if not self._mode.recursive:
-            self._known = self.adapter = self.recent = None
+            self._start = self.adapter = self.noise_tracker = None
             self.begun += 1
             self.note = "the baseline does not fit this leg: fit a new one"
             return
@@ -195,15 +196,15 @@ class Lifecycle:
         self.note = None
         return known
 
-    def _begin(self, known: LegBaseline, tails: tuple[Tail, ...]) -> None:
+    def _begin(self, start: LegBaseline, tails: tuple[Tail, ...]) -> None:
         """Detect and follow from here on."""
         robot = self._robot
-        self._known, self.note = known, None
-        known = ready_for_changes(known)
+        self._start, self.note = start, None
+        start = ready_for_changes(start)
         aim = robot.detector.false_alarms_per_hour
-        recent = NoiseTracker(known.noise, tails, aim, known.domain)
-        self.recent, self.begun = recent, self.begun + 1
-        self.adapter = Adapter(self._leg.id, known, recent, self._mode, self._refitter)
+        noise_tracker = NoiseTracker(start.noise, tails, aim, start.domain)
+        self.noise_tracker, self.begun = noise_tracker, self.begun + 1
+        self.adapter = Adapter(self._leg.id, start, noise_tracker, self._mode, self._refitter)
 
     def _begin_prior(self, widening: float) -> None:
         """Detect and learn from what is known of any leg."""
@@ -214,8 +215,8 @@ class Lifecycle:
             )
         elif self._unfit:
             note = "the baseline does not fit this leg: learning a new model"
-        known = leg_prior(leg_library(robot, leg), robot.quantum(leg.id), widening)
-        self._begin(known, prior_tails(len(leg.joints)))
+        start = leg_prior(leg_library(robot, leg), robot.quantum(leg.id), widening)
+        self._begin(start, prior_tails(len(leg.joints)))
         self._widening, self.note, self.origin = widening, note, "what is known of any leg"
 
     def _refused(self, why: str) -> str:

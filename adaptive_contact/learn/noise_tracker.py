@@ -96,7 +96,7 @@ class NoiseTracker:
         tail = self._tails[0]
         level = tail.level
         self._ticks += len(rows)
-        for k, value in enumerate(rows.known["value"].tolist()):
+        for k, value in enumerate(rows.records["value"].tolist()):
             if not value > level:  # NaN is not
                 continue
             # As for an alarm, and when the tail was fitted: what is extrapolated is no noise.

@@ -110,11 +110,11 @@ class ReplayBuffer:
         if not rows:
             return
         width = rows.values.shape[1] - rows.joints  # what was moved aside is not kept
-        cell, t_ns = (0 if rows.lifting else 1, region), int(rows.known[-1]["t_ns"])
+        cell, t_ns = (0 if rows.lifting else 1, region), int(rows.records[-1]["t_ns"])
         place = _Place(0, len(rows), cell, era, t_ns)
         self._append(place, width, rows.joints)
-        known = records(rows.known)
-        keep_rows(rows.values, known, self.values, self._context, self._eras, place.first, era)
+        of_rows = records(rows.records)
+        keep_rows(rows.values, of_rows, self.values, self._context, self._eras, place.first, era)
         self._of_source += 1
         if self.queues:
             place.unlearned = place.count
@@ -280,20 +280,20 @@ class ReplayBuffer:
 
 
 @compiled
-def keep_rows(values, known, kept, contexts, eras, first, era):
+def keep_rows(values, records, kept, contexts, eras, first, era):
     """Copy rows to behind others.
 
     Args:
         values: (n, p + 2 J) of :class:`~adaptive_contact.model.labelled_swing.Rows`.
-        known: (n,) of them.
+        records: (n,) of them.
         kept: (rows, p + J) that get regressors and movements.
         contexts: (rows,) that get their contexts.
         eras: (rows,) that get ``era``.
         first: row of the first copy.
         era: of the leg.
     """
-    for i in range(len(known)):
+    for i in range(len(records)):
         for k in range(kept.shape[1]):
             kept[first + i, k] = values[i, k]
-        contexts[first + i] = known[i].context
+        contexts[first + i] = records[i].context
         eras[first + i] = era

@@ -10,6 +10,9 @@ others are filled up with zeros, which stay zero.  A row :math:`\varphi` with no
    \xi_j \leftarrow \xi_j + \frac{S_j v}{1 + m} \frac{y_j - \varphi^\top \xi_j}{\sigma_j}, \quad
    S_j \leftarrow S_j + \frac{\sqrt f - 1}{m} (S_j v) v^\top, \quad f = \frac{1}{\lambda (1 + m)} .
 
+A row whose innovation is s > 3 of its own standard deviations counts less, by Huber's weight
+:math:`w = 3 / s`: :math:`m` and the gain are those of :math:`\sqrt w \varphi` and
+:math:`\sqrt w y_j`.
 With λ = 1 this is the square-root measurement update of Potter (1963), and one-by-one equals
 batch. With λ < 1 it is the restricted exponential forgetting of Kulhavý (1987) in square-root
 form: only the direction that the row excites is forgotten, towards :math:`m = (1 - \lambda) /

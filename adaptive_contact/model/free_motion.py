@@ -28,8 +28,9 @@ class FreeMotion(NamedTuple):
     variance_scale: float
     covariance: Covariance | None  # of the coefficients while it is inflated, else None
     from_prior: bool  # the model goes on from a prior; less of a swing's end is learned
-    changed: bool  # the leg may differ from its model, which is of before a change, or of a prior
-    sure: bool  # it does not, and its status is valid
+    # the leg may differ from its model, which is of before a change, or of a prior
+    changed: bool
+    sure: bool  # the leg is as its model says: not changed, and valid by its status
     whiten: Array  # (contexts, windows, J, J) of sums of residuals
     thresholds: Array  # (windows,) of the statistic
     awaited: Array  # the same for ticks after the turn to stance, in which a touch is expected

@@ -53,20 +53,20 @@ class Rows:
 
     Args:
         values: (n, p + 2 J), side by side: :attr:`theta`, :attr:`target` and :attr:`aside`.
-        known: (n,) of :data:`ROW`, what was known of them.
+        records: (n,) of :data:`ROW`, what was known of them.
         joints: J.
     """
 
-    __slots__ = ("joints", "known", "values")
+    __slots__ = ("joints", "records", "values")
 
-    def __init__(self, values: Array, known: NDArray[np.void], joints: int) -> None:
-        self.values, self.known, self.joints = values, known, joints
+    def __init__(self, values: Array, records: NDArray[np.void], joints: int) -> None:
+        self.values, self.records, self.joints = values, records, joints
 
     def __len__(self) -> int:
-        return len(self.known)
+        return len(self.records)
 
     def __getitem__(self, which: slice | Mask) -> Rows:
-        return Rows(self.values[which], self.known[which], self.joints)
+        return Rows(self.values[which], self.records[which], self.joints)
 
     def __iter__(self) -> Iterator[Row]:
         return map(Row, self.theta, self.target, self.t_ns.tolist())
@@ -75,8 +75,8 @@ class Rows:
         """Return these and later ones."""
         if not (self and later):
             return self or later
-        values, known = (self.values, later.values), (self.known, later.known)
-        return Rows(np.concatenate(values), np.concatenate(known), self.joints)
+        values, records = (self.values, later.values), (self.records, later.records)
+        return Rows(np.concatenate(values), np.concatenate(records), self.joints)
 
     def residual(self, coefficients: Array) -> Array:
         """Compute the (n, J) residuals, rad, under (p, J) coefficients."""
@@ -103,7 +103,7 @@ class Rows:
     @property
     def lifting(self) -> bool:
         """Whether the foot was rising in the first of them."""
-        return bool(self.known[0]["lift"])
+        return bool(self.records[0]["lift"])
 
     @property
     def _terms(self) -> int:
@@ -112,12 +112,12 @@ class Rows:
     @property
     def t_ns(self) -> Ints:
         """(n,) times."""
-        return np.asarray(self.known["t_ns"])
+        return np.asarray(self.records["t_ns"])
 
     @property
     def nis(self) -> Array:
         """(n,) normalised innovations squared."""
-        return np.asarray(self.known["nis"])
+        return np.asarray(self.records["nis"])
 
 
 NO_ROWS: Final = Rows(np.zeros((0, 0)), np.zeros(0, ROW), 0)

@@ -11,9 +11,7 @@ directly, so that what autocorrelation is left is in it.
 
 from __future__ import annotations
 
-import bisect
 import dataclasses
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -51,17 +49,6 @@ def context(desired: Array, before: Array, direction: Ints, quantum_rad: float) 
     return np.asarray(
         direction * (len(SPEED_EDGES_QUANTA) + 1)
         + np.searchsorted(SPEED_EDGES_QUANTA, speed, side="right")
-    )
-
-
-def context_of(
-    desired: Sequence[float], before: Sequence[float], direction: int, quantum_rad: float
-) -> int:
-    """Compute :func:`context` of one tick in plain floats, for the control loop."""
-    steps = [abs(a - b) for a, b in zip(desired, before, strict=True)]
-    speed = max(steps) / quantum_rad
-    return direction * (len(SPEED_EDGES_QUANTA) + 1) + bisect.bisect_right(
-        SPEED_EDGES_QUANTA, speed
     )
 
 

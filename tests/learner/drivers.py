@@ -218,7 +218,7 @@ class Labels:
             int(leg["hole_ns"]),
         )  # fmt: skip
         rows, rest = self._rows(lift, free), self._rows(free, count)
-        if rest and rest.known[0]["push"]:
+        if rest and rest.records[0]["push"]:
             rows = rows.then(not_pushed(rest, near_ns))
         times = b.rows[0, :kept]["t_ns"].tolist()
         self._seen = [tick for tick in self._seen[:lift] if tick.t_ns in times]

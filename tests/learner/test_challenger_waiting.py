@@ -107,11 +107,11 @@ def test_a_refit_under_way_does_not_disturb_the_probation_of_another(model: LegM
     assert trial.counts.promoted == 1
 
 
-def test_a_leg_that_is_not_known_does_not_wait_for_contacts_that_nobody_stores(
+def test_a_leg_whose_lifts_do_not_fit_does_not_wait_for_contacts_that_nobody_stores(
     model: LegModel,
 ) -> None:
     trial, _ = tried(model, model.coefficients * 1.2, contacts=0)
-    assert looked_at(trial, model, known=False) is not None
+    assert looked_at(trial, model, valid=False) is not None
     assert trial.counts.promoted == 1
 
 

@@ -123,7 +123,7 @@ def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter, scale: A
     rng = np.random.default_rng(0)
 
     def jump(rows: Rows) -> Rows:
-        rows.known["nis"], rows.known["value"] = 300.0, 900.0
+        rows.records["nis"], rows.records["value"] = 300.0, 900.0
         rows.target[:] = rng.normal(size=(len(rows), 3)) * 50.0
         return rows
 
@@ -371,7 +371,7 @@ def test_a_joint_that_reads_more_coarsely_raises_no_alarms(
     told = outcomes(play(learner, samples(measured, desired, swing)), range(120, 400), stops)
     assert told.count("alarm") <= 1
     assert told.count("hit") >= 0.97 * 140
-    recent = learner.lifecycle.recent
+    recent = learner.lifecycle.noise_tracker
     assert recent is not None
     now, then = recent.whiten[4, 0], baseline.legs["rf"].noise.whiten[4, 0]
     coxa, femur = (np.diag(now) / np.diag(then))[:2]

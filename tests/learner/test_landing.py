@@ -93,7 +93,7 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
     rng = np.random.default_rng(34)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, samples(*FakeLeg(seed=34).run(4)[:3]))
-    leg, recent = learner.place.record, learner.lifecycle.recent
+    leg, recent = learner.place.record, learner.lifecycle.noise_tracker
     assert recent is not None
     told = {True: 0, False: 0}
     leg["context"], leg["usable"] = context_of(leg, np.zeros(3), np.full(3, 0.02)), 3
@@ -117,7 +117,7 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
 
 def test_awaited_touches_have_thresholds_of_their_own_aim(robot: Robot, baseline: Baseline) -> None:
     learner = ContactLearner(robot, "rf", baseline)
-    recent = learner.lifecycle.recent
+    recent = learner.lifecycle.noise_tracker
     assert recent is not None
     aim = robot.detector.false_alarms_per_hour
     assert recent.thresholds == pytest.approx(baseline.thresholds(aim))

@@ -415,7 +415,7 @@ def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline, tic
         run = FakeLeg(seed=8).run(240, touch=lambda n, t=touch: t if n >= 20 else None)
         learner = ContactLearner(robot, "rf", baseline)
         play(learner, samples(*run[:3]))
-        recent, adapter = learner.lifecycle.recent, learner.lifecycle.adapter
+        recent, adapter = learner.lifecycle.noise_tracker, learner.lifecycle.adapter
         assert recent is not None
         assert adapter is not None
         limits.append(recent.thresholds)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.learn.drift import (
-    LOOSEN_EVERY,
+    INFLATE_EVERY,
     OBSTRUCTED_SWINGS,
     PATIENCE_SWINGS,
     RELEASE_SWINGS,
@@ -112,9 +112,9 @@ def test_a_leg_that_will_not_fit_is_let_loose_now_and_then_and_ends_ambiguous() 
     assert statuses[1] == "adapting"
     assert loose[1]
     given_up = statuses.index("ambiguous")
-    assert PATIENCE_SWINGS <= given_up <= PATIENCE_SWINGS + LOOSEN_EVERY
+    assert PATIENCE_SWINGS <= given_up <= PATIENCE_SWINGS + INFLATE_EVERY
     assert set(statuses[given_up:]) == {"ambiguous"}
-    assert 2 <= sum(loose) <= len(loose) / LOOSEN_EVERY + 2
+    assert 2 <= sum(loose) <= len(loose) / INFLATE_EVERY + 2
     assert monitor.drift.since_ns == 30 * SWING_NS
     assert "as far from the model as they should for" in (monitor.note or "")
     assert "a lasting change, or a foot that drags" in (monitor.note or "")

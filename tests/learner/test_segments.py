@@ -145,7 +145,7 @@ def test_what_rises_in_a_descent_is_no_lift(robot: Robot) -> None:
     swing(book, up=10, down=0)
     for tick in range(11, 25):
         book.add(row(tick, lift=tick in (12, 13)), tick, descending=True)
-    assert not book.resolve().known["lift"].any()
+    assert not book.resolve().records["lift"].any()
 
 
 def test_an_alarm_in_the_lift_does_not_keep_the_lift_back(robot: Robot) -> None:

@@ -113,20 +113,20 @@ def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Candid
     return trial, promoted or model
 
 
-def compared(trial: Candidate, new: Row, model: LegModel, *, known: bool = True) -> LegModel | None:
+def compared(trial: Candidate, new: Row, model: LegModel, *, valid: bool = True) -> LegModel | None:
     """A row of the trial, as the adapter lets it be tried."""
     off = (new.target - new.theta @ model.coefficients) / NOISE
-    return trial.compare(new, off.tolist(), model, known=known)
+    return trial.compare(new, off.tolist(), model, valid=valid)
 
 
 def looked_at(
-    trial: Candidate, model: LegModel, *, known: bool = True, truth: float = 0.06
+    trial: Candidate, model: LegModel, *, valid: bool = True, truth: float = 0.06
 ) -> LegModel | None:
     """The rows within which a candidate that waits is looked at again; what came of it."""
     rng = np.random.default_rng(2)
     for _ in range(LOOK_AGAIN_ROWS):
         new = row(rng, model.library.size, truth=truth)
-        won = compared(trial, new, model, known=known)
+        won = compared(trial, new, model, valid=valid)
         if won is not None or not trial.trying:
             return won
     return None
