@@ -1,10 +1,10 @@
 """Composes the learner of one leg: samples in, contact events out.
 
-The only file that knows both detection and learning.  :class:`ContactLearner` passes labelled
+Two values pass between detection and learning, and :class:`ContactLearner` passes them: labelled
 swings (:class:`LabelledSwing`) to the adapter, and what is known of free motion
-(:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A tick
-calls :meth:`~ContactLearner.take`, then the compiled part, then :meth:`~ContactLearner.event_of`
-where there is an event, and later :meth:`~ContactLearner.finish`, which learns.  A
+(:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A tick calls
+:meth:`~ContactLearner.take`, then the compiled part, then :meth:`~ContactLearner.event_of` where
+there is an event, and later :meth:`~ContactLearner.finish`, which learns.  A
 :class:`~adaptive_contact.bank.LegGroup` does so for several learners at once.
 """
 

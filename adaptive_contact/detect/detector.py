@@ -133,7 +133,8 @@ def judge_tick(handed):
         watch_source(leg, sample, source, past)
         if leg.has_model and read(leg, sample, swing, past, model, kept):
             weigh(leg, sample, swing, past, noise)
-            decide(leg, swing, past, model, noise, kept)
+            free, past_lift = decide(leg, swing, past, model, noise, kept)
+            hold_back(leg, swing, past, noise, kept, free, past_lift)
         found |= leg.found
     return found
 
@@ -283,7 +284,11 @@ def weigh(leg, sample, swing, past, noise):
 
 @stage
 def decide(leg, swing, past, model, noise, kept):
-    """Decide whether the leg is free, loaded or touches, and keep what may be learned of it."""
+    """Decide whether the leg is free, loaded or touches.
+
+    Returns:
+        Whether it is free, and whether the command is past the lift.
+    """
     history = past.history
     past_lift = descending(leg, swing.lengths_ticks)
     loaded = leg.loaded
@@ -300,6 +305,12 @@ def decide(leg, swing, past, model, noise, kept):
         for j in range(len(noise.unit)):
             kept.free_ring[at, j] = history[0, 0, j]
         leg.free_n += 1
+    return free, past_lift
+
+
+@stage
+def hold_back(leg, swing, past, noise, kept, free, past_lift):
+    """Hold back what may be learned of the tick, until it is known what the swing was."""
     if not leg.learning:
         return
     if leg.found & TOUCHED:

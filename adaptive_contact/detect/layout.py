@@ -12,7 +12,7 @@ import ctypes
 import struct
 from collections import namedtuple
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -321,117 +321,27 @@ receive_judged: Final = JUDGED.receive
 
 # The arrays of one leg, by what they are of.  Shapes and units stand at their names above, and in
 # :class:`~adaptive_contact.detect.leg_batch.LegBatch`.
-
-
-class Sample(NamedTuple):
-    """Holds a sample, and the commands before it."""
-
-    measured: Any
-    desired: Any
-    valid: Any
-    preview_in: Any
-    seam: Any
-    command: Any
-    before: Any
-
-
-class Source(NamedTuple):
-    """Holds what is known of a leg's source: clock, copied commands, phases."""
-
-    ring: Any
-    kept_angles: Any
-    kept_stamps: Any
-    echo_commands: Any
-    echo_runs: Any
-    echo_off: Any
-    echoing: Any
-    parts: Any
-    phase_before: Any
-
-
-class Swing(NamedTuple):
-    """Holds the geometry of a leg, and where its foot is in a swing."""
-
-    links: Any
-    turns: Any
-    low: Any
-    lengths_ticks: Any
-    last_desired: Any
-    last_measured: Any
-    last_read: Any
-    path: Any
-    asked: Any
-    commanded: Any
-    foot: Any
-    start: Any
-    heights: Any
-    gradient: Any
-    now: Any  # (3,) m, scratch: a place of the foot
-
-
-class Past(NamedTuple):
-    """Holds the window of a prediction, what was predicted, and readings that were bad."""
-
-    window: Any
-    began_window: Any
-    history: Any
-    thetas: Any
-    theta: Any
-    increment: Any
-    reach: Any
-    last_good: Any
-    last: Any
-    suspects: Any
-    stale: Any
-    refused: Any
-    values: Any
-    counts: Any
-    reading: Any
-    some: Any  # (6, J) scratch: joints
-    room: Any  # (8, J) scratch
-
-
-class Model(NamedTuple):
-    """Holds a model: its terms, coefficients, and what they were fitted to."""
-
-    kind: Any
-    first: Any
-    entry: Any
-    weight: Any
-    knee: Any
-    law: Any
-    xi0: Any
-    coefficients: Any
-    domain: Any
-    depths: Any
-    forms: Any  # (2 J,) scratch of `regressors`
-
-
-class Noise(NamedTuple):
-    """Holds what a residual is weighed by, and the test ratios that come of it."""
-
-    sigma: Any
-    unit: Any
-    whiten: Any
-    index: Any
-    per_scale: Any
-    root: Any
-    limits: Any
-    limits_awaited: Any
-    scores: Any
-    shrink: Any
-    sums: Any  # (2, J) scratch
-
-
-class Kept(NamedTuple):
-    """Holds what is kept of a swing to be learned, and for the status."""
-
-    rows: Any
-    row_values: Any
-    touch: Any
-    target: Any
-    free_ring: Any
-
+Sample = namedtuple("Sample", "measured desired valid preview_in seam command before")
+Source = namedtuple(
+    "Source",
+    "ring kept_angles kept_stamps echo_commands echo_runs echo_off echoing parts phase_before",
+)
+Swing = namedtuple(
+    "Swing",
+    "links turns low lengths_ticks last_desired last_measured last_read path asked commanded foot "
+    "start heights gradient now",
+)
+Past = namedtuple(
+    "Past",
+    "window began_window history thetas theta increment reach last_good last suspects stale "
+    "refused values counts reading some room",
+)
+Model = namedtuple("Model", "kind first entry weight knee law xi0 coefficients domain depths forms")
+Noise = namedtuple(
+    "Noise",
+    "sigma unit whiten index per_scale root limits limits_awaited scores shrink sums",
+)
+Kept = namedtuple("Kept", "rows row_values touch target free_ring")
 
 _KINDS: Final = {f8: "floats", i8: "ints", b1: "bools"}
 _PLACES: Final = {

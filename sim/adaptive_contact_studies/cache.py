@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import functools
 import hashlib
 import io
 import json
@@ -21,6 +22,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+import adaptive_contact
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 
@@ -102,12 +104,30 @@ def name_of(*parts: object) -> str:
     return _name(text)
 
 
+# Modules and packages of the product that decide what a learner does with a recording.
+_LEARNER: Final = (
+    "arrays.py", "bank.py", "compiled.py", "leg_learner.py", "leg_report.py", "conventions/*.py",
+    "detect/*.py", "diagnose/*.py", "fit/*.py", "learn/*.py", "model/*.py", "robot/*.py",
+)  # fmt: skip
+
+
+def learner_sources() -> list[Path]:
+    """List the source files of the learner."""
+    product = Path(adaptive_contact.__file__).parent
+    return [file for name in _LEARNER for file in sorted(product.glob(name))]
+
+
 def sources_digest(files: Iterable[Path]) -> hashlib._Hash:
-    """Hash of modules as they are, to be gone on with."""
+    """Hash of what modules do, to be gone on with; see :func:`code_digest`."""
     digest = hashlib.sha256()
     for file in files:
-        digest.update(file.name.encode() + file.read_bytes())
+        digest.update(f"{file.name} {_code_of(file, file.stat().st_mtime_ns)} ".encode())
     return digest
+
+
+@functools.cache
+def _code_of(file: Path, _written_ns: int) -> str:
+    return code_digest(file.read_text(encoding="utf-8"))
 
 
 def code_digest(source: str, *, imports: bool = True) -> str:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections import namedtuple
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact import compiled
-from adaptive_contact.detect.detector import finish_tick, judge_tick
-from adaptive_contact.detect.layout import FINISHED, JUDGED, LEG, new_legs, scalars_of
+from adaptive_contact.detect.layout import LEG, new_legs, scalars_of
 from adaptive_contact.learn.rls import LEARNED, learn_row
 
 
@@ -218,6 +218,42 @@ def test_arrays_are_handed_over_as_they_are() -> None:
     assert turn_in() == 0 + 2 + 2 + 3
 
 
+Own = namedtuple("Own", "grid ends first second")
+PARTED = compiled.Handover(
+    side_by_side=(np.float64, 2), grid=(np.float64, 3), places=(np.int64, 2), ends=(np.int64, 1)
+)
+receive_parted = PARTED.receive
+own_of = PARTED.part(Own, {"first": ("side_by_side", 0), "second": ("side_by_side", 2)}, ("ends",))
+
+
+@compiled.compiled
+def doubled(handed, row):  # type: ignore[no-untyped-def]
+    """Doubles what is of one row; returns shapes."""
+    own = own_of(receive_parted(handed), row)
+    own.first[:] *= 2.0
+    own.second[:] *= 2.0
+    own.grid[1, 0] *= 2.0
+    own.ends[0] += 1
+    return own.grid.shape[0], own.grid.shape[1], len(own.first), len(own.second), len(own.ends)
+
+
+@pytest.mark.parametrize("row", [0, 2])
+def test_the_arrays_of_one_row_are_views_of_those_of_all(row: int) -> None:
+    arrays = {
+        "side_by_side": np.arange(1.0, 31.0).reshape(3, 10),
+        "grid": np.arange(1.0, 37.0).reshape(3, 3, 4),
+        "places": np.array([[0, 4], [4, 5], [5, 10]]),
+        "ends": np.zeros(2, np.int64),
+    }
+    expected = {name: array.copy() for name, array in arrays.items()}
+    expected["side_by_side"][row, [0, 1, 2, 3, 5, 6, 7, 8, 9]] *= 2.0
+    expected["grid"][row, 1, 0] *= 2.0
+    expected["ends"][0] = 1
+    assert PARTED.bind(doubled, arrays)(row) == (3, 4, 4, 5, 2)
+    for name, array in arrays.items():
+        assert array.tolist() == expected[name].tolist(), name
+
+
 @pytest.mark.skipif(not compiled.compiles(), reason="uncompiled, any array will do")
 @pytest.mark.parametrize(
     "values",
@@ -231,7 +267,7 @@ def test_an_array_of_another_kind_is_refused(values: np.ndarray) -> None:
 
 @pytest.mark.parametrize(
     ("function", "handover"),
-    [(judge_tick, JUDGED), (finish_tick, FINISHED), (learn_row, LEARNED), (turned_in, GIVEN)],
+    [(learn_row, LEARNED), (turned_in, GIVEN)],
 )
 def test_arrays_are_received_by_the_names_they_are_handed_over_by(
     function: Any, handover: compiled.Handover

@@ -24,9 +24,14 @@ PACKAGE = Path(adaptive_contact.__file__).parent
 
 @functools.cache
 def ours(file: str) -> str | None:
-    """A source of the package by its name there, None for any other: asked at every call."""
+    """A source of the package by its name there, None for any other: asked at every call.
+
+    `compiled.py` is none: it hands arrays over, which is no call in compiled code.
+    """
     path = Path(file)
-    return str(path.relative_to(PACKAGE)) if PACKAGE in path.parents else None
+    if PACKAGE not in path.parents or path.name == "compiled.py":
+        return None
+    return str(path.relative_to(PACKAGE))
 
 
 def main() -> None:

@@ -46,7 +46,7 @@ from adaptive_contact_sim.scene import on_a_stand
 from adaptive_contact_sim.servo import manufactured
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_studies import evaluate, training
-from adaptive_contact_studies.cache import sources_digest
+from adaptive_contact_studies.cache import learner_sources, sources_digest
 from adaptive_contact_studies.paper.plan import GantrySettings
 
 # Ways drawn in vain before one is bent: the acceptance elsewhere is above a tenth.
@@ -183,8 +183,6 @@ class _NoObstacles(ObstacleCourse):
         """Nothing stands."""
 
 
-# Packages whose source decides what an evaluation gives.
-_EVALUATING: Final = ("model", "fit", "detect", "learn", "score", "robot")
 # Of the experiments, what only counts and shows what was evaluated: a new table is no reason to
 # evaluate ten robot-hours again.
 _SHOWING: Final = frozenset(
@@ -239,7 +237,7 @@ def require_unchanged_source() -> None:
 def source_now() -> str:
     """Compute the digest of what identifies, detects, learns and scores, and of its evaluation."""
     product = Path(adaptive_contact.__file__).parent
-    files = [f for name in _EVALUATING for f in sorted((product / name).glob("*.py"))]
+    files = [*learner_sources(), *sorted((product / "score").glob("*.py"))]
     here = sorted(Path(__file__).parent.glob("*.py"))
     files += [file for file in here if file.name not in _SHOWING]
     files += _MATCHING

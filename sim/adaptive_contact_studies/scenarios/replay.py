@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-import adaptive_contact
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.diagnose.change_classifier import KINDS
@@ -27,6 +26,7 @@ from adaptive_contact.wire import ContactEvent, Status
 from adaptive_contact_sim.robots import ROBOTS
 from adaptive_contact_studies.cache import (
     code_digest,
+    learner_sources,
     name_of,
     read_arrays,
     sources_digest,
@@ -39,8 +39,6 @@ from adaptive_contact_studies.scenarios.spec import ReplaySpec, Variant
 
 FORMAT: Final = 2
 STATUSES: Final[tuple[Status, ...]] = get_args(Status)
-# Packages whose source decides what a learner does with a recording.
-_LEARNING: Final = ("model", "fit", "detect", "learn", "diagnose", "robot")
 
 
 class SwingLog(NamedTuple):
@@ -237,9 +235,7 @@ def replay_file(spec: ReplaySpec, folder: Path) -> Path:
 @functools.cache
 def learner_fingerprint() -> str:
     """Hash of the learner's source, of this module's, and of the shipped baselines."""
-    product = Path(adaptive_contact.__file__).parent
-    files = [f for name in _LEARNING for f in sorted((product / name).glob("*.py"))]
-    digest = sources_digest(files)
+    digest = sources_digest(learner_sources())
     own = Path(__file__).read_text(encoding="utf-8")
     digest.update(code_digest(own, imports=False).encode())
     for name in ROBOTS:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,11 +24,11 @@ from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.cache import code_digest, learner_sources
 from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.scenarios.recording import (
     LegRecord,
     Recording,
-    code_digest,
     file_of,
     hold,
     key_of,
@@ -238,3 +241,22 @@ def test_words_about_the_simulator_void_no_recording_and_its_constants_do() -> N
     words = code.replace("Hold.", "It is held.").replace("= 3000.0", "= 3000.0  # N/m")
     assert code_digest(words) == code_digest(code)
     assert code_digest(code.replace("3000.0", "50.0")) != code_digest(code)
+
+
+def test_all_that_decides_what_a_learner_does_voids_its_replays() -> None:
+    """Whatever the bank of learners imports, but messages, files and errors."""
+    code = """
+import sys
+import adaptive_contact.bank
+names = [name for name in sys.modules if name.startswith("adaptive_contact.")]
+print("\\n".join(sys.modules[name].__file__ for name in names))
+"""
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    imported = {Path(line) for line in done.stdout.splitlines()}
+    others = imported - set(learner_sources())
+    assert {p.parent.name if p.parent.name == "wire" else p.name for p in others} == {
+        "errors.py", "files.py", "wire",
+    }  # fmt: skip
