@@ -1,4 +1,4 @@
-"""Compiles the arithmetic of a tick, once per installation, and keeps what was compiled.
+"""Compiles the arithmetic of a tick, once per installation, and hands arrays over to it.
 
 What is kept is machine code that later starts load: it lies in a folder that belongs to this user,
 that no other user may write to, and whose name holds a digest of the sources it was made from.
@@ -121,9 +121,9 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def stage(function: Callable[..., Any]) -> Any:
-    """Make a function a part of the compiled functions that call it.
+    """Put a function into the one compiled function that calls it, as a step to be read by itself.
 
-    Each has one caller, to which it gives a shape: what it receives and returns costs nothing.
+    What it receives and returns then costs nothing.
     """
     return numba.njit(inline="always", error_model="numpy")(function) if compiles() else function
 
@@ -150,30 +150,38 @@ class Handover:
         self.receive: Any = _receiving(self._kinds, self._of) if compiles() else self._of._make
 
     def part(
-        self, of: Any, vectors: Mapping[str, tuple[str, int]], whole: Sequence[str]
+        self, of: Any, slots: Mapping[str, tuple[str, int]], shared: Sequence[str]
     ) -> Callable[[Any, int], Any]:
         """Make the function that takes, of what was received, the arrays of one row.
 
+        Neither the row nor the ends of vectors are checked.
+
         Args:
             of: a named tuple of these arrays.
-            vectors: those that stand side by side in one array: its name, and their number.  The
-                array ``places`` has the (n, 2) ends of each.
-            whole: those that all rows share.
+            slots: of vectors that stand side by side in a row, the name of the array and their
+                number; the array ``places`` has the (n, 2) ends of each.
+            shared: those that are of all rows.
+
+        Raises:
+            TypeError: one is not among those received.
         """
+        for name in of._fields:
+            if (slots[name][0] if name in slots else name) not in self.names:
+                raise TypeError(f"{of.__name__}.{name}: found no such array; expected {self.names}")
         if compiles():
-            made: Callable[[Any, int], Any] = _parting(of, vectors, whole)
+            made: Callable[[Any, int], Any] = _parting(of, slots, shared)
             return made
 
         def part(given: Any, row: int) -> Any:
             found = []
             for name in of._fields:
-                if name in vectors:
-                    source, slot = vectors[name]
+                if name in slots:
+                    source, slot = slots[name]
                     first, last = given.places[slot]
                     found.append(getattr(given, source)[row, first:last])
                 else:
                     array = getattr(given, name)
-                    found.append(array if name in whole else array[row])
+                    found.append(array if name in shared else array[row])
             return of(*found)
 
         return part
@@ -258,7 +266,7 @@ def _receiving(kinds: list[tuple[Any, int]], named: Any) -> Any:
     return intrinsic(receive)
 
 
-def _parting(of: Any, vectors: Mapping[str, tuple[str, int]], whole: Sequence[str]) -> Any:
+def _parting(of: Any, slots: Mapping[str, tuple[str, int]], shared: Sequence[str]) -> Any:
     """Make the function that takes a row's arrays out of those of all rows, for compiled code."""
     from llvmlite import ir
     from numba import extending
@@ -274,11 +282,11 @@ def _parting(of: Any, vectors: Mapping[str, tuple[str, int]], whole: Sequence[st
 
     def part(_context: Any, given: Any, row: Any) -> Any:
         kinds = dict(zip(given.fields, given.types, strict=True))
-        sources = [vectors[name][0] if name in vectors else name for name in of._fields]
+        sources = [slots[name][0] if name in slots else name for name in of._fields]
 
         def kind_of(name: str, source: str) -> Any:
             kind = kinds[source]
-            return kind if name in whole else types.Array(kind.dtype, kind.ndim - 1, "C")
+            return kind if name in shared else types.Array(kind.dtype, kind.ndim - 1, "C")
 
         results = [kind_of(name, source) for name, source in zip(of._fields, sources, strict=True)]
         result = types.NamedTuple(results, of)
@@ -293,15 +301,15 @@ def _parting(of: Any, vectors: Mapping[str, tuple[str, int]], whole: Sequence[st
             found = []
             for name, source, kind in zip(of._fields, sources, results, strict=True):
                 array = array_of(source)
-                if name in whole:
+                if name in shared:
                     found.append(array._getvalue())
                     continue
                 shape, strides = (
                     cgutils.unpack_tuple(builder, tuple_) for tuple_ in (array.shape, array.strides)
                 )
                 start, shape = builder.mul(values[1], strides[0]), shape[1:]
-                if name in vectors:
-                    slot = vectors[name][1]
+                if name in slots:
+                    slot = slots[name][1]
                     first, last = (
                         builder.load(builder.gep(ends, [ir.Constant(word, 2 * slot + k)]))
                         for k in range(2)

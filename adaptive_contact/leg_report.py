@@ -214,10 +214,10 @@ class LegReport:
         """Take over what ticks have counted since the last call."""
         leg = self._place.leg
         self.counters.counts["ticks"] += leg.accepted_n
-        refused = leg.refused
+        refused = leg.refused_n
         if refused:
             self.counters.rejects[Reject.IMPLAUSIBLE] += refused
-        leg.accepted_n = leg.refused = 0
+        leg.accepted_n = leg.refused_n = 0
 
     # -- private -------------------------------------------------------------------------------
 

@@ -285,7 +285,7 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient):
 
 
 @stage
-def enter_row(leg, swing, past, noise, kept, value, free, past_lift):
+def enter_row(leg, swing, past, noise, kept, value, was_free, past_lift):
     """Hold a judged tick back until its swing is resolved.
 
     Args:
@@ -296,7 +296,7 @@ def enter_row(leg, swing, past, noise, kept, value, free, past_lift):
         kept: where the row goes; one of ``row_values`` is as
             :class:`~adaptive_contact.model.labelled_swing.Rows` has it.
         value: the statistic of one tick.
-        free: the leg is neither loaded nor touches.
+        was_free: the leg had been free before this tick, and does not touch.
         past_lift: the command is past the lift.
     """
     rows, values, theta, history = kept.rows, kept.row_values, past.thetas[0], past.history
@@ -308,7 +308,7 @@ def enter_row(leg, swing, past, noise, kept, value, free, past_lift):
     elif leg.broken or not (leg.topped or leg.rising or past_lift):
         return
     elif leg.rising and not leg.topped:
-        if not (free or leg.ticks >= FREE_LIFT_TICKS):
+        if not (was_free or leg.ticks >= FREE_LIFT_TICKS):
             return
     elif leg.closed:
         leg.topped = True
@@ -325,11 +325,11 @@ def enter_row(leg, swing, past, noise, kept, value, free, past_lift):
             leg.lift_n -= 1
             leg.commanded_n = max(leg.commanded_n - 1, 0)
     row = rows[at]
-    row.nis = leg.distance * leg.variance_scale / joints
+    row.nis = leg.squared * leg.variance_scale / joints
     row.value = value
     row.context = leg.context
     row.t_ns = leg.at_ns
-    row.calm, row.cleared, row.push, row.repeats = free, leg.cleared, False, leg.repeats
+    row.was_free, row.cleared, row.push, row.repeats = was_free, leg.cleared, False, leg.repeats
     terms = len(theta)
     for k in range(terms):
         values[at, k] = theta[k]
@@ -337,7 +337,7 @@ def enter_row(leg, swing, past, noise, kept, value, free, past_lift):
         target[j] = history[0, 0, j] + history[1, 0, j]
         values[at, terms + j] = target[j]
     if leg.changed and not leg.rising and leg.has_lengths and leg.has_measured:
-        height_gradient(swing.last_measured, swing.links, swing.turns, swing.gradient)
+        height_gradient(swing.last_measured, swing.links, swing.axis_kinds, swing.gradient)
         aside = values[at, terms + joints :]
         push_from_ground(
             leg, row, aside, history[0, 0], target, noise.whiten, noise.unit, swing.gradient

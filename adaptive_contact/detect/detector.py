@@ -1,6 +1,6 @@
 """Computes one tick of several legs, compiled: from samples to events, and to predictions.
 
-:func:`judge_tick` is the first half: all that an event needs, and nothing else.
+:func:`judge_tick` is the first half: up to the events, and what is to be kept of the tick.
 :func:`finish_tick` is the second: commands, and the predictions of the next tick.  Between the two,
 Python takes what the first half has flagged.
 """
@@ -28,8 +28,11 @@ from adaptive_contact.detect.contact import (
     swing_tick,
 )
 from adaptive_contact.detect.history import (
+    NOW,
+    ORIGIN,
     UNSURE_TICKS,
-    judged,
+    UNUSED,
+    enter_residual,
     leverage,
     predict_next,
     push_command,
@@ -50,7 +53,7 @@ from adaptive_contact.detect.layout import (
     model_of,
     noise_of,
     past_of,
-    receive_judged,
+    receive_tick,
     sample_of,
     source_of,
     swing_of,
@@ -98,7 +101,7 @@ def unwrap(leg, measured, desired, preview, last, restart):
 
 @compiled
 def near(angles, origin):
-    """Move angles into the turn nearest to others, if one is further than half a turn off."""
+    """Move angles into the revolution nearest to others, if one is further off than half of one."""
     for j in range(len(angles)):
         if abs(angles[j] - origin[j]) > math.pi:
             for k in range(len(angles)):
@@ -113,12 +116,12 @@ def judge_tick(handed):
 
     Args:
         handed: arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, a row per leg, by
-            ``JUDGED`` of :mod:`adaptive_contact.detect.layout`.
+            ``TICK`` of :mod:`adaptive_contact.detect.layout`.
 
     Returns:
         The flags of all legs, in one.
     """
-    batch = receive_judged(handed)
+    batch = receive_tick(handed)
     found = 0
     for i in range(len(batch.legs)):
         leg = batch.legs[i]
@@ -133,15 +136,15 @@ def judge_tick(handed):
         watch_source(leg, sample, source, past)
         if leg.has_model and read(leg, sample, swing, past, model, kept):
             weigh(leg, sample, swing, past, noise)
-            free, past_lift = decide(leg, swing, past, model, noise, kept)
-            hold_back(leg, swing, past, noise, kept, free, past_lift)
+            was_free, past_lift = decide(leg, swing, past, model, noise, kept)
+            hold_back(leg, swing, past, noise, kept, was_free, past_lift)
         found |= leg.found
     return found
 
 
 @stage
 def connect(leg, sample, source, past, model, kept):
-    """Connect a sample to those before it: its turn, its place in the schedule, what was lost."""
+    """Connect a sample to those before it: its revolution, its tick, what was lost between."""
     measured, desired, restart = sample.measured, sample.desired, leg.restart
     unwrap(leg, measured, desired, sample.preview_in, sample.seam, restart)
     keep_sample(leg, measured, desired, source.kept_angles, source.kept_stamps)
@@ -177,14 +180,14 @@ def follow_swing(leg, sample, source, swing, past, model):
     take_command(leg, desired, source.echo_commands)
     height = 0.0
     if leg.has_lengths and leg.phase != UNKNOWN:
-        place_foot(desired, swing.links, swing.turns, swing.now)
+        place_foot(desired, swing.links, swing.axis_kinds, swing.now)
         height = swing.now[2]
     take_phase(leg, leg.phase, desired, height, source.phase_before, source.parts)
     awaited = leg.has_model and not (leg.loaded or leg.contact)
     whole = leg.whole
     ends = follow_command(leg, swing, sample.measured, desired, awaited)
-    if (ends or leg.ticks == 0) and leg.open and leg.has_model:
-        leg.open = False
+    if (ends or leg.ticks == 0) and leg.unresolved and leg.has_model:
+        leg.unresolved = False
         leg.found |= RESOLVED
         leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
         leg.resolved_whole = whole
@@ -198,7 +201,7 @@ def follow_swing(leg, sample, source, swing, past, model):
             leg.began_ns, leg.began_n = leg.began_next_ns, leg.began_next_n
         leg.began_next_ns, leg.began_next_n = leg.at_ns, leg.total_n
         leg.began_count = 2
-        leg.open = True
+        leg.unresolved = True
         leg.touching = False
         begin_labels(leg)
         leg.withholds = leg.withholds_begun
@@ -212,7 +215,10 @@ def follow_swing(leg, sample, source, swing, past, model):
 
 @stage
 def watch_source(leg, sample, source, past):
-    """Watch for copied commands and swapped phases; a contact under them is released."""
+    """Watch for copied commands and swapped phases.
+
+    A contact is released under them, where angles are misread, and where contacts are withheld.
+    """
     follow_source(
         leg, sample.measured, sample.valid, leg.has_valid, source.echo_commands, source.echo_runs,
         source.echo_off, source.echoing, past.suspects,
@@ -230,10 +236,13 @@ def is_void(leg):
 
 @stage
 def read(leg, sample, swing, past, model, kept):
-    """Take in the reading; return whether its residual can be judged."""
+    """Take in the reading; return whether its residual can be judged.
+
+    It can in a swing, from its second tick on: nothing is predicted in a stance.
+    """
     repair(leg, past, model, sample.measured, sample.valid, leg.has_valid)
     take(past.reading, past.increment, past.window, past.history, model.depths[0])
-    can = judged(leg, past.theta, past.thetas)
+    can = enter_residual(leg, past.theta, past.thetas)
     follow_foot(leg, swing, past.reading)
     if leg.rate_off:
         restart_history(leg, past.suspects)
@@ -261,7 +270,7 @@ def weigh(leg, sample, swing, past, noise):
                 past.theta, noise.index, noise.per_scale, noise.root, leg.root_n, j
             )
             unit[j] *= 1.0 + ratio
-        unit[j] *= leg.inflation
+        unit[j] *= leg.reading_variance
     if leg.clock_left or leg.stretch:
         if leg.stretch:
             leg.clock_most, leg.clock_left = abs(leg.stretch), UNSURE_TICKS + 1
@@ -276,10 +285,10 @@ def weigh(leg, sample, swing, past, noise):
         noise.shrink[j] = 1.0 / math.sqrt(unit[j])
     against = leg.after > 0 and leg.has_lengths
     if against:
-        height_gradient(swing.last_measured, swing.links, swing.turns, swing.gradient)
-    leg.distance = statistic(leg, noise, history, swing.gradient, against)
-    if leg.usable and not leg.bad:
-        note_fit(leg, leg.distance * leg.variance_scale / joints)
+        height_gradient(swing.last_measured, swing.links, swing.axis_kinds, swing.gradient)
+    leg.squared = statistic(leg, noise, history, swing.gradient, against)
+    if not leg.bad:
+        note_fit(leg, leg.squared * leg.variance_scale / joints)
 
 
 @stage
@@ -287,29 +296,30 @@ def decide(leg, swing, past, model, noise, kept):
     """Decide whether the leg is free, loaded or touches.
 
     Returns:
-        Whether it is free, and whether the command is past the lift.
+        Whether the leg had been free before this tick and does not touch, and whether the command
+        is past the lift.
     """
     history = past.history
     past_lift = descending(leg, swing.lengths_ticks)
     loaded = leg.loaded
     score, onset_ns = leg_score(leg, past_lift, past, model, noise)
     topped = not leg.broken and (leg.topped or not leg.gated)
-    swing_tick(leg, score, leg.distance / noise.limits[0], onset_ns, past_lift and topped)
+    swing_tick(leg, score, leg.squared / noise.limits[0], onset_ns, past_lift and topped)
     if leg.found & TOUCHED:
         note_contact(leg)
-    free = not (loaded or leg.contact)
+    was_free = not (loaded or leg.contact)
     if loaded and not leg.loaded:
         leg.usable = 0  # windows do not reach back to where it was loaded
-    elif free and not leg.after:
+    elif was_free and not leg.after:
         at = leg.free_n % len(kept.free_ring)
         for j in range(len(noise.unit)):
             kept.free_ring[at, j] = history[0, 0, j]
         leg.free_n += 1
-    return free, past_lift
+    return was_free, past_lift
 
 
 @stage
-def hold_back(leg, swing, past, noise, kept, free, past_lift):
+def hold_back(leg, swing, past, noise, kept, was_free, past_lift):
     """Hold back what may be learned of the tick, until it is known what the swing was."""
     if not leg.learning:
         return
@@ -319,7 +329,7 @@ def hold_back(leg, swing, past, noise, kept, free, past_lift):
         keep_touch(leg, past, noise, kept.touch)
     if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
         value = noise.scores[0] * noise.limits[0]
-        enter_row(leg, swing, past, noise, kept, value, free, past_lift)
+        enter_row(leg, swing, past, noise, kept, value, was_free, past_lift)
         if leg.topped and not leg.broken and not leg.top_seen:
             leg.top_seen = True
             leg.found |= TOPPED
@@ -327,7 +337,10 @@ def hold_back(leg, swing, past, noise, kept, free, past_lift):
 
 @stage
 def leg_score(leg, past_lift, past, model, noise):
-    """Compute the test ratio that decides, and when a contact that it shows began, ns."""
+    """Compute the test ratio that decides, and when a contact that it shows began, ns.
+
+    Counts quiet ticks after the turn, too.
+    """
     scores = noise.scores
     score, onset_ns = scores[0], leg.at_ns
     for width in range(1, DEPTH):
@@ -363,7 +376,7 @@ def restart_leg(leg, command, before, desired, suspects):
     leg.heights_n = 0
     leg.has_desired = leg.has_measured = False
     forget_phase(leg)
-    leg.open = False
+    leg.unresolved = False
     break_off(leg)
     for j in range(len(desired)):
         command[j] = before[j] = desired[j]
@@ -375,7 +388,7 @@ def bridge(leg, past, model, desired, missed):
     """Fill a short gap by the model's own predictions, with commands interpolated."""
     joints = len(desired)
     has_valid = np.bool_(False)  # a literal would have `repair` compiled once more
-    origin, now = past.room[7], past.room[6]
+    origin, now = past.room[ORIGIN], past.room[NOW]
     for j in range(joints):
         origin[j] = past.window[model.depths[0] * joints + j]
     for k in range(1, missed + 1):
@@ -384,9 +397,9 @@ def bridge(leg, past, model, desired, missed):
             return
         for j in range(joints):
             now[j] = past.window[j] + past.increment[j]
-        repair(leg, past, model, now, past.some[5], has_valid)
+        repair(leg, past, model, now, past.some[UNUSED], has_valid)
         take(past.reading, past.increment, past.window, past.history, model.depths[0])
-        judged(leg, past.theta, past.thetas)
+        enter_residual(leg, past.theta, past.thetas)
         leg.usable = 0
         share = k / (missed + 1)
         for j in range(joints):
@@ -407,7 +420,7 @@ def finish_tick(handed):
     Returns:
         Rows held back of the leg that has most.
     """
-    batch = receive_judged(handed)
+    batch = receive_tick(handed)
     preview = batch.depths[1]
     most = 0
     for i in range(len(batch.legs)):

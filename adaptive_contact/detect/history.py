@@ -1,7 +1,6 @@
 """Keeps the recent past of one leg, compiled: repaired readings, windows, residuals.
 
-A reading that is missing, or that no leg could have made, is replaced by its prediction.  Every
-function takes the batch's arrays and the row of the leg.
+A reading that is missing, or that no leg could have made, is replaced by its prediction.
 """
 
 from __future__ import annotations
@@ -43,6 +42,10 @@ MOST_EARLY: Final = -0.5
 # thirds of one.
 UNSURE_TICKS: Final = 2
 UNSURE_VARIANCE: Final = 2.5
+
+# Rows of scratch: of `room`, (J,) rad each, and of `some`, (J,) each.
+STEPS, JUMPS, LIMITS, RECENT, OFFS, BEFORE, NOW, ORIGIN = range(8)
+BAD, IMPOSSIBLE, FOUND, REPEATED, MISSING, UNUSED = range(6)
 
 
 @compiled
@@ -92,7 +95,7 @@ def remember_refused(leg, past, measured, refused):
     for j in range(joints):
         if not refused[j]:
             continue
-        leg.refused += 1
+        leg.refused_n += 1
         value = measured[j]
         again = False
         for i in range(j):
@@ -127,16 +130,21 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
     """Find joints that read what they cannot have reached in a tick.
 
     ``measured`` and ``last`` are (J,) rad, this reading and the one before; ``valid`` says, if
-    ``has_valid``, which joints have one.  Where ``has_impossible``, ``some[1]`` holds joints that
-    were found to read what is impossible.
+    ``has_valid``, which joints have one.  Where ``has_impossible``, ``some[IMPOSSIBLE]`` holds
+    joints that were found to read what is impossible.
 
     Returns:
-        0 where there are none, 1 where ``some[2]`` holds them, 2 where a joint reads so twice.
+        0 where there are none, 1 where ``some[FOUND]`` holds them, 2 where a joint reads so twice.
     """
     window, increment, reach, history = past.window, past.increment, past.reach, past.history
     suspects, values, counts, last_good = past.suspects, past.values, past.counts, past.last_good
-    impossible, found, repeats = past.some[1], past.some[2], past.some[3]
-    jumps, limits, recent, offs = past.room[1], past.room[2], past.room[3], past.room[4]
+    impossible, found, repeats = past.some[IMPOSSIBLE], past.some[FOUND], past.some[REPEATED]
+    jumps, limits, recent, offs = (
+        past.room[JUMPS],
+        past.room[LIMITS],
+        past.room[RECENT],
+        past.room[OFFS],
+    )
     lags = model.depths[0]
     joints = len(measured)
     some_repeat = some_refused = suspect = False
@@ -218,13 +226,21 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
 def repair(leg, past, model, measured, valid, has_valid):
     """Fill the reading that enters the window, with substitutes for what is bad.
 
+    A good one is moved from its stamp to its tick.  Readings that are impossible again and again
+    are a new truth: the past is dropped.
+
     ``measured`` is (J,) rad, as it was read; ``valid`` says, if ``has_valid``, which joints have a
     reading.  What is filled is ``past.reading``.
     """
     window, increment, reading, last = past.window, past.increment, past.reading, past.last
     last_good, stale, refused = past.last_good, past.stale, past.refused
-    bad, impossible, found, missing = past.some[0], past.some[1], past.some[2], past.some[4]
-    steps, jumps, before = past.room[0], past.room[1], past.room[5]
+    bad, impossible, found, missing = (
+        past.some[BAD],
+        past.some[IMPOSSIBLE],
+        past.some[FOUND],
+        past.some[MISSING],
+    )
+    steps, jumps, before = past.room[STEPS], past.room[JUMPS], past.room[BEFORE]
     joints = len(measured)
     substituted = leg.bad
     leg.sound, leg.bad, leg.repeats = True, False, False
@@ -348,20 +364,23 @@ def take(reading, increment, window, history, lags):
 
 
 @compiled
-def judged(leg, theta, thetas):
-    """Return whether the residual of the reading just taken can be judged; once per reading."""
+def enter_residual(leg, theta, thetas):
+    """Note what the residual of the reading just taken is judged by; return whether it can be.
+
+    Shifts the regressors into the history; sets the variance of a reading near a substitute.
+    """
     if leg.predicted:
         for lag in range(DEPTH - 1, 0, -1):
             thetas[lag] = thetas[lag - 1]
         thetas[0] = theta
         leg.thetas_n = min(leg.thetas_n + 1, DEPTH)
-    leg.inflation = 1.0
+    leg.reading_variance = 1.0
     if leg.bad:
         leg.unsure = UNSURE_TICKS
-        leg.inflation = UNSURE_VARIANCE
+        leg.reading_variance = UNSURE_VARIANCE
     elif leg.unsure:
         leg.unsure -= 1
-        leg.inflation = UNSURE_VARIANCE
+        leg.reading_variance = UNSURE_VARIANCE
     can = leg.predicted and leg.sound
     leg.usable = min(leg.usable + 1, DEPTH) if can else 0
     return can

@@ -31,12 +31,12 @@ VALUES: Final = 8  # refused readings remembered
 TOUCH_TICKS: Final = 3  # of a contact that are handed on, from the alarm on
 KEPT: Final = 3000  # samples kept for judgements of a whole motion, a minute at 50 Hz
 
-# What a tick finds of a leg, as bits: Python looks only at legs that have one.
+# What a tick finds of a leg, as bits: what Python has to do for the leg.
 RESTARTED: Final = 1  # the source began again
 BROKE_OFF: Final = 2  # a gap or fault: the swing is not learned
 RESOLVED: Final = 4  # the swing before has ended: its rows can be labelled
 BEGAN: Final = 8  # a swing begins
-WEIGHED: Final = 16  # a residual was weighed; its row is held back, unless it may not be learned
+WEIGHED: Final = 16  # a residual was weighed that may be learned
 TOPPED: Final = 32  # the top of the lift has just been passed
 DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
@@ -69,7 +69,7 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "window": "w",  # measured, then commands, then preview, newest first, rad
         "began_window": "w",  # as the swing began
         "increment": "J",  # predicted, rad
-        "theta": "p",  # regressors of the next tick
+        "theta": "p",  # regressors of the prediction in hand
         "reach": "J",  # rad, largest movement in a tick
         "last_good": "J",  # the last reading that was not replaced
         "last": "J",  # and as it was read
@@ -90,7 +90,7 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "counts": VALUES + 1,  # of refused values
         "echo_off": "J",  # ticks in a row that match no command
         "stale": "J",  # ticks in a row that a reading was taken for stale
-        "turns": "J",  # how a joint turns, see `tabulate`
+        "axis_kinds": "J",  # how a joint turns, see `tabulate`
     },
     b1: {
         "valid": "J",  # readings of the sample
@@ -103,7 +103,7 @@ _NAMES: Final = [name for of_kind in VECTORS.values() for name in of_kind]
 # Numbers of the vectors, by name.
 SLOT: Final[Any] = namedtuple("SLOT", _NAMES)(*range(len(_NAMES)))
 
-# The scalars of one leg, in the order in which a tick uses them.
+# The scalars of one leg, by what they are of.
 LEG: Final = np.dtype(
     [
         # Of the sample; `SAMPLE` writes these.
@@ -132,6 +132,7 @@ LEG: Final = np.dtype(
         ("learning", b1),  # anything is learned at all
         # Stream and clock.
         ("at_ns", i8),  # scheduled time of the tick
+        ("has_seam", b1),  # a command before is known, to unwrap by
         ("lateness", f8),  # of the stamp behind its schedule, ticks of the schedule
         ("pace", f8),  # periods from a tick of the schedule to the next; 1 unless a loop slips
         ("stretch", f8),  # of the last step beyond a period, periods
@@ -165,7 +166,7 @@ LEG: Final = np.dtype(
         ("stood", b1),  # a stance was seen
         ("heights_n", i4),  # heights taken into the ring
         ("low_n", i4),  # heights of the command, for its low
-        ("low_at", i4),  # and where the next one goes
+        ("low_next", i4),  # and where the next one goes
         ("apex", f8),  # m, highest command of an inferred swing
         ("still", i4),  # ticks in a row without a change of that height
         ("has_desired", b1),  # a command is known
@@ -187,12 +188,12 @@ LEG: Final = np.dtype(
         ("touch_at", f8),  # m, height at the last onset
         ("touch_before", f8),  # m, height three ticks before it
         ("top", f8),  # m, highest in the swing
-        ("low_at_m", f8),  # m, lowest in the swing
+        ("lowest_m", f8),  # m, lowest in the swing
         ("fallen", f8),  # m below the top at the first onset; NaN without
         # History.
         ("filled", i4),  # samples in the window, up to `length`
         ("predicted", b1),  # the reading to come, or just taken, has a prediction
-        ("inflation", f8),  # of the variance, for replaced readings
+        ("reading_variance", f8),  # factor on the variance, near replaced readings
         ("usable", i4),  # residuals in a row that may be judged
         ("sound", b1),  # a reading of this tick is usable
         ("bad", b1),  # a reading of this tick was replaced
@@ -200,12 +201,13 @@ LEG: Final = np.dtype(
         ("seen", b1),  # a raw reading before
         ("impossible", i4),  # impossible readings in a row
         ("unsure", i4),  # ticks left after a replaced reading
-        ("refused", i8),  # readings replaced, not yet counted
+        ("refused_n", i8),  # readings replaced, not yet counted
         ("reach_ticks", i8),  # predictions by which the reach is known
         ("values_n", i4),  # refused values remembered
         ("thetas_n", i4),  # rows of regressors kept
         # Statistic.
         ("context", i4),  # index of the whitening
+        ("has_domain", b1),  # a training domain is known
         ("root_n", i4),  # terms of a joint in its root
         ("clock_most", f8),  # largest stretch in question, periods
         ("clock_left", i4),  # ticks it stays in question
@@ -215,7 +217,7 @@ LEG: Final = np.dtype(
         ("calm", i4),  # ticks in a row close to free motion
         ("calm_since", i8),  # ns, first of them
         # Labels of the swing in hand.
-        ("open", b1),  # the swing is not resolved
+        ("unresolved", b1),  # the swing is not resolved
         ("lift_n", i4),  # rows of the lift
         ("commanded_n", i4),  # of these, those whose command went up
         ("row_n", i4),  # rows
@@ -229,6 +231,8 @@ LEG: Final = np.dtype(
         ("fit_before", i4),  # and of the row before
         ("misfit_ns", i8),  # the tick that ended it
         ("fits", b1),  # the leg moved as its model says, in the lift or before a contact
+        ("began_full", b1),  # the window was full as the swing began
+        ("hole_ns", i8),  # -1 for none
         ("resolved_first", i4),  # first row of the descent that was resolved
         ("resolved_last", i4),  # and one after the last
         ("resolved_whole", b1),  # `whole`, `rise` and `fallen` of that swing
@@ -253,19 +257,16 @@ LEG: Final = np.dtype(
         ("began_next_ns", i8),  # and of the last
         ("began_next_n", i8),
         ("began_count", i4),  # of these that are known, 1 or 2
+        # What is reported of contacts.
         ("reported", b1),  # the contact by the last event
         ("withholds", b1),  # contacts are not reported
         ("withholds_begun", b1),  # nor those of a swing that has just begun
-        ("began_full", b1),  # the window was full as the swing began
-        ("has_seam", b1),  # a command before is known, to unwrap by
         ("release_pending", b1),  # a release is to be sent
-        ("hole_ns", i8),  # -1 for none
-        ("has_domain", b1),  # a training domain is known
         # What this tick found.
         ("found", i8),  # flags, see the top of this file
         ("score", f8),  # test ratio at the decision
         ("onset_ns", i8),  # estimated begin or end of the contact
-        ("distance", f8),  # squared length of the whitened residual, of one tick
+        ("squared", f8),  # length of the whitened residual, of one tick, squared
         ("free_n", i8),  # free residuals kept
     ],
     align=True,
@@ -308,7 +309,7 @@ _SHARED: Final[dict[str, tuple[Any, int]]] = {
     "sums": (f8, 2), "forms": (f8, 1),
 }  # fmt: skip
 SHARED: Final = tuple(_SHARED)  # by all legs: their library, and scratch
-JUDGED: Final = Handover(
+TICK: Final = Handover(
     legs=(LEG, 1), floats=(f8, 2), ints=(i8, 2), bools=(b1, 2), places=(i8, 2),
     preview_in=(f8, 3), ring=(i8, 3), kept_angles=(f8, 3), kept_stamps=(i8, 3),
     echo_commands=(f8, 3), echo_runs=(f8, 4), parts=(f8, 3), links=(f8, 3), path=(f8, 3),
@@ -316,7 +317,7 @@ JUDGED: Final = Handover(
     index=(i8, 3), per_scale=(f8, 3), root=(f8, 4), domain=(f8, 3), rows=(ROW, 2),
     row_values=(f8, 3), free_ring=(f8, 3), **_SHARED,
 )  # fmt: skip
-receive_judged: Final = JUDGED.receive
+receive_tick: Final = TICK.receive
 
 
 # The arrays of one leg, by what they are of.  Shapes and units stand at their names above, and in
@@ -328,8 +329,8 @@ Source = namedtuple(
 )
 Swing = namedtuple(
     "Swing",
-    "links turns low lengths_ticks last_desired last_measured last_read path asked commanded foot "
-    "start heights gradient now",
+    "links axis_kinds low lengths_ticks last_desired last_measured last_read path asked commanded "
+    "foot start heights gradient now",
 )
 Past = namedtuple(
     "Past",
@@ -347,13 +348,13 @@ _KINDS: Final = {f8: "floats", i8: "ints", b1: "bools"}
 _PLACES: Final = {
     name: (_KINDS[kind], getattr(SLOT, name)) for kind, names in VECTORS.items() for name in names
 }
-sample_of: Final = JUDGED.part(Sample, _PLACES, SHARED)
-source_of: Final = JUDGED.part(Source, _PLACES, SHARED)
-swing_of: Final = JUDGED.part(Swing, _PLACES, SHARED)
-past_of: Final = JUDGED.part(Past, _PLACES, SHARED)
-model_of: Final = JUDGED.part(Model, _PLACES, SHARED)
-noise_of: Final = JUDGED.part(Noise, _PLACES, SHARED)
-kept_of: Final = JUDGED.part(Kept, _PLACES, SHARED)
+sample_of: Final = TICK.part(Sample, _PLACES, SHARED)
+source_of: Final = TICK.part(Source, _PLACES, SHARED)
+swing_of: Final = TICK.part(Swing, _PLACES, SHARED)
+past_of: Final = TICK.part(Past, _PLACES, SHARED)
+model_of: Final = TICK.part(Model, _PLACES, SHARED)
+noise_of: Final = TICK.part(Noise, _PLACES, SHARED)
+kept_of: Final = TICK.part(Kept, _PLACES, SHARED)
 
 
 def vectors(
@@ -389,11 +390,11 @@ def new_legs(count: int) -> NDArray[np.void]:
 
 
 _BEGINNING: Final = {
-    "late": -1, "rate_ticks": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
+    "late": -1, "rate_ticks": 9, "found_ns": np.nan, "descent": True, "reading_variance": 1.0,
     "sound": True, "size": 1.0, "pace": 1.0, "variance_scale": 1.0, "loaded": True,
     "hole_ns": -1,
     "surface": -np.inf,
     "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,
-    "apex": -np.inf, "asked_n": 1, "low_at_m": np.inf, "untouched_ns": -1, "phase_part": -1,
+    "apex": -np.inf, "asked_n": 1, "lowest_m": np.inf, "untouched_ns": -1, "phase_part": -1,
     "resolved_fallen": np.nan, "began_count": 1,
 }  # fmt: skip

@@ -17,12 +17,12 @@ from adaptive_contact.detect.layout import (
     DEPTH,
     FREE,
     FREE_AT,
-    JUDGED,
     KEPT,
     PATH_TICKS,
     RING,
     SAMPLE,
     SHARED,
+    TICK,
     TOUCH_TICKS,
     new_legs,
     scalars_of,
@@ -77,7 +77,7 @@ class LegBatch:
     foot: Array
     heights: Array
     lengths_ticks: Ints
-    turns: Ints
+    axis_kinds: Ints
     window: Array
     began_window: Array
     sigma: Array
@@ -147,7 +147,7 @@ class LegBatch:
             legs_[row]["has_lengths"] = leg.chain is not None
             if leg.chain is not None:
                 legs_[row]["size"] = leg.chain.size
-                self.links[row], self.turns[row] = tabulate(leg.chain)
+                self.links[row], self.axis_kinds[row] = tabulate(leg.chain)
 
         self._gather()
 
@@ -158,8 +158,8 @@ class LegBatch:
             **vars(self), **self.table._asdict(), "legs": records(self.legs), "floats": floats,
             "ints": ints, "bools": bools,
         }  # fmt: skip
-        self._judge = JUDGED.bind(judge_tick, arrays)
-        self._finish = JUDGED.bind(finish_tick, arrays)
+        self._judge = TICK.bind(judge_tick, arrays)
+        self._finish = TICK.bind(finish_tick, arrays)
 
     @property
     def flags(self) -> list[int]:
@@ -224,12 +224,12 @@ class LegBatch:
         for name in _OF_MODEL:
             getattr(self, name)[row] = 0
         leg = scalars_of(self.legs, row)
-        for name in ("filled", "impossible", "unsure", "refused", "reach_ticks", "values_n"):
+        for name in ("filled", "impossible", "unsure", "refused_n", "reach_ticks", "values_n"):
             setattr(leg, name, 0)
         for name in ("usable", "thetas_n", "root_n", "touch_n"):
             setattr(leg, name, 0)
         leg.predicted = leg.bad = leg.seen = leg.touching = False
-        leg.sound, leg.inflation = True, 1.0
+        leg.sound, leg.reading_variance = True, 1.0
 
 
 _OF_ROWS: Final = ("rows", "row_values")
@@ -298,11 +298,20 @@ class LegPlace:
     def restart_swing(self) -> None:
         """Forget the present swing."""
         leg = self.leg
-        for name in ("whole", "stood", "obstructed", "has_desired", "has_measured", "open"):
+        for name in ("whole", "stood", "obstructed", "has_desired", "has_measured", "unresolved"):
             setattr(leg, name, False)
         for name in ("surface", "touch_at", "touch_before"):
             setattr(leg, name, -np.inf)
-        for name in ("ticks", "after", "heights_n", "low_n", "low_at", "still", "lift_n", "row_n"):
+        for name in (
+            "ticks",
+            "after",
+            "heights_n",
+            "low_n",
+            "low_next",
+            "still",
+            "lift_n",
+            "row_n",
+        ):
             setattr(leg, name, 0)
         leg.commanded_n, leg.hole_ns, leg.apex = 0, -1, -np.inf
         for name in ("swing_phase", "topped", "closed", "top_seen", "touching"):

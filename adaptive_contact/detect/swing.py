@@ -66,8 +66,8 @@ def tabulate(chain: Chain) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
     """
     links = np.concatenate([np.array(chain.origins_m), chain.vectors], axis=1)
     kinds = [PITCH if axis == "pitch" else YAW for axis in chain.axes]
-    turns = np.array(kinds if chain.is_straight else [ANY] * len(kinds), dtype=np.int8)
-    return links, turns
+    axis_kinds = np.array(kinds if chain.is_straight else [ANY] * len(kinds), dtype=np.int8)
+    return links, axis_kinds
 
 
 @compiled
@@ -95,15 +95,15 @@ def place_any(angles, links):
 
 
 @compiled
-def place_foot(angles, links, turns, foot):
+def place_foot(angles, links, axis_kinds, foot):
     """Fill the (3,) place of the foot in its leg's frame, m; see :func:`tabulate`."""
-    if turns[0] == ANY:
+    if axis_kinds[0] == ANY:
         foot[0], foot[1], foot[2] = place_any(angles, links)
         return
     pitch = yaw = x = y = z = 0.0
     along, up, ahead, aside = 1.0, 0.0, 1.0, 0.0
     for j in range(len(angles)):
-        if turns[j] == PITCH:
+        if axis_kinds[j] == PITCH:
             pitch += angles[j]
             along, up = math.cos(pitch), math.sin(pitch)
         else:
@@ -117,9 +117,9 @@ def place_foot(angles, links, turns, foot):
 
 
 @compiled
-def height_gradient(angles, links, turns, gradient):
+def height_gradient(angles, links, axis_kinds, gradient):
     """Fill (J,) m per rad, how the foot rises with each joint."""
-    if turns[0] == ANY:
+    if axis_kinds[0] == ANY:
         # The foot from each joint, and the vertical, as the link beyond the joint sees them.
         x, y, z = place_any(angles, links)
         u, v, w = 0.0, 0.0, 1.0
@@ -133,12 +133,12 @@ def height_gradient(angles, links, turns, gradient):
         return
     pitch = beyond = 0.0
     for j in range(len(angles)):
-        if turns[j] == PITCH:
+        if axis_kinds[j] == PITCH:
             pitch += angles[j]
         gradient[j] = links[j, 0] * math.cos(pitch)
     for j in range(len(angles) - 1, -1, -1):
         beyond += gradient[j]
-        gradient[j] = beyond if turns[j] == PITCH else 0.0
+        gradient[j] = beyond if axis_kinds[j] == PITCH else 0.0
 
 
 @compiled
@@ -150,14 +150,14 @@ def distance(a, b):
 @compiled
 def infer_phase(leg, height, low):
     """Infer the phase from the commanded foot's height; True in a swing."""
-    before = low[(leg.low_at - 1) % LOW_TICKS] if leg.low_n else height
-    low[leg.low_at] = height
-    leg.low_at = (leg.low_at + 1) % LOW_TICKS
+    before = low[(leg.low_next - 1) % LOW_TICKS] if leg.low_n else height
+    low[leg.low_next] = height
+    leg.low_next = (leg.low_next + 1) % LOW_TICKS
     leg.low_n = min(leg.low_n + 1, LOW_TICKS)
     if not leg.swing_phase:
         least = height
         for k in range(leg.low_n):
-            least = min(least, low[(leg.low_at - 1 - k) % LOW_TICKS])
+            least = min(least, low[(leg.low_next - 1 - k) % LOW_TICKS])
         if height > before and height - least > RISE_M * leg.size:
             leg.swing_phase, leg.apex, leg.still = True, height, 0
     else:
@@ -167,7 +167,7 @@ def infer_phase(leg, height, low):
         if leg.still >= STILL_TICKS:
             leg.swing_phase = False
             low[0] = height
-            leg.low_n, leg.low_at = 1, 1
+            leg.low_n, leg.low_next = 1, 1
     return leg.swing_phase
 
 
@@ -176,7 +176,7 @@ def forget_phase(leg):
     """Forget the inferred phase."""
     leg.swing_phase = False
     leg.apex = -np.inf
-    leg.low_n = leg.low_at = leg.still = 0
+    leg.low_n = leg.low_next = leg.still = 0
 
 
 @compiled
@@ -224,12 +224,12 @@ def follow_command(leg, swing, measured, desired, awaited):
     Returns:
         True where the swing in hand ends, as the next one begins before these are over.
     """
-    links, turns, now, commanded = swing.links, swing.turns, swing.now, swing.commanded
+    links, axis_kinds, now, commanded = swing.links, swing.axis_kinds, swing.now, swing.commanded
     foot, start, phase = swing.foot, swing.start, leg.phase
     joints = len(desired)
     placed = False
     if phase == UNKNOWN and leg.has_lengths:
-        place_foot(desired, links, turns, now)
+        place_foot(desired, links, axis_kinds, now)
         placed = True
         if leg.has_phase:
             forget_phase(leg)
@@ -256,8 +256,12 @@ def follow_command(leg, swing, measured, desired, awaited):
         if leg.ticks == 1:
             leg.path_n = 0
             leg.path_first = leg.seq
-            place_foot(swing.last_desired if leg.has_desired else desired, links, turns, commanded)
-            place_foot(swing.last_measured if leg.has_measured else measured, links, turns, start)
+            place_foot(
+                swing.last_desired if leg.has_desired else desired, links, axis_kinds, commanded
+            )
+            place_foot(
+                swing.last_measured if leg.has_measured else measured, links, axis_kinds, start
+            )
             for k in range(3):
                 foot[k] = start[k]
             leg.rise = leg.moved = 0.0
@@ -267,14 +271,14 @@ def follow_command(leg, swing, measured, desired, awaited):
                 leg.touch_before if start[2] < leg.touch_at - SUNK_M * leg.size else -np.inf
             )
             leg.touch_at = leg.touch_before = -np.inf
-            leg.top = leg.low_at_m = start[2]
+            leg.top = leg.lowest_m = start[2]
             leg.fallen = np.nan
         if leg.path_n < PATH_TICKS:
             swing.path[leg.path_n] = desired
             leg.path_n += 1
         leg.path_last = leg.seq
         if not placed:
-            place_foot(desired, links, turns, now)
+            place_foot(desired, links, axis_kinds, now)
         leg.commanded_up = now[2] > commanded[2]
         for k in range(3):
             commanded[k] = now[k]
@@ -300,7 +304,7 @@ def follow_foot(leg, swing, reading):
         return
     out = foot[2] > leg.surface or leg.ticks >= SOFT_TICKS
     leg.cleared = out and (leg.rise > CLEARANCE_M * leg.size or leg.ticks >= CLEAR_TICKS)
-    place_foot(reading, swing.links, swing.turns, now)
+    place_foot(reading, swing.links, swing.axis_kinds, now)
     leg.rising = now[2] > foot[2]
     for k in range(3):
         foot[k] = now[k]
@@ -309,7 +313,7 @@ def follow_foot(leg, swing, reading):
     if leg.after:
         return  # where the stance takes the foot says nothing of whether it lifted or is held
     leg.top = max(leg.top, now[2])
-    leg.low_at_m = min(leg.low_at_m, now[2])
+    leg.lowest_m = min(leg.lowest_m, now[2])
     leg.rise = max(leg.rise, now[2] - start[2])
     leg.moved = max(leg.moved, distance(now, start))
     swing.asked[leg.asked_n % ASKED] = distance(swing.commanded, start)

@@ -173,7 +173,7 @@ class SwingJudge:
         """
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
         start = float(batch.start[row, 2])
-        fell = start - leg.low_at_m
+        fell = start - leg.lowest_m
         if self.lifted or fell < self._least_way_m * TURNED_SHARE:
             return False
         path = batch.path[row, : leg.path_n].tolist()

@@ -118,7 +118,7 @@ class SwingLabels:
             rows = moving(self._rows(0, 1))
             return [*found, LabelledSwing(Label.UNGATED, rows)] if rows else found
         joints = self._place.batch.measured.shape[1]
-        nis = leg.distance * leg.variance_scale / joints
+        nis = leg.squared * leg.variance_scale / joints
         found.append(LabelledSwing(Label.TICK, nis=nis))
         if flags & TOPPED:
             found += self._lift()
@@ -250,7 +250,7 @@ def let_go_row(rows, count):
         Its first row, ``count`` for none, and the sum of the NIS from there.
     """
     first, total = 0, 0.0
-    if count and not rows[0].calm:
+    if count and not rows[0].was_free:
         last = rows[count - 1].nis
         limit = LET_GO_RATIO * max(1.0, min(last, rows[max(count - 2, 0)].nis))
         first = count

@@ -31,7 +31,7 @@ ROW: Final = np.dtype(
         ("t_ns", np.int64),
         ("context", np.int32),  # by which its covariance was chosen
         ("lift", np.bool_),  # the foot was rising
-        ("calm", np.bool_),  # the leg had been found free before
+        ("was_free", np.bool_),  # the leg had been found free before
         ("cleared", np.bool_),  # the foot had left the ground before, by its height
         ("push", np.bool_),  # `sigma` and what was moved aside from it are set
         ("repeats", np.bool_),  # a reading repeated itself where the model expected motion

@@ -11,7 +11,7 @@ from adaptive_contact.detect import layout
 from adaptive_contact.detect.contact import MIN_LIFT_ROWS, begin_labels, enter_row, note_hole
 from adaptive_contact.detect.history import (
     MAX_STEP_RAD_S,
-    judged,
+    enter_residual,
     push_command,
     repair,
     restart_history,
@@ -133,7 +133,7 @@ class Readings:
         measured = np.asarray(reading, dtype=float)
         repair(leg, own.past, own.model, measured, flags, valid is not None and not all(valid))
         take(own.past.reading, own.past.increment, own.past.window, own.past.history, b.lags)
-        judged(leg, own.past.theta, own.past.thetas)
+        enter_residual(leg, own.past.theta, own.past.thetas)
 
     def restart(self) -> None:
         """Drop the past."""
@@ -190,7 +190,7 @@ class Labels:
             ticks, row.lift, row.cleared, row.t_ns,
         )  # fmt: skip
         own, before = arrays_of(self.place), int(leg["row_n"])
-        leg["distance"] = row.nis * len(b.unit[0])
+        leg["squared"] = row.nis * len(b.unit[0])
         enter_row(leg, own.swing, own.past, own.noise, own.kept, row.value, row.calm, descending)
         if int(leg["row_n"]) > before:
             self._seen = [*self._seen[:before], row]
@@ -255,7 +255,7 @@ class Phases:
         b, leg, height = self.place.batch, self.place.record, 0.0
         desired = np.array(sample.desired)
         if leg["has_lengths"]:
-            place_foot(desired, b.links[0], b.turns[0], b.now)
+            place_foot(desired, b.links[0], b.axis_kinds[0], b.now)
             height = float(b.now[2])
         phase = _PHASES[sample.phase]
         take_phase(leg, phase, desired, height, b.phase_before[0], b.parts[0])
