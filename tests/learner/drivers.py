@@ -191,7 +191,9 @@ class Labels:
         )  # fmt: skip
         own, before = arrays_of(self.place), int(leg["row_n"])
         leg["squared"] = row.nis * len(b.unit[0])
-        enter_row(leg, own.swing, own.past, own.noise, own.kept, row.value, row.calm, descending)
+        enter_row(
+            leg, own.swing, own.past, own.noise, own.kept, row.value, row.was_free, descending
+        )
         if int(leg["row_n"]) > before:
             self._seen = [*self._seen[:before], row]
         elif int(leg["row_n"]) == before and before and b.rows[0, before - 1]["t_ns"] == row.t_ns:

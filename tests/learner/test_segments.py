@@ -25,10 +25,10 @@ from .ticks import Push, Tick, rows_of
 
 
 def row(
-    tick: int, *, lift: bool, level: float = 1.0, calm: bool = False, cleared: bool = True
+    tick: int, *, lift: bool, level: float = 1.0, was_free: bool = False, cleared: bool = True
 ) -> Tick:
     at = np.full(2, float(tick))
-    return Tick(at, np.zeros(1), level, level, 0, tick * PERIOD, lift, calm, cleared)
+    return Tick(at, np.zeros(1), level, level, 0, tick * PERIOD, lift, was_free, cleared)
 
 
 def ticks(rows: Rows | None) -> list[int]:
@@ -53,7 +53,7 @@ def test_the_first_ticks_of_a_lift_are_kept_back(robot: Robot) -> None:
 
 
 def test_a_calm_leg_confirms_its_whole_lift(robot: Robot) -> None:
-    assert swing(Labels(robot), up=12, down=2, calm=True) == list(range(1, 13))
+    assert swing(Labels(robot), up=12, down=2, was_free=True) == list(range(1, 13))
 
 
 def test_a_foot_that_lets_go_late_is_seen(robot: Robot) -> None:
@@ -268,14 +268,14 @@ def test_a_foot_that_is_kicked_up_does_not_speak_of_the_leg(robot: Robot) -> Non
     book.begin()
     for tick in range(1, 16):
         level = 300.0 if tick > 13 else 3.0
-        book.add(row(tick, lift=True, calm=True, level=level), tick, descending=tick > 10)
+        book.add(row(tick, lift=True, was_free=True, level=level), tick, descending=tick > 10)
     assert not book.alarm(13 * PERIOD, PERIOD)
     book.add(row(16, lift=False), 16, descending=True)
     assert ticks(book.take_lift()) == list(range(1, 14))
     # An alarm in the lift itself is of the model's making, and closes nothing.
     book.begin()
     for tick in range(1, 11):
-        book.add(row(tick, lift=True, calm=True), tick, descending=False)
+        book.add(row(tick, lift=True, was_free=True), tick, descending=False)
     book.alarm(6 * PERIOD, PERIOD)
     book.add(row(11, lift=False), 11, descending=True)
     assert ticks(book.take_lift()) == list(range(1, 11))
@@ -336,7 +336,7 @@ def test_a_lift_that_does_not_end_keeps_its_newest_ticks(robot: Robot) -> None:
     book = Labels(robot)
     book.begin()
     for tick in range(1, 10 * MAX_ROWS):
-        book.add(row(tick, lift=True, calm=True), tick, descending=False)
+        book.add(row(tick, lift=True, was_free=True), tick, descending=False)
         assert book.place.record["lift_n"] <= MAX_ROWS
     assert book.place.record["commanded_n"] == MAX_ROWS
     book.add(row(10 * MAX_ROWS, lift=False), 10 * MAX_ROWS, descending=True)
