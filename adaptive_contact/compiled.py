@@ -20,6 +20,7 @@ import time
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -220,20 +221,28 @@ _named: Final[Any] = namedtuple  # of names that are known at run time
 _CELLS: Final = 6  # of an array in a table: its address, and up to five lengths
 
 
-def _receiving(kinds: list[tuple[Any, int]], named: Any) -> Any:
-    """Make the function that reads a table, for compiled code."""
+def _code() -> Any:
+    """Return the parts of numba that write machine code, which have no types."""
     from llvmlite import ir
     from numba import extending
-    from numba.core import cgutils as generate
-    from numba.core import types as of_numba
+    from numba.core import cgutils, types
     from numba.np import arrayobj, numpy_support
 
-    arrays: Any = arrayobj  # these have no types
-    cgutils: Any = generate
-    of_numpy: Any = numpy_support
-    types: Any = of_numba
-    intrinsic: Any = extending.intrinsic
-    of_kinds = [types.Array(of_numpy.from_dtype(kind), ndim, "C") for kind, ndim in kinds]
+    return SimpleNamespace(
+        arrays=arrayobj,
+        cgutils=cgutils,
+        from_dtype=numpy_support.from_dtype,
+        intrinsic=extending.intrinsic,
+        ir=ir,
+        types=types,
+    )
+
+
+def _receiving(kinds: list[tuple[Any, int]], named: Any) -> Any:
+    """Make the function that reads a table, for compiled code."""
+    code = _code()
+    arrays, cgutils, ir, types = code.arrays, code.cgutils, code.ir, code.types
+    of_kinds = [types.Array(code.from_dtype(kind), ndim, "C") for kind, ndim in kinds]
     result = types.NamedTuple(of_kinds, named)
 
     def receive(_context: Any, table: Any) -> Any:
@@ -263,21 +272,13 @@ def _receiving(kinds: list[tuple[Any, int]], named: Any) -> Any:
 
         return result(table), make
 
-    return intrinsic(receive)
+    return code.intrinsic(receive)
 
 
 def _parting(of: Any, slots: Mapping[str, tuple[str, int]], shared: Sequence[str]) -> Any:
     """Make the function that takes a row's arrays out of those of all rows, for compiled code."""
-    from llvmlite import ir
-    from numba import extending
-    from numba.core import cgutils as generate
-    from numba.core import types as of_numba
-    from numba.np import arrayobj
-
-    arrays: Any = arrayobj  # these have no types
-    cgutils: Any = generate
-    types: Any = of_numba
-    intrinsic: Any = extending.intrinsic
+    code = _code()
+    arrays, cgutils, ir, types = code.arrays, code.cgutils, code.ir, code.types
     word = ir.IntType(64)
 
     def part(_context: Any, given: Any, row: Any) -> Any:
@@ -330,7 +331,7 @@ def _parting(of: Any, slots: Mapping[str, tuple[str, int]], shared: Sequence[str
 
         return result(given, types.int64), make
 
-    return intrinsic(part)
+    return code.intrinsic(part)
 
 
 def _expanded(name: str | None) -> Path | None:

@@ -138,13 +138,9 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
     """
     window, increment, reach, history = past.window, past.increment, past.reach, past.history
     suspects, values, counts, last_good = past.suspects, past.values, past.counts, past.last_good
-    impossible, found, repeats = past.some[IMPOSSIBLE], past.some[FOUND], past.some[REPEATED]
-    jumps, limits, recent, offs = (
-        past.room[JUMPS],
-        past.room[LIMITS],
-        past.room[RECENT],
-        past.room[OFFS],
-    )
+    some, room = past.some, past.room
+    impossible, found, repeats = some[IMPOSSIBLE], some[FOUND], some[REPEATED]
+    jumps, limits, recent, offs = room[JUMPS], room[LIMITS], room[RECENT], room[OFFS]
     lags = model.depths[0]
     joints = len(measured)
     some_repeat = some_refused = suspect = False
@@ -234,13 +230,9 @@ def repair(leg, past, model, measured, valid, has_valid):
     """
     window, increment, reading, last = past.window, past.increment, past.reading, past.last
     last_good, stale, refused = past.last_good, past.stale, past.refused
-    bad, impossible, found, missing = (
-        past.some[BAD],
-        past.some[IMPOSSIBLE],
-        past.some[FOUND],
-        past.some[MISSING],
-    )
-    steps, jumps, before = past.room[STEPS], past.room[JUMPS], past.room[BEFORE]
+    some, room = past.some, past.room
+    bad, impossible, found, missing = some[BAD], some[IMPOSSIBLE], some[FOUND], some[MISSING]
+    steps, jumps, before = room[STEPS], room[JUMPS], room[BEFORE]
     joints = len(measured)
     substituted = leg.bad
     leg.sound, leg.bad, leg.repeats = True, False, False

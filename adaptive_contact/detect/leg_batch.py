@@ -49,22 +49,37 @@ class LegBatch:
         library: of their models.
         quantum_rad: position step of each leg's servos.
         period_ns: control tick.
+        max_step: rad per tick, beyond which a reading is impossible.
         capacity: rows of a swing held back at first; grows.
 
     Attributes:
         legs: scalars of every leg, see :mod:`adaptive_contact.detect.layout`.
         accepted: (L,) of these, which legs have a sample in this tick.
         vectors: of floats, of integers and of booleans; each has a name there, and so it has here.
+        preview_in: (previews, J) rad, commands to come that the sample has.
+        ring: (101, 3) time, number and scheduled time of the newest samples, ns.
         kept_angles, kept_stamps: (3000, 2 J) rad, measured and desired, and (3000, 3) time, number
             and phase of the newest samples, a ring.
+        echo_commands: (5, J) rad, the newest commands.
+        echo_runs, parts: see :mod:`adaptive_contact.detect.source`.
+        links: (J, 6), see :func:`~adaptive_contact.detect.swing.tabulate`.
+        path: (400, J) rad, commands of the swing.
         history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
         thetas: (3, p), regressors of the last ticks.
+        xi0: (q, J) coefficients of the first model, for the terms of changes.
+        coefficients: (p, J) of the model in force.
+        whiten: (contexts, 3, J, J), 1/rad, of sums of one to three residuals.
         domain: (p, p) matrix whose product with regressors has the leverage as squared length.
-        depths: measured lags of a window, and commands to come.
-        index, per_scale, root: covariance of the coefficients while it is inflated.
+        index, per_scale, root: (J, p), (J, p) and (J, p, p), covariance of the coefficients while
+            it is inflated: terms of each joint, reciprocal scales, square root.
         rows, row_values: rows of the swing until it is resolved, as
             :class:`~adaptive_contact.model.labelled_swing.Rows` has them.
-        free_ring: residuals of the newest free ticks, rad.
+        free_ring: (256, J) rad, residuals of the newest free ticks.
+        depths: of all legs: measured lags of a window, and commands to come.
+        some, room: scratch of all legs: (6, J) and (8, J), rows by names in
+            :mod:`adaptive_contact.detect.history`.
+        now, sums, forms: scratch of all legs: (3,) m, a place; (2, J) and (2 J,), what a statistic
+            and regressors add up.
     """
 
     # Those of the vectors that swings' judgements read.
@@ -302,18 +317,10 @@ class LegPlace:
             setattr(leg, name, False)
         for name in ("surface", "touch_at", "touch_before"):
             setattr(leg, name, -np.inf)
-        for name in (
-            "ticks",
-            "after",
-            "heights_n",
-            "low_n",
-            "low_next",
-            "still",
-            "lift_n",
-            "row_n",
-        ):
+        for name in ("ticks", "after", "heights_n", "low_n", "low_next", "still", "lift_n"):
             setattr(leg, name, 0)
-        leg.commanded_n, leg.hole_ns, leg.apex = 0, -1, -np.inf
+        leg.row_n = leg.commanded_n = 0
+        leg.hole_ns, leg.apex = -1, -np.inf
         for name in ("swing_phase", "topped", "closed", "top_seen", "touching"):
             setattr(leg, name, False)
         leg.broken = True

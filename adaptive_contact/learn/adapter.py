@@ -151,7 +151,7 @@ class Adapter:
 
     @property
     def status(self) -> Status:
-        """Status of the leg, as contacts are believed by.
+        """Status of the leg, by which its contacts are reported or withheld.
 
         ``monitor.status`` says whether the lifts fit the model in force, and governs the learning.
         This one says more: a leg that began with a prior is learning until it is known, though its
@@ -220,7 +220,7 @@ class Adapter:
             case Label.UNGATED:
                 self.active.learn(part.rows.values, 0)
             case Label.CONTACT:
-                # Of a leg that is not known, or whose early touches were none, it may be none.
+                # Of any other leg the contact may be wrong, and nothing to try candidates on.
                 if self.status == "valid" and part.touch is not None:
                     self.candidate.contacts.add(part.touch)
             case Label.END:

@@ -356,29 +356,29 @@ def moves_at_most(coefficients, scale, most):
 
 
 @compiled
-def squared_errors(values, per_noise, own, known):
+def squared_errors(values, per_noise, own, other):
     """Sum the squared residuals of rows by two models, over the noise.
 
     Args:
         values: (n, p + J and more) regressors, and behind them what they should have predicted,
             rad.
         per_noise: (J,) reciprocal of its standard deviation, 1/rad.
-        own: (p, J) coefficients.
-        known: (p, J) others.
+        own: (p, J) coefficients of one.
+        other: (p, J) of the other.
 
     Returns:
-        The sums by ``own`` and by ``known``.
+        The sums by ``own`` and by ``other``.
     """
     terms, joints = own.shape
-    by_own = by_known = 0.0
+    by_own = by_other = 0.0
     for i in range(len(values)):
         for j in range(joints):
-            off_own = off_known = values[i, terms + j]
+            off_own = off_other = values[i, terms + j]
             for k in range(terms):
                 off_own -= values[i, k] * own[k, j]
-                off_known -= values[i, k] * known[k, j]
+                off_other -= values[i, k] * other[k, j]
             off_own *= per_noise[j]
-            off_known *= per_noise[j]
+            off_other *= per_noise[j]
             by_own += off_own * off_own
-            by_known += off_known * off_known
-    return by_own, by_known
+            by_other += off_other * off_other
+    return by_own, by_other
