@@ -257,9 +257,7 @@ class ContactLearner:
             return refused
         self._begin()
         self.report.counters.restore(saved)
-        if isinstance(saved.get("missed"), int):
-            self._guard.missed = saved["missed"]
-        self._guard.restore(saved.get("stream"))
+        self._guard.restore(saved.get("stream"), saved.get("missed"))
         return None
 
     # -- one tick, in the order of its calls ----------------------------------------------------

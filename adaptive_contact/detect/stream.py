@@ -137,8 +137,13 @@ class StreamGuard:
         runs = {"run": self.run, "old_runs": list(self.older_runs)}
         return {"begun": self._begun, "restarts": self.restarts, **runs}
 
-    def restore(self, saved: object) -> None:
-        """Take over who published, so that the newer still wins; what is not usable is left."""
+    def restore(self, saved: object, missed: object = None) -> None:
+        """Take over who published, so that the newer still wins, and how many samples were missed.
+
+        What is not usable is left.
+        """
+        if isinstance(missed, int):
+            self.missed = missed
         if not isinstance(saved, dict) or saved.get("begun") is not True:
             return
         if _is_count(saved.get("restarts")):

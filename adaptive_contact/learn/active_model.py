@@ -6,7 +6,6 @@ replaced by it, or by the baseline where there was none.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.learn.rls import (
     RecursiveLeastSquares,
     RlsSettings,
-    moves_at_most,
+    is_plausible,
     squared_errors,
 )
 from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
@@ -47,12 +46,15 @@ PRIOR_BOUND: Final = 500.0
 class FirstSwings:
     """Follows how well a leg is known that began with a prior.
 
+    Args:
+        swings: resolved before.
+
     Attributes:
         swings: resolved so far.
     """
 
-    def __init__(self) -> None:
-        self.swings = 0
+    def __init__(self, swings: int = 0) -> None:
+        self.swings = swings
         self._known = 0  # swings in a row
         self._largest: float | None = None  # uncertainty of this swing, None without a row
 
@@ -90,27 +92,26 @@ class ActiveModel:
 
     Args:
         start: what the leg begins with, the baseline or a prior.
-        on_drop: called with the name of the model that replaces an implausible one.
 
     Attributes:
         baseline: the model at the start.
         recursion: recursive least squares, which move the model.
         inflated: whether the recursion's covariance was, since the recursion began.
         as_made: the model as it was last asked for; rows learned since are not in it.
+        most_rad: that a term of a plausible model moves a typical tick by.
     """
 
-    def __init__(self, start: LegBaseline, *, on_drop: Callable[[str], None]) -> None:
+    def __init__(self, start: LegBaseline) -> None:
         self.baseline = start.model
         self._spread = start.spread
         self._settings = None if start.spread is None else RlsSettings(bound=PRIOR_BOUND)
-        self._on_drop = on_drop
         self._noise = start.noise.rms
         self._per_noise, self._scale = 1.0 / start.noise.rms, np.array(start.scale)
         # Copies, as compiled code takes an array that may not be written to for another kind.
         self._first = np.array(start.model.coefficients, order="C")
         # What a term may move a tick by, at most.
         own = np.abs(start.model.coefficients * start.scale[:, None]).max()
-        self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
+        self.most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
         self.as_made = start.model
         self._moved = False  # the recursion has, since it was made
         _, self.recursion, self.inflated = self._start()
@@ -146,19 +147,22 @@ class ActiveModel:
         """Whether the recursion goes on from a prior."""
         return self.inflated and self._spread is not None
 
-    def learn(self, values: Array, at: int) -> None:
+    def learn(self, values: Array, at: int) -> str | None:
         """Learn a row; a model that becomes implausible gives way to the last good one.
 
         Args:
             values: as of :meth:`RecursiveLeastSquares.learn`.
             at: which row.
+
+        Returns:
+            The model that is in force again, by name, where this one became implausible; else None.
         """
         self._moved = True
         if self.recursion.learn(values, at):
-            return
+            return None
         good = self._good or self._start()
         self.recursion, self.inflated = good.rls.copy(), good.inflated
-        self._on_drop("the baseline" if self._good is None else "the last good model")
+        return "the baseline" if self._good is None else "the last good model"
 
     def uncertainty(self, rows: Rows) -> float:
         """Compute the variance of predictions that comes from the coefficients, over the noise's.
@@ -230,12 +234,12 @@ class ActiveModel:
             ImplausibleError: the two cannot be a leg's; nothing is changed.
         """
         # A model that moves a typical tick by radians cannot be a servo's.
-        if not self.plausible(state.coefficients):
+        if not is_plausible(state.coefficients, self._scale, self.most_rad):
             raise ImplausibleError("its model is implausible")
         # A promoted model has a support of its own.
         rls = RecursiveLeastSquares(
             state.coefficients, state.support, self._scale, self._noise, self._settings,
-            self._most_rad,
+            self.most_rad,
         )  # fmt: skip
         rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
         self._put(self.as_made.moved(state.coefficients, state.version))
@@ -257,14 +261,8 @@ class ActiveModel:
         if more is not None:
             support |= more
         return RecursiveLeastSquares(
-            model.coefficients, support, self._scale, self._noise, self._settings, self._most_rad
+            model.coefficients, support, self._scale, self._noise, self._settings, self.most_rad
         )
-
-    def plausible(self, coefficients: Array) -> bool:
-        """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""
-        # Copies, as compiled code takes an array that may not be written to for another kind.
-        own = np.array(coefficients, order="C")
-        return bool(moves_at_most(own, self._scale, self._most_rad))
 
     def _put(self, model: LegModel) -> None:
         """Set the model in force."""

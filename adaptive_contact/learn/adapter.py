@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final, Literal, NamedTuple
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.diagnose.change_classifier import ChangeClassifier
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel, FirstSwings
@@ -110,7 +111,7 @@ class Adapter:
         self._leg = leg
         self._noise = start.noise.rms
         self._scale = start.scale
-        self.active = ActiveModel(start, on_drop=self._dropped)
+        self.active = ActiveModel(start)
         self.first = None if start.spread is None else FirstSwings()
         self._learned_ns = -1  # end of the segment of the newest row learned
         self._suspected = NO_ROWS  # the descent after a suspected lift
@@ -122,7 +123,7 @@ class Adapter:
         self._renewed = False  # covariances were, since the last `tick`
         self.busy = True
         self.candidate = Candidate(
-            leg, self._noise, self._scale, refitter, start.domain, self.active.plausible
+            leg, self._noise, self._scale, refitter, start.domain, self.active.most_rad
         )
 
     # -- what detection and status read -----------------------------------------------------------
@@ -198,7 +199,7 @@ class Adapter:
             noise.whiten,
             noise.thresholds,
             noise.awaited,
-            noise.domain,
+            self.candidate.domain,
         )
 
     # -- what detection has found -------------------------------------------------------------
@@ -218,7 +219,7 @@ class Adapter:
             case Label.DESCENT:
                 self._descent(part.rows, part.region)
             case Label.UNGATED:
-                self.active.learn(part.rows.values, 0)
+                self._learn_row(part.rows.values, 0)
             case Label.CONTACT:
                 # Of any other leg the contact may be wrong, and nothing to try candidates on.
                 if self.status == "valid" and part.touch is not None:
@@ -337,10 +338,7 @@ class Adapter:
 
     def pass_tick(self) -> Moved:
         """Collect a refit that is due, in a tick in which nothing else is to be done."""
-        if not self.candidate.tick():
-            return NOTHING
-        self._noise_tracker.domain = self.candidate.domain
-        return ANYTHING
+        return ANYTHING if self.candidate.tick() else NOTHING
 
     def _share(self, budget: int) -> int:
         """Return how many rows a tick learns: a known leg can wait, a changed one cannot.
@@ -381,16 +379,15 @@ class Adapter:
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
         self.monitor.resume(
-            state.level, state.status, obstructed=state.held, lifts_assessed=state.lifts_assessed
-        )
-        self.monitor.kind = state.kind
+            state.level, state.status, obstructed=state.held,
+            lifts_assessed=state.lifts_assessed, kind=state.kind,
+        )  # fmt: skip
         self.early.restore(saved.get("belied"))
         self._restore_first(saved.get("first"))
         self._era = state.era
         self.candidate.restore(saved.get("refits"))
         self.buffer.restore(state.segments)
         self.candidate.resume(self.buffer, len(self._scale), self._era)
-        self._noise_tracker.domain = self.candidate.domain
         self._noise_tracker.restore(saved.get("recent"))
         self._refresh()
         self.busy = True
@@ -402,7 +399,7 @@ class Adapter:
         if not isinstance(swings, int) or swings < 0:
             self.first = None
         elif self.first is not None:
-            self.first.swings = swings
+            self.first = FirstSwings(swings)
 
     def _change(self, *, first: bool) -> None:
         """Begin a new era, as the leg has changed: inflate the covariance, drop the candidate."""
@@ -412,13 +409,8 @@ class Adapter:
         self._era += 1
         if self.mode.recursive:
             self.active.inflate()
-        self._withdraw()
-        self._refresh()
-
-    def _withdraw(self) -> None:
-        """Drop refit and candidate, and what they have widened."""
         self.candidate.withdraw()
-        self._noise_tracker.domain = self.candidate.domain
+        self._refresh()
 
     def _confirm(self, rows: Rows, region: int) -> None:
         """Take free rows: into the replay buffer, the noise tracker and the recursion's queue."""
@@ -430,10 +422,10 @@ class Adapter:
         self._learned_swing |= bool(rows)
         if self._evidence is not None and not self._evidence.complete:
             self._evidence.add(rows)
-            self.monitor.kind = self._evidence.kind
+            self.monitor.note_kind(self._evidence.kind)
         if self.monitor.status == "valid" and rows and rows.lifting:
             # Lifts only: soft ground may be among the last rows of a descent.
-            self._noise_tracker.count(rows)
+            self._noise_tracker.count(rows, self.candidate.domain)
         self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
         if not self.mode.recursive:
@@ -446,7 +438,7 @@ class Adapter:
             return
         self.active.revert_to_baseline()
         self.buffer.drop_unlearned()
-        self._withdraw()
+        self.candidate.withdraw()
         self.candidate.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self.monitor.mark_unchanged()
         self._evidence = None
@@ -457,7 +449,7 @@ class Adapter:
         """Learn the next row, and let a candidate, if there is one, be tried on it."""
         active, values = self.active, self.buffer.values
         at, self._learned_ns = self.buffer.next_unlearned()
-        active.learn(values, at)
+        self._learn_row(values, at)
         if self.candidate.trying:
             terms, joints = active.coefficients.shape
             row = Row(values[at, :terms], values[at, terms : terms + joints], self._learned_ns)
@@ -492,9 +484,12 @@ class Adapter:
         else:
             self._noise_tracker.begin_refresh(residuals, context, self.buffer.of_era(self._era))
 
-    def _dropped(self, back_to: str) -> None:
-        """Follow a return to another model, as the one in force was implausible."""
+    def _learn_row(self, values: Array, at: int) -> None:
+        """Learn a row; where it makes the model implausible, follow the return to another."""
+        back_to = self.active.learn(values, at)
+        if back_to is None:
+            return
         self.buffer.drop_unlearned()
-        self._withdraw()
+        self.candidate.withdraw()
         self.candidate.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
         self._refresh()

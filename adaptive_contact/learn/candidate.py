@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,7 @@ from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.fit.refit_job import RefitJob, RefitResult, Refitter
 from adaptive_contact.fit.sparse_regression import FitStatus
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
+from adaptive_contact.learn.rls import is_plausible
 from adaptive_contact.learn.state import ImplausibleError, array_of, pack
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.glr import statistic
@@ -122,7 +123,8 @@ class Candidate:
         scale: (p,) typical size of each regressor.
         refitter: does the work.
         domain: where the baseline's model has been; None if that is not known.
-        plausible: whether coefficients can be a leg's; others are refused untried.
+        most_rad: that a term of a plausible model moves a typical tick by; another is refused
+            untried.
 
     Attributes:
         domain: where the leg has been: the baseline's, widened by the newest refit.
@@ -136,9 +138,9 @@ class Candidate:
         scale: Array,
         refitter: Refitter,
         domain: Domain | None = None,
-        plausible: Callable[[Array], bool] = lambda _: True,
+        most_rad: float = math.inf,
     ) -> None:
-        self._plausible = plausible
+        self._most_rad = most_rad
         self.domain = self._of_baseline = domain
         self.contacts = StoredContacts()
         self._leg = leg
@@ -230,7 +232,7 @@ class Candidate:
             if result.status is FitStatus.LOST and self._retries:
                 self._retries, self._early = self._retries - 1, True
             return
-        if not self._plausible(result.coefficients):
+        if not is_plausible(result.coefficients, self._scale, self._most_rad):
             self._refuse("a coefficient is not finite, or implausible")
             return
         self.domain, self._wait = result.domain, None
@@ -345,7 +347,7 @@ class Candidate:
             displaced = array_of(saved.get("displaced"), shape, "the model before")
         except ImplausibleError:  # there was none
             return
-        if self._plausible(displaced):
+        if is_plausible(displaced, self._scale, self._most_rad):
             self._try(displaced, probation=True)
 
     def _try(self, coefficients: Array, *, probation: bool) -> None:

@@ -262,6 +262,7 @@ class DriftMonitor:
         *,
         obstructed: bool = False,
         lifts_assessed: tuple[int, int] = (1, 0),
+        kind: str | None = None,
     ) -> None:
         """Resume a saved state; its times may be of another clock and are dropped.
 
@@ -270,14 +271,20 @@ class DriftMonitor:
             status: of the leg.
             obstructed: whether that was because of a foot that did not rise.
             lifts_assessed: those, and those far off; where not saved, the model is this leg's.
+            kind: of the newest change, where it is known.
         """
         self.variance_scale, self.status, self._since_ns = level, status, None
+        self.kind = kind
         self._obstructed_swings = OBSTRUCTED_SWINGS if obstructed else 0
         self._sign = "the foot was held when the state was saved"
         adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}
         self._swings_adapting = 0 if obstructed else adapting.get(status, 0)
         self._swings_inflated = INFLATE_EVERY  # a suspicion that comes now is of something new
         self._lifts, self._lifts_far = lifts_assessed
+
+    def note_kind(self, kind: str | None) -> None:
+        """Note of what kind the newest change is, by its evidence so far."""
+        self.kind = kind
 
     def _drop_suspicions(self) -> None:
         self._suspicions, self._suspected = 0, NO_ROWS

@@ -202,7 +202,7 @@ class Lifecycle:
         self._start, self.note = start, None
         start = ready_for_changes(start)
         aim = robot.detector.false_alarms_per_hour
-        noise_tracker = NoiseTracker(start.noise, tails, aim, start.domain)
+        noise_tracker = NoiseTracker(start.noise, tails, aim)
         self.noise_tracker, self.begun = noise_tracker, self.begun + 1
         self.adapter = Adapter(self._leg.id, start, noise_tracker, self._mode, self._refitter)
 

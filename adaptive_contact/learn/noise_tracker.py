@@ -60,10 +60,8 @@ class NoiseTracker:
         noise: of the baseline.
         tails: (windows,) of the baseline's statistic.
         false_alarms_per_hour: target rate.
-        domain: where the baseline's model has been; None if that is not known.
 
     Attributes:
-        domain: where the model in force has been; None if that is not known.
         whiten: (contexts, windows, J, J).
         thresholds: (windows,) of the statistic.
         awaited: the same for ticks after the turn to stance, in which a touch is expected.
@@ -74,10 +72,8 @@ class NoiseTracker:
         noise: NoiseModel,
         tails: tuple[Tail, ...],
         false_alarms_per_hour: float,
-        domain: Domain | None = None,
     ) -> None:
         self._of_baseline = np.array(noise.whiten, order="C")
-        self.domain = domain
         self._tails = tails
         self._target_rate = false_alarms_per_hour
         self._least = thresholds_of(tails, false_alarms_per_hour)
@@ -91,8 +87,13 @@ class NoiseTracker:
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
         self._ticks = self._above = self._excess = 0.0
 
-    def count(self, rows: Rows) -> None:
-        """Count the exceedances in a lift of a leg that is known."""
+    def count(self, rows: Rows, domain: Domain | None = None) -> None:
+        """Count the exceedances in a lift of a leg whose lifts fit.
+
+        Args:
+            rows: of the lift, all free.
+            domain: where the model in force has been; None if that is not known.
+        """
         tail = self._tails[0]
         level = tail.level
         self._ticks += len(rows)
@@ -100,7 +101,7 @@ class NoiseTracker:
             if not value > level:  # NaN is not
                 continue
             # As for an alarm, and when the tail was fitted: what is extrapolated is no noise.
-            spread = 0.0 if self.domain is None else float(self.domain.leverage(rows.theta[k]))
+            spread = 0.0 if domain is None else float(domain.leverage(rows.theta[k]))
             value /= 1.0 + spread
             if value > level:
                 most = MOST_EXCESS * self.tail_factors[1] * tail.scale / (1.0 - tail.shape)

@@ -355,6 +355,18 @@ def moves_at_most(coefficients, scale, most):
     return True
 
 
+def is_plausible(coefficients: Array, scale: Array, most_rad: float) -> bool:
+    """Return whether a model moves a typical tick by no more than a servo can; false for NaN.
+
+    Args:
+        coefficients: (p, J).
+        scale: (p,) typical size of each regressor.
+        most_rad: that a term moves it by.
+    """
+    # Copies, as compiled code takes an array that may not be written to for another kind.
+    return bool(moves_at_most(np.array(coefficients, order="C"), np.array(scale), most_rad))
+
+
 @compiled
 def squared_errors(values, per_noise, own, other):
     """Sum the squared residuals of rows by two models, over the noise.

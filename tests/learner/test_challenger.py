@@ -49,9 +49,7 @@ def test_a_candidate_that_explains_contacts_away_is_refused(model: LegModel) -> 
 def test_a_candidate_that_no_servo_can_be_is_refused_untried(model: LegModel, wild: float) -> None:
     candidate = model.coefficients.copy()
     candidate[3, 1] = wild
-    trial = Candidate(
-        "rf", NOISE, np.ones(model.library.size), Given(candidate), plausible=_below_a_radian
-    )
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(candidate), most_rad=1.0)
     buffer = ReplayBuffer()
     fill(buffer, np.random.default_rng(0), model.library.size)
     ask(trial, model, buffer)
@@ -59,10 +57,6 @@ def test_a_candidate_that_no_servo_can_be_is_refused_untried(model: LegModel, wi
     assert not trial.trying
     assert trial.counts.refused == 1
     assert trial.counts.last_reason == ("refused: a coefficient is not finite, or implausible")
-
-
-def _below_a_radian(coefficients: np.ndarray) -> bool:
-    return bool(np.abs(coefficients).max() <= 1.0)
 
 
 def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -> None:

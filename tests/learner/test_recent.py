@@ -190,9 +190,9 @@ def test_what_the_model_extrapolates_is_no_noise(noise: NoiseModel) -> None:
     domain = Domain(10.0 * np.eye(2), np.ones(2))
     here, there = 0.1, 100.0
     assert domain.leverage(np.full(2, here)) < 0.01
-    known, strange = (NoiseTracker(noise, prior_tails(J), 1.0, domain) for _ in range(2))
-    known.count(rows([30.0] * 500, theta=here))
-    strange.count(rows([30.0] * 500, theta=there))
+    known, strange = (NoiseTracker(noise, prior_tails(J), 1.0) for _ in range(2))
+    known.count(rows([30.0] * 500, theta=here), domain)
+    strange.count(rows([30.0] * 500, theta=there), domain)
     assert known.tail_factors[0] > 1.5
     assert strange.tail_factors == (1.0, 1.0)
 

@@ -100,10 +100,10 @@ def test_another_gain_is_followed_within_two_seconds(before: float, after: float
             prior, model=LegModel(changing, grown), spread=None,
             scale=np.sqrt(np.square(more).mean(axis=0)),
         )  # fmt: skip
-        loose = ActiveModel(known, on_drop=print)
+        loose = ActiveModel(known)
         loose.inflate()
         off["loose"].append(followed(loose, more, increment)[kept])
-        off["prior"].append(followed(ActiveModel(prior, on_drop=print), theta, increment)[kept])
+        off["prior"].append(followed(ActiveModel(prior), theta, increment)[kept])
     rms = {name: float(np.sqrt(np.square(np.concatenate(e)).mean())) for name, e in off.items()}
     print(f"{before:g} to {after:g}:", *(f"{n} {e / rms['again']:.2f}" for n, e in rms.items()))
     assert rms["frozen"] > 1.25 * rms["again"]
