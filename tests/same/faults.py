@@ -138,7 +138,7 @@ FAULTS: Final = (
     ),
     Fault(
         "counts over a restart", "leg_learner.py",
-        'self._guard.restore(saved.get("stream"))', "pass", "service-restart",
+        'self._guard.restore(saved.get("stream"), saved.get("missed"))', "pass", "service-restart",
     ),
     Fault(
         "a foot that moved before it touched", "detect/contact.py",
