@@ -38,7 +38,6 @@ _KEYS_KEPT: Final = 400
 _BACKLOG: Final = 50_000
 _POLL_S: Final = 0.05
 
-_OTHER_KEYS: Final = (SERVICE_STATUS, "robot/sim/drift")
 _ENCODINGS: Final = ("application/msgpack", "application/json")
 
 
@@ -281,7 +280,7 @@ def _about_keys(seen: Examination, seconds: float) -> _Faults:
 
 def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
     """What is wrong with a key outside the contract, and what to do."""
-    if leg_of_key(key) is not None or key in _OTHER_KEYS or key.startswith("robot/bridge/"):
+    if leg_of_key(key) is not None:
         return None
     namespace = namespace_of(key)
     if namespace:

@@ -23,6 +23,8 @@ SIM_DRIFT: Final = "robot/sim/drift"
 _LEG_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}\Z")
 _LEG_KEY = re.compile(rf"robot/leg/([^/]*)/(?:{'|'.join(LEG_MESSAGES)})\Z")
 _OWN_DEPTH: Final = 4
+# Keys of the contract that belong to no leg, in a namespace or out of it.
+_OTHER_KEY = re.compile(r"(?:.*/)?robot/(?:service/status|sim/drift|bridge/[^/]+/status)\Z")
 
 
 def is_leg_id(text: str) -> bool:
@@ -55,7 +57,7 @@ def meant_key(key: str) -> str | None:
     Returns:
         The key, None where the key is of the contract, or of something else.
     """
-    if leg_of_key(key) is not None or namespace_of(key):
+    if leg_of_key(key) is not None or namespace_of(key) or _OTHER_KEY.match(key):
         return None
     parts = key.strip("/").split("/")
     if len(parts) < 2:

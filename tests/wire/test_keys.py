@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from adaptive_contact import wire
+from adaptive_contact.service.status import SERVICE_STATUS
+from adaptive_contact.wire.messages import LEG_MESSAGES
 
 
 @pytest.mark.parametrize("leg", ["rf", "leg_1", "L-2.b", "a" * 32])
@@ -27,3 +29,15 @@ def test_wildcards_and_separators_name_no_leg(leg: str) -> None:
 def test_other_keys_have_no_leg() -> None:
     for key in ("robot/sim/drift", "robot/leg/rf", "robot/leg/rf/other", "x/robot/leg/rf/servo"):
         assert wire.leg_of_key(key) is None
+
+
+@pytest.mark.parametrize("before", ["", "hexapod1/", "site/hexapod1/"])
+@pytest.mark.parametrize(
+    "key",
+    [
+        SERVICE_STATUS, wire.SIM_DRIFT, wire.bridge_status_key("servos"),
+        *(f"robot/leg/rf/{kind}" for kind in LEG_MESSAGES),
+    ],
+)  # fmt: skip
+def test_a_key_of_the_contract_is_no_misspelling(before: str, key: str) -> None:
+    assert wire.meant_key(before + key) is None
