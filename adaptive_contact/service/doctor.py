@@ -252,11 +252,12 @@ def _about_service(seen: Examination, alive: bool) -> Iterator[Fault]:
         yield Fault.of("service-note", key="note", note=service.note)
     for line in [] if service.state is None else service.state.refused:
         yield Fault.of("state_refused", key=line, line=line)
-    slow = _still(service.slow_puts, before.slow_puts)
+    slow, late = service.slow_puts - service.late_puts, service.late_puts
     counts: list[tuple[str, int, Level | None]] = [
         ("service-callback_faults", service.callback_faults, None),
         ("service-events_lost", service.events_lost, None),
-        ("service-slow_puts", service.slow_puts, slow),
+        ("service-slow_puts", slow, _still(slow, before.slow_puts - before.late_puts)),
+        ("service-late_puts", late, _still(late, before.late_puts)),
         ("service-stalls", service.stalls, None),
     ]
     for name, times, how in counts:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import structlog
@@ -25,11 +26,14 @@ _log = structlog.get_logger()
 
 # A robot has some ten events a second; this is more than a minute of them.
 QUEUE_EVENTS: Final = 1024
-# An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs.
+# An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs, or that the
+# computer has no core for it.
 SLOW_PUT_NS: Final = 100_000_000
 # A put that has gone on for so long is reported before it ends.
 HELD_UP_NS: Final = 500_000_000
 _LATENCIES: Final = 4096
+_SUBSCRIBER: Final = "a subscriber that hangs"
+_COMPUTER: Final = "this computer, overloaded or stopped,"
 
 
 class _Letter(NamedTuple):
@@ -42,14 +46,17 @@ class EventPublisher:
     """Sends messages in order, on the caller's thread until :meth:`start`, then on its own.
 
     Args:
+        held_ns: when a link was last seen that took nothing, monotonic.
         size: messages that wait at most.
     """
 
-    def __init__(self, size: int = QUEUE_EVENTS) -> None:
+    def __init__(self, held_ns: Callable[[], int] = lambda: 0, size: int = QUEUE_EVENTS) -> None:
+        self._held_ns = held_ns
         # messages dropped because the queue was full, that could not be put, or that were left at
         # the end
         self.lost = 0
         self.slow = 0  # puts that took longer than a tenth of a second
+        self.late = 0  # of these, the ones that no link held up
         # links dropped because they held up a put, or lost because their subscribers took nothing
         # any more: these miss events
         self.cut_off = 0
@@ -122,6 +129,14 @@ class EventPublisher:
         since_ns = self._putting_since_ns
         return 0 if since_ns is None else max(0, now_ns - since_ns)
 
+    def held_up(self, now_ns: int) -> str | None:
+        """One line while a put has gone on for too long, and by what; else None."""
+        for_ns = self.busy_ns(now_ns)
+        if for_ns <= HELD_UP_NS:
+            return None
+        who = _SUBSCRIBER if self._held_ns() >= now_ns - for_ns else _COMPUTER
+        return f"{who} has held up contact events for {for_ns / 1e9:.1f} s"
+
     def latencies(self) -> list[int]:
         """Arrival of the deciding sample to the event being sent, ns, of those sent since."""
         return [self._latencies.popleft() for _ in range(len(self._latencies))]
@@ -155,7 +170,7 @@ class EventPublisher:
         done_ns = time.monotonic_ns()
         self._latencies.append(done_ns - letter.arrival_ns)
         if done_ns - began_ns > SLOW_PUT_NS:
-            self._slow(done_ns, done_ns - began_ns)
+            self._slow(began_ns, done_ns)
 
     def _unsent(self, fault: Exception) -> None:
         with self._changed:  # others count, too
@@ -166,12 +181,12 @@ class EventPublisher:
         if times is not None:
             _log.warning("contact events lost", why=why, times=times)
 
-    def _slow(self, now_ns: int, took_ns: int) -> None:
+    def _slow(self, began_ns: int, done_ns: int) -> None:
+        late = self._held_ns() < began_ns
         self.slow += 1
-        times = self._throttle.passes("slow", now_ns)
+        self.late += late
+        who = _COMPUTER if late else _SUBSCRIBER
+        times = self._throttle.passes(who, done_ns)
         if times is not None:
-            _log.warning(
-                "subscribers that hang held up contact events",
-                for_ms=round(took_ns / 1e6),
-                times=times,
-            )
+            for_ms = round((done_ns - began_ns) / 1e6)
+            _log.warning("contact events held up", by=who, for_ms=for_ms, times=times)

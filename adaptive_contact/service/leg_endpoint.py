@@ -216,9 +216,13 @@ class LegEndpoint:
         self._report_news(self._reported, status, now_ns)
         self._reported = status
         self.model_version = status.model_version
-        # Until it is known what passed while the service was down, counts would not add up.
-        changed = status.status != self._published and not self._admission.resuming
-        if not (changed or anyway) and now_ns - self._published_ns < _STATUS_PERIOD_NS:
+        changed = status.status != self._published
+        due = changed or now_ns - self._published_ns >= _STATUS_PERIOD_NS
+        if self._admission.resuming:
+            # The first samples show what passed while the service was down: until then, counts
+            # would not add up.  Only a leg without any is reported.
+            due = self.silent(now_ns) and now_ns - self._published_ns >= _STATUS_PERIOD_NS
+        if not (due or anyway):
             return None
         self._status.put(status)
         if self._token is not None and status.status == "silent":
@@ -286,6 +290,8 @@ class LegEndpoint:
         seen = self._seen_ns
         since_s = (now_ns - (self._since_ns if seen is None else seen)) / 1e9
         how_long = f"{'yet, after' if seen is None else 'for'} {since_s:.1f} s"
+        if self._admission.resuming:
+            how_long += ", and `missed` lacks what passed while the service was down"
         if self._unused is None or now_ns - self._unused_ns > _SILENT_AFTER_NS:
             return f"no sample {how_long}"
         return f"no usable sample {how_long}: {self._unused}"

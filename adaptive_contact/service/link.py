@@ -470,6 +470,10 @@ class Link:
         """As :meth:`LinkSockets.drop_what_holds_up`; called on a thread of the link's own."""
         self._sockets.drop_what_holds_up(busy_ns, on_drop, on_loss)
 
+    def held_ns(self) -> int:
+        """When a link was last seen that took nothing, monotonic ns; 0 for never."""
+        return self._sockets.held_ns
+
     def routers(self) -> tuple[str, ...]:
         """Ids of the routers this session is connected to."""
         return tuple(str(zid) for zid in self._session.info.routers_zid())

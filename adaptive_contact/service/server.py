@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final
 import structlog
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.event_publisher import HELD_UP_NS, EventPublisher
+from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.leg_endpoint import LegEndpoint
 from adaptive_contact.service.link import Link, Request
 from adaptive_contact.service.logs import LogThrottle
@@ -146,7 +146,7 @@ class Service:
         self._keeper = keeper
         self._sweeper = sweeper
         self._to_save: deque[tuple[int, LegEndpoint]] = deque()
-        self._publisher = EventPublisher()
+        self._publisher = EventPublisher(link.held_ns)
         self._beats = 0
         self._watchdog = Watchdog(
             lambda: self._beats, self._publisher.busy_ns, on_stall=self._stalled, on_end=give_up
@@ -283,6 +283,7 @@ class Service:
             note="; ".join(filter(None, self._complaints(now_ns))) or None,
             events_lost=self._publisher.lost,
             slow_puts=self._publisher.slow,
+            late_puts=self._publisher.late,
             cut_off=self._publisher.cut_off,
             stalls=self._watchdog.stalls,
             state=state,
@@ -303,12 +304,6 @@ class Service:
 
     def _complaints(self, now_ns: int) -> tuple[str | None, ...]:
         """What is wrong with the service, each cause in its own place."""
-        held_ns = self._publisher.busy_ns(now_ns)
-        held = (
-            f"a subscriber that hangs has held up contact events for {held_ns / 1e9:.1f} s"
-            if held_ns > HELD_UP_NS
-            else None
-        )
         dropped = (
             f"{self._publisher.cut_off} links dropped since the start: their subscribers hang or "
             "are gone"
@@ -317,7 +312,7 @@ class Service:
         )
         error = None if self._keeper is None else self._keeper.facts.error
         failing = None if error is None else f"state: {error}"
-        return self._network.note, held, dropped, failing
+        return self._network.note, self._publisher.held_up(now_ns), dropped, failing
 
     def log_figures(self) -> None:
         """Log what was done and how fast."""

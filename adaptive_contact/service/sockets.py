@@ -52,6 +52,8 @@ class LinkSockets:
         self._busy_ns: Callable[[int], int] | None = None
         self._on_drop: Callable[[int], None] = lambda _: None
         self._on_loss: Callable[[int], None] = lambda _: None
+        # When a link was last seen that had taken nothing for as long as HELD_UP_NS, monotonic.
+        self.held_ns = 0
         self._shut: set[int] = set()  # by us, and not closed yet
         self._known: frozenset[int] = frozenset()
         # Of sockets with something to send: bytes acknowledged, and since when they are as many.
@@ -99,6 +101,8 @@ class LinkSockets:
             self._on_loss(lost)
         self._shut &= sockets.keys()
         stuck = self._stuck(sockets, now_ns)
+        if any(now_ns - since >= HELD_UP_NS for _, since in self._queued.values()):
+            self.held_ns = now_ns
         if self._busy_ns(now_ns) < HELD_UP_NS:
             return
         shut = [inode for inode in stuck if _use(sockets[inode], _shut_down) is True]

@@ -96,11 +96,12 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
     instance: str = ""
     # one line for a person when something is wrong with the service, None when all is well
     note: str | None = None
-    events_lost: int = 0  # events dropped because a subscriber that hangs held them up for too long
+    events_lost: int = 0  # events dropped because they were held up for too long, or not put
     slow_puts: int = 0  # events that took longer than 0.1 s to send
+    late_puts: int = 0  # of these, the ones that no link held up: the computer had no core for them
     # links dropped because their subscribers took no events: they hang, or were cut
     cut_off: int = 0
-    stalls: int = 0  # times that the worker stood still for a second or more
+    stalls: int = 0  # times that the worker, or the process, stood still for a second or more
     state: StateFacts | None = None  # how keeping the learners' state goes, None where none is kept
     # keys of samples without a reader, each with a question to the person who chose it; looked for
     # while a leg has no samples

@@ -36,11 +36,16 @@ _LAST_WORDS_S: Final = 1.0
 EXIT_CODE: Final = 70
 
 
+def _since_boot_s() -> float:
+    """Read the clock that goes on in suspension, s; elsewhere than on Linux the monotonic one."""
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
+
+
 class Watchdog:
     """Watches one service.
 
-    Time is counted in looks, not by the clock: a process that was stopped and continued (a
-    laptop's lid, SIGSTOP) has not stalled, its clock only went on without it.
+    A stall is timed in looks, not by the clock: a process that was stopped and continued (a
+    laptop's lid, SIGSTOP) need not end.  The clock shows such a stop afterwards, and it is counted.
 
     Args:
         beat: counts up whenever the worker gets round.
@@ -49,6 +54,11 @@ class Watchdog:
             the watchdog is started, on a thread of its own, and not again before it returns.
         on_end: called when it has stood still, or a put has gone on, for too long.
         give_up_s: how long is too long.
+        clock_s: goes on while the computer is suspended.
+
+    Attributes:
+        stalls: times that the worker, or the whole process, stood still for a second or more.
+        blocks: times that a put was seen to take half a second or more.
     """
 
     def __init__(
@@ -59,13 +69,14 @@ class Watchdog:
         on_stall: Callable[[float], None],
         on_end: Callable[[], None],
         give_up_s: float = GIVE_UP_S,
+        clock_s: Callable[[], float] = _since_boot_s,
     ) -> None:
-        self.stalls = 0  # times that the worker stood still for a second or more
-        self.blocks = 0  # times that a put was seen to take half a second or more
+        self.stalls = self.blocks = 0
         self._beat = beat
         self._blocked_ns = blocked_ns
         self._on_stall = on_stall
         self._on_end = on_end
+        self._clock_s, self._looked_s = clock_s, clock_s()
         self._last_look = round(give_up_s / LOOK_S)
         self._seen = -1
         self._still = 0  # looks in a row without a beat
@@ -78,6 +89,7 @@ class Watchdog:
 
     def start(self) -> None:
         """Look every quarter of a second from now on."""
+        self._looked_s = self._clock_s()
         self._reporter.start()
         self._thread.start()
 
@@ -91,12 +103,18 @@ class Watchdog:
 
     def look(self, now_ns: int) -> None:
         """Look once; ``now_ns`` is monotonic."""
+        before_s, self._looked_s = self._looked_s, self._clock_s()
+        stopped_s = self._looked_s - before_s - LOOK_S
+        if stopped_s >= STALL_S:
+            self.stalls += 1
+            why = "it was stopped or suspended, or got no core"
+            self._say(lambda: _log.warning("process stood still", for_s=stopped_s, why=why))
         self._look_at_worker()
         blocked_s = self._blocked_ns(now_ns) / 1e9
         blocked = blocked_s >= 2 * LOOK_S
         if blocked and not self._blocked:
             self.blocks += 1
-            self._say(lambda: _log.warning("a subscriber that hangs holds up contact events"))
+            self._say(lambda: _log.warning("contact events are held up"))
         self._blocked = blocked
         self._blocked_looks = self._blocked_looks + 1 if blocked else 0
         if self._blocked_looks == self._last_look:  # Zenoh drops who hangs, and then it ends

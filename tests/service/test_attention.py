@@ -102,7 +102,7 @@ def test_a_count_is_shown_when_it_grows_and_for_a_minute() -> None:
     of_old = view(service(events_lost=3))
     assert attention.look(of_old, {}, 0) == [], "nobody can do anything about it now"
     (grown,) = attention.look(view(service(events_lost=4)), {}, S)
-    assert grown.what == "4 contact events were lost to a subscriber that hung"
+    assert grown.what == "4 contact events were lost: held up for too long, or the link was closed"
     assert len(attention.look(view(service(events_lost=4)), {}, 60 * S)) == 1
     assert attention.look(view(service(events_lost=4)), {}, 62 * S) == []
     assert attention.look(view(service(events_lost=0)), {}, 63 * S) == [], "it began again"

@@ -127,6 +127,22 @@ def test_losses_over_a_restart_count_from_the_last_sample_that_was_used(
         assert missed(second) == 10
 
 
+def test_a_status_after_a_restart_has_the_gap_or_says_that_it_lacks_it(
+    live: Live, statuses: Any, sample: Sample
+) -> None:
+    with live() as first:
+        first.hear(*(sample(seq) for seq in range(1, 11)))
+    with live() as second:
+        got = statuses(second)
+        second.idle(60)
+        assert "`missed` lacks" in got.wait(1)[-1].note
+        second.hear(sample(211), sample(212))  # one sample could be another writer's
+        second.now_ns += S
+        second.hear(sample(213), sample(214))
+        found = got.wait(lambda items: items[-1].status == "valid")
+        assert [status.missed for status in found if status.status == "valid"] == [200]
+
+
 def test_losses_over_a_restart_count_though_another_publisher_spoke_last(
     live: Live, missed: Any, sample: Sample
 ) -> None:

@@ -414,11 +414,12 @@ def test_the_command(
 
 
 def test_what_the_service_says_of_itself_is_found() -> None:
-    told = service(note="state: disk full", events_lost=3, slow_puts=2, stalls=1)
+    told = service(note="state: disk full", events_lost=3, slow_puts=5, late_puts=3, stalls=1)
     messages = [(SERVICE_STATUS, encode(told)), *good()[1:]]
     assert whats(diagnose(receive(*messages), 3.0, alive=True)) == [
         "error: the service says: state: disk full",
-        "error: 3 contact events were lost to a subscriber that hung",
+        "error: 3 contact events were lost: held up for too long, or the link was closed",
         "warning: 1 times the service stood still for a second or more",
         "note: 2 contact events were held up by a subscriber that hung",
+        "note: 3 contact events were late, though no subscriber hung: its computer is busy",
     ]

@@ -75,11 +75,13 @@ class Bench:
         self.blocked_ns = 0
         self.stalls: list[float] = []
         self.ended = 0
+        self.now_s = 0.0
         self.dog = Watchdog(
             lambda: self.beat,
             lambda _: self.blocked_ns,
             on_stall=self.stalls.append,
             on_end=self._end,
+            clock_s=lambda: self.now_s,
         )
 
     def _end(self) -> None:
@@ -108,6 +110,17 @@ def test_a_stall_is_told_once_and_its_end_too() -> None:
     assert bench.stalls == [1.0, 1.25, 1.5, 1.75, 2.0]
     assert [line["event"] for line in logs] == ["worker stands still", "worker goes on"]
     assert bench.ended == 0
+
+
+@pytest.mark.parametrize("stopped_s", [1.5, 60.0, 86_400.0])
+def test_a_process_that_was_stopped_is_counted_once_and_goes_on(stopped_s: float) -> None:
+    bench = Bench()
+    with capture_logs() as logs:
+        for k in range(20):
+            bench.now_s += stopped_s if k == 10 else LOOK_S
+            bench.look(1, beat=k != 10)  # the worker has not come round yet
+    assert (bench.dog.stalls, bench.ended) == (1, 0)
+    assert [line["event"] for line in logs] == ["process stood still"]
 
 
 def test_half_a_minute_is_the_end() -> None:
@@ -173,7 +186,7 @@ def test_a_put_that_blocks_is_told_once() -> None:
             bench.blocked_ns = int(blocked_s * S)
             bench.look(1, beat=True)
     assert bench.dog.blocks == 2
-    assert {line["event"] for line in logs} == {"a subscriber that hangs holds up contact events"}
+    assert {line["event"] for line in logs} == {"contact events are held up"}
 
 
 def test_a_put_that_blocks_for_half_a_minute_is_the_end() -> None:
@@ -213,7 +226,12 @@ def test_a_blocked_put_holds_only_the_outbox_up_and_the_oldest_are_counted_as_lo
     assert box.busy_ns(time.monotonic_ns()) == 0
 
 
-def test_slow_puts_and_closed_links_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("held_s", [0, 2])
+def test_slow_puts_and_closed_links_are_counted(
+    monkeypatch: pytest.MonkeyPatch, held_s: int
+) -> None:
+    """Only a link that was seen to take nothing makes its subscriber the cause."""
+
     class Slow:
         def put(self, message: Message) -> None:
             now[0] += S
@@ -226,17 +244,19 @@ def test_slow_puts_and_closed_links_are_counted(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(
         "adaptive_contact.service.event_publisher.time.monotonic_ns", lambda: now[0]
     )
-    box = EventPublisher()
+    box = EventPublisher(lambda: held_s * S)
     with capture_logs() as logs:
+        now[0] = S
         box.post(Slow(), message(1), now[0])
         box.post(Closed(), message(2), now[0])
         box.dropped(3)
-    assert (box.slow, box.lost, box.cut_off, box.latencies()) == (1, 1, 3, [S])
+    late = held_s < 1
+    assert (box.slow, box.late, box.lost, box.cut_off, box.latencies()) == (1, late, 1, 3, [S])
     assert box.dropped_within(now[0] + S, S)
     assert not box.dropped_within(now[0] + S + 1, S)
     held, lost, dropped = logs
-    assert held["event"] == "subscribers that hang held up contact events"
-    assert held["for_ms"] == 1000
+    assert (held["event"], held["for_ms"]) == ("contact events held up", 1000)
+    assert ("subscriber" in held["by"]) is not late
     assert (lost["event"], lost["why"], lost["times"]) == ("contact events lost", "closed", 1)
     assert dropped["event"].startswith("links dropped that held up contact events")
     assert dropped["links"] == 3
@@ -297,7 +317,7 @@ def test_the_last_status_tells_of_events_lost_at_the_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     box = EventPublisher()
-    monkeypatch.setattr(server, "EventPublisher", lambda: box)
+    monkeypatch.setattr(server, "EventPublisher", lambda _: box)
     service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
     got = inbox(ServiceStatus)
     join(router.endpoints[0]).subscribe(SERVICE_STATUS, got, history=True)
@@ -319,15 +339,18 @@ def test_the_last_status_tells_of_events_lost_at_the_end(
 def test_what_is_held_up_now_is_told(
     router: Link, fake: ModuleType, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    blocked_ns = [0]
+    blocked_ns, held_ns = [0], [0]
     monkeypatch.setattr(EventPublisher, "busy_ns", lambda _box, now_ns: blocked_ns[0])
+    monkeypatch.setattr(router, "held_ns", lambda: held_ns[0])
     service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
-    for blocked, note in (
-        (0.4, None),
-        (1.23, "a subscriber that hangs has held up contact events for 1.2 s"),
+    computer = "this computer, overloaded or stopped, has held up contact events for 1.2 s"
+    for blocked, held_s, note in (
+        (0.4, 9, None),
+        (1.23, 9, "a subscriber that hangs has held up contact events for 1.2 s"),
+        (1.23, 8, computer),
     ):
-        blocked_ns[0] = int(blocked * S)
-        assert service.status(0).note == note
+        blocked_ns[0], held_ns[0] = int(blocked * S), held_s * S
+        assert service.status(10 * S).note == note
 
 
 def test_a_learner_that_hangs_is_seen_by_everyone(
