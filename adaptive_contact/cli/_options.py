@@ -355,11 +355,24 @@ def say_damage(recording: Recording) -> None:
         say_note(f"{recording.path}: {line}")
 
 
-def described_robot(config: Path | None) -> Robot:
-    """The robot of ``--config``, or the shipped hexapod."""
+def described_robot(config: Path | None, shipped: str = "hexapod") -> Robot:
+    """The robot of ``--config``, or a shipped one; said where a robot.toml lies here unused."""
     from adaptive_contact.robot import load_robot, shipped_robot
 
-    return shipped_robot() if config is None else load_robot(config)
+    if config is not None:
+        return load_robot(config)
+    robot = shipped_robot(shipped)
+    unused = _unused_here()
+    if unused:
+        say_note(f"no --config: the robot is the shipped '{robot.name}'{unused}")
+    return robot
+
+
+def _unused_here() -> str:
+    """The end of a line on a robot.toml of this folder that is not used (decision 47)."""
+    if not Path("robot.toml").is_file():
+        return ""
+    return "; this folder's robot.toml is not used, --config robot.toml takes it"
 
 
 def learned_of(
@@ -400,7 +413,7 @@ def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
         if known is None:
             raise ConfigurationError(
                 f"{path}: recorded from robot '{name}', which does not ship; give the --config of "
-                f"'{name}'"
+                f"'{name}'{_unused_here()}"
             )
         if robot is not None and known != robot:
             raise ConfigurationError(
@@ -411,6 +424,6 @@ def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
     robot = robot or shipped_robot()
     say_note(
         f"no --config: taken for the shipped robot '{robot.name}' "
-        f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)"
+        f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms){_unused_here()}"
     )
     return robot

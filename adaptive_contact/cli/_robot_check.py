@@ -353,10 +353,11 @@ def check(
             err=True,
         )
         return
-    _check_bus(config, device, picture, _BUS_S if seconds is None else seconds, stop)
+    _check_bus(robot, config, device, picture, _BUS_S if seconds is None else seconds, stop)
 
 
 def _check_bus(
+    robot: Robot,
     config: Path | None,
     device: list[str] | None,
     picture: Path | None,
@@ -371,7 +372,6 @@ def _check_bus(
 
     from adaptive_contact.cli._console import table_console
 
-    robot = opt.described_robot(config)
     plans = plans_of(robot, config, device)
     shake_hands(plans)
     for line in compare(read_servos(plans)):

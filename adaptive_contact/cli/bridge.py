@@ -309,7 +309,6 @@ class VirtualOptions:
         Raises:
             ConfigurationError: an option cannot be used.
         """
-        from adaptive_contact.robot import load_robot, shipped_robot
         from adaptive_contact_sim.virtual import parse_fault
         from adaptive_contact_sim.virtual.assembly import VirtualSettings
         from adaptive_contact_sim.virtual.session import VirtualPlan
@@ -322,7 +321,7 @@ class VirtualOptions:
             if path is not None:
                 opt.check_output(path, name, [self.config])
         return VirtualPlan(
-            robot=shipped_robot(self.robot) if self.config is None else load_robot(self.config),
+            robot=opt.described_robot(self.config, self.robot),
             simulated=self.robot,
             directory=self.directory,
             ports=self.ports,

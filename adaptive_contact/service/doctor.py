@@ -191,8 +191,8 @@ def _faults(
         yield None, Fault.of("nobody_publishes")
         return
     known = [leg for leg, facts in described.items() if facts.described]
-    if known:
-        for fault in check_ids(sorted(published), known):
+    if known and service is not None:
+        for fault in check_ids(sorted(published), known, service.robot):
             yield None, fault
     twins = dict(check_twins(seen.samples))
     unexplained: list[str] = []

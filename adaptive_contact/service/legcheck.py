@@ -155,8 +155,8 @@ def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[
         yield leg, Fault.of("twins", key=" ".join(sorted([leg, *others])))
 
 
-def check_ids(published: Sequence[str], described: Sequence[str]) -> Iterator[Fault]:
-    """Compare the legs that a source publishes with those of robot.toml.
+def check_ids(published: Sequence[str], described: Sequence[str], robot: str) -> Iterator[Fault]:
+    """Compare the legs that a source publishes with those of a robot's description.
 
     Yields:
         A fault of the whole robot where both have legs that the other lacks.
@@ -164,7 +164,9 @@ def check_ids(published: Sequence[str], described: Sequence[str]) -> Iterator[Fa
     strangers = [leg for leg in published if leg not in described]
     missing = [leg for leg in described if leg not in published]
     if strangers and missing:
-        yield Fault.of("leg_ids", strangers=of_legs(strangers), missing=of_legs(missing))
+        yield Fault.of(
+            "leg_ids", robot=robot, strangers=of_legs(strangers), missing=of_legs(missing)
+        )
 
 
 def _refusals(refused: Sequence[Rejected]) -> Iterator[Fault]:

@@ -159,7 +159,8 @@ class LiveCheck:
         wrong = {finding.leg: finding for finding in verdict.findings}
         faults: list[tuple[str | None, Fault]] = []
         sending = [name for name, leg in self._legs.items() if leg.samples or leg.refused]
-        for fault in check_ids(sorted({*sending, *self._strangers}), list(self._robot.leg_ids)):
+        published, known = sorted({*sending, *self._strangers}), self._robot.leg_ids
+        for fault in check_ids(published, known, self._robot.name):
             faults.append((None, fault))
         for name, leg in self._legs.items():
             faults += [(name, fault) for fault in leg.faults(seconds)]

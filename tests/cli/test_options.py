@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from importlib import resources
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,6 +15,7 @@ from hypothesis import strategies as st
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli import main
 from adaptive_contact.durations import seconds_of
 
@@ -154,3 +157,28 @@ def test_what_is_no_duration_is_one_line(
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert says in said
+
+
+@pytest.mark.parametrize(
+    "taken",
+    [
+        opt.described_robot,
+        lambda config: opt.described_robot(config, "quadruped12"),
+        lambda config: opt.recorded_robot(config, []),
+    ],
+)
+def test_a_robot_toml_of_the_folder_is_not_taken_and_that_is_said(
+    taken: Any, tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    taken(None)
+    assert "robot.toml" not in capsys.readouterr().err
+    shipped = resources.files("adaptive_contact_models") / "quadruped12" / "robot.toml"
+    Path("robot.toml").write_text(shipped.read_text().replace('"quadruped12"', '"mine"'))
+    robot = taken(None)
+    line = capsys.readouterr().err
+    assert robot.name != "mine"
+    assert robot.name in line
+    assert "--config robot.toml takes it" in line
+    assert taken(Path("robot.toml")).name == "mine"
+    assert not capsys.readouterr().err

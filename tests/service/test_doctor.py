@@ -182,7 +182,10 @@ def test_joints_phase_and_unknown_legs_are_held_against_robot_toml() -> None:
     bare = LegFacts(joints=FACTS.joints, lengths=False)
     assert "no phase" in only(judge(stream(phase=None), facts=bare)).what
     unknown = LegFacts(joints=["joint 1"], lengths=True, described=False)
-    assert "the leg is not in robot.toml" in only(judge(stream(), facts=unknown)).what
+    assert (
+        "the leg is not in the robot.toml that is served"
+        in only(judge(stream(), facts=unknown)).what
+    )
     told = only(judge(stream(), facts=None, period_s=None))
     assert (told.level, told.detail) == ("note", "samples come every 20.0 ms (50.0 Hz)")
 
