@@ -33,7 +33,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun same same-faults pico prior strangers
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun golden same same-faults pico prior strangers
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -94,6 +94,9 @@ links: env  ## 1 to 64 links that are cut or hang, up to 130 viewers that stop r
 many: env  ## LEGS legs of one robot.toml at 50 Hz for MINUTES: losses, latency, memory, shares of a core
 	PYTHONPATH=tests $(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many \
 	  $(MANY_OPTIONS)
+
+golden: env  ## what golden recordings are to give, made again: in a commit of its own, with scores before and after
+	PYTHONPATH=tests $(BIN)/python -m same --golden $(ONLY)
 
 same-faults: env  ## faults of one line that `make same` must find, planted one after another
 	PYTHONPATH=tests $(BIN)/python -m same --faults

@@ -17,6 +17,7 @@ from rich.console import Console
 
 from .compare import Flip, compare, known_fields
 from .faults import FAULTS, Fault, find, planted
+from .golden import RECORDINGS, remake
 from .recordings import RECIPES, kept
 from .report import MOST_FLIPS, print_faults, print_report, write_json
 from .trees import ROOT, Tree, missing, of_revision, playing, tidy, working
@@ -28,6 +29,10 @@ PROCESSES: Final = 2
 def main() -> int:
     """Do what the command line says; 0 where nothing differs unexpectedly."""
     options = _options()
+    if options.golden is not None:
+        for name in options.golden or RECORDINGS:
+            print(f"{name}: {remake(name)}", flush=True)
+        return 0
     recordings = options.only or list(RECIPES)
     console = Console(width=None if sys.stdout.isatty() else 120)
     console.print(f"recordings: {len(recordings)}, in out/same/recordings", highlight=False)
@@ -138,6 +143,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--ignore", **names, help="fields that may differ, such as status.note")
     parser.add_argument("--fresh", action="store_true", help="replay what was replayed before")
     parser.add_argument("--faults", nargs="*", help="find planted faults; all where none is named")
+    parser.add_argument("--golden", nargs="*", help="make golden files again; all, or those named")
     options = parser.parse_args([part for part in sys.argv[1:] if part])
     unknown = sorted({*options.expect, *options.only} - set(RECIPES))
     if unknown:

@@ -14,9 +14,9 @@ __all__ = ["Comparison", "Difference", "Flip", "compare", "flat", "known_fields"
 
 # Names of fields, by kind of message.
 Fields = dict[str, set[str]]
-Kind = Literal["event", "status", "confirmed", "report", "snapshot", "fault"]
+Kind = Literal["event", "status", "confirmed", "judged", "report", "snapshot", "fault"]
 KINDS: Final[tuple[Kind, ...]] = (
-    "event", "status", "confirmed", "report", "snapshot", "fault",
+    "event", "status", "confirmed", "judged", "report", "snapshot", "fault",
 )  # fmt: skip
 
 # Maps of a snapshot whose keys are data, such as the reasons that occurred.
@@ -88,6 +88,20 @@ class Comparison:
     notes: set[str] = field(default_factory=set)
 
     @property
+    def first(self) -> str:
+        """The first tick that differs: of which leg, what was expected, what was found."""
+        differing = [
+            (d.round, d.leg, f"{d.kind}.{d.field}", d.before, d.after) for d in self.differences
+        ]
+        differing += [
+            (f.round, f.leg, f"contact {f.contact}, score", f.before, f.after) for f in self.flips
+        ]
+        if not differing:
+            return "none"
+        tick, leg, what, before, after = min(differing, key=lambda of: (of[0] < 0, *of[:2]))
+        return f"leg {leg}, tick {tick}, {what}: expected {before!r}, found {after!r}"
+
+    @property
     def same(self) -> bool:
         """Whether nothing differs by more than the tolerance."""
         return not (self.flips or self.differences)
@@ -131,6 +145,9 @@ def compare(
         of.values("status", leg, number, one[0], other[0])
         if one[1] != other[1]:
             of.differ("confirmed", leg, number, "confirmed", one[1], other[1])
+    judged = [{(n, leg): of for n, leg, of in side.get("probes", ())} for side in (before, after)]
+    for number, leg in judged[0].keys() & judged[1].keys():
+        of.values("judged", leg, number, *(side[number, leg] for side in judged))
     for leg in before["end"].keys() & after["end"].keys():
         one, other = before["end"][leg], after["end"][leg]
         of.values("report", leg, -1, one["report"], other["report"])

@@ -114,18 +114,20 @@ def play(recording: dict[str, Any], folder: Path) -> dict[str, Any]:
     try:
         learners = Learners(recording, folder)
         restarts = set(recording["restarts"])
-        asked = {}
+        asked: dict[int, set[str]] = {}
         for number, legs in recording["looks"]:
             asked.setdefault(number, set()).update(legs)
+        probed: dict[int, set[str]] = {}
+        for number, leg in recording["probes"]:
+            probed.setdefault(number, set()).add(leg)
         for number, samples in enumerate(recording["rounds"]):
             if number in restarts:
                 learners.restart()
             made = {leg: ServoSample(**sample) for leg, sample in samples.items()}
             for event in learners.update(made):
                 events.append([number, event.leg, plain("event", event)])
-            for at, leg in recording["probes"]:
-                if at == number:
-                    probes.append([number, leg, learners.judged(leg)])
+            for leg in sorted(probed.get(number, ())):
+                probes.append([number, leg, learners.judged(leg)])
             for leg in sorted(asked.get(number, ())):
                 learner = learners[leg]
                 status = plain("status", learner.status)

@@ -101,24 +101,21 @@ def _make(name: str, path: Path) -> None:
 # -- starts ----------------------------------------------------------------------------------------
 
 
-def _cold_start() -> Recording:
-    recording = hexapod_pose(5201)
+def cold(recording: Recording) -> Recording:
     recording.baseline = None
     return recording
 
 
-def _other_leg() -> Recording:
-    recording = hexapod_pose(5202)
+def with_baseline_of(recording: Recording, other: str) -> Recording:
     assert recording.baseline is not None
     table = json.loads(recording.baseline)
-    table["legs"] = {"rf": table["legs"]["lf"]}
+    table["legs"] = {"rf": table["legs"][other]}
     recording.baseline = json.dumps(table).encode()
     return recording
 
 
-def _unfit_baseline() -> Recording:
+def unfit_baseline(recording: Recording) -> Recording:
     """A baseline that promises an eighth of the noise: given up, and the leg learned again."""
-    recording = hexapod_pose(5208)
     assert recording.baseline is not None
     table = json.loads(recording.baseline)
     leg = table["legs"]["rf"]
@@ -154,16 +151,15 @@ def _preview_library() -> Recording:
     return recording
 
 
-def _service_restart() -> Recording:
+def service_restart(recording: Recording) -> Recording:
     """The service starts again while the leg touches, and while an old publisher still speaks."""
-    recording = hexapod_pose(5206, drift=change("friction", 4.0))
     rounds: list[Round] = []
     for number, samples in enumerate(recording.rounds):
         samples["rf"]["run"] = 71 if number < 1400 else 72
         rounds.append(samples)
         if 1400 <= number < 1700:  # a process that was thought to have ended
             rounds.append({"rf": {**samples["rf"], "run": 71}})
-    recording = _streams(recording, rounds)
+    recording = streams(recording, rounds)
     recording.restarts = [700, 1601, 3001]
     return recording
 
@@ -186,7 +182,7 @@ def _quadruped() -> Recording:
 # -- streams with faults ---------------------------------------------------------------------------
 
 
-def _streams(recording: Recording, rounds: Iterable[Round]) -> Recording:
+def streams(recording: Recording, rounds: Iterable[Round]) -> Recording:
     """The recording with other rounds; the status is noted at every tenth."""
     recording.rounds = list(rounds)
     legs = sorted({leg for samples in recording.rounds for leg in samples})
@@ -195,9 +191,8 @@ def _streams(recording: Recording, rounds: Iterable[Round]) -> Recording:
     return recording
 
 
-def _restarted(*, run: bool) -> Recording:
+def restarted(parts: Sequence[Recording], *, run: bool) -> Recording:
     """A source that starts again: in a swing, in a stance, and then every few samples."""
-    parts = [hexapod_pose(5301 + i, seconds=s) for i, s in enumerate((21.0, 14.1, 20.0))]
     rounds: list[Round] = []
     number = 0
     for part in parts:
@@ -212,22 +207,26 @@ def _restarted(*, run: bool) -> Recording:
                     if run:
                         sample["run"] = 1_700_000_000_000 + number
                 rounds.append(samples)
-    return _streams(parts[0], rounds)
+    return streams(parts[0], rounds)
 
 
-def _tripod(seed: int, encoder: EncoderSettings) -> Recording:
+def _parts() -> list[Recording]:
+    return [hexapod_pose(5301 + i, seconds=s) for i, s in enumerate((21.0, 14.1, 20.0))]
+
+
+def tripod(seed: int, seconds: float, encoder: EncoderSettings) -> Recording:
     """Three legs in pose at a time."""
     poses = tuple(
         PoseSettings(legs=(leg,), obstacles=ObstacleSettings(probability=0.4)) for leg in TRIPOD
     )
     settings = SimulationSettings(motion=PoseGroupSettings(poses), seed=seed, encoder=encoder)
-    return hexapod(simulated(settings, 60.0, TRIPOD))
+    rounds = simulated(settings, seconds, TRIPOD)
+    return streams(hexapod(rounds), rounds)
 
 
-def _lost_samples() -> Recording:
-    """Three legs: readings marked as missing, and samples lost of one leg or of all."""
+def lost_samples(recording: Recording) -> Recording:
+    """Samples lost of one of three legs or of all."""
     rng = np.random.default_rng(5311)
-    recording = _tripod(5310, EncoderSettings(dropped=0.01))
     lost: set[tuple[int, str]] = set()
     for leg in (*TRIPOD, *TRIPOD, "all"):
         for start in rng.integers(100, 2900, 20).tolist():
@@ -238,19 +237,12 @@ def _lost_samples() -> Recording:
         {leg: s for leg, s in samples.items() if (number, leg) not in lost}
         for number, samples in enumerate(recording.rounds)
     ]
-    return _streams(recording, [samples for samples in rounds if samples])
+    return streams(recording, [samples for samples in rounds if samples])
 
 
-def _failing_readings() -> Recording:
-    """Three legs: readings that come twice, and readings of -π for none."""
-    recording = _tripod(5312, EncoderSettings(repeated=0.01, bogus=0.003))
-    return _streams(recording, recording.rounds)
-
-
-def _late_ticks() -> Recording:
+def late_ticks(recording: Recording) -> Recording:
     """Ticks that come late, their readings as well as their stamps, and pauses of the source."""
     rng = np.random.default_rng(5313)
-    recording = hexapod_pose(5314, seconds=60.0)
     late_ns = 0
     for number, samples in enumerate(recording.rounds):
         if number in (900, 1700):  # that no number shows
@@ -258,34 +250,31 @@ def _late_ticks() -> Recording:
         if number > 2000 and rng.random() < 0.05:
             late_ns += 14_000_000
         samples["rf"]["t_ns"] += late_ns
-    return _streams(recording, recording.rounds)
+    return streams(recording, recording.rounds)
 
 
-def _stamp_jitter() -> Recording:
+def stamp_jitter(recording: Recording) -> Recording:
     """Readings on time with stamps that are not: by 3 ms, then by 6 ms (standard deviation)."""
     rng = np.random.default_rng(5322)
-    recording = hexapod_pose(5323, seconds=50.0)
     for number, samples in enumerate(recording.rounds):
         deviation_ns = 0.0 if number < 500 else 3e6 if number < 1500 else 6e6
         jitter_ns = float(np.clip(rng.normal(), -1.5, 1.5)) * deviation_ns
         samples["rf"]["t_ns"] += 20_000_000 + round(jitter_ns)
-    return _streams(recording, recording.rounds)
+    return streams(recording, recording.rounds)
 
 
-def _other_rate() -> Recording:
+def other_rate(recording: Recording) -> Recording:
     """Ticks of 25 ms for 8 s, and of 20.6 ms for 8 s."""
-    recording = hexapod_pose(5320, seconds=50.0)
     t_ns = 0
     for number, samples in enumerate(recording.rounds):
         t_ns += 25_000_000 if 700 <= number < 1020 else PERIOD_NS
         t_ns += 600_000 if 1300 <= number < 1700 else 0
         samples["rf"]["t_ns"] = t_ns
-    return _streams(recording, recording.rounds)
+    return streams(recording, recording.rounds)
 
 
-def _two_publishers() -> Recording:
+def two_publishers(first: Recording, second: Recording) -> Recording:
     """Two sources of one leg: together, the older alone again, and the newer again."""
-    first, second = hexapod_pose(5331, seconds=40.0), hexapod_pose(5332, seconds=40.0)
     rounds: list[Round] = []
     for number, (one, other) in enumerate(zip(first.rounds, second.rounds, strict=True)):
         one["rf"]["run"], other["rf"]["run"] = 41, 42
@@ -294,12 +283,11 @@ def _two_publishers() -> Recording:
             rounds.append(one)
         if 600 <= number < 1200 or number >= 1500:
             rounds.append(other)
-    return _streams(first, rounds)
+    return streams(first, rounds)
 
 
-def _spoilt(seed: int, seconds: float, spoilers: Sequence[Spoiler]) -> Recording:
+def spoilt(recording: Recording, spoilers: Sequence[Spoiler]) -> Recording:
     """One bad sample a second and some, each kind in turn."""
-    recording = hexapod_pose(seed, seconds=seconds)
     last = len(recording.rounds) - 20
     rounds: list[Round] = []
     for number, samples in enumerate(recording.rounds):
@@ -313,7 +301,7 @@ def _spoilt(seed: int, seconds: float, spoilers: Sequence[Spoiler]) -> Recording
         rounds.append({"rf": spoilt})
         if not instead:
             rounds.append(samples)
-    return _streams(recording, rounds)
+    return streams(recording, rounds)
 
 
 def _with(sample: Sample, **fields: Any) -> Sample:
@@ -325,7 +313,7 @@ def _one(values: Sequence[float], joint: int, value: float) -> list[float]:
 
 
 # Samples that no learner can use, and whether each comes instead of the good one or besides.
-_UNUSABLE: Final[tuple[Spoiler, ...]] = (
+UNUSABLE: Final[tuple[Spoiler, ...]] = (
     lambda s, _: (_with(s, measured=_one(s["measured"], 1, math.nan)), True),
     lambda s, _: (_with(s, desired=_one(s["desired"], 0, math.inf)), False),
     lambda _, before: (before, False),  # twice
@@ -345,7 +333,7 @@ _UNUSABLE: Final[tuple[Spoiler, ...]] = (
     lambda s, _: (_with(s, valid=[False, False, False]), True),
 )
 # Readings that no leg can have made.
-_UNREAL: Final[tuple[Spoiler, ...]] = (
+UNREAL: Final[tuple[Spoiler, ...]] = (
     lambda s, _: (_with(s, measured=_one(s["measured"], 1, -math.pi)), True),
     lambda s, _: (_with(s, measured=[x + 2 * math.pi for x in s["measured"]]), True),
     lambda s, _: (_with(s, measured=[0.0, 0.0, 0.0]), True),
@@ -354,9 +342,8 @@ _UNREAL: Final[tuple[Spoiler, ...]] = (
 )
 
 
-def _wrong_signs() -> Recording:
+def wrong_signs(recording: Recording) -> Recording:
     """Pitch angles that grow downwards: the baseline is of another leg, and one is learned."""
-    recording = hexapod_pose(5351, obstacles=0.3)
     for samples in recording.rounds:
         for sample in samples.values():
             for name in ("measured", "desired"):
@@ -390,22 +377,24 @@ RECIPES: Final[dict[str, Callable[[], Recording]]] = {
         5112, staging=Staging(caught_s=(CHANGE_S, 50.0), trails_n=12.0)
     ),
     "caught-foot": lambda: hexapod_pose(5110, staging=Staging(caught_s=(CHANGE_S, 50.0))),
-    "cold-start": _cold_start,
-    "other-leg": _other_leg,
-    "unfit-baseline": _unfit_baseline,
+    "cold-start": lambda: cold(hexapod_pose(5201)),
+    "other-leg": lambda: with_baseline_of(hexapod_pose(5202), "lf"),
+    "unfit-baseline": lambda: unfit_baseline(hexapod_pose(5208)),
     "no-lengths": _no_lengths,
     "preview-library": _preview_library,
     "quadruped": _quadruped,
-    "service-restart": _service_restart,
-    "restart-with-run": lambda: _restarted(run=True),
-    "restart-without-run": lambda: _restarted(run=False),
-    "lost-samples": _lost_samples,
-    "failing-readings": _failing_readings,
-    "late-ticks": _late_ticks,
-    "other-rate": _other_rate,
-    "stamp-jitter": _stamp_jitter,
-    "two-publishers": _two_publishers,
-    "bad-samples": lambda: _spoilt(5341, 70.0, _UNUSABLE),
-    "bad-readings": lambda: _spoilt(5342, 60.0, _UNREAL),
-    "wrong-signs": _wrong_signs,
+    "service-restart": lambda: service_restart(hexapod_pose(5206, drift=change("friction", 4.0))),
+    "restart-with-run": lambda: restarted(_parts(), run=True),
+    "restart-without-run": lambda: restarted(_parts(), run=False),
+    "lost-samples": lambda: lost_samples(tripod(5310, 60.0, EncoderSettings(dropped=0.01))),
+    "failing-readings": lambda: tripod(5312, 60.0, EncoderSettings(repeated=0.01, bogus=0.003)),
+    "late-ticks": lambda: late_ticks(hexapod_pose(5314, seconds=60.0)),
+    "other-rate": lambda: other_rate(hexapod_pose(5320, seconds=50.0)),
+    "stamp-jitter": lambda: stamp_jitter(hexapod_pose(5323, seconds=50.0)),
+    "two-publishers": lambda: two_publishers(
+        hexapod_pose(5331, seconds=40.0), hexapod_pose(5332, seconds=40.0)
+    ),
+    "bad-samples": lambda: spoilt(hexapod_pose(5341, seconds=70.0), UNUSABLE),
+    "bad-readings": lambda: spoilt(hexapod_pose(5342, seconds=60.0), UNREAL),
+    "wrong-signs": lambda: wrong_signs(hexapod_pose(5351, obstacles=0.3)),
 }

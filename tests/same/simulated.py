@@ -132,13 +132,15 @@ def hexapod(rounds: list[Round]) -> Recording:
     return Recording(robot, shipped("hexapod", "baseline.json"), rounds, looks_of(rounds))
 
 
-def hexapod_walk(seed: int, kind: str, gait: str = "tripod", *, phase: bool = True) -> Recording:
+def hexapod_walk(
+    seed: int, kind: str, gait: str = "tripod", *, phase: bool = True, seconds: float = WALK_S
+) -> Recording:
     settings = SimulationSettings(
         motion=WalkSettings(gait=gait),  # type: ignore[arg-type]
         terrain=TerrainSettings(kind=kind),  # type: ignore[arg-type]
         seed=seed,
     )
-    recording = hexapod(simulated(settings, WALK_S, LEGS))
+    recording = hexapod(simulated(settings, seconds, LEGS))
     if not phase:
         for samples in recording.rounds:
             for sample in samples.values():

@@ -28,6 +28,7 @@ import numpy  # noqa: F401 - its BLAS is among the kernels
 import threadpoolctl
 
 __all__ = [
+    "ONE_THREAD",
     "PACKAGE",
     "ROOT",
     "Playing",
@@ -44,7 +45,7 @@ _PLAY: Final = Path(__file__).with_name("play.py")
 # What a revision is replayed with; its simulator and its models are not used.
 PACKAGE: Final = "adaptive_contact"
 _NUMERIC: Final = ("numpy", "scipy", "scikit-learn", "pysindy", "msgspec", "numba", "llvmlite")
-_ONE_THREAD: Final = dict.fromkeys(
+ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
 
@@ -174,7 +175,7 @@ def playing(
             files = [str(f) for name in names for f in (recordings[name], outcomes[name])]
             process = subprocess.Popen(
                 [sys.executable, "-P", str(_PLAY), str(tree.path), *files],
-                env={**os.environ, **_ONE_THREAD, "PYTHONPATH": str(tree.path)},
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": str(tree.path)},
                 stdout=subprocess.PIPE,
                 text=True,
             )

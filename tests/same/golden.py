@@ -1,0 +1,278 @@
+"""Golden recordings: what learners are given, and what they must make of it; files in the tree.
+
+Motions are stored in whole encoder steps, as physics differ between processors.  A recording is a
+motion and what is done to it on its way (:data:`RECORDINGS`).  Expected are its events, its
+statuses every 50 ticks, and the score of every tick.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from adaptive_contact.robot import parse_robot
+from adaptive_contact_sim import EncoderSettings, SimulationSettings
+from adaptive_contact_studies.scenarios.spec import Staging
+
+from .compare import Comparison, compare
+from .play import play
+from .recordings import (
+    UNREAL,
+    UNUSABLE,
+    cold,
+    lost_samples,
+    restarted,
+    service_restart,
+    spoilt,
+    tripod,
+    two_publishers,
+    with_baseline_of,
+    wrong_signs,
+)
+from .simulated import (
+    PERIOD_NS,
+    Recording,
+    Round,
+    change,
+    hexapod_pose,
+    hexapod_walk,
+    shipped,
+    simulated,
+)
+from .trees import ROOT
+
+FOLDER: Final = ROOT / "tests" / "golden"
+LOOK_TICKS: Final = 50
+# Absolute to 1 and relative beyond: processors and versions of numba differ by 1e-9.
+TOLERANCE: Final = 1e-6
+# What is kept of every tick, and what of it a learner reports it as; the largest, of several.
+FIGURES: Final = {"score": "scores", "p": "p"}
+_NONE: Final = (float("nan"),)
+_PHASES: Final = (None, "stance", "swing")
+
+
+def _of_robot(name: str, mode: Literal["walk", "pose"], seconds: float) -> list[Round]:
+    robot = parse_robot(shipped(name, "robot.toml").decode(), source=name)
+    settings = SimulationSettings.of(name, mode)
+    moves: Any = settings.motion
+    if mode == "pose":
+        moves = replace(moves, obstacles=replace(moves.obstacles, probability=0.5))
+    settings = replace(settings, motion=moves, seed=5407, period_s=robot.period_s)
+    return simulated(settings, seconds, [leg.id for leg in robot.legs])
+
+
+def _pose(seed: int, seconds: float, **settings: Any) -> list[Round]:
+    return hexapod_pose(seed, seconds=seconds, **settings).rounds
+
+
+# Robot, and how the motion was made, once.
+MOTIONS: Final[dict[str, tuple[str, Callable[[], list[Round]]]]] = {
+    "pose": ("hexapod", lambda: _pose(5401, 60.0)),
+    "drift": ("hexapod", lambda: _pose(5402, 30.0, drift=change("friction", 4.0, 8.0))),
+    "caught": ("hexapod", lambda: _pose(5403, 24.0, staging=Staging(caught_s=(6.0, 14.0)))),
+    "post": ("hexapod", lambda: _pose(5404, 20.0, obstacles=0.9, approach="forward")),
+    "tripod": ("hexapod", lambda: tripod(5405, 20.0, EncoderSettings()).rounds),
+    "walk": ("hexapod", lambda: hexapod_walk(5406, "rough", seconds=20.0).rounds),
+    "quadruped12": ("quadruped12", lambda: _of_robot("quadruped12", "walk", 10.0)),
+    "leg5": ("leg5", lambda: _of_robot("leg5", "pose", 20.0)),
+}
+
+
+def write_motion(name: str) -> None:
+    """Simulate a motion and store it: readings and commands in steps from those of its start."""
+    robot, make = MOTIONS[name]
+    rounds = make()
+    legs = list(rounds[0])
+    described = parse_robot(shipped(robot, "robot.toml").decode(), source=robot)
+    step = np.array([described.quantum(leg) for leg in legs])[:, None]
+    table: dict[str, Any] = {"legs": legs, "step": step}
+    for field in ("measured", "desired"):
+        angles = np.array([[samples[leg][field] for leg in legs] for samples in rounds])
+        steps = np.round((angles - angles[0]) / step)
+        table |= {field: np.diff(steps.astype(np.int16), axis=0), f"{field}_first": angles[0]}
+    phases = [[_PHASES.index(samples[leg].get("phase")) for leg in legs] for samples in rounds]
+    np.savez_compressed(FOLDER / f"{name}.npz", phase=np.array(phases, np.int8), **table)
+
+
+def motion(name: str) -> Recording:
+    """A stored motion with its robot and baseline, as it was before anything happened to it."""
+    robot, _ = MOTIONS[name]
+    text = shipped(robot, "robot.toml").decode()
+    described = parse_robot(text, source=robot)
+    with np.load(FOLDER / f"{name}.npz") as table:
+        legs, step, phase = table["legs"].tolist(), table["step"], table["phase"]
+        measured, desired = (
+            table[f"{field}_first"]
+            + step * np.cumsum(np.concatenate([0 * of[:1], of]), axis=0, dtype=np.int64)
+            for field in ("measured", "desired")
+            for of in [table[field]]
+        )
+    rounds: list[Round] = [
+        {
+            leg: {
+                "t_ns": round(number * described.period_s * 1e9),
+                "seq": number,
+                "measured": measured[number, i].tolist(),
+                "desired": desired[number, i].tolist(),
+                "phase": _PHASES[phase[number, i]],
+            }
+            for i, leg in enumerate(legs)
+        }
+        for number in range(len(phase))
+    ]
+    return Recording(text, shipped(robot, "baseline.json"), rounds)
+
+
+def _cut(recording: Recording, ticks: int, first: int = 0) -> Recording:
+    recording.rounds = recording.rounds[first : first + ticks]
+    return recording
+
+
+def _inferred_phases(recording: Recording) -> Recording:
+    """Half of the legs do not carry their phase."""
+    for samples in recording.rounds:
+        for leg in ("lf", "rm", "lr"):
+            del samples[leg]["phase"]
+    return recording
+
+
+def _off_the_clock(recording: Recording) -> Recording:
+    """Stamps that jitter, pauses, ticks that come late, and two other rates."""
+    rng = random.Random(5407)
+    late_ns = 0
+    for number, samples in enumerate(recording.rounds):
+        late_ns += 150_000_000 * (number in (1000, 1060))
+        late_ns += 14_000_000 * (1060 < number < 1300 and rng.random() < 0.05)
+        late_ns += 5_000_000 * (1400 < number < 1520) + 600_000 * (1640 < number < 1900)
+        wide_ns = 12_000_000 if number > 600 else 5_000_000
+        jitter_ns = round((rng.random() - 0.5) * wide_ns) if 300 < number < 900 else 0
+        samples["rf"]["t_ns"] += PERIOD_NS + late_ns + jitter_ns
+    return recording
+
+
+def _faulty_source(recording: Recording) -> Recording:
+    """For a while readings are copied commands; later swing and stance are swapped."""
+    commands = [samples["rf"]["desired"] for samples in recording.rounds]
+    for number, samples in enumerate(recording.rounds):
+        sample = samples["rf"]
+        if 250 <= number < 450:
+            sample["measured"] = commands[number - 2]
+        if 650 <= number < 850:
+            sample["phase"] = "stance" if sample["phase"] == "swing" else "swing"
+    return recording
+
+
+def _parts() -> list[Recording]:
+    return [_cut(motion("pose"), ticks, at) for ticks, at in ((450, 0), (400, 450), (500, 900))]
+
+
+RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
+    "drift": lambda: motion("drift"),
+    "cold-start": lambda: cold(motion("pose")),
+    "other-leg": lambda: with_baseline_of(_cut(motion("pose"), 1000), "lf"),
+    "held-foot": lambda: motion("caught"),
+    "lift-strikes": lambda: motion("post"),
+    "walk": lambda: _inferred_phases(motion("walk")),
+    "quadruped12": lambda: motion("quadruped12"),
+    "leg5": lambda: motion("leg5"),
+    "lost-samples": lambda: lost_samples(motion("tripod")),
+    "clock": lambda: _off_the_clock(_cut(motion("pose"), 2000)),
+    "bad-samples": lambda: spoilt(motion("pose"), (*UNUSABLE, *UNREAL)),
+    "faulty-source": lambda: _faulty_source(_cut(motion("pose"), 1000)),
+    "restarts": lambda: restarted(_parts(), run=True),
+    "publishers": lambda: two_publishers(motion("drift"), _cut(motion("pose"), 1500)),
+    "service": lambda: service_restart(_cut(motion("pose"), 1800)),
+    "signs": lambda: wrong_signs(_cut(motion("pose"), 1500)),
+}
+
+
+def found(name: str) -> dict[str, Any]:
+    """What the learners make of a recording."""
+    recording = RECORDINGS[name]()
+    legs = sorted({leg for samples in recording.rounds for leg in samples})
+    numbers = range(len(recording.rounds))
+    recording.looks = [(number, legs) for number in numbers[LOOK_TICKS - 1 :: LOOK_TICKS]]
+    recording.probes = [(number, leg) for number in numbers for leg in legs]
+    with tempfile.TemporaryDirectory() as folder:
+        outcome = play(asdict(recording), Path(folder))
+    outcome["end"] = {}  # its format may change
+    for look in outcome["looks"]:
+        look[3] = [len(look[3]), *look[3][-1:]]
+    for _, _, event in outcome["events"]:
+        event["onset_ns"] /= 1.0  # estimated: to the tolerance
+    for probe in outcome["probes"]:
+        judged = probe[2] or {}
+        probe[2] = {figure: max(judged.get(of, _NONE)) for figure, of in FIGURES.items()}
+    return outcome
+
+
+def compared(name: str) -> Comparison:
+    """What is expected of a recording against what is found."""
+    return compare(expected(name), found(name), tolerance=TOLERANCE)
+
+
+def remake(name: str) -> str:
+    """Make again what is expected of a recording; what was the first tick that differed."""
+    outcome = found(name)
+    first = "new"
+    if (FOLDER / f"{name}.jsonl").is_file():
+        first = compare(expected(name), outcome, tolerance=TOLERANCE).first
+    if first != "none":
+        write(name, outcome)
+    return first
+
+
+def write(name: str, outcome: dict[str, Any]) -> None:
+    """Write what is expected: a line per event, and per status with what has changed in it."""
+    lines = [outcome["fields"], outcome.get("fault")]
+    lines += [[*at, "event", _short(event)] for *at, event in outcome["events"]]
+    before: dict[str, Any] = {}
+    for number, leg, status, confirmed in outcome["looks"]:
+        changed = {k: v for k, v in status.items() if before.get(leg, {}).get(k, _short) != v}
+        lines.append([number, leg, "status", _short(changed), confirmed])
+        before[leg] = status
+    text = "\n".join(json.dumps(line) for line in lines)
+    (FOLDER / f"{name}.jsonl").write_text(text + "\n", encoding="utf-8")
+    figures: dict[str, list[list[float]]] = {}
+    for _, leg, judged in outcome["probes"]:
+        figures.setdefault(leg, []).append([judged[figure] for figure in FIGURES])
+    kept: dict[str, Any] = {leg: np.array(rows, np.float32) for leg, rows in figures.items()}
+    np.savez_compressed(FOLDER / f"{name}.scores.npz", **kept)
+
+
+def _short(value: Any) -> Any:
+    """Numbers to nine digits."""
+    if isinstance(value, dict):
+        return {key: _short(of) for key, of in value.items()}
+    if isinstance(value, list):
+        return [_short(of) for of in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value
+
+
+def expected(name: str) -> dict[str, Any]:
+    """What was written."""
+    lines = (FOLDER / f"{name}.jsonl").read_text(encoding="utf-8").splitlines()
+    fields, fault, *rest = map(json.loads, lines)
+    events, looks, last = [], [], {}
+    for number, leg, kind, values, *confirmed in rest:
+        if kind == "event":
+            events.append([number, leg, values])
+        else:
+            last[leg] = {**last.get(leg, {}), **values}
+            looks.append([number, leg, last[leg], *confirmed])
+    with np.load(FOLDER / f"{name}.scores.npz") as figures:
+        probes = [
+            [number, leg, dict(zip(FIGURES, row, strict=True))]
+            for leg in figures.files
+            for number, row in enumerate(figures[leg].tolist())
+        ]
+    return {"events": events, "looks": looks, "probes": probes, "fields": fields, "end": {}} | (
+        {} if fault is None else {"fault": fault}
+    )
