@@ -245,6 +245,7 @@ MaxSessionsOption = Annotated[
 ]
 JsonPayloadOption = Annotated[bool, option("--json", "Publish JSON payloads instead of msgpack.")]
 JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
+EquationsOption = Annotated[bool, option("--equations", "Print every leg's equations, too.")]
 ForceOption = Annotated[bool, option("--force", "Replace what is there already.")]
 SeedOption = Annotated[int, option("--seed", "Of what is random.", min=0)]
 ProcessesOption = Annotated[int, option("--processes", "Runs worked on at a time.", min=1, max=64)]

@@ -85,6 +85,7 @@ def learn(
     seed: opt.SeedOption = 0,
     realtime: opt.RealtimeOption = False,
     network: opt.Network,
+    equations: opt.EquationsOption = False,
     json: opt.JsonOption = False,
 ) -> None:
     """Learn how the legs swing in free air, say how good that is, and write a baseline."""
@@ -164,7 +165,7 @@ def learn(
         ) from error
     refuse_useless(robot, training)
     save_baseline(training.baseline, out)
-    print_training(training, robot, json=json)
+    print_training(training, robot, json=json, equations=equations)
     for line in verdict(robot, training):
         say(line, err=json)
     say(f"baseline written to {out}, the recording to {kept}", err=True)

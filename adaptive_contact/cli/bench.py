@@ -20,6 +20,9 @@ def bench(
     speeds_only: Annotated[
         bool, option("--speeds", "Leave the headline runs out (minutes of work).")
     ] = False,
+    quick: Annotated[
+        bool, option("--quick", "A fiftieth of all work: does it all run?  No figures to keep.")
+    ] = False,
     processes: ProcessesOption = 2,
     json: JsonOption = False,
 ) -> None:
@@ -38,6 +41,7 @@ def bench(
         from adaptive_contact_sim.arrays import record_arrays
         from adaptive_contact_studies.headline import HEADLINE_RUNS, run_headline
         from adaptive_contact_studies.paper.compression import compare_full
+        from adaptive_contact_studies.paper.plan import FULL
         from adaptive_contact_studies.speed import (
             export_speed,
             real_time_factor,
@@ -52,29 +56,35 @@ def bench(
     if known is None:
         raise BaselineError(f"no baseline ships for '{robot.name}'; give one with --baseline")
     console = table_console(stderr=True)
+    part = 0.02 if quick else 1.0
     rows: dict[str, Summary] = {}
     if not speeds_only:
+        runs = [run._replace(seconds=part * run.seconds) for run in HEADLINE_RUNS]
         with Progress(console=console) as bar:
-            task = bar.add_task("headline runs", total=sum(r.seconds for r in HEADLINE_RUNS))
+            task = bar.add_task("headline runs", total=sum(run.seconds for run in runs))
             rows = run_headline(
                 robot,
                 known,
+                runs,
                 processes=processes,
                 progress=lambda spec: bar.advance(task, spec.seconds),
             )
     with Progress(console=console) as bar:
-        task = bar.add_task("5,000 segments for the compressed fit", total=1.0)
-        fits = compare_full(out / "cache", robot, processes, lambda part: bar.advance(task, part))
+        segments = round(part * FULL.train_segments)
+        task = bar.add_task(f"{segments:,} segments for the compressed fit", total=1.0)
+        fits = compare_full(
+            out / "cache", robot, segments, processes, lambda done: bar.advance(task, done)
+        )
     console.print("measuring speeds")
     # The walk of the speeds is no row of the table; any seed would do.
     settings = SimulationSettings(
         motion=WalkSettings(), terrain=TerrainSettings(kind="rough"), seed=2900
     )
-    run = record_arrays(settings, 120.0)
+    run = record_arrays(settings, max(120.0 * part, 10.0))
     tick = tick_speed(run, robot, known)
     restore = restore_speed(run, robot, known)
-    simulator = real_time_factor(seconds=20.0)
-    exports = export_speed(settings)
+    simulator = real_time_factor(seconds=20.0 * part)
+    exports = export_speed(settings, 60.0 * part)
     out.mkdir(parents=True, exist_ok=True)
     result = {
         "rows": {name: summary_json(summary) for name, summary in rows.items()},

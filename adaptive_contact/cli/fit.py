@@ -51,7 +51,7 @@ def fit(
             min=0.0,
         ),
     ] = None,
-    equations: Annotated[bool, option("--equations", "Print every leg's equations, too.")] = False,
+    equations: opt.EquationsOption = False,
     json: opt.JsonOption = False,
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""
@@ -286,7 +286,7 @@ def refuse_useless(robot: Robot, training: Training) -> None:
     raise typer.Exit(1)
 
 
-def print_training(training: Training, robot: Robot, *, json: bool, equations: bool = True) -> None:
+def print_training(training: Training, robot: Robot, *, json: bool, equations: bool) -> None:
     """Show how well every leg was learned, after its equations where they are wanted."""
     import numpy as np
 

@@ -31,6 +31,7 @@ def baseline(
     ] = "hexapod",
     processes: opt.ProcessesOption = 2,
     scheduler: SchedulerOption = None,
+    equations: opt.EquationsOption = False,
     json: opt.JsonOption = False,
 ) -> None:
     """Record a simulated robot and learn its baseline; the result depends on no clock."""
@@ -44,13 +45,14 @@ def baseline(
         from adaptive_contact_studies.training import learn_shipped
         from adaptive_contact_studies.workers import on_cluster
 
+    opt.check_output(out, "--out")
     description = simulated_robot(robot).description
     with threadpool_limits(1), on_cluster(scheduler, None):
         training = learn_shipped(
             robot, processes=processes, progress=lambda line: say(line, err=True)
         )
     save_baseline(training.baseline, out)
-    print_training(training, description, json=json)
+    print_training(training, description, json=json, equations=equations)
     say(f"baseline written to {out}", err=True)
 
 

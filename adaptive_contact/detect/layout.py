@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.compiled import Handover
+from adaptive_contact.compiled import Handover, records
 from adaptive_contact.model.labelled_swing import ROW
 
 DEPTH: Final = 3  # ticks of the longest window of the statistic
@@ -381,9 +381,9 @@ def vectors(
     return arrays, np.array(places), views
 
 
-def new_legs(count: int) -> NDArray[np.void]:
+def new_legs(count: int) -> Any:
     """Make the scalars of legs that have seen nothing."""
-    legs = np.zeros(count, dtype=LEG)
+    legs = records(np.zeros(count, dtype=LEG))
     for name, value in _BEGINNING.items():
         legs[name] = value
     return legs

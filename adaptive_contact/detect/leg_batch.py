@@ -170,7 +170,7 @@ class LegBatch:
         """Bind the two halves of a tick to the arrays as they are."""
         floats, ints, bools = self.vectors
         arrays = {
-            **vars(self), **self.table._asdict(), "legs": records(self.legs), "floats": floats,
+            **vars(self), **self.table._asdict(), "floats": floats,
             "ints": ints, "bools": bools,
         }  # fmt: skip
         self._judge = TICK.bind(judge_tick, arrays)

@@ -26,7 +26,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import unwrap
 from adaptive_contact.detect.layout import RING, new_legs, scalars_of
 from adaptive_contact.detect.leg_batch import LegPlace
@@ -97,7 +96,7 @@ class EchoWatch:
 
     def command(self, desired: Sequence[float]) -> None:
         """Take in a sample's command; to be called for every sample, before :meth:`take`."""
-        take_command(records(self._legs)[0], np.array(desired), self._commands)
+        take_command(self._legs[0], np.array(desired), self._commands)
 
     def take(self, measured: Sequence[float], valid: Sequence[bool] | None = None) -> None:
         """Compare a sample's readings with the commands up to its own.
@@ -108,7 +107,7 @@ class EchoWatch:
         """
         flags = np.ones(len(measured), dtype=np.bool_) if valid is None else np.array(valid)
         take_readings(
-            records(self._legs)[0], np.array(measured), flags, valid is not None, self._step_rad,
+            self._legs[0], np.array(measured), flags, valid is not None, self._step_rad,
             self._most_rad, self._commands, self._runs, self._off, self._echoing,
         )  # fmt: skip
 
@@ -239,7 +238,7 @@ class RateWatch:
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """
-        own, ring = records(self.own), self._own_ring
+        own, ring = self.own, self._own_ring
         missed = follow_one(own, ring, t_ns, seq, restart)
         return None if missed == PAUSE else int(missed)
 
@@ -269,7 +268,7 @@ class Seams:
         """Return the sample with its angles in one turn; itself where they already are."""
         measured, desired = np.array(sample.measured), np.array(sample.desired)
         preview = np.array(sample.preview or ()).reshape(-1, len(desired))
-        leg = records(self._legs)[0]
+        leg = self._legs[0]
         unwrap(leg, measured, desired, preview, self._last, restart)
         angles = {"measured": measured.tolist(), "desired": desired.tolist()}
         if sample.preview is not None:

@@ -22,8 +22,8 @@ from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName, leg_library
 from adaptive_contact.model.model_file import Baseline, LegBaseline
-from adaptive_contact.model.noise import WINDOWS, context, fit_noise, lagged
-from adaptive_contact.model.tail import fit_tail
+from adaptive_contact.model.noise import MIN_TICKS, WINDOWS, context, fit_noise, lagged
+from adaptive_contact.model.tail import fit_tail, tail_ticks
 from adaptive_contact.model.window import Window, stack
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, directions
@@ -93,8 +93,8 @@ class Training:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Rows:
-    """Everything of one leg, stretches end to end; ``position`` is where a row sits."""
+class Rows:
+    """Holds the free ticks of one leg, stretches end to end; ``position`` is where a row sits."""
 
     theta: Array  # (n, p)
     target: Array  # (n, J)
@@ -103,6 +103,14 @@ class _Rows:
     position: Ints  # (n,) tick, with gaps of at least 3 between swings
     judged: Mask  # (n,) what a detector would judge: not the first ticks of a swing
     swings: int
+    outliers: int = 0  # left out, and in how many swings the foot touched
+    touched: int = 0
+
+    @property
+    def usable(self) -> Ints:
+        """(n,) of those judged, how many windows end there: lags are missing from some lag on."""
+        histories = _histories(self.target[self.judged], self.position[self.judged])
+        return np.asarray(np.isfinite(histories).all(axis=2).sum(axis=1))
 
 
 def learn(
@@ -134,20 +142,28 @@ def learn(
     skipped: dict[str, str] = {}
     short: list[TooLittleDataError] = []
     statistics: list[Array] = []
+    gathered: dict[str, tuple[Library, Rows]] = {}
     for leg in robot.legs:
         stretches = streams.get(leg.id)
         if not stretches:
             continue
-        progress(leg.id)
         terms = leg_library(robot, leg, library, window)
         try:
-            legs[leg.id], figures[leg.id], values = learn_leg(
-                leg, terms, stretches, robot.quantum(leg.id), threshold
-            )
-        except IdentificationError as error:  # a leg that only stood, perhaps
+            gathered[leg.id] = terms, gather_rows(leg, terms, stretches, robot.quantum(leg.id))
+        except TooLittleDataError as error:  # a leg that only stood, perhaps
             skipped[leg.id] = str(error)
-            if isinstance(error, TooLittleDataError):
-                short.append(error)
+            short.append(error)
+    if gathered:  # said before a minute of fits
+        usable = np.concatenate([rows.usable for _, rows in gathered.values()])
+        tail_ticks(int(np.count_nonzero(usable == len(WINDOWS))))
+    for leg_id, (terms, rows) in gathered.items():
+        progress(leg_id)
+        try:
+            legs[leg_id], figures[leg_id], values = learn_leg(
+                robot.leg(leg_id), terms, rows, robot.quantum(leg_id), threshold
+            )
+        except IdentificationError as error:
+            skipped[leg_id] = str(error)
             continue
         statistics.append(values)
     if short and not legs:
@@ -173,38 +189,28 @@ def _of_all(skipped: Mapping[str, str]) -> str:
     return "; ".join(f"leg {', '.join(legs)}: {why}" for why, legs in legs_of.items())
 
 
-def learn_leg(
-    leg: Leg,
-    library: Library,
-    stretches: Sequence[Stretch],
-    quantum_rad: float,
-    threshold: float | None,
-) -> tuple[LegBaseline, LegFigures, Array]:
-    """Learn one leg.
+def gather_rows(
+    leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float
+) -> Rows:
+    """Gather the free ticks of one leg; what stands out is left out.
 
     Args:
         leg: its description.
         library: the terms to choose from.
         stretches: its samples.
         quantum_rad: position step of its servos.
-        threshold: λ in units of the residual; chosen on held-out swings where None.
-
-    Returns:
-        What is known then, how good it is, and (n, windows) of the statistic on free ticks.
 
     Raises:
-        IdentificationError: there is too little to learn from.
+        TooLittleDataError: there is too little to learn from.
     """
     rows = _rows(leg, library, stretches, quantum_rad)
-    _check_enough(leg, library, len(rows.target))
+    _check_enough(leg, library, rows)
     keep = inliers(rows.theta, rows.target, quantum_rad)
     touched = 0
     if not all(stretch.certain for stretch in stretches):
         keep[keep], touched = untouched(
             rows.theta[keep], rows.target[keep], rows.position[keep], quantum_rad, tail=True
         )
-        _check_enough(leg, library, int(keep.sum()))
-    outliers = int(np.count_nonzero(~keep))
     rows = dataclasses.replace(
         rows,
         theta=rows.theta[keep],
@@ -213,7 +219,31 @@ def learn_leg(
         swing=rows.swing[keep],
         position=rows.position[keep],
         judged=rows.judged[keep],
+        outliers=int(np.count_nonzero(~keep)),
+        touched=touched,
     )
+    _check_enough(leg, library, rows)
+    return rows
+
+
+def learn_leg(
+    leg: Leg, library: Library, rows: Rows, quantum_rad: float, threshold: float | None
+) -> tuple[LegBaseline, LegFigures, Array]:
+    """Learn one leg.
+
+    Args:
+        leg: its description.
+        library: the terms to choose from.
+        rows: its free ticks.
+        quantum_rad: position step of its servos.
+        threshold: λ in units of the residual; chosen on held-out swings where None.
+
+    Returns:
+        What is known then, how good it is, and (n, windows) of the statistic on free ticks.
+
+    Raises:
+        IdentificationError: they cannot be learned from.
+    """
     held = HeldOut(rows.theta, rows.target, _folds(rows))
     naive = _rms(rows.target)
     still: Mask = naive < quantum_rad  # the readings of such joints may be constant
@@ -240,13 +270,12 @@ def learn_leg(
     histories = _histories(residual, position)
     noise = fit_noise(histories, where, quantum_rad)
     motion = _histories(rows.target[rows.judged] - residual, position)
-    usable = np.isfinite(histories).all(axis=2).sum(axis=1)  # lags are missing from some lag on
-    values = stream_statistic(histories, motion, where, usable, noise)
+    values = stream_statistic(histories, motion, where, rows.usable, noise)
     figures = LegFigures(
         rows=len(rows.target),
-        outliers=outliers,
+        outliers=rows.outliers,
         swings=rows.swings,
-        touched=touched,
+        touched=rows.touched,
         threshold=best.threshold,
         sweep={v: tuple(e.tolist()) for v, e in best.errors.items()},
         held_out_rms=tuple(best.errors[best.threshold].tolist()),
@@ -263,17 +292,23 @@ def learn_leg(
     return known, figures, values
 
 
-def _check_enough(leg: Leg, library: Library, ticks: int) -> None:
-    if ticks < 4 * library.size:
-        raise TooLittleDataError(
-            f"leg '{leg.id}': {ticks} free swing ticks for {library.size} terms; "
-            f"expected at least {4 * library.size}: record more swings",
-            ticks,
-            4 * library.size,
-        )
+def _check_enough(leg: Leg, library: Library, rows: Rows) -> None:
+    """Refuse what is too little for the terms, or for the noise."""
+    whole = int(np.count_nonzero(rows.usable == len(WINDOWS)))
+    for ticks, least, what in (
+        (len(rows.target), 4 * library.size, f"{library.size} terms"),
+        (whole, MIN_TICKS, f"the noise of sums over {len(WINDOWS)} ticks"),
+    ):
+        if ticks < least:
+            raise TooLittleDataError(
+                f"leg '{leg.id}': {ticks} free swing ticks for {what}; expected at least {least}: "
+                "record more swings",
+                ticks,
+                least,
+            )
 
 
-def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> _Rows:
+def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> Rows:
     theta, target, where, swing, position, judged = [], [], [], [], [], []
     swings = 0
     offset = 0
@@ -302,7 +337,7 @@ def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad:
         theta, target = [np.empty((0, library.size))], [np.empty((0, joints))]
         where = swing = position = [np.empty(0, dtype=np.int64)]
         judged = [np.empty(0, dtype=bool)]
-    return _Rows(
+    return Rows(
         np.concatenate(theta),
         np.concatenate(target),
         np.concatenate(where),
@@ -335,7 +370,7 @@ def cautious(swing: Mask) -> Mask:
     return np.asarray(swing & (from_start > LIFT_OFF_TICKS) & (to_end > LAST_TICKS))
 
 
-def _folds(rows: _Rows) -> Ints:
+def _folds(rows: Rows) -> Ints:
     """(n,) fold of each row."""
     if rows.swings >= FOLDS * FOLD_SWINGS:
         return np.asarray(rows.swing // FOLD_SWINGS % FOLDS)
@@ -350,7 +385,7 @@ def _folds(rows: _Rows) -> Ints:
     return np.asarray(part % MOST_FOLDS)
 
 
-def _spans(residual: Array, rows: _Rows) -> dict[int, tuple[Array, Array]]:
+def _spans(residual: Array, rows: Rows) -> dict[int, tuple[Array, Array]]:
     """See :class:`LegFigures`; of spans that there are enough of."""
     joints = rows.target.shape[1]
     total = np.cumsum(np.concatenate([residual, rows.target], axis=1), axis=0)

@@ -82,6 +82,24 @@ class Tail:
         return self.level + self.scale / self.shape * (math.pow(ratio, self.shape) - 1.0)
 
 
+def tail_ticks(n: int, fraction: float = TAIL_FRACTION) -> int:
+    """Return how many of n free ticks are taken for the tail.
+
+    Raises:
+        TooLittleDataError: fewer than :data:`MIN_EXCEEDANCES`.
+    """
+    count = int(n * fraction)
+    if count < MIN_EXCEEDANCES:
+        needed = math.ceil(MIN_EXCEEDANCES / fraction)
+        raise TooLittleDataError(
+            f"{n} free swing ticks are too few for a threshold, expected at least {needed}; record "
+            "more free swings",
+            n,
+            needed,
+        )
+    return count
+
+
 def fit_tail(values: ArrayLike, fraction: float = TAIL_FRACTION) -> Tail:
     """Fit the upper tail of a statistic on free ticks.
 
@@ -102,15 +120,7 @@ def fit_tail(values: ArrayLike, fraction: float = TAIL_FRACTION) -> Tail:
     sample = np.asarray(values, dtype=np.float64)
     sample = np.sort(sample[np.isfinite(sample)])
     n = len(sample)
-    count = int(n * fraction)
-    if count < MIN_EXCEEDANCES:
-        needed = math.ceil(MIN_EXCEEDANCES / fraction)
-        raise TooLittleDataError(
-            f"{n} free swing ticks are too few for a threshold, expected at least {needed}; record "
-            "more free swings",
-            n,
-            needed,
-        )
+    count = tail_ticks(n, fraction)
     level = float(sample[n - count - 1])
     excess = sample[n - count :] - level
     mean = float(excess.mean())

@@ -7,7 +7,7 @@ of every leg; ``walk_rough`` is half an hour of tripod walking over rough ground
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Final
 
@@ -60,6 +60,7 @@ HEADLINE_RUNS: Final = (
 def run_headline(
     robot: Robot,
     baseline: Baseline,
+    runs: Sequence[PlannedRun] = HEADLINE_RUNS,
     *,
     processes: int = 2,
     progress: Callable[[PlannedRun], None] = lambda _: None,
@@ -70,11 +71,11 @@ def run_headline(
         The figures of every row.
     """
     done: dict[PlannedRun, list[LegOutcome]] = {}
-    for spec, outcomes in completed(partial(_one, robot, baseline), HEADLINE_RUNS, processes):
+    for spec, outcomes in completed(partial(_one, robot, baseline), runs, processes):
         done[spec] = outcomes
         progress(spec)
     rows: dict[str, list[LegOutcome]] = {}
-    for spec in HEADLINE_RUNS:
+    for spec in runs:
         rows.setdefault(spec.name, []).extend(done[spec])
     return {row: summarise(outcomes) for row, outcomes in rows.items()}
 

@@ -142,7 +142,7 @@ def _compiled_time() -> Iterator[list[float]]:
     """Seconds of every call of what is compiled, while it lasts."""
     spent: list[float] = []
     calls = (
-        (LegBatch, "judge"), (LegBatch, "finish"), (RecursiveLeastSquares, "update"),
+        (LegBatch, "judge"), (LegBatch, "finish"), (RecursiveLeastSquares, "learn"),
     )  # fmt: skip
     with contextlib.ExitStack() as stack:
         for owner, name in calls:

@@ -18,6 +18,7 @@ from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import fit_samples, free_file
 from adaptive_contact.cli.fit import gather
 from adaptive_contact.errors import AdaptiveContactError, TooLittleDataError
+from adaptive_contact.fit import train
 from adaptive_contact.model.model_file import load_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.write import write_robot
@@ -113,11 +114,12 @@ def test_too_little_is_told_in_seconds_and_kept(robot: Any, tmp_path: Path) -> N
     assert seconds_of(Path("b-2.mcap"), "l0") > 1.0
 
 
-@pytest.mark.parametrize("ticks", [280, 340, 400, 460, 520])
-def test_what_falls_short_of_any_least_is_told_in_seconds(
-    robot: Any, tmp_path: Path, ticks: int
+@pytest.mark.parametrize("ticks", [280, 340, 400, 460, 520, 1500])
+def test_what_falls_short_of_any_least_is_told_in_seconds_before_a_leg_is_fitted(
+    robot: Any, tmp_path: Path, ticks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the terms of a library, or of a noise model, from some free ticks less than are used."""
+    """Of the terms of a library, of a noise model, or of a threshold."""
+    monkeypatch.setattr(train, "learn_leg", None)
     recorded(robot.robot, ticks, tmp_path / "early.mcap")
     gathered = gather([tmp_path / "early.mcap"], robot.robot)
     with pytest.raises(TooLittleDataError, match=r"leg l0 \d+ of \d+ free ticks, \d+ s more"):

@@ -208,9 +208,7 @@ def turned_in(handed):  # type: ignore[no-untyped-def]
 
 def test_arrays_are_handed_over_as_they_are() -> None:
     values, at, legs = np.arange(12.0).reshape(3, 4), np.array([2, 1]), new_legs(2)
-    turn_in = GIVEN.bind(
-        turned_in, {"legs": compiled.records(legs), "values": values, "more": 0, "at": at}
-    )
+    turn_in = GIVEN.bind(turned_in, {"legs": legs, "values": values, "more": 0, "at": at})
     assert turn_in() == 8 + 10 + 10 + 11
     assert values[2, 1] == 10.0
     assert legs[1]["seq"] == 304

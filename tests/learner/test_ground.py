@@ -27,7 +27,7 @@ def push_of(
     whiten = np.zeros((CONTEXTS, 3, 3, 3))
     whiten[0, 0] = whitening
     push_from_ground(
-        records(new_legs(1))[0], records(rows)[0], aside, residual, target, whiten, np.ones(3),
+        new_legs(1)[0], records(rows)[0], aside, residual, target, whiten, np.ones(3),
         gradient,
     )  # fmt: skip
     return Push(float(rows[0]["sigma"]), aside)

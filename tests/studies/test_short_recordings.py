@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from adaptive_contact.fit.train import Stretch, learn_leg
+from adaptive_contact.fit.train import Stretch, gather_rows, learn_leg
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import leg_library
 from adaptive_contact.model.window import stack
@@ -55,7 +55,9 @@ def test_a_fit_to_sixty_swings_errs_little_more_than_one_to_many(seed: int) -> N
     for swings in (MANY, 60):
         part = first(whole, swings)
         with threadpool_limits(1):
-            known, figures, _ = learn_leg(described, library, [part], leg.robot.quantum(LEG), None)
+            step = leg.robot.quantum(LEG)
+            rows = gather_rows(described, library, [part], step)
+            known, figures, _ = learn_leg(described, library, rows, step, None)
         errors[swings] = rms(known.model, unseen)
         strengths[swings] = figures.strength
     for swings, error in errors.items():

@@ -179,11 +179,11 @@ def compare_all(
 
 
 def compare_full(
-    root: Path, robot: Robot, workers: int, progress: Callable[[float], None]
+    root: Path, robot: Robot, segments: int, workers: int, progress: Callable[[float], None]
 ) -> list[Comparison]:
-    """The same on the full plan's 5,000 training segments, simulated unless they are there."""
+    """The same on the full plan's training segments, simulated unless they are there."""
     store = Store(root)
-    pieces = FULL.paper_pieces("train")
+    pieces = dataclasses.replace(FULL, train_segments=segments).paper_pieces("train")
     seconds = sum(piece.seconds for piece in pieces)
     record_all(store, pieces, workers, lambda done: progress(done / seconds))
     return compare_all(robot, join([load(store, piece) for piece in pieces]))
