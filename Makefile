@@ -113,7 +113,7 @@ scenarios: env  ## every drift through every learner; docs/adaptation.md (one to
 	$(BIN)/python -m adaptive_contact scenarios report --out out/scenarios --docs docs
 
 baseline: env  ## learn the shipped baseline again
-	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod/baseline.json
+	$(BIN)/python -m adaptive_contact sim baseline --force --out models/adaptive_contact_models/hexapod/baseline.json
 
 soak: env  ## MINUTES of walking with drifts, refits, two router kills, one service kill
 	PYTHONPATH=tests $(BIN)/python -m soak --minutes $(MINUTES) --seed $(SEED) --out out/soak
@@ -124,7 +124,7 @@ fuzz: env  ## ten million broken payloads through the codec and the sample check
 rerun: env  ## an export through rerun's command line, and examples/show_in_rerun.py; rerun goes into out/rerun
 	$(PYTHON) -m venv out/rerun/venv
 	out/rerun/venv/bin/python -m pip install --quiet rerun-sdk
-	$(BIN)/python -m adaptive_contact sim walk --offline --speed max --seconds 10 --record out/rerun/walk.mcap
+	$(BIN)/python -m adaptive_contact sim walk --offline --speed max --seconds 10 --force --record out/rerun/walk.mcap
 	$(BIN)/python -m adaptive_contact export out/rerun/walk.mcap --to protobuf --force -o out/rerun/protobuf.mcap
 	out/rerun/venv/bin/rerun mcap check out/rerun/protobuf.mcap
 	out/rerun/venv/bin/rerun mcap convert -d protobuf --disable-raw-fallback out/rerun/protobuf.mcap -o out/rerun/walk.rrd

@@ -10,7 +10,7 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -21,7 +21,7 @@ from adaptive_contact.cli._output import say_note
 from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.files import why_not_writable
+from adaptive_contact.files import holds_content, why_not_writable
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
 
@@ -246,7 +246,7 @@ MaxSessionsOption = Annotated[
 JsonPayloadOption = Annotated[bool, option("--json", "Publish JSON payloads instead of msgpack.")]
 JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
 EquationsOption = Annotated[bool, option("--equations", "Print every leg's equations, too.")]
-ForceOption = Annotated[bool, option("--force", "Replace what is there already.")]
+ForceOption = Annotated[bool, option("--force", "Replace files that are there already.")]
 SeedOption = Annotated[int, option("--seed", "Of what is random.", min=0)]
 ProcessesOption = Annotated[int, option("--processes", "Runs worked on at a time.", min=1, max=64)]
 BaselineOutOption = Annotated[
@@ -329,24 +329,45 @@ def speed_of(text: str | None) -> float | None:
     return factor
 
 
-def check_output(path: Path, option: str, inputs: Sequence[Path | None] = ()) -> None:
+def check_output(
+    path: Path | None, option: str, inputs: Sequence[Path | None] = (), *, force: bool
+) -> None:
     """Make sure that a file can be written later, before any work is done for it.
 
     Args:
-        path: of the file.
+        path: of the file; None is not written.
         option: that names it.
-        inputs: what the command reads, None where that is not given.
+        inputs: what the command reads, and its other outputs; None where one is not given.
+        force: replace what is there.
 
     Raises:
         ConfigurationError: its folder is not there or not writable, or it is a folder itself, or
-            an input would be lost.
+            an input or another file would be lost.
     """
-    for other in inputs:
-        if other is not None and path.is_file() and other.exists() and path.samefile(other):
+    if path is None:
+        return
+    for other in filter(None, inputs):
+        if path.is_file() and other.exists() and path.samefile(other):
             raise ConfigurationError(f"{path} is what the command reads; give another {option}")
+        if path == other and not path.exists():
+            raise ConfigurationError(f"{path} is given twice; give another {option}")
     why = why_not_writable(path)
     if why is not None:
         raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")
+    refuse_to_replace([path], option, force=force)
+
+
+def refuse_to_replace(paths: Iterable[Path], option: str, *, force: bool) -> None:
+    """Refuse to write over files, unless that is wanted.
+
+    Raises:
+        ConfigurationError: one is there.
+    """
+    for path in paths:
+        if holds_content(path) and not force:
+            raise ConfigurationError(
+                f"{path} exists already; give another {option}, or --force to replace it"
+            )
 
 
 def say_damage(recording: Recording) -> None:

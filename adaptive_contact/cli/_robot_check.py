@@ -304,6 +304,7 @@ def check(
             "--seconds", "How long to look: 1 unless given, 20 with --live.", least=0.2, most=600.0
         ),
     ] = None,
+    force: opt.ForceOption = False,
     network: opt.Network,
     json: Annotated[bool, option("--json", "With --live: print JSON.")] = False,
 ) -> None:
@@ -315,8 +316,7 @@ def check(
     motion; exit code 1 where something is wrong, 2 without a router.
     """
     stop = opt.stoppable()
-    if picture is not None:
-        opt.check_output(picture, "--picture", [config])
+    opt.check_output(picture, "--picture", [config], force=force)
     if live:
         if device:
             raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")

@@ -16,7 +16,7 @@ from adaptive_contact.cli._bus import devices_of, needs_sdk
 from adaptive_contact.cli._options import check_output
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.files import holds_content, write_file
+from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
 from adaptive_contact.robot.kinematics import Vector
 from adaptive_contact.robot.load import recorded_as
@@ -53,9 +53,7 @@ def write_description(wishes: Wishes) -> None:
             )
         joints = "joints of a leg, from the body outwards: their number, or NAME,NAME,..."
         wishes = dataclasses.replace(wishes, joints=typer.prompt(joints, err=True))
-    if holds_content(out) and not wishes.force:
-        raise ConfigurationError(f"{out} is there already; give another --out, or --force")
-    check_output(out, "--out", [wishes.urdf])
+    check_output(out, "--out", [wishes.urdf], force=wishes.force)
     if wishes.lengths is not None and wishes.urdf is not None:
         raise ConfigurationError("--lengths and --urdf both give the geometry; leave one out")
     if wishes.urdf is None and (wishes.base or wishes.tip):

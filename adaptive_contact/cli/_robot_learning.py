@@ -15,7 +15,6 @@ from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, shake_h
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
-from adaptive_contact.files import holds_content
 
 if TYPE_CHECKING:
     import numpy as np
@@ -83,6 +82,7 @@ def learn(
         ),
     ] = None,
     seed: opt.SeedOption = 0,
+    force: opt.ForceOption = False,
     realtime: opt.RealtimeOption = False,
     network: opt.Network,
     equations: opt.EquationsOption = False,
@@ -105,11 +105,10 @@ def learn(
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    opt.check_output(out, "--out", [*(more or []), config])
+    read = [*(more or []), config]
+    opt.check_output(out, "--out", read, force=force)
     kept = free_file(out) if recording is None else recording
-    opt.check_output(kept, "--recording")
-    if holds_content(kept):
-        raise ConfigurationError(f"{kept} is there already; give another --recording")
+    opt.check_output(kept, "--recording", [*read, out], force=force)
     robot = opt.described_robot(config)
     for leg in robot.legs:
         if leg.chain is None:

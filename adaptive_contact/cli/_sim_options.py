@@ -8,7 +8,14 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
-from adaptive_contact.cli._options import Network, option, seconds_option, speed_of
+from adaptive_contact.cli._options import (
+    ForceOption,
+    Network,
+    check_output,
+    option,
+    seconds_option,
+    speed_of,
+)
 from adaptive_contact.cli._output import say, say_note, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, needs
 
@@ -115,6 +122,11 @@ class RunOptions:
         ),
     ] = None
     view: Annotated[bool, option("--view", "Open a window.", panel=_OUT)] = False
+    force: ForceOption = False
+
+    def __post_init__(self) -> None:
+        check_output(self.record, "--record", force=self.force)
+        check_output(self.render, "--render", [self.record], force=self.force)
 
     def base(self, kind: type[M], gait: str | None = None) -> tuple[Scenario, M]:
         """The scenario to start from, and its motion; without one, the defaults of that motion.

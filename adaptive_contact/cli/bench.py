@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
-from adaptive_contact.cli._options import BaselineOption, JsonOption, ProcessesOption, option
+from adaptive_contact.cli._options import (
+    BaselineOption,
+    ForceOption,
+    JsonOption,
+    ProcessesOption,
+    option,
+    refuse_to_replace,
+)
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.files import write_file
@@ -13,9 +20,11 @@ from adaptive_contact.files import write_file
 if TYPE_CHECKING:
     from adaptive_contact.score import Summary
 
+_OUT: Final = Path("out/bench")
+
 
 def bench(
-    out: Annotated[Path, option("--out", "Where bench.json goes.", "FOLDER")] = Path("out/bench"),
+    out: Annotated[Path, option("--out", "Where bench.json goes.", "FOLDER")] = _OUT,
     baseline: BaselineOption = None,
     speeds_only: Annotated[
         bool, option("--speeds", "Leave the headline runs out (minutes of work).")
@@ -24,9 +33,14 @@ def bench(
         bool, option("--quick", "A fiftieth of all work: does it all run?  No figures to keep.")
     ] = False,
     processes: ProcessesOption = 2,
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Measure recall, latency and false alarms on unseen runs, and how fast everything is."""
+    """Measure recall, latency and false alarms on unseen runs, and how fast everything is.
+
+    The figures in out/bench are replaced; those in another folder only with --force.
+    """
+    refuse_to_replace([out / "bench.json"], "--out", force=force or out == _OUT)
     import msgspec
     from rich.progress import Progress
     from rich.table import Table

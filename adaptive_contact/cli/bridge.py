@@ -302,6 +302,12 @@ class VirtualOptions:
         option("--record", "Of a scenario: the simulator's own samples and truth.", "FILE.mcap"),
     ] = None
     truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False
+    force: opt.ForceOption = False
+
+    def __post_init__(self) -> None:
+        read = [self.config]
+        opt.check_output(self.write_config, "--write-config", read, force=self.force)
+        opt.check_output(self.record, "--record", [*read, self.write_config], force=self.force)
 
     def plan(self, network: opt.Network, *, json: bool) -> VirtualPlan:
         """What to run; truth is published on the network, if it is, as JSON or msgpack.
@@ -317,9 +323,6 @@ class VirtualOptions:
             raise ConfigurationError(
                 f"no virtual robot '{self.robot}'; expected --robot {' or '.join(_VIRTUAL)}"
             )
-        for path, name in ((self.write_config, "--write-config"), (self.record, "--record")):
-            if path is not None:
-                opt.check_output(path, name, [self.config])
         return VirtualPlan(
             robot=opt.described_robot(self.config, self.robot),
             simulated=self.robot,

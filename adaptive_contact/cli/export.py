@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import ForceOption, check_output, option
+from adaptive_contact.cli._options import ForceOption, check_output, option, refuse_to_replace
 from adaptive_contact.cli._output import overwrite, say
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.files import holds_content
 
 if TYPE_CHECKING:
     from adaptive_contact.service.recording import Record
@@ -47,11 +46,11 @@ def export(
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.service.recording.export import ExportFormat, export_recording
 
-    recording = read_recording(file)
     form = ExportFormat(to)
     if out is None:
         out = file.with_name(f"{file.stem}-{to}{'' if form.is_table else '.mcap'}")
     _check(file, out, form, force)
+    recording = read_recording(file)
     started_s = time.perf_counter()
     live = sys.stderr.isatty()
     exported = export_recording(recording, out, form, _progress() if live else _quiet)
@@ -80,18 +79,12 @@ def _check(file: Path, out: Path, to: ExportFormat, force: bool) -> None:
     Raises:
         ConfigurationError: it would, or cannot be written.
     """
-    if out.exists() and out.samefile(file):
-        raise ConfigurationError(f"{out} is the recording itself; give another --out")
     if not to.is_table:
-        check_output(out, "--out")
+        check_output(out, "--out", [file], force=force)
     elif out.exists() and not out.is_dir():
         raise ConfigurationError(f"{out} is no folder; {to} takes one, with a table per message")
-    full = any(out.glob(f"*.{to}")) if to.is_table else holds_content(out)
-    if full and not force:
-        what = f"{out} holds tables" if to.is_table else f"{out} exists"
-        raise ConfigurationError(
-            f"{what} already; choose another name, or give --force to replace it"
-        )
+    else:
+        refuse_to_replace(out.glob(f"*.{to}"), "--out", force=force)
 
 
 def _quiet(record: Record) -> None:

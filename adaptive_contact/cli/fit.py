@@ -52,16 +52,17 @@ def fit(
         ),
     ] = None,
     equations: opt.EquationsOption = False,
+    force: opt.ForceOption = False,
     json: opt.JsonOption = False,
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""
+    opt.check_output(out, "--out", [*recordings, config], force=force)
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.fit.train import learn
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    opt.check_output(out, "--out", [*recordings, config])
     robot = opt.recorded_robot(config, recordings)
     gathered = gather(recordings, robot)
     check_conventions(robot, gathered)

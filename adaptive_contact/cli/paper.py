@@ -9,11 +9,12 @@ from typing import Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import option
+from adaptive_contact.cli._options import ForceOption, option, refuse_to_replace
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 _OUT: Final = Path("out/paper")
+_DOCS: Final = Path("docs/paper.md")
 _LOGS: Final = Path("../shared/data")
 
 
@@ -32,8 +33,13 @@ def paper(
     docs: Annotated[
         Path | None, option("--docs", "Write the results as a document, too.", "FILE.md")
     ] = None,
+    force: ForceOption = False,
 ) -> None:
-    """Run the paper's experiments in the simulator: figures, results.json, report.html."""
+    """Run the paper's experiments in the simulator: figures, results.json, report.html.
+
+    The same command goes on in its folder, and makes the pages there, and docs/paper.md, again.
+    """
+    refuse_to_replace([docs] if docs else [], "--docs", force=force or docs == _DOCS)
     with needs_studies():
         from adaptive_contact_studies.paper.plan import FULL, QUICK
         from adaptive_contact_studies.paper.run import STAGES, run_paper

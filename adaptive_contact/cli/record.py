@@ -14,8 +14,6 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._link import leave, open_link
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note
-from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.files import holds_content
 from adaptive_contact.printable import printable
 
 
@@ -43,10 +41,7 @@ def record(
     from adaptive_contact.service.recording.recorder import Recorder, check_key_expression
 
     check_key_expression(key)
-    if holds_content(file) and not force:
-        raise ConfigurationError(
-            f"{file} exists already; choose another name, or give --force to replace it"
-        )
+    opt.check_output(file, "FILE", force=force)
     settings = network.client()
     link = open_link(settings, stop)
     if link is None:

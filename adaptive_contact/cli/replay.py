@@ -74,6 +74,7 @@ def replay(
     keep_run: Annotated[
         bool, option("--keep-run", "Leave `run` in the samples as recorded, not a new start.")
     ] = False,
+    force: opt.ForceOption = False,
     network: opt.Network,
 ) -> None:
     """Play a recording: its servo samples and truth onto the wire, or to events with --events."""
@@ -84,11 +85,14 @@ def replay(
     through_learners = {"--baseline": baseline, "--config": config, "--when-ambiguous": published}
     if events is not None or plot is not None:
         _refuse(on_wire, "--events and --plot use no network; leave {} out")
+        read = (file, config, baseline)
+        if str(events) != "-":
+            opt.check_output(events, "--events", read, force=force)
+        opt.check_output(plot, "--plot", (*read, events), force=force)
         robot = opt.recorded_robot(config, [file])
         recording = read_recording(file, robot)
         learned, _ = opt.learned_of(robot, config, baseline)
-        read = (file, config, baseline)
-        _to_events(recording, robot, events, plot, learned, when_ambiguous, read)
+        _to_events(recording, robot, events, plot, learned, when_ambiguous)
     else:
         bag = is_bag(file)
         if bag:
@@ -114,7 +118,6 @@ def _to_events(
     plot: Path | None,
     learned: Baseline | None,
     when_ambiguous: WhenAmbiguous,
-    read: tuple[Path | None, ...],
 ) -> None:
     from threadpoolctl import threadpool_limits
 
@@ -125,11 +128,8 @@ def _to_events(
     from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events
     from adaptive_contact.wire import JSON, encode
 
-    if out is not None and str(out) != "-":
-        opt.check_output(out, "--events", read)
     if plot is not None:
         check_plot(plot)
-        opt.check_output(plot, "--plot", read)
     compile_tick()
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     counts = Counts()

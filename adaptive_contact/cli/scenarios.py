@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from adaptive_contact.cli._options import Commands, JsonOption, ProcessesOption, option
+from adaptive_contact.cli._options import (
+    Commands,
+    ForceOption,
+    JsonOption,
+    ProcessesOption,
+    option,
+    refuse_to_replace,
+)
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
@@ -27,6 +34,7 @@ app = Commands(
 
 OutOption = Annotated[Path, option("--out", "Recordings, replays, figures and pages.", "FOLDER")]
 DEFAULT_OUT = Path("out/scenarios")
+_DOCS = Path("docs")
 # How a command ends that Ctrl-C stopped, as shells have it.
 INTERRUPTED = 130
 
@@ -193,12 +201,15 @@ def run(
 @app.command()
 def report(
     out: OutOption = DEFAULT_OUT,
-    docs: Annotated[Path, option("--docs", "Where adaptation.md goes.", "FOLDER")] = Path("docs"),
+    docs: Annotated[Path, option("--docs", "Where adaptation.md goes.", "FOLDER")] = _DOCS,
+    force: ForceOption = False,
 ) -> None:
     """Write docs/adaptation.md, with its pictures: of the full form, where there are figures of it.
 
-    Forms are never mixed: each has figures and pictures of its own.
+    Forms are never mixed: each has figures and pictures of its own.  The page in docs is replaced;
+    one in another folder only with --force.
     """
+    refuse_to_replace([docs / "adaptation.md"], "--docs", force=force or docs == _DOCS)
     with needs_studies():
         from adaptive_contact_studies.scenarios.report import write_report
         from adaptive_contact_studies.scenarios.results import best_form, read_results

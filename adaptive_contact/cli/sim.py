@@ -32,9 +32,11 @@ def baseline(
     processes: opt.ProcessesOption = 2,
     scheduler: SchedulerOption = None,
     equations: opt.EquationsOption = False,
+    force: opt.ForceOption = False,
     json: opt.JsonOption = False,
 ) -> None:
     """Record a simulated robot and learn its baseline; the result depends on no clock."""
+    opt.check_output(out, "--out", force=force)
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.cli.fit import print_training
@@ -45,7 +47,6 @@ def baseline(
         from adaptive_contact_studies.training import learn_shipped
         from adaptive_contact_studies.workers import on_cluster
 
-    opt.check_output(out, "--out")
     description = simulated_robot(robot).description
     with threadpool_limits(1), on_cluster(scheduler, None):
         training = learn_shipped(

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from adaptive_contact.cli._options import Commands, JsonOption, StateOption, option
+from adaptive_contact.cli._options import (
+    Commands,
+    ForceOption,
+    JsonOption,
+    StateOption,
+    check_output,
+    option,
+)
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError, reason_of
 from adaptive_contact.files import write_file
@@ -92,11 +99,13 @@ def export(
     state: StateOption = None,
     robot: RobotOption = None,
     leg: LegOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Write the newest sound state of every leg as JSON, for people and other programs.
 
     Arrays become lists.  To move state to another computer, copy the folder instead.
     """
+    check_output(out, "FILE", force=force)
     import msgspec
 
     newest: dict[tuple[str, ...], Record] = {}

@@ -55,7 +55,7 @@ def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> 
     # What is commented out can be used as it stands, and filled in.
     filled = out.read_text().replace("# limits = {", "limits = {")
     assert parse_robot(filled, source="filled").leg("l0").limits == Limits((-1.0,) * 3, (1.0,) * 3)
-    with pytest.raises(ConfigurationError, match="is there already"):
+    with pytest.raises(ConfigurationError, match="exists already"):
         command("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
 
 

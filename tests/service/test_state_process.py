@@ -315,7 +315,7 @@ def test_show_export_and_reset(
     whole.rename(aside)
     for before in folder.glob("*/*.before"):
         before.unlink()
-    code, _, error = state("export", str(exported), "--state", str(folder))
+    code, _, error = state("export", str(exported), "--state", str(folder), "--force")
     assert (code, "nothing to export" in error) == (2, True)
     _, out, _ = state("show", "--state", str(folder), "--leg", "rf")
     assert "state.refused" in out

@@ -10,11 +10,17 @@ from __future__ import annotations
 import signal
 import threading
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import flatten, option, seconds_option
+from adaptive_contact.cli._options import (
+    ForceOption,
+    flatten,
+    option,
+    refuse_to_replace,
+    seconds_option,
+)
 from adaptive_contact.cli._output import say_note
 from adaptive_contact.cli._sim_options import given, needs_simulator
 from adaptive_contact.cli._web import WEB_PANEL, Page, live_page
@@ -23,14 +29,13 @@ from adaptive_contact.errors import AdaptiveContactError
 __all__ = ["demo"]
 
 _STOPPED = 130  # what a shell calls "ended by Ctrl-C"
+_OUT: Final = Path("out/demo")
 
 
 @flatten
 def demo(
     *,
-    out: Annotated[Path, option("--out", "Where report and figures go.", "FOLDER")] = Path(
-        "out/demo"
-    ),
+    out: Annotated[Path, option("--out", "Where report and figures go.", "FOLDER")] = _OUT,
     seconds: Annotated[
         float | None, seconds_option("--seconds", "Of walking, in real time. [60]")
     ] = None,
@@ -41,12 +46,14 @@ def demo(
     web: Annotated[
         bool, option("--web", "Show it as a page in the browser, too.", panel=WEB_PANEL)
     ] = False,
+    force: ForceOption = False,
     page: Page,
 ) -> None:
     """Watch a simulated robot walk, one leg drift, and what becomes of its contacts.
 
     Starts `serve` and `sim walk` as two processes, injects the drift with a third, and writes a
-    picture, the figures and a recording.
+    picture, the figures and a recording.  Those in out/demo are replaced; in another folder only
+    with --force.
     """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -59,6 +66,8 @@ def demo(
 
     console = table_console()
     settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed, robot=robot))
+    made = (settings.report, settings.summary, settings.recording)
+    refuse_to_replace(made, "--out", force=force or out == _OUT)
     page_settings = page.settings(web)
     try:
         if page_settings is None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.files import write_file
+from adaptive_contact.files import holds_content, write_file
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ContactTruth, truth_key
@@ -114,6 +114,9 @@ def _alone(directory: Path) -> Iterator[None]:
 
 def _serve(plan: VirtualPlan, stop: threading.Event, on_start: Callable[[str], None]) -> None:
     robot = with_ports(plan.robot, plan.directory.resolve(), plan.ports)
+    for port in robot.ports.values():
+        if holds_content(Path(port.device)):  # a link to a terminal holds none
+            raise ConfigurationError(f"{port.device} exists already, as a file; give another --dir")
     plans = plan_ports(robot)
     check_faults(plans, plan.bus.faults)
     if plan.write_config is not None:
