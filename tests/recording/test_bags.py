@@ -237,10 +237,11 @@ def test_messages_that_do_not_unpack_are_a_line(tmp_path, robot, bomb) -> None:
     assert [note for note in recording.notes if "a message is no" in note]
 
 
-@pytest.mark.parametrize("name", ["bag.mcap", "bag.db3"])
+@pytest.mark.parametrize("name", ["bag.mcap", "bag.db3", "bag.mcap.zstd", "bag.db3.zstd"])
 def test_a_single_file_is_a_bag(tmp_path, robot, name) -> None:
-    storage = StoragePlugin.MCAP if name.endswith("mcap") else StoragePlugin.SQLITE3
-    with BagWriter(tmp_path / "bag", storage=storage) as bag:
+    storage = StoragePlugin.MCAP if "mcap" in name else StoragePlugin.SQLITE3
+    compressed = CompressionMode.FILE if name.endswith("zstd") else CompressionMode.NONE
+    with BagWriter(tmp_path / "bag", storage=storage, compressed=compressed) as bag:
         for samples, truth in walk(1):
             bag.tick(samples, truth)
     found, _ = read(tmp_path / "bag" / name, robot)
@@ -414,9 +415,10 @@ def test_other_folders_and_bags_are_refused(tmp_path, robot) -> None:
         (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
         with pytest.raises(RecordingError, match="a bag of ROS 1; convert it"):
             read_recording(tmp_path / name.removesuffix("/a.bag"), robot)
-    (tmp_path / "walk_0.mcap.zstd").write_bytes(b"\x28\xb5\x2f\xfd")
-    with pytest.raises(RecordingError, match="compressed as a whole; give the folder"):
-        read_recording(tmp_path / "walk_0.mcap.zstd", robot)
+    for content, words in ((b"\x28\xb5\x2f\xfd", "walk_0.mcap: is empty"), (b"x", "unpacked")):
+        (tmp_path / "walk_0.mcap.zstd").write_bytes(content)
+        with pytest.raises(RecordingError, match=words):
+            list(read_recording(tmp_path / "walk_0.mcap.zstd", robot))
     (tmp_path / "bad.db3").write_bytes(b"nothing")
     with pytest.raises(RecordingError, match="cannot be read as a bag") as refused:
         list(read_recording(tmp_path / "bad.db3", robot))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import bz2
+import contextlib
+import gzip
 import os
 import resource
+import sqlite3
 import struct
 import subprocess
 import sys
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import lz4.frame
@@ -61,8 +66,7 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_stepped_over(
     at = whole.index(b"\x06", 8)  # of the first chunk
     block = bytes(1 << 20)
     if name == "zstd":
-        packer = zstandard.ZstdCompressor().compressobj()
-        packed = b"".join(packer.compress(block) for _ in range(2000)) + packer.flush()
+        packed = zeros()
     else:
         frame = lz4.frame.LZ4FrameCompressor()
         packed = frame.begin() + b"".join(frame.compress(block) for _ in range(2000))
@@ -102,10 +106,7 @@ def test_commands_take_little_memory_for_a_chunk_that_unpacks_to_gigabytes(
             writer.write(servo_key("rf"), encode(sample), MSGPACK, seq * 20_000_000)
     whole = path.read_bytes()
     at = whole.index(b"\x06", 8)  # of the first chunk
-    packer = zstandard.ZstdCompressor().compressobj()
-    block = bytes(1 << 20)
-    packed = b"".join(packer.compress(block) for _ in range(2000)) + packer.flush()
-    bomb.write_bytes(whole[:at] + chunk(b"zstd", packed, 1000) + whole[at:])
+    bomb.write_bytes(whole[:at] + chunk(b"zstd", zeros(), 1000) + whole[at:])
     out = tmp_path / "out.jsonl"
     options = {
         "replay": ("--events", str(out)),
@@ -149,3 +150,82 @@ def test_random_flips_and_cuts_cost_only_what_they_hit(tmp_path: Path) -> None:
         assert recording.truncated or len(got) == count
         if cut == len(data) and flips == 1:  # more may hit the channels and their copy
             assert len(got) >= count - 12, recording.damage
+
+
+def database(path: Path, columns: str = "", view: str = "", data: bytes = b"") -> None:
+    """A db3 file of rosbag2 with two messages."""
+    with contextlib.closing(sqlite3.connect(path)) as file:
+        file.execute(f"CREATE TABLE messages(id, topic_id, timestamp, {columns or 'data'})")
+        file.execute(view or "CREATE TABLE topics(id, name, type)")
+        if not view:
+            file.execute("INSERT INTO topics VALUES (1, '/state', 'sensor_msgs/msg/JointState')")
+        for k in (1, 2):
+            file.execute("INSERT INTO messages(id, topic_id, timestamp) VALUES (?, 1, ?)", (k, k))
+        if data:
+            file.execute("UPDATE messages SET data = ?", (data,))
+        file.commit()
+
+
+def zeros() -> bytes:
+    packer = zstandard.ZstdCompressor().compressobj()
+    block = bytes(1 << 20)
+    return b"".join(packer.compress(block) for _ in range(2000)) + packer.flush()
+
+
+ENDLESS = (
+    "CREATE VIEW topics AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
+    "SELECT x AS id, 'a' || x AS name, 'b' AS type FROM c"
+)
+BAG_BOMBS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "x.db3.zstd": (lambda path: path.write_bytes(zeros()), "unpacks to more than 64 MB"),
+    "x.mcap.zstd": (lambda path: path.write_bytes(zeros()), "unpacks to more than 64 MB"),
+    "message.db3": (lambda path: database(path, data=zeros()), "a message is no"),
+    "cells.db3": (lambda path: database(path, "data AS (zeroblob(900000000))"), "too big"),
+    "view.db3": (lambda path: database(path, view=ENDLESS), "cannot be read as a bag"),
+    "gz.db3": (lambda path: path.write_bytes(gzip.compress(bytes(1 << 28))), "is not a database"),
+    "bz2.mcap.zstd": (lambda path: path.write_bytes(bz2.compress(bytes(1 << 28))), "be unpacked"),
+}
+READ_A_BAG = """
+import resource, sys
+from pathlib import Path
+from adaptive_contact.errors import RecordingError
+from adaptive_contact.robot import parse_robot
+from adaptive_contact.service.recording.bags import Bag
+robot = parse_robot('''
+    ros2 = {state = "/state"}
+    robot = {name = "mini", period_s = 0.02, quantum_rad = 0.005}
+    leg = [{id = "lf", joints = ["a"], ros2 = {joints = ["a"]}}]
+''', source="test")
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    bag = Bag(sys.argv[1], robot)
+    print(len(list(bag)), bag.damage, bag.notes)
+except RecordingError as error:
+    print(error)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) >> 10)
+"""
+
+
+@pytest.mark.parametrize("name", BAG_BOMBS)
+def test_a_bag_that_unpacks_to_gigabytes_fills_neither_memory_nor_disk(
+    tmp_path: Path, name: str
+) -> None:
+    pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "tmp").mkdir()
+    make, says = BAG_BOMBS[name]
+    make(tmp_path / "bag" / name)
+    done = subprocess.run(
+        [sys.executable, "-c", READ_A_BAG, tmp_path / "bag"],
+        env={**os.environ, "TMPDIR": str(tmp_path / "tmp")},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100 << 20, 100 << 20)),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    line, grown_mb = done.stdout.splitlines()
+    assert says in line
+    assert int(grown_mb) < 200
+    assert list((tmp_path / "tmp").iterdir()) == []

@@ -1,17 +1,25 @@
 """Bags of ROS 2 (rosbag2), read as recordings of the wire contract.
 
 The topics of ``[ros2]`` become ``robot/leg/*/servo`` and, of foot switches, ``robot/leg/*/truth``.
-MCAP files are walked from the front as any recording, so that a bag whose recorder was killed is
-read up to there; db3 files and files compressed as a whole are read by rosbags.
+The files are read one by one, whatever ``metadata.yaml`` says of them, so that a bag whose recorder
+was killed is read as far as it goes.  MCAP is walked as any recording is, db3 asked by SQL.
+
+A bag of strangers neither fills the memory nor the disk: chunks, messages, cells and files that
+were compressed as a whole unpack to so much and no more.  The readers of rosbags have no such
+bounds, and refuse a file whose end is missing.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import re
-from collections.abc import Iterator
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import zstandard
 
@@ -21,21 +29,27 @@ from adaptive_contact.ros2.intake import Intake, check_mapped
 from adaptive_contact.ros2.problems import Complaints, Reason
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.service.recording.format import Record
-from adaptive_contact.service.recording.reader import ROS_1, Recording
+from adaptive_contact.service.recording.reader import (
+    MAX_CHUNK_BYTES,
+    MAX_RATIO,
+    ROS_1,
+    Recording,
+)
 from adaptive_contact.wire import MSGPACK, ContactTruth, encode, servo_key, truth_key
 
 _SHOWN: Final = 6
 # Begins a message that its recorder compressed by itself, and no CDR.
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _MOST_BYTES: Final = 1 << 20  # of such a message
-
-
-class _Message(NamedTuple):
-    topic: str
-    type: str
-    hash: str
-    time_ns: int
-    payload: bytes
+_PIECE_BYTES: Final = 1 << 20
+_NAME: Final = 60  # characters of a file's name in that of what it unpacks to
+# A file of a bag, packed or not, and what orders the files of one that was split.
+_FILE: Final = re.compile(r".*?(\d*)\.(?:mcap|db3)(?:\.zstd)?")
+_QUERY: Final = """
+    SELECT topics.name, CAST(timestamp AS INTEGER), COALESCE(CAST(data AS BLOB), x'')
+    FROM messages JOIN topics ON topics.id = messages.topic_id
+    WHERE topics.name IN (SELECT value FROM json_each(?)) ORDER BY timestamp
+"""
 
 
 class Bag(Recording):
@@ -88,19 +102,17 @@ class Bag(Recording):
         intake = Intake(self._robot, 1, complain)
         topics = intake.topics(truth=True)
         decode = self._cdr.Types(self._robot.ros2.distro if self._robot.ros2 else "jazzy").decode
-        for message in self._messages():
-            if message.topic not in topics:
+        for record in self._messages(topics):
+            if record.key not in topics:
                 continue
-            content = intake.read(
-                decode, message.topic, message.type, message.hash, _unpacked(message.payload)
-            )
+            payload, at_ns = _unpacked(record.payload), record.log_time_ns
+            content = intake.read(decode, record.key, *self.types[record.key], payload)
             if content is None:
                 continue
-            origin = Origin(b"", None, message.time_ns)
-            for leg, made in intake.take(message.topic, message.type, content, origin):
+            origin = Origin(b"", None, at_ns)
+            for leg, made in intake.take(record.key, self.types[record.key][0], content, origin):
                 key = truth_key(leg) if isinstance(made, ContactTruth) else servo_key(leg)
-                payload = encode(made, MSGPACK)
-                yield Record(key, payload, MSGPACK, message.time_ns, message.time_ns)
+                yield Record(key, encode(made, MSGPACK), MSGPACK, at_ns, at_ns)
         self.notes = (*self._missing(topics), *complaints.lines())
 
     def _missing(self, topics: dict[str, tuple[str, ...]]) -> Iterator[str]:
@@ -116,72 +128,105 @@ class Bag(Recording):
     # -- files -------------------------------------------------------------------------------------
 
     def _find_files(self) -> list[Path]:
-        """Files of the bag in their order; the folder itself where rosbags is to read it."""
+        """Files of the bag in their order."""
         path = self.path
         if not path.exists():
             raise RecordingError(f"{path}: cannot be read (no such file); give a bag")
-        files = sorted((*path.glob("*.mcap"), *path.glob("*.db3")), key=_number)
-        described = (path / "metadata.yaml").is_file()
-        old = sorted(path.glob("*.bag*")) if path.is_dir() else [path]
-        for file in () if files or described else filter(_is_ros_1, old):
-            raise RecordingError(
-                f"{file}: a bag of ROS 1; convert it with `rosbags-convert --src {file} --dst DIR`"
-            )
-        if path.suffix == ".zstd":
-            raise RecordingError(
-                f"{path}: compressed as a whole; give the folder of the bag, which has a "
-                "metadata.yaml, or unpack the file with `zstd -d`"
-            )
-        if not path.is_dir():
-            return [path]
-        if described and not any(file.suffix == ".mcap" for file in files):
-            return [path]
+        within = sorted((f for f in path.glob("*") if _FILE.fullmatch(f.name)), key=_number)
+        # One that a person has unpacked stands beside what it was packed in.
+        files = [f for f in within if f.suffix != ".zstd" or f.with_suffix("") not in within]
+        for file in files or (path, *sorted(path.glob("*.bag*"))):
+            if _is_ros_1(file):
+                raise RecordingError(
+                    f"{file}: a bag of ROS 1; convert it with `rosbags-convert --src {file} "
+                    "--dst DIR`"
+                )
         return files or [path]
 
-    def _messages(self) -> Iterator[_Message]:
+    def _messages(self, topics: Collection[str]) -> Iterator[Record]:
         for file in self._files:
-            yield from self._walked(file) if file.suffix == ".mcap" else self._by_rosbags(file)
+            with _unpacked_file(file) as whole:
+                read = self._asked if whole.suffix == ".db3" else self._walked
+                records = read(whole, file.name, topics)
+                first = next(records, None)
+            if first is not None:  # the file is open by now, and needs no name any more
+                yield first
+                yield from records
 
-    def _walked(self, path: Path) -> Iterator[_Message]:
+    def _walked(self, path: Path, name: str, _: Collection[str]) -> Iterator[Record]:
+        """Messages of an MCAP file."""
         recording = Recording(path)
-        for record in recording:
-            kind, hash_ = recording.types.get(record.key, ("", ""))
-            yield _Message(record.key, kind, hash_, record.log_time_ns, record.payload)
-        self.types |= recording.types
-        self._note_damage(path, recording.damage)
+        recording.types = self.types
+        yield from recording
+        self._note_damage(name, recording.damage)
         self.skipped += recording.skipped
         self.lost += recording.lost
 
-    def _by_rosbags(self, path: Path) -> Iterator[_Message]:
-        """Messages of a db3 file or of a folder with its metadata."""
-        import apsw
-        from rosbags.rosbag2 import Reader, ReaderError
-
-        troubles = (ReaderError, apsw.Error, OSError, ValueError, KeyError)
+    def _asked(self, path: Path, name: str, topics: Collection[str]) -> Iterator[Record]:
+        """Messages of a db3 file."""
         given = 0
-        with contextlib.ExitStack() as stack:
-            try:
-                reader = stack.enter_context(Reader(path))
-                self.types |= {c.topic: (c.msgtype, c.digest) for c in reader.connections}
-            except troubles as error:
-                raise RecordingError(
-                    f"{path}: cannot be read as a bag ({_one_line(error)}); give a folder that "
-                    "`ros2 bag record` wrote, or a file of it"
-                ) from error
-            try:
-                for connection, time_ns, payload in reader.messages():
-                    given += 1
-                    hash_ = connection.digest
-                    yield _Message(connection.topic, connection.msgtype, hash_, time_ns, payload)
-            except troubles as error:
-                self._note_damage(
-                    path, f"{_one_line(error)}; the {given} messages before it are intact"
+        where = f"{path.resolve().as_uri()}?immutable=1"
+        try:
+            with contextlib.closing(sqlite3.connect(where, uri=True)) as database:
+                # Tables may compute their cells, or be views, which never end.
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK_BYTES)
+                database.set_authorizer(lambda *asked: int(asked[-1] is not None))
+                rows = database.execute(
+                    "SELECT CAST(name AS TEXT), type FROM topics WHERE name NOT NULL"
                 )
+                self.types |= {topic: (kind, "") for topic, kind in rows}
+                for topic, time_ns, payload in database.execute(_QUERY, [json.dumps([*topics])]):
+                    yield Record(topic, payload, "", time_ns, time_ns)
+                    given += 1
+        except sqlite3.Error as error:
+            if not self.types:
+                raise RecordingError(
+                    f"{self.path}: cannot be read as a bag ({_one_line(error)}); give a folder "
+                    "that `ros2 bag record` wrote, or an .mcap or .db3 of it"
+                ) from error
+            what = f"{_one_line(error)}; the {given} messages before it are intact"
+            self._note_damage(name, what)
 
-    def _note_damage(self, path: Path, damage: str | None) -> None:
+    def _note_damage(self, name: str, damage: str | None) -> None:
         if damage is not None:
-            which = "" if path == self.path else f"{path.name}: "
+            which = "" if name == self.path.name else f"{name}: "
             self.damage = f"{which}{damage}" if self.damage is None else self.damage
+
+
+@contextlib.contextmanager
+def _unpacked_file(path: Path) -> Iterator[Path]:
+    """A file of a bag; one that was compressed as a whole is unpacked to a temporary one.
+
+    Raises:
+        RecordingError: it cannot be unpacked, or to more than a recording of a robot holds.
+    """
+    if path.suffix != ".zstd":
+        yield path
+        return
+    with tempfile.NamedTemporaryFile(suffix=f"-{path.stem}"[-_NAME:]) as file:
+        # Half of the disk is left to others.
+        most = min(
+            max(MAX_CHUNK_BYTES, MAX_RATIO * path.stat().st_size),
+            shutil.disk_usage(file.name).free // 2,
+        )
+        unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
+        try:
+            with path.open("rb") as packed:
+                source = unpacker.stream_reader(packed, read_across_frames=True)
+                while piece := source.read(_PIECE_BYTES):
+                    if file.tell() + len(piece) > most:
+                        raise RecordingError(
+                            f"{path}: unpacks to more than {most >> 20} MB, expected at most "
+                            f"{MAX_RATIO} times its size and half of the free disk; if it is "
+                            f"sound, unpack it with `zstd -d {path}`"
+                        )
+                    file.write(piece)
+            file.flush()
+        except (zstandard.ZstdError, OSError) as error:
+            raise RecordingError(
+                f"{path}: cannot be unpacked ({_one_line(error)}); expected a file of a bag"
+            ) from error
+        yield Path(file.name)
 
 
 def _is_ros_1(path: Path) -> bool:
@@ -194,14 +239,15 @@ def _unpacked(payload: bytes) -> bytes:
     """Unpack a message of ``ros2 bag record --compression-mode message``."""
     if payload.startswith(_ZSTD):
         with contextlib.suppress(zstandard.ZstdError):
-            return zstandard.ZstdDecompressor().stream_reader(payload).read(_MOST_BYTES)
+            unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
+            return unpacker.stream_reader(payload).read(_MOST_BYTES)
     return payload
 
 
 def _number(path: Path) -> tuple[int, str]:
     """Order of a bag's files: ``walk_2.mcap`` comes before ``walk_10.mcap``."""
-    digits = re.search(r"(\d+)$", path.stem)
-    return (int(digits[1]) if digits else 0, path.name)
+    found = _FILE.fullmatch(path.name)
+    return (int(found[1] or 0) if found else 0, path.name)
 
 
 def _one_line(error: Exception) -> str:
