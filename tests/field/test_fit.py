@@ -272,7 +272,7 @@ def test_no_command_takes_the_shipped_robot_silently_or_for_another(
 ) -> None:
     more = {
         "fit": ["-o", tmp_path / "legs.json"],
-        "replay": ["--events", tmp_path / "events.jsonl"],
+        "replay": ["--events", tmp_path / "events.jsonl", "--force"],
         "score": [],
     }[command]
     nameless = m.write(tmp_path / "one.mcap", sent[:2000])
