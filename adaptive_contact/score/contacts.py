@@ -119,8 +119,6 @@ GAP_TICKS: Final = 10
 # The lift is over once the command comes this close to the highest point of its swing.  A swing's
 # top is flat: its last ticks rise by fractions of a millimetre.
 TOP_M: Final = 0.001
-# A gait says "stance" when it plans to touch; for so many ticks the foot may be on its way.
-AFTER_TICKS: Final = 16
 
 
 class Swings(NamedTuple):
@@ -129,7 +127,7 @@ class Swings(NamedTuple):
     start: Ints  # (s,) index of the first swing sample
     stop: Ints  # (s,) index after the last one
     of_tick: Ints  # (n,) which swing a sample belongs to, -1 in stance
-    # (n,) which swing a sample follows, up to 16 ticks after its turn to stance; -1 elsewhere
+    # (n,) which swing a stance sample follows, without a hole since; -1 elsewhere
     after_tick: Ints
 
 
@@ -168,7 +166,6 @@ def find_swings(t_ns: Ints, swing: Mask) -> Swings:
         last = stop[newest] - 1
         stretch = np.cumsum(broken)
         follows = (newest >= 0) & ~swing & (stretch == stretch[last])
-        follows &= np.arange(n) - last <= AFTER_TICKS
         after_tick[follows] = newest[follows]
     return Swings(start, stop, of_tick, after_tick)
 

@@ -1,9 +1,10 @@
 """Events of one leg against its contacts: touches found and missed, false alarms.
 
-The rules of ``docs/scoring.md``.  In short: swings are judged, and up to 16 ticks after their turn
-to stance while the foot has not touched; a detection is the first unmatched ``contact: true``
-within the window of a touch; events while the foot is still loaded after a stance are neither;
-every other one is a false alarm.
+The rules of ``docs/scoring.md``.  In short: an event belongs to the touch that it follows most
+closely, so that a window ends where the next touch begins.  The first ``contact: true`` in the
+window of a touch detects it.  A later one, while the foot still touches, is a late detection of a
+touch that was missed.  What belongs to no touch is a false alarm wherever nothing touches; while
+the foot is loaded, it is one in the swing of that touch only.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ LONG_WINDOW_NS: Final = 500_000_000
 # A touch with fewer swing samples left than this is late; so is one soon after the turn to stance.
 LATE_SAMPLES: Final = 3
 LATE_TICKS: Final = 10
+# A gait says "stance" when it plans to touch; for so many ticks the foot may be on its way.
+AFTER_TICKS: Final = 16
 # Speed at touch, m/s.
 HEADLINE_M_S: Final = 0.2
 SLOW_M_S: Final = 0.1
@@ -55,39 +58,50 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
     swings = find_swings(t_ns, stream.swing)
     lift = lift_by_halves(swings) if stream.lift is None else stream.lift
     contacts = contacts_of(stream.truth, int(t_ns[0]) if len(t_ns) else 0)
-    # The swing a contact began in, -1 where it was loaded already, or began in stance.
+    # The swing that a touch is judged in, -1 for none: where it began, or the one before where it
+    # is the first after its turn.
     tick = _tick_of(contacts.onset_ns, t_ns)
-    contact_swing = np.where(contacts.touch, _at(swings.of_tick, tick), -1)
-    first = _first_after(t_ns, swings, contacts)
-    # The swing after which it began, where its foot had not touched before.
     late = _at(swings.after_tick, tick)
     soon = tick - _at(swings.stop, late) < LATE_TICKS
-    late[~(contacts.touch & soon & (_at(first, late) == np.arange(len(tick))))] = -1
-    touches = _touches(contacts, np.maximum(contact_swing, late), tick, swings, lift)
+    soon &= _at(_first_after(t_ns, swings, contacts), late) == np.arange(len(tick))
+    judged_in = np.maximum(_at(swings.of_tick, tick), np.where(soon, late, -1))
+    judged_in[~contacts.touch] = -1
+    touches = _touches(contacts, judged_in, tick, swings, lift)
 
     event_ns, chosen = np.unique(events.t_ns[events.contact], return_index=True)
-    estimate_ns = events.onset_ns[events.contact][chosen]
     event_tick = _tick_of(event_ns, t_ns)
-    event_swing, event_after = _at(swings.of_tick, event_tick), _at(swings.after_tick, event_tick)
-    loaded = (event_swing >= 0) & _loaded(event_ns, event_swing, contacts, contact_swing)
-    told_of = np.maximum(event_swing, event_after)
-    free = np.flatnonzero((told_of >= 0) & ~loaded)
-    touches, taken = _assign(touches, event_ns[free], told_of[free], estimate_ns[free])
-    left = np.zeros(len(event_ns), dtype=bool)
-    left[free[~taken]] = True
-    alarms = np.flatnonzero(left & (event_swing >= 0))
-    # Once the foot has touched, nothing is judged until the next swing.
-    closed_ns = np.append(contacts.onset_ns, FOREVER_NS)[first]
-    open_still = event_ns < _at(closed_ns, event_after)
-    after = np.flatnonzero(left & open_still)
-    outside = (told_of < 0) | (left & (event_after >= 0) & ~open_still)
+    in_swing, in_stance = _at(swings.of_tick, event_tick), _at(swings.after_tick, event_tick)
+    reported_in = np.maximum(in_swing, in_stance)
+    contact, held = _last_touch(event_ns, contacts), _holding(event_ns, contacts)
+    own = (reported_in >= 0) & (_at(judged_in, contact) == reported_in)
+    in_window = event_ns <= _at(contacts.onset_ns + _window_ns(contacts), contact)
+    in_window &= _at(contacts.touch.astype(np.int64), contact) == 1
+    found = _first_of_each(contact, own & in_window)
+    late_found = own & ~in_window & (held == contact)
+    late_found &= ~np.isin(contact, contact[found])
+    late_found = _first_of_each(contact, late_found)
+    touch = _at(np.cumsum(judged_in >= 0) - 1, contact)
+    touches.found[touch[found]] = True
+    for flags, into, since_ns in (
+        (found, touches.latency_ns, event_ns),
+        (found, touches.onset_error_ns, events.onset_ns[events.contact][chosen]),
+        (late_found, touches.found_late_ns, event_ns),
+    ):
+        into[touch[flags]] = since_ns[flags] - touches.onset_ns[touch[flags]]
+    neutral = (in_swing >= 0) & (held >= 0) & (_at(judged_in, held) != in_swing)
+    # In stance, what a loaded foot reports is not judged, nor what belongs to a touch that is not.
+    unjudged = (held >= 0) | (in_window & (_at(judged_in, contact) < 0))
+    outside = (reported_in < 0) | ((in_swing < 0) & unjudged)
+    outside &= ~(found | late_found)
+    alarms = np.flatnonzero(~(found | late_found | neutral | outside))
 
     count = len(swings.start)
-    in_swing = swings.of_tick >= 0
-    tick_swing = swings.of_tick[in_swing]
-    tick_loaded = _loaded(t_ns[in_swing], tick_swing, contacts, contact_swing)
-    follows = np.flatnonzero(swings.after_tick >= 0)
-    follows = follows[t_ns[follows] < closed_ns[swings.after_tick[follows]]]
+    tick_held = _holding(t_ns, contacts)
+    free = (swings.of_tick >= 0) & ((tick_held < 0) | (_at(judged_in, tick_held) == swings.of_tick))
+    after = (swings.after_tick >= 0) & (tick_held < 0)
+    after &= np.arange(len(t_ns)) - _at(swings.stop, swings.after_tick) < AFTER_TICKS
+    judged_after = np.bincount(swings.after_tick[after], minlength=count)
+    alarm_after = in_swing[alarms] < 0
     counted = touches.counted
     return LegOutcome(
         leg=stream.leg,
@@ -95,22 +109,21 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
             start_ns=t_ns[swings.start],
             end_ns=t_ns[swings.stop - 1],
             ticks=swings.stop - swings.start,
-            judged=np.bincount(tick_swing[~tick_loaded], minlength=count),
+            judged=np.bincount(swings.of_tick[free], minlength=count) + judged_after,
             touches=np.bincount(touches.swing[counted], minlength=count),
             hits=np.bincount(touches.swing[touches.found], minlength=count),
             misses=np.bincount(touches.swing[counted & ~touches.found], minlength=count),
-            false_alarms=np.bincount(event_swing[alarms], minlength=count),
-            neutral=np.bincount(event_swing[loaded], minlength=count),
-            judged_after=np.bincount(swings.after_tick[follows], minlength=count),
-            alarms_after=np.bincount(event_after[after], minlength=count),
+            false_alarms=np.bincount(reported_in[alarms], minlength=count),
+            neutral=np.bincount(in_swing[neutral], minlength=count),
+            judged_after=judged_after,
+            alarms_after=np.bincount(in_stance[alarms[alarm_after]], minlength=count),
         ),
         touches=touches,
         alarms_ns=event_ns[alarms],
-        alarm_swing=event_swing[alarms],
-        after_ns=event_ns[after],
-        after_swing=event_after[after],
+        alarm_swing=reported_in[alarms],
+        alarm_after=alarm_after,
         outside_ns=event_ns[outside],
-        unjudged_ns=contacts.onset_ns[contacts.touch & (contact_swing < 0) & (late < 0)],
+        unjudged_ns=contacts.onset_ns[contacts.touch & (judged_in < 0)],
         span_ns=(int(t_ns[0]), int(t_ns[-1])) if len(t_ns) else (0, 0),
     )
 
@@ -130,14 +143,29 @@ def _at(values: Ints, tick: Ints) -> Ints:
     return np.where(tick >= 0, values[tick], -1)
 
 
-def _loaded(when_ns: Ints, swing: Ints, contacts: Contacts, contact_swing: Ints) -> Mask:
-    """Whether, at times inside the given swings, a contact held that did not begin in them."""
-    if len(contacts.onset_ns) == 0:
-        return np.zeros(len(when_ns), dtype=bool)
+def _last_touch(when_ns: Ints, contacts: Contacts) -> Ints:
+    """The contact that began last before each time, -1 for none."""
+    return np.searchsorted(contacts.onset_ns, when_ns, side="left") - 1
+
+
+def _holding(when_ns: Ints, contacts: Contacts) -> Ints:
+    """The contact that holds at each time, -1 for none."""
     which = np.searchsorted(contacts.onset_ns, when_ns, side="right") - 1
-    loaded: Mask = (which >= 0) & (when_ns < contacts.release_ns[which])
-    loaded &= contact_swing[which] != swing
-    return loaded
+    return np.where(when_ns < _at(contacts.release_ns, which), which, -1)
+
+
+def _first_of_each(contact: Ints, chosen: Mask) -> Mask:
+    """The first chosen event of each contact."""
+    first = np.zeros(len(contact), dtype=bool)
+    at = np.flatnonzero(chosen)
+    first[at[np.unique(contact[at], return_index=True)[1]]] = True
+    return first
+
+
+def _window_ns(contacts: Contacts) -> Ints:
+    """(c,) how long a detection may take."""
+    slow = contacts.soft | (contacts.speed_m_s <= SLOW_M_S)
+    return np.where(slow, LONG_WINDOW_NS, WINDOW_NS)
 
 
 def _first_after(t_ns: Ints, swings: Swings, contacts: Contacts) -> Ints:
@@ -149,23 +177,26 @@ def _first_after(t_ns: Ints, swings: Swings, contacts: Contacts) -> Ints:
 
 
 def _touches(
-    contacts: Contacts, touched: Ints, tick: Ints, swings: Swings, lift: Mask
+    contacts: Contacts, judged_in: Ints, tick: Ints, swings: Swings, lift: Mask
 ) -> TouchTable:
     """The touches to be found, in their rows; none found yet.
 
-    ``touched`` (c,) is the swing in which or soon after which each contact began, -1 for none.
+    ``judged_in`` (c,) is the swing in which or soon after which each contact began, -1 for none.
     """
-    inside = np.flatnonzero(touched >= 0)
-    at, swing = tick[inside], touched[inside]
+    inside = np.flatnonzero(judged_in >= 0)
+    at, swing = tick[inside], judged_in[inside]
     speed, soft = contacts.speed_m_s[inside], contacts.soft[inside]
+    grazing = contacts.grazing[inside]
     # Samples at or before the onset cannot know of it; ``at`` is the last of those.
     left = swings.stop[swing] - 1 - at
+    late = left < LATE_SAMPLES  # after the turn it is negative
+    unknown = np.isnan(speed) & ~soft & ~grazing
     rows: list[tuple[Mask, Row]] = [
-        (left < LATE_SAMPLES, Row.LATE),  # after the turn it is negative
-        (lift[at], Row.LIFT),
-        (contacts.grazing[inside], Row.GRAZING),
+        (late & ~unknown, Row.LATE),
+        (lift[at] & (left >= 0), Row.LIFT),
+        (grazing, Row.GRAZING),
         (soft, Row.SOFT),
-        (np.isnan(speed), Row.UNKNOWN),
+        (unknown, Row.UNKNOWN),
         (speed >= HEADLINE_M_S, Row.HEADLINE),
         (speed > SLOW_M_S, Row.MID),
         (speed >= CREEP_M_S, Row.SLOW),
@@ -175,35 +206,19 @@ def _touches(
         [ROWS.index(name) for _, name in rows],
         default=ROWS.index(Row.CREEP),
     )
-    slow = soft | (speed <= SLOW_M_S)
+    onset_ns = contacts.onset_ns
+    until_next = np.append(np.diff(onset_ns), FOREVER_NS)
     return TouchTable(
-        onset_ns=contacts.onset_ns[inside],
+        onset_ns=onset_ns[inside],
         swing=swing,
         row=row,
-        window_ns=np.where(slow, LONG_WINDOW_NS, WINDOW_NS),
+        window_ns=np.minimum(_window_ns(contacts), until_next)[inside],
         found=np.zeros(len(inside), dtype=bool),
         latency_ns=np.full(len(inside), -1),
         onset_error_ns=np.zeros(len(inside), dtype=np.int64),
         speed_m_s=speed,
         force_n=contacts.force_n[inside],
         after_turn=left < 0,
+        late=late,
+        found_late_ns=np.full(len(inside), -1),
     )
-
-
-def _assign(
-    touches: TouchTable, event_ns: Ints, event_swing: Ints, estimate_ns: Ints
-) -> tuple[TouchTable, Mask]:
-    """Give each touch, in order, the first event in its window and swing that no other has."""
-    found, latency = touches.found.copy(), touches.latency_ns.copy()
-    error = touches.onset_error_ns.copy()
-    taken = np.zeros(len(event_ns), dtype=bool)
-    first = np.searchsorted(event_ns, touches.onset_ns, side="right")
-    last = np.searchsorted(event_ns, touches.onset_ns + touches.window_ns, side="right")
-    for touch in np.flatnonzero(first < last):
-        for event in range(first[touch], last[touch]):
-            if not taken[event] and event_swing[event] == touches.swing[touch]:
-                taken[event] = found[touch] = True
-                latency[touch] = event_ns[event] - touches.onset_ns[touch]
-                error[touch] = estimate_ns[event] - touches.onset_ns[touch]
-                break
-    return touches._replace(found=found, latency_ns=latency, onset_error_ns=error), taken

@@ -83,7 +83,7 @@ class TouchTable(NamedTuple):
     onset_ns: Ints  # true onset
     swing: Ints  # which swing it lies in, or follows
     row: Ints  # position in `ROWS`
-    window_ns: Ints  # how long a detection may take
+    window_ns: Ints  # how long a detection may take, at most until the next touch
     found: Mask  # whether it was detected
     latency_ns: Ints  # deciding sample minus onset, -1 where it was not detected
     onset_error_ns: Ints  # estimated minus true onset, 0 where it was not detected
@@ -91,6 +91,10 @@ class TouchTable(NamedTuple):
     speed_m_s: Array
     force_n: Array
     after_turn: Mask  # whether the swing had turned to stance before
+    late: Mask  # whether it comes after the turn, or in the last samples before
+    # deciding sample minus onset of a detection after the window, while the foot still touches; -1
+    # where there was none
+    found_late_ns: Ints
 
     @property
     def counted(self) -> Mask:
@@ -106,25 +110,24 @@ class SwingTable(NamedTuple):
     start_ns: Ints
     end_ns: Ints
     ticks: Ints  # swing samples
-    judged: Ints  # those of them on which the foot was not still loaded from before
+    judged: Ints  # those of them on which the foot was not still loaded from before, and the next
+    judged_after: Ints  # ticks after the turn to stance, up to 16, on which nothing touched
     touches: Ints  # touches of counted rows, those soon after the turn to stance included
     hits: Ints  # touches of any row that were detected
     misses: Ints  # touches of counted rows that were not
-    false_alarms: Ints  # `contact: true` in the swing that belong to no touch
+    false_alarms: Ints  # `contact: true` in the swing, or after it, that belong to no touch
+    alarms_after: Ints  # those of them after it
     neutral: Ints  # `contact: true` while the foot was still loaded from before
-    # ticks after the turn to stance, up to 16, on which the foot had not touched
-    judged_after: Ints
-    alarms_after: Ints  # `contact: true` on those that belong to no touch
 
     @property
     def errors(self) -> Ints:
-        """(s,) misses and false alarms, in the swing and after it."""
-        return self.misses + self.false_alarms + self.alarms_after
+        """(s,) misses and false alarms."""
+        return self.misses + self.false_alarms
 
     @property
     def outcome(self) -> NDArray[np.str_]:
         """(s,) values of :class:`Outcome`."""
-        kinds = [self.false_alarms + self.alarms_after > 0, self.misses > 0, self.hits > 0]
+        kinds = [self.false_alarms > 0, self.misses > 0, self.hits > 0]
         names: NDArray[np.str_] = np.array([outcome.value for outcome in Outcome])
         chosen: NDArray[np.str_] = names[np.select(kinds, [0, 1, 2], default=3)]
         return chosen
@@ -137,10 +140,9 @@ class LegOutcome:
     leg: str
     swings: SwingTable
     touches: TouchTable
-    alarms_ns: Ints  # (a,) deciding samples of the false alarms in swings
-    alarm_swing: Ints  # (a,) the swings they lie in
-    after_ns: Ints  # (b,) deciding samples of the false alarms after a turn to stance
-    after_swing: Ints  # (b,) the swings that they follow
+    alarms_ns: Ints  # (a,) deciding samples of the false alarms
+    alarm_swing: Ints  # (a,) the swings that they lie in or follow
+    alarm_after: Mask  # (a,) whether they come after the turn to stance
     outside_ns: Ints  # deciding samples of each `contact: true` that is not judged: in stance
     unjudged_ns: Ints  # onsets of touches that are not judged: in stance
     span_ns: tuple[int, int]  # first and last sample
@@ -157,7 +159,6 @@ class LegOutcome:
         keep = within(self.swings.start_ns)
         renumbered = np.cumsum(keep) - 1
         of_touch, of_alarm = keep[self.touches.swing], keep[self.alarm_swing]
-        of_after = keep[self.after_swing]
         touches = TouchTable._make(column[of_touch] for column in self.touches)
         return dataclasses.replace(
             self,
@@ -165,8 +166,7 @@ class LegOutcome:
             touches=touches._replace(swing=renumbered[touches.swing]),
             alarms_ns=self.alarms_ns[of_alarm],
             alarm_swing=renumbered[self.alarm_swing[of_alarm]],
-            after_ns=self.after_ns[of_after],
-            after_swing=renumbered[self.after_swing[of_after]],
+            alarm_after=self.alarm_after[of_alarm],
             outside_ns=self.outside_ns[within(self.outside_ns)],
             unjudged_ns=self.unjudged_ns[within(self.unjudged_ns)],
             span_ns=(max(self.span_ns[0], from_ns), min(self.span_ns[1], to_ns)),

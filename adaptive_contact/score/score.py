@@ -81,8 +81,8 @@ def score_messages(
         )
     if not gathered.legs_with_truth:
         raise RecordingError(
-            "no truth (robot/leg/*/truth) in the recording; only recordings of the simulator, "
-            "which knows when a foot touches, can be scored"
+            "no truth (robot/leg/*/truth) in the recording; only recordings with "
+            "truth, of the simulator or of foot switches, can be scored"
         )
     if events is not None:
         gathered.replace_events(events)

@@ -86,6 +86,7 @@ class RowFigures:
 
     touches: int  # how many there were
     found: int  # how many were detected
+    found_late: int  # how many others were, after the window, while the foot still touched
     recall: float | None  # their share, None without touches
     interval: Interval  # 95 % Clopper-Pearson interval of the recall
     latency: Latency | None  # None where nothing was detected
@@ -119,27 +120,33 @@ class Summary:
     rows: dict[Row, RowFigures]  # every row that holds a touch, and always the headline
     counted: RowFigures  # the rows together whose misses are errors
     in_time: RowFigures  # those of them that are not late
-    # late_in_swing, late_after: late touches before and after the turn to stance
+    # late_in_swing, late_after: counted touches that are, before and after the turn to stance
     late_in_swing: RowFigures
     late_after: RowFigures
     detections: int  # touches detected, whatever their row
-    false_alarms: int
+    false_alarms: int  # in swings and after them
     precision: float | None  # detections over detections and false alarms, None without either
     precision_interval: Interval
     swings: int
     lost_swings: int  # swings with an error, a missed touch of a counted row or a false alarm
-    judged_ticks: int  # swing ticks on which the foot was not still loaded from before
+    # swing ticks on which the foot was not still loaded from before, and up to 16 ticks after the
+    # turn to stance on which nothing touched
+    judged_ticks: int
     robot_hours: float
     # false alarms per robot-hour of 540,000 judged ticks, None without ticks
     per_hour: float | None
     # its 95 % Poisson interval; the upper end is infinite without ticks
     per_hour_interval: Interval
-    # the same of the ticks after a turn to stance, up to 16, on which the foot had not touched;
-    # they are in none of the four
-    after: AlarmFigures
+    after: AlarmFigures  # the part of them after turns to stance
     neutral: int  # events while the foot was still loaded from before
     outside: int  # events in stance that are not judged
     unjudged: int  # touches in stance that are not judged
+
+    @property
+    def headline(self) -> Row:
+        """The row to look at first: without speeds in the truth, that of unknown speed."""
+        without = Row.UNKNOWN in self.rows and not self.rows[Row.HEADLINE].touches
+        return Row.UNKNOWN if without else Row.HEADLINE
 
 
 def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
@@ -152,24 +159,25 @@ def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
         if name is Row.HEADLINE or np.any(row == code)
     }
     found = int(np.sum(_column(touches, "found")))
-    counted, after_turn = (_column(touches, n).astype(bool) for n in ("counted", "after_turn"))
-    late = row == ROWS.index(Row.LATE)
+    counted, after_turn, late = (
+        _column(touches, n).astype(bool) for n in ("counted", "after_turn", "late")
+    )
     alarms = AlarmFigures.of(
         sum(len(outcome.alarms_ns) for outcome in outcomes),
         sum(int(outcome.swings.judged.sum()) for outcome in outcomes),
     )
     after = AlarmFigures.of(
-        sum(len(outcome.after_ns) for outcome in outcomes),
+        sum(int(outcome.alarm_after.sum()) for outcome in outcomes),
         sum(int(outcome.swings.judged_after.sum()) for outcome in outcomes),
     )
-    reported = found + alarms.false_alarms + after.false_alarms
+    reported = found + alarms.false_alarms
     return Summary(
         legs=tuple(dict.fromkeys(outcome.leg for outcome in outcomes)),
         rows=rows,
         counted=_figures(touches, counted),
         in_time=_figures(touches, counted & ~late),
-        late_in_swing=_figures(touches, late & ~after_turn),
-        late_after=_figures(touches, late & after_turn),
+        late_in_swing=_figures(touches, counted & late & ~after_turn),
+        late_after=_figures(touches, counted & late & after_turn),
         detections=found,
         false_alarms=alarms.false_alarms,
         precision=found / reported if reported else None,
@@ -200,6 +208,7 @@ def _figures(touches: Sequence[TouchTable], chosen: NDArray[np.bool_]) -> RowFig
     return RowFigures(
         touches=total,
         found=hits,
+        found_late=int(np.sum(_column(touches, "found_late_ns")[chosen] >= 0)),
         recall=hits / total if total else None,
         interval=clopper_pearson(hits, total),
         latency=Latency(*(float(q) for q in np.percentile(latency_ms, (50, 95, 99))))

@@ -51,6 +51,7 @@ def as_table(score: Score) -> RenderableType:
 def summary_json(summary: Summary) -> dict[str, Any]:
     """Every figure of a summary, as a tree of numbers and texts."""
     return {
+        "headline_row": summary.headline.value,
         "rows": {row.value: _row(figures) for row, figures in summary.rows.items()},
         "counted": _row(summary.counted),
         "in_time": _row(summary.in_time),
@@ -81,6 +82,7 @@ def _row(figures: RowFigures) -> dict[str, Any]:
     return {
         "touches": figures.touches,
         "found": figures.found,
+        "found_late": figures.found_late,
         "recall": figures.recall,
         "recall_interval": _interval(figures.interval),
         "latency_median_ms": latency.median_ms if latency else None,
@@ -97,19 +99,20 @@ def _interval(interval: Interval) -> list[float | None]:
 def _rows_table(summary: Summary) -> Table:
     table = Table(title="Touches in swings", title_justify="left")
     table.add_column("row")
-    for name in ("touches", "found", "recall", "95 %", "median", "p95", "p99 ms"):
+    for name in ("touches", "found", "too late", "recall", "95 %", "median", "p95", "p99 ms"):
         table.add_column(name, justify="right")
+    first = summary.headline
+    table.add_row(_MEANING[first], *_cells(summary.rows[first]), style="bold")
     for row, figures in summary.rows.items():
-        style = "bold" if row is Row.HEADLINE else None
-        table.add_row(_MEANING[row], *_cells(figures), style=style)
-        if row is Row.LATE:
-            table.add_row("  of these still in the swing", *_cells(summary.late_in_swing))
-            table.add_row("  of these after the turn", *_cells(summary.late_after))
+        if row not in (first, Row.HEADLINE):
+            table.add_row(_MEANING[row], *_cells(figures))
     if len(summary.rows) > 1:
         table.add_section()
-        if Row.LATE in summary.rows:
-            table.add_row("all but creep, grazing, lift, late", *_cells(summary.in_time))
         table.add_row("all but creep, grazing, lift", *_cells(summary.counted))
+        if summary.in_time != summary.counted:
+            table.add_row("  of these in time", *_cells(summary.in_time))
+            table.add_row("  late, still in the swing", *_cells(summary.late_in_swing))
+            table.add_row("  late, after the turn", *_cells(summary.late_after))
     if {Row.SLOW, Row.CREEP, Row.SOFT} & summary.rows.keys():
         table.caption = "* found within 500 ms; the others within 120 ms"
         table.caption_justify = "left"
@@ -122,6 +125,7 @@ def _cells(figures: RowFigures) -> tuple[str, ...]:
     return (
         str(figures.touches),
         str(figures.found),
+        str(figures.found_late),
         _percent(figures.recall),
         _range(figures.interval, figures.touches),
         *("-" if value is None else f"{value:.0f}" for value in times),
@@ -138,8 +142,8 @@ def _totals(summary: Summary) -> Table:
     after = summary.after
     if after.judged_ticks:
         shown = _alarms(after.false_alarms, after.per_hour, after.interval)
-        table.add_row("after the turn", f"{shown}; {after.judged_ticks} ticks")
-    alarms = summary.detections + summary.false_alarms + after.false_alarms
+        table.add_row("  after the turn", f"{shown}; {after.judged_ticks} ticks")
+    alarms = summary.detections + summary.false_alarms
     interval = _range(summary.precision_interval, alarms)
     share = f"{_percent(summary.precision)} of {alarms} alarms (95 % {interval})" if alarms else "-"
     table.add_row("precision", share)

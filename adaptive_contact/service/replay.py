@@ -406,19 +406,15 @@ def _touches(
             found.append(Touch(at_s, "hit", why))
             continue
         end = min(onset + int(table.window_ns[i]), releases[onset])
-        earlier = [at_ns for at_ns in scores if onset < at_ns <= end]
         why = why_missed(t_ns, ratio, onset, end, withheld)
-        if earlier:
-            ms = (earlier[0] - onset) / 1e6
-            why = f"missed: the contact after {ms:.0f} ms counts for a touch before it"
+        if table.found_late_ns[i] >= 0:
+            window_ms, ms = table.window_ns[i] / 1e6, table.found_late_ns[i] / 1e6
+            why = f"missed: found after {ms:.0f} ms, later than {window_ms:.0f} ms"
         found.append(Touch(at_s, "miss" if table.counted[i] else "beyond", f"{why} ({of})"))
-    for alarms, where in (
-        (outcome.alarms_ns, "in the swing"),
-        (outcome.after_ns, "in or after the turn to stance"),
-    ):
-        for at_ns in alarms.tolist():
-            why = f"false, {scores.get(at_ns, np.nan):.2f} times the threshold, {where}"
-            found.append(Touch((at_ns - start_ns) / _NS_PER_S, "false", why))
+    for at_ns, after in zip(outcome.alarms_ns.tolist(), outcome.alarm_after, strict=True):
+        where = "in or after the turn to stance" if after else "in the swing"
+        why = f"false, {scores.get(at_ns, np.nan):.2f} times the threshold, {where}"
+        found.append(Touch((at_ns - start_ns) / _NS_PER_S, "false", why))
     return sorted(found, key=lambda touch: touch.at_s)
 
 

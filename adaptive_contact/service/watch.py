@@ -142,7 +142,7 @@ class _Truth:
     def judge(self, event: ContactEvent) -> None:
         if self.began_ns is None or event.t_ns <= self.began_ns + _DETECTION_NS:
             return
-        for touch in self.touches:
+        for touch in reversed(self.touches):  # it belongs to the one that it follows most closely
             late_ns = event.t_ns - touch.onset_ns
             if 0 < late_ns <= _DETECTION_NS:
                 self.touches.remove(touch)

@@ -280,6 +280,7 @@ def test_json_has_its_documented_shape() -> None:
     row = {
         "touches": "number",
         "found": "number",
+        "found_late": "number",
         "recall": "number",
         "recall_interval": ["number", "number"],
         "latency_median_ms": "number",
@@ -291,6 +292,7 @@ def test_json_has_its_documented_shape() -> None:
     empty = {name: "NoneType" if name.startswith(unknown) else kind for name, kind in row.items()}
     empty["recall_interval"] = ["number", "number"]
     summary = {
+        "headline_row": "str",
         "rows": {"headline": row},
         "counted": row,
         "in_time": row,

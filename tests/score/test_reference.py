@@ -35,7 +35,8 @@ class Case:
 
 @dataclass
 class Reference:
-    touches: list[tuple[int, str, bool, int]] = field(default_factory=list)  # onset row found lat
+    # onset, row, found, latency, latency of a detection that came too late
+    touches: list[tuple[int, str, bool, int, int]] = field(default_factory=list)
     alarms: list[int] = field(default_factory=list)
     outside: list[int] = field(default_factory=list)
     unjudged: list[int] = field(default_factory=list)
@@ -43,7 +44,8 @@ class Reference:
     neutral: Counter[int] = field(default_factory=Counter)
     judged_after: Counter[int] = field(default_factory=Counter)
     alarms_after: list[int] = field(default_factory=list)
-    late_after: list[int] = field(default_factory=list)  # onsets
+    late: list[int] = field(default_factory=list)  # onsets
+    late_after: list[int] = field(default_factory=list)
     errors: Counter[int] = field(default_factory=Counter)
     swings: list[tuple[int, int]] = field(default_factory=list)
 
@@ -64,10 +66,10 @@ def reference(case: Case) -> Reference:
         out.swings[-1] = (out.swings[-1][0], k)
         number.append(len(out.swings) - 1)
 
-    # What follows a swing: up to 16 ticks of stance, without a hole.
+    # What follows a swing: stance, without a hole.
     follows: list[int | None] = [None] * len(case.t)
     for swing, (_, last) in enumerate(out.swings):
-        for k in range(last + 1, min(last + 17, len(case.t))):
+        for k in range(last + 1, len(case.t)):
             if case.swing[k] or case.t[k] - case.t[k - 1] > gap:
                 break
             follows[k] = swing
@@ -106,11 +108,11 @@ def reference(case: Case) -> Reference:
     for contact in contacts:
         contact["swing"] = swing_at(contact["on"]) if contact["touch"] else None
 
-    def loaded(when: int, swing: int) -> bool:
-        return any(
-            c["on"] <= when and (c["off"] is None or when < c["off"]) and c["swing"] != swing
-            for c in contacts
-        )
+    def held(when: int) -> dict[str, object] | None:
+        for c in contacts:
+            if c["on"] <= when and (c["off"] is None or when < c["off"]):
+                return c
+        return None
 
     def after_at(when: int) -> int | None:
         tick = tick_at(when)
@@ -121,41 +123,70 @@ def reference(case: Case) -> Reference:
         turn = case.t[out.swings[swing][1] + 1]
         return any((c["off"] is None or c["off"] > turn) and c["on"] <= when for c in contacts)
 
-    for k, t in enumerate(case.t):
-        if number[k] is not None and not loaded(t, number[k]):
-            out.judged[number[k]] += 1
-        if follows[k] is not None and not touched_after(t, follows[k]):
-            out.judged_after[follows[k]] += 1
-
-    free: list[int] = []
-    for when in sorted({t for t, contact in case.events if contact}):
-        swing = swing_at(when)
-        if swing is None and after_at(when) is None:
-            out.outside.append(when)
-        elif swing is not None and loaded(when, swing):
-            out.neutral[swing] += 1
-        else:
-            free.append(when)
-
     for contact in contacts:
         if not contact["touch"]:
             continue
-        swing, onset = contact["swing"], contact["on"]
+        onset = contact["on"]
         after = after_at(onset)
-        if after is not None and not touched_after(onset - 1, after):
-            _, last = out.swings[after]
-            if tick_at(onset) - last <= 10:  # the first tick of stance is one after the last
-                swing = after
-                out.late_after.append(onset)
-        if swing is None:
+        first = after is not None and not touched_after(onset - 1, after)
+        if first and tick_at(onset) - out.swings[after][1] <= 10:
+            contact["swing"] = after
+            out.late_after.append(onset)
+        if contact["swing"] is None:
             out.unjudged.append(onset)
+
+    for k, t in enumerate(case.t):
+        holder = held(t)
+        if number[k] is not None and (holder is None or holder["swing"] == number[k]):
+            out.judged[number[k]] += 1
+        if follows[k] is not None and k - out.swings[follows[k]][1] <= 16 and holder is None:
+            out.judged_after[follows[k]] += 1
+
+    for contact in contacts:
+        contact["found"], contact["too late"] = None, None
+        slow = contact["touch"] and (contact["soft"] or contact["speed"] <= 0.1)
+        contact["window"] = (500 if slow else 120) * MS
+    for when in sorted({t for t, contact in case.events if contact}):
+        swing, after = swing_at(when), after_at(when)
+        before = [c for c in contacts if c["on"] < when]
+        last = before[-1] if before and before[-1]["touch"] else None
+        in_time = last is not None and when <= last["on"] + last["window"]
+        holder = held(when)
+        place = swing if swing is not None else after
+        if place is None:
+            out.outside.append(when)
+            continue
+        if last is not None and last["swing"] == place and last["found"] is None:
+            if in_time:
+                last["found"] = when - last["on"]
+                continue
+            if holder is last and last["too late"] is None:
+                last["too late"] = when - last["on"]
+                continue
+        if swing is not None and holder is not None and holder["swing"] != swing:
+            out.neutral[swing] += 1
+        elif swing is not None:
+            out.alarms.append(when)
+            out.errors[swing] += 1
+        elif holder is not None or (in_time and last["swing"] is None):
+            out.outside.append(when)
+        else:
+            out.alarms.append(when)
+            out.alarms_after.append(when)
+            out.errors[after] += 1
+
+    for contact in contacts:
+        swing, onset = contact["swing"], contact["on"]
+        if swing is None:
             continue
         first, last = out.swings[swing]
         left = sum(1 for k in range(first, last + 1) if case.t[k] > onset)
         speed = contact["speed"]
         if left < 3:
+            out.late.append(onset)
+        if left < 3 and not (math.isnan(speed) and not contact["soft"] and not contact["grazing"]):
             row = "late"
-        elif case.lift[tick_at(onset)]:
+        elif case.lift[tick_at(onset)] and tick_at(onset) <= last:
             row = "lift"
         elif contact["grazing"]:
             row = "grazing"
@@ -171,27 +202,11 @@ def reference(case: Case) -> Reference:
             row = "slow"
         else:
             row = "creep"
-        window = 500 * MS if contact["soft"] or speed <= 0.1 else 120 * MS
-        found = None
-        for when in free:
-            if onset < when <= onset + window and swing in (swing_at(when), after_at(when)):
-                found = when
-                break
-        if found is not None:
-            free.remove(found)
-        elif row in ("headline", "mid", "slow", "soft", "unknown", "late"):
+        found, too_late = contact["found"], contact["too late"]
+        if found is None and row in ("headline", "mid", "slow", "soft", "unknown", "late"):
             out.errors[swing] += 1
-        out.touches.append((onset, row, found is not None, -1 if found is None else found - onset))
-    for when in free:
-        if swing_at(when) is not None:
-            out.alarms.append(when)
-            out.errors[swing_at(when)] += 1
-        elif touched_after(when, after_at(when)):
-            out.outside.append(when)
-        else:
-            out.alarms_after.append(when)
-            out.errors[after_at(when)] += 1
-    out.outside.sort()
+        latencies = (-1 if found is None else found, -1 if too_late is None else too_late)
+        out.touches.append((onset, row, found is not None, *latencies))
     return out
 
 
@@ -269,12 +284,13 @@ def test_equals_the_slow_reference(case: Case) -> None:
     assert list(got.swings.end_ns) == [case.t[b] for _, b in expected.swings]
     assert list(got.swings.ticks) == [b - a + 1 for a, b in expected.swings]
     touches = [
-        (int(onset), ROWS[row].value, bool(found), int(latency))
-        for onset, row, found, latency in zip(
+        (int(onset), ROWS[row].value, bool(found), int(latency), int(too_late))
+        for onset, row, found, latency, too_late in zip(
             got.touches.onset_ns,
             got.touches.row,
             got.touches.found,
             got.touches.latency_ns,
+            got.touches.found_late_ns,
             strict=True,
         )
     ]
@@ -282,10 +298,12 @@ def test_equals_the_slow_reference(case: Case) -> None:
     assert list(got.alarms_ns) == expected.alarms
     assert list(got.outside_ns) == expected.outside
     assert list(got.unjudged_ns) == expected.unjudged
-    assert list(got.after_ns) == expected.alarms_after
+    assert list(got.alarms_ns[got.alarm_after]) == expected.alarms_after
+    assert list(got.touches.onset_ns[got.touches.late]) == expected.late
     assert list(got.touches.onset_ns[got.touches.after_turn]) == expected.late_after
     assert list(got.swings.judged_after) == [expected.judged_after[s] for s in range(count)]
-    assert list(got.swings.judged) == [expected.judged[s] for s in range(count)]
+    in_swings = got.swings.judged - got.swings.judged_after
+    assert list(in_swings) == [expected.judged[s] for s in range(count)]
     assert list(got.swings.neutral) == [expected.neutral[s] for s in range(count)]
     assert list(got.swings.errors) == [expected.errors[s] for s in range(count)]
 
@@ -297,13 +315,15 @@ def test_every_event_and_touch_is_accounted_for(case: Case) -> None:
     got = match(stream_of(case), events)
     told = len({when for when, contact in case.events if contact})
     found = int(got.touches.found.sum())
-    alarms = len(got.alarms_ns) + len(got.after_ns)
-    assert told == found + alarms + int(got.swings.neutral.sum()) + len(got.outside_ns)
-    assert int(got.swings.alarms_after.sum()) == len(got.after_ns)
+    too_late = int((got.touches.found_late_ns >= 0).sum())
+    judged = found + too_late + len(got.alarms_ns)
+    assert told == judged + int(got.swings.neutral.sum()) + len(got.outside_ns)
+    assert int(got.swings.alarms_after.sum()) == int(got.alarm_after.sum())
     assert found == int(got.swings.hits.sum())
     assert np.all(got.touches.latency_ns[got.touches.found] > 0)
     assert np.all(got.touches.latency_ns <= got.touches.window_ns)
-    assert np.all(got.swings.judged <= got.swings.ticks)
+    assert np.all(got.touches.found_late_ns[got.touches.found] < 0)
+    assert np.all(got.swings.judged - got.swings.judged_after <= got.swings.ticks)
     summary = summarise([got])
     assert summary.detections == found
     assert sum(figures.touches for figures in summary.rows.values()) == len(got.touches.onset_ns)
@@ -341,7 +361,6 @@ def test_recovery_equals_the_slow_reference(swings: list[tuple[int, bool]], drif
         touches=np.array([int(touched) for _, touched in swings], dtype=np.int64),
         misses=zeros,
         false_alarms=np.array([errors for errors, _ in swings], dtype=np.int64),
-        alarms_after=zeros,
     )
     expected = None
     after = swings[drift:]

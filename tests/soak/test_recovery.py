@@ -38,11 +38,13 @@ def outcome(onsets_s: list[float], found: list[bool]) -> LegOutcome:
         speed_m_s=none,
         force_n=none,
         after_turn=none > 0.0,
+        late=none > 0.0,
+        found_late_ns=count - 1,
     )
     start = onset - S // 2
     swings = SwingTable(start, onset, *([count + 10] * 2), *([count] * 7))
     empty = np.zeros(0, dtype=np.int64)
-    return LegOutcome("rf", swings, touches, *([empty] * 6), (0, 100 * S))
+    return LegOutcome("rf", swings, touches, *([empty] * 5), (0, 100 * S))
 
 
 NO_TRUTH = truth_changes([])

@@ -157,7 +157,7 @@ def legs_of_run(kind: str, number: int) -> list[LegTrial]:
                 kind,
                 None if first is None else first + 1,
                 len(np.unique(touches.swing[before])) + (first is not None),
-                int(swings.judged[:EARLY].sum() + swings.judged_after[:EARLY].sum()),
+                int(swings.judged[:EARLY].sum()),
                 _figures(outcome, after),
                 _figures(known[outcome.leg], after) if known else None,
                 played.learners[outcome.leg].status.status,
@@ -170,11 +170,10 @@ def _figures(outcome: LegOutcome, after: int) -> Figures:
     touches = outcome.touches
     early = touches.counted & (touches.swing > after) & (touches.swing < EARLY)
     late = touches.counted & (touches.swing >= EARLY)
-    alarms = np.concatenate([outcome.alarm_swing, outcome.after_swing])
     return Figures(
         int(early.sum()),
         int((early & touches.found).sum()),
-        int((alarms < EARLY).sum()),
+        int((outcome.alarm_swing < EARLY).sum()),
         (int(late.sum()), int((late & touches.found).sum())),
     )
 

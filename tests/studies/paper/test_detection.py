@@ -180,7 +180,7 @@ def test_false_alarms_among_contacts_are_told_apart() -> None:
     stream = touched(
         "hard",
         [0.5, 0.5, 0.5, None],
-        [[TOUCH, TOUCH + 9], [TOUCH + 10], [3, TOUCH], [8, 20]],
+        [[TOUCH, TOUCH + 9], [SWING + 3], [3, TOUCH], [8, 20]],  # the second after its release
     )
     outcome = outcome_of(stream, "default")
     assert what_alarms_are([outcome]) == {"again": 1, "late": 1, "early": 1, "untouched": 2}
