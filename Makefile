@@ -22,8 +22,6 @@ PICO_PATH = $(if $(PICO),PKG_CONFIG_PATH="$(abspath $(PICO))/lib/pkgconfig")
 # longest would be among the last.  Tests that start processes come by themselves: what they wait
 # for is not delayed by arithmetic, and two of them leave a core idle less often than one.
 TOGETHER := -n 2 --dist loadfile --no-loadscope-reorder
-# Beside the first tests, which wait for servos; else both of the two would compile the tick.
-COMPILE := $(BIN)/python -c "from adaptive_contact.bank import compile_ahead; compile_ahead()"
 
 # A pipe must fail where pip fails.  What takes time is printed: packages as they come, not what
 # each asks for.
@@ -62,11 +60,11 @@ demo: env  ## service and simulator as two processes, a drift, a report in out/d
 	$(BIN)/python -m adaptive_contact demo --out out/demo
 
 test: env  ## unit and property tests on two cores, then end-to-end tests, two at a time
-	$(COMPILE) & $(BIN)/python -m pytest $(TOGETHER) -m "not slow and not e2e"
+	$(BIN)/python -m pytest $(TOGETHER) -m "not slow and not e2e"
 	$(BIN)/python -m pytest $(TOGETHER) -m "not slow and e2e"
 
 test-all: env  ## the same with the slow ones: chains in real time, recovery, a million rows
-	$(COMPILE) & $(BIN)/python -m pytest $(TOGETHER) -m "not e2e"
+	$(BIN)/python -m pytest $(TOGETHER) -m "not e2e"
 	$(BIN)/python -m pytest $(TOGETHER) -m e2e
 
 check: env  ## ruff, types, import contracts

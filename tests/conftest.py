@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import subprocess
+import sys
 
+import pytest
 from hypothesis import HealthCheck, settings
 
+from adaptive_contact import compiled
 from adaptive_contact.service.refit_process import ONE_BLAS_THREAD
 
 # Of this process and of those that tests start; BLAS reads it when it is loaded.  A leg's matrices
@@ -16,3 +21,20 @@ os.environ.update(ONE_BLAS_THREAD)
 # Machines are shared: how long an example takes to draw or to run there says nothing of the code.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("shared")
+
+AHEAD = "from adaptive_contact.bank import compile_ahead; compile_ahead()"
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile the tick before the first test: it takes a core's minute, and no test's time.
+
+    Of several processes one compiles, and the others wait.
+    """
+    folder = compiled.cache_folder()
+    processes = any(item.get_closest_marker("e2e") for item in session.items)
+    if not (processes or "adaptive_contact.bank" in sys.modules) or folder is None:
+        return
+    with (folder / "ahead").open("w") as one:
+        fcntl.flock(one, fcntl.LOCK_EX)
+        if compiled.compiles() and not compiled.is_cached():
+            subprocess.run([sys.executable, "-c", AHEAD], check=True)

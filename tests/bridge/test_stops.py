@@ -83,7 +83,7 @@ class Program:
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(20)
+                self._process.wait(60)
         self.kill()
         self._reader.join(10)
         assert self._process.stdout is not None

@@ -85,7 +85,6 @@ def controller() -> Iterator[Callable[[Any], Controller]]:
         one.end()
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("kind", [AX, XL])
 def test_an_observer_bears_another_master_and_counts_what_it_breaks(
     run: Callable, controller: Callable, kind: dict

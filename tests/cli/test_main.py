@@ -180,14 +180,14 @@ def test_watch_gives_the_terminal_its_cursor_back(number: signal.Signals) -> Non
                 shown = until(master, b"\x1b[?25l")  # the cursor is hidden: it is drawing
                 watch.send_signal(number)
                 shown = until(master, b"\x1b[?25h")
-                assert watch.wait(20) == 0
+                assert watch.wait(60) == 0
             assert b"Traceback" not in shown
         finally:
             os.close(master)
             router.kill()
 
 
-def until(master: int, mark: bytes, timeout_s: float = 30.0) -> bytes:
+def until(master: int, mark: bytes, timeout_s: float = 60.0) -> bytes:
     """What a terminal shows, up to a mark."""
     shown, end = b"", time.monotonic() + timeout_s
     while mark not in shown:

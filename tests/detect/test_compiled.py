@@ -170,7 +170,7 @@ def test_the_tick_says_the_same_uncompiled() -> None:
         ran = subprocess.run(
             [sys.executable, "-c", _RUN.format(tests=str(Path(__file__).parents[1]))],
             env={**os.environ, "NUMBA_DISABLE_JIT": disabled},
-            capture_output=True, text=True, timeout=200, check=True,
+            capture_output=True, text=True, check=True,
         )  # fmt: skip
         said.append(ran.stdout)
     assert said[0] == said[1]

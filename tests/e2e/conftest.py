@@ -23,7 +23,17 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[2]
-END_S = 10.0
+END_S = 60.0
+
+# Of a test that is the first to need a wheel's environment: building it compiles the tick.
+BUILD_S = 900
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if {"installed", "bare", "environment"} & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.timeout(BUILD_S))
+
 
 # What the extras bring; an environment without them has the core dependencies only.
 EXTRAS = (
@@ -128,7 +138,9 @@ def _bare_variables() -> dict[str, str]:
     return kept | {"COLUMNS": "200", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def _install(wheel: Path, folder: Path, *, without: tuple[str, ...] = ()) -> Environment:
+def _install(
+    wheel: Path, folder: Path, *, without: tuple[str, ...] = (), compiled: bool = True
+) -> Environment:
     """A new environment that holds the wheel and this environment's packages, but not its own.
 
     The packages are linked, not copied, and their ``.pth`` files left out: through those an
@@ -153,7 +165,11 @@ def _install(wheel: Path, folder: Path, *, without: tuple[str, ...] = ()) -> Env
     (site / "linked.pth").write_text(f"{packages}\n", encoding="utf-8")
     # What it compiles is of no use to any other installation, so none of it stays.
     cache = {"ADAPTIVE_CONTACT_CACHE": str(folder / "cache")}
-    return Environment(str(python), _bare_variables() | cache, site)
+    made = Environment(str(python), _bare_variables() | cache, site)
+    if compiled:  # before a command's time is limited
+        ahead = "from adaptive_contact.bank import compile_ahead; compile_ahead()"
+        assert made.run("-c", ahead, cwd=folder, timeout_s=BUILD_S).returncode == 0
+    return made
 
 
 @pytest.fixture(scope="session")
@@ -185,7 +201,7 @@ def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
 def without_plot(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
     """The wheel with every extra but ``plot``."""
     plot = ("matplotlib", "mpl_toolkits", "pylab", "PIL")
-    return _install(wheel, tmp_path_factory.mktemp("without_plot"), without=plot)
+    return _install(wheel, tmp_path_factory.mktemp("without_plot"), without=plot, compiled=False)
 
 
 @pytest.fixture(scope="session")

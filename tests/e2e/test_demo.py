@@ -49,7 +49,7 @@ def test_it_writes_what_it_shows(start: Callable[..., Any], tmp_path: Path) -> N
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     assert summary["settings"]["seed"] == 3
     assert summary["settings"]["drift"]["holds"].keys() == {"friction", "mass"}
-    assert 5 < summary["settings"]["drift"]["after_s"] < 14
+    assert 5 < summary["settings"]["drift"]["after_s"] < 20
     before = summary["service"]["before"]
     assert before["counted"]["touches"] >= 12
     assert before["counted"]["recall"] >= 0.9

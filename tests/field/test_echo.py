@@ -107,7 +107,7 @@ def heard(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[In
             yield got
     finally:
         service.terminate()
-        service.communicate(timeout=20)
+        service.communicate(timeout=60)
 
 
 @pytest.mark.parametrize(("leg", "doubt"), [(ECHOES, "echo"), (SWAPS, "phase")])

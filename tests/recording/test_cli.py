@@ -355,7 +355,6 @@ def test_help_is_quick() -> None:
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(60)
 def test_encodings_and_keys_that_zenoh_cannot_send_are_counted(
     router: Link, tmp_path: Path
 ) -> None:

@@ -50,7 +50,7 @@ class Inbox:
             self.items.append(item[0] if len(item) == 1 else item)
             self._changed.notify_all()
 
-    def wait(self, enough: Callable[[list[Any]], bool] | int, timeout_s: float = 20.0) -> list[Any]:
+    def wait(self, enough: Callable[[list[Any]], bool] | int, timeout_s: float = 60.0) -> list[Any]:
         """Wait until there are so many items, or the items are enough; fails after the timeout."""
         test = enough if callable(enough) else lambda items: len(items) >= enough
         with self._changed:
@@ -150,7 +150,7 @@ def command() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     for process in running:
         if process.poll() is None:
             process.kill()
-        process.wait(5)
+        process.wait(60)
         if process.stdout is not None:
             process.stdout.close()
 

@@ -130,4 +130,4 @@ def test_a_flood_of_one_leg_hurts_no_other_and_is_over_with_its_end(
         assert len(own) >= 4
         assert again == own
     process.terminate()
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0

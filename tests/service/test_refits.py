@@ -302,7 +302,7 @@ def test_a_process_that_hangs_before_a_large_job_is_replaced(
     assert isinstance(found, RefitResult)
     assert found.status is FitStatus.OK
     assert refitter.failures == 0
-    assert hanging.wait(5) == -signal.SIGKILL
+    assert hanging.wait(60) == -signal.SIGKILL
 
 
 @pytest.mark.parametrize("where", ["before the job", "within the answer"])
@@ -334,7 +334,7 @@ def test_processes_that_hang_are_given_up(
     assert found.status is FitStatus.LOST
     assert refitter.failures == 1
     assert [line["event"] for line in logs] == ["refit given up"]
-    assert [process.wait(5) for process in started] == [-signal.SIGKILL] * 2
+    assert [process.wait(60) for process in started] == [-signal.SIGKILL] * 2
     # The next job has a process of its own again.
     monkeypatch.setattr(refits, "start_process", start)
     refitter.timeout_s = 20.0
@@ -358,8 +358,8 @@ def test_closing_does_not_wait_for_a_process_that_hangs(
         time.sleep(0.01)
     began = time.monotonic()
     refitter.close()
-    assert time.monotonic() - began < 5.0
-    assert hanging.wait(5) == -signal.SIGKILL
+    assert time.monotonic() - began < 20.0
+    assert hanging.wait(60) == -signal.SIGKILL
 
 
 def test_closing_while_the_process_ends_is_no_fault() -> None:
@@ -367,7 +367,7 @@ def test_closing_while_the_process_ends_is_no_fault() -> None:
         refitter = Vanishing()
         refitter.looks = iter([process])
         refitter.close()
-        assert process.wait(5) == -signal.SIGKILL
+        assert process.wait(60) == -signal.SIGKILL
 
 
 def test_the_process_computes_in_one_thread(
@@ -459,7 +459,7 @@ def test_one_that_was_started_before_is_used_and_ended(
         assert isinstance(found, RefitResult)
         assert found.status is FitStatus.OK
     assert not started, "no other was needed"
-    assert process.wait(5) == -signal.SIGKILL
+    assert process.wait(60) == -signal.SIGKILL
     end_process(process)  # once more does no harm
 
 

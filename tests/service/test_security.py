@@ -283,7 +283,7 @@ def test_zenohs_own_log_holds_no_key_of_an_endpoint(
     for level in ("debug", "trace"):
         monkeypatch.setenv("RUST_LOG", level)
         process = command("-c", code, *options, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        log, _ = process.communicate(timeout=30)
+        log, _ = process.communicate(timeout=60)
         assert process.returncode == 0, log[-500:]
         assert "DEBUG" in log
         for name in ("listen_private_key", "connect_private_key"):
@@ -338,7 +338,7 @@ def test_zenohs_own_log_holds_no_password(
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
         )
-        log, _ = process.communicate(timeout=30)
+        log, _ = process.communicate(timeout=60)
         assert process.returncode == 0
         assert "DEBUG" in log
         assert "refused: " in log

@@ -275,22 +275,22 @@ def test_in_a_process_of_its_own(router: Link, number: int) -> None:
         text=True,
     )
     try:
-        assert enough.wait(30.0)
+        assert enough.wait(60.0)
         with Link.open(client_settings([address])) as asker:
             replies = asker.query(SIM_DRIFT, Drift(kind="friction", value=3.0, leg="lm"))
         injected = subprocess.run(
             command("inject", "supply", "--value", "10", "--connect", address),
             capture_output=True,
             text=True,
-            timeout=30,
+            timeout=60,
             check=True,
         )
     finally:
         process.send_signal(number)
         began = time.monotonic()
-        out, _ = process.communicate(timeout=10)
+        out, _ = process.communicate(timeout=60)
     assert process.returncode == 0, out
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < 10.0
     assert "Traceback" not in out
     assert "x real time" in out
     reply = decode(replies[0].payload, DriftReply, replies[0].encoding)
@@ -325,6 +325,6 @@ def test_truth_waits_for_late_joiners(router: Link) -> None:
                 if isinstance(truth, ContactTruth):
                     found[reply.key] = truth
         process.terminate()
-        process.wait(10)
+        process.wait(60)
     assert len(found) == 6
     assert found["robot/leg/lf/truth"].contact

@@ -90,7 +90,7 @@ def serving(folder: Path, log: Path, later: tuple[str, int] | None = None) -> It
             with Link.open(client_settings([endpoint], wait=False)) as link:
                 yield link
             serve.terminate()
-            assert serve.wait(10) == 0
+            assert serve.wait(60) == 0
         finally:
             serve.kill()
 
@@ -241,7 +241,7 @@ def spoken(link: Link, test: Any) -> LearnerStatus:
             came.set()
 
     subscribed = link.subscribe(learner_key("rf"), hear)
-    assert came.wait(20), "no such status in 20 s"
+    assert came.wait(60), "no such status in a minute"
     subscribed.close()
     return found[0]
 

@@ -51,7 +51,7 @@ def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
         worker = int(parent.stdout.readline())
         assert worker != parent.pid
         parent.kill()
-        parent.wait(10.0)
+        parent.wait(60.0)
         # Its end of the pipe closes with the last process that has it.
         assert select.select([parent.stdout], [], [], 30.0)[0], "the worker stayed"
         assert parent.stdout.read() == b""

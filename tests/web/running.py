@@ -50,7 +50,7 @@ class Running:
             done.set()
 
         self.loop.call_soon_threadsafe(run)
-        assert done.wait(20)
+        assert done.wait(60)
 
     def until(self, test: Callable[[], bool]) -> None:
         end = time.monotonic() + 20

@@ -73,12 +73,12 @@ class Running:
 
     def end(self, number: int = signal.SIGINT) -> int:
         self.process.send_signal(number)
-        return self.process.wait(20)
+        return self.process.wait(60)
 
     def close(self) -> None:
         if self.process.poll() is None:
             self.process.kill()
-        self.process.wait(20)
+        self.process.wait(60)
         self._reader.join(20)
         assert self.process.stdout is not None
         self.process.stdout.close()
@@ -346,7 +346,7 @@ def test_a_port_in_use_and_options_that_do_not_go_together_are_one_line(robot: R
         (("--port", "1234"), "--host, --port and --no-browser are of the page; give --web"),
     ):
         second = Running("watch", *args, "--connect", robot.endpoint)
-        assert second.process.wait(30) == 2
+        assert second.process.wait(60) == 2
         second.close()
         assert len(second.lines) == 1
         assert line in second.lines[0]

@@ -90,5 +90,5 @@ def test_a_run_that_is_killed_leaves_no_worker_behind(tmp_path: Path) -> None:
     while not parts(tmp_path) and run.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
     run.kill()
-    run.communicate(timeout=30.0)
+    run.communicate(timeout=60.0)
     assert run.returncode == -signal.SIGKILL
