@@ -1,4 +1,4 @@
-"""Writes the files that a person names: whole or not at all.
+"""Writes the files that a person names, whole or not at all, and reads texts, to so much at most.
 
 A regular file is written beside its place, synced and renamed, so that a crash or a full disk
 leaves the old one.  Links are followed, and the file they lead to is replaced.  A device, a FIFO or
@@ -14,9 +14,12 @@ import os
 import secrets
 import stat
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Any, Final
+
+import msgspec
 
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 
@@ -24,6 +27,11 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 _NAME_CHARACTERS: Final = 40
 _STANDARD_STREAMS: Final = (1, 2)
 _ADVICE: Final = "give a path in a folder that exists, is writable and has room"
+# Of a text that a person writes; 64 legs of 16 joints, with all that robot.toml says, have 174 kB.
+_MOST_TEXT_BYTES: Final = 256_000
+# In a line of TOML: parts of a key cost the parser their number's square, 4 s for 20,000.  The
+# longest list there is, the origins of 16 joints, has 48.
+_MOST_DOTS: Final = 64
 _APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOCTTY
 
 
@@ -48,6 +56,67 @@ def open_stream(path: str | Path) -> IO[bytes]:
         OSError: it cannot be opened.
     """
     return Path(path).open("wb")
+
+
+def read_file(
+    path: Path,
+    advice: str,
+    *,
+    most: int = _MOST_TEXT_BYTES,
+    error: type[AdaptiveContactError] = ConfigurationError,
+) -> bytes:
+    """Read a file that is small.
+
+    Args:
+        path: of the file.
+        advice: what is expected, the end of the error's line.
+        most: bytes that it may have.
+        error: kind of error to raise.
+
+    Raises:
+        AdaptiveContactError: of the given kind, when it cannot be read, or is larger.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except OSError as why:
+        raise error(f"{path}: cannot be read ({why.strerror or why}); {advice}") from why
+    if len(data) > most:
+        raise error(f"{path}: has more than {most // 1000} kB; {advice}")
+    return data
+
+
+def read_toml(path: Path, advice: str) -> dict[str, Any]:
+    """Read a TOML file that is small, see :func:`read_file` and :func:`parse_toml`."""
+    try:
+        text = read_file(path, advice).decode("utf-8-sig")  # editors of Windows begin with a mark
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: is not UTF-8 text; {advice}") from error
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Parse TOML, in little time whatever it is; ``source`` names it in errors.
+
+    Raises:
+        ConfigurationError: in one line, what is wrong in it.
+    """
+    try:
+        if max(line.count(".") for line in text.split("\n")) > _MOST_DOTS:
+            raise ConfigurationError(
+                f"{source}: a line has more than {_MOST_DOTS} dots; expected keys of a few parts"
+            )
+        table = tomllib.loads(text)
+        msgspec.msgpack.encode(table)  # takes integers of 64 bits, as TOML does
+    except RecursionError as error:
+        raise ConfigurationError(f"{source}: not valid TOML: nested too deeply") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{source}: not valid TOML: {error}") from error
+    except (ValueError, OverflowError) as error:  # of thousands of digits, of a few
+        raise ConfigurationError(
+            f"{source}: not valid TOML: a whole number has more than 64 bits"
+        ) from error
+    return table
 
 
 @contextlib.contextmanager

@@ -15,6 +15,7 @@ from adaptive_contact.diagnose.leg_ids import IdTrack
 from adaptive_contact.learn.adapter import Adapter, EventStatus
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.model.bounds import is_count
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import (
     BufferCounts,
@@ -63,13 +64,13 @@ class Counters:
         counts = saved.get("counts")
         if isinstance(counts, dict):
             for name, count in counts.items():
-                if isinstance(name, str) and isinstance(count, int):
+                if isinstance(name, str) and is_count(count):
                     self.counts[name] = count
         rejects = saved.get("rejects")
         if isinstance(rejects, dict):
             known = {str(reason): reason for reason in Reject}
             for name, count in rejects.items():
-                if name in known and isinstance(count, int):
+                if name in known and is_count(count):
                     self.rejects[known[name]] = count
 
 

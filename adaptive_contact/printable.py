@@ -8,6 +8,7 @@ and readers are misled by marks that change the direction of writing.  All of th
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 from collections.abc import Iterable
 from typing import Final
@@ -18,6 +19,7 @@ _OTHER: Final = (
     "\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e"
     "\u2060-\u2069\ufeff\ufff9-\ufffb\ud800-\udfff"
 )
+_COMPARED: Final = 100  # characters of names, and names, that are compared with a misspelt one
 _UNSAFE: Final = re.compile(f"[\x00-\x1f{_OTHER}]")
 _UNSAFE_BUT_LINES: Final = re.compile(f"[\x00-\x09\x0b-\x1f{_OTHER}]")
 
@@ -44,8 +46,10 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float 
         otherwise: what to say where none is near.
         cutoff: least likeness, 0 to 1.
     """
-    plain = {one.casefold(): one for one in known}
-    near = difflib.get_close_matches(name.casefold(), plain, n=1, cutoff=cutoff)
+    # The comparison takes the product of both lengths.
+    short = (one for one in known if len(one) <= _COMPARED)
+    plain = {one.casefold(): one for one in itertools.islice(short, _COMPARED)}
+    near = difflib.get_close_matches(name[:_COMPARED].casefold(), plain, n=1, cutoff=cutoff)
     return f"did you mean '{plain[near[0]]}'?" if near else otherwise
 
 

@@ -17,7 +17,7 @@ import json
 import os
 import shutil
 import sys
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Final, TextIO
 
 from adaptive_contact.printable import printable, printable_json
 
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
     from adaptive_contact.service.settings import Finding
+
+
+_LONGEST: Final = 2000  # characters of a line
 
 
 def say(line: object, *, err: bool = False) -> None:
@@ -49,7 +52,10 @@ def say_json(value: object, indent: int | None = None) -> None:
 
 def say_note(line: object) -> None:
     """Print one line for people beside a command's output, on standard error."""
-    say(f"adaptive-contact: {line}", err=True)
+    text = str(line)
+    if len(text) > _LONGEST:  # it shows what a file holds
+        text = f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 2 :]}"
+    say(f"adaptive-contact: {text}", err=True)
 
 
 def say_waiting(finding: Finding) -> None:

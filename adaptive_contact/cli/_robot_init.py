@@ -19,7 +19,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
 from adaptive_contact.robot.kinematics import Vector
-from adaptive_contact.robot.load import recorded_as
+from adaptive_contact.robot.load import MAX_JOINTS, recorded_as
 from adaptive_contact.robot.urdf import UrdfLegs, read_urdf
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import is_leg_id
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2
 _JOINTS: Final = 3
-_MOST_JOINTS: Final = 16
 _ID: Final = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
 
 
@@ -143,13 +142,13 @@ def _joint_names(text: str | None) -> int | tuple[str, ...]:
     """What ``--joints`` says: a number, or names."""
     if text is None:
         return _JOINTS
-    if text.strip().isdigit() and 1 <= int(text) <= _MOST_JOINTS:
+    if text.strip().isdigit() and 1 <= int(text) <= MAX_JOINTS:
         return int(text)
     names = tuple(part.strip() for part in text.split(","))
     named = all(name and name.isprintable() for name in names) and len(set(names)) == len(names)
-    if text.strip().lstrip("+-").isdigit() or not named or len(names) > _MOST_JOINTS:
+    if text.strip().lstrip("+-").isdigit() or not named or len(names) > MAX_JOINTS:
         raise ConfigurationError(
-            f"--joints {text}: expected 1 to {_MOST_JOINTS}, or as many different names such as "
+            f"--joints {text}: expected 1 to {MAX_JOINTS}, or as many different names such as "
             "hip,thigh,knee"
         )
     return names

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final, NamedTuple
 
+from adaptive_contact.model.bounds import is_count
 from adaptive_contact.wire import MAX_ANGLE_RAD, MAX_PREVIEW_TICKS, Reject, ServoSample
 
 MAX_TIME_NS: Final = 2**63 - 1
@@ -142,11 +143,11 @@ class StreamGuard:
 
         What is not usable is left.
         """
-        if isinstance(missed, int):
+        if is_count(missed):
             self.missed = missed
         if not isinstance(saved, dict) or saved.get("begun") is not True:
             return
-        if _is_count(saved.get("restarts")):
+        if is_count(saved.get("restarts")):
             self.restarts = saved["restarts"]
         old_runs = saved.get("old_runs")
         runs = [saved.get("run"), *(old_runs if isinstance(old_runs, list) else [])]
@@ -299,10 +300,6 @@ class StreamGuard:
 def _follows(sample: ServoSample, last: ServoSample) -> bool:
     """Whether a sample may be the next one of the same stream, few being lost between."""
     return sample.t_ns > last.t_ns and 0 < sample.seq - last.seq <= SHORT_GAP + 1
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and 0 <= value <= MAX_TIME_NS
 
 
 def _is_run(value: object) -> bool:

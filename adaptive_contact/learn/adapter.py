@@ -31,6 +31,7 @@ from adaptive_contact.learn.state import (
     read_state,
     segment_of,
 )
+from adaptive_contact.model.bounds import is_count
 from adaptive_contact.model.free_motion import FreeMotion
 from adaptive_contact.model.labelled_swing import NO_ROWS, Label, LabelledSwing, Row, Rows
 from adaptive_contact.model.leg_model import LegModel
@@ -396,7 +397,7 @@ class Adapter:
     # -- private ----------------------------------------------------------------------------------
 
     def _restore_first(self, swings: object) -> None:
-        if not isinstance(swings, int) or swings < 0:
+        if not is_count(swings):
             self.first = None
         elif self.first is not None:
             self.first = FirstSwings(swings)

@@ -16,6 +16,7 @@ from adaptive_contact.fit.sparse_regression import FitStatus
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.learn.rls import is_plausible
 from adaptive_contact.learn.state import ImplausibleError, array_of, pack
+from adaptive_contact.model.bounds import is_count
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.labelled_swing import Row, Touch
@@ -338,7 +339,7 @@ class Candidate:
         if not isinstance(saved, dict):
             return
         for name in self._counts:
-            if isinstance(saved.get(name), int):
+            if is_count(saved.get(name)):
                 self._counts[name] = saved[name]
         reason = saved.get("reason")
         self._reason = reason if isinstance(reason, str) else None

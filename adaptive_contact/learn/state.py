@@ -6,7 +6,7 @@ checked for form and for sense before anything is changed: a snapshot is used wh
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple, TypeGuard
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact.learn.drift import LEVEL_RANGE
 from adaptive_contact.learn.replay_buffer import Segment
+from adaptive_contact.model.bounds import MOST, is_count
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library
 from adaptive_contact.wire import Status
@@ -49,8 +50,8 @@ def array_of(value: object, shape: tuple[int, ...], what: str) -> Array:
     if not fits or len(data) != 8 * int(np.prod(size)):
         raise ImplausibleError(f"{what} has shape {list(size)}; expected {list(shape)}")
     array = np.frombuffer(data, dtype="<f8").reshape(size).astype(np.float64)
-    if not np.isfinite(array).all():
-        raise ImplausibleError(f"{what} is not finite")
+    if not (np.abs(array) <= MOST).all():
+        raise ImplausibleError(f"{what} is not finite, or beyond {MOST:g}")
     return array
 
 
@@ -117,7 +118,7 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
     if not np.allclose(of_baseline, baseline.coefficients, rtol=0, atol=1e-9):
         raise ImplausibleError("it was learned from another baseline")
     version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
-    if not (isinstance(version, int) and version >= 0 and _is_era(era)):
+    if not (is_count(version) and is_count(era)):
         raise ImplausibleError("its version or era is no number")
     if not (isinstance(level, float) and LEVEL_RANGE[0] <= level <= LEVEL_RANGE[1]):
         raise ImplausibleError(f"its level is {level!r}")
@@ -139,15 +140,11 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
     )
 
 
-def _is_era(value: object) -> TypeGuard[int]:
-    return isinstance(value, int) and 0 <= value < 2**62
-
-
 def _lifts_assessed(value: object) -> tuple[int, int]:
     """Lifts and those far off; a state of before they were saved is of a leg that was learned."""
     if isinstance(value, list | tuple) and len(value) == 2:
         lifts, far = value
-        if isinstance(lifts, int) and isinstance(far, int) and 0 <= far <= lifts:
+        if is_count(lifts) and is_count(far) and far <= lifts:
             return lifts, far
     return 1, 0
 
@@ -173,7 +170,7 @@ def _unpack_segment(value: object, terms: int, joints: int, contexts: int) -> Se
         isinstance(cell, list | tuple) and len(cell) == 2 and all(isinstance(c, int) for c in cell)
     ):
         raise ImplausibleError("a segment's cell is no pair")
-    if not (_is_era(era) and isinstance(t_ns, int)):
+    if not (is_count(era) and is_count(t_ns)):
         raise ImplausibleError("a segment's era or time is no number")
     place = (int(cell[0]), int(cell[1]))
     return Segment(theta, target, context.astype(np.int64), place, era, t_ns)

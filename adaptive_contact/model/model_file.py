@@ -12,24 +12,27 @@ import dataclasses
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Any, Final
 
 import msgspec
 import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
-from adaptive_contact.files import cannot_write, write_file
+from adaptive_contact.files import cannot_write, read_file, write_file
+from adaptive_contact.model import bounds
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName
 from adaptive_contact.model.noise import CONTEXTS, WINDOWS, NoiseModel
-from adaptive_contact.model.tail import SHAPE_RANGE, Tail
+from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.model.window import Window
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 from adaptive_contact.robot.description import Axis
 
 FORMAT: Final = 1
+# A leg of 3 joints has 30 kB, one of 16 with all terms of the servo library 0.9 MB.
+_MOST_BYTES: Final = 32_000_000
 # Characters of a file's value that an error line shows.
 _BRIEF: Final = 40
 
@@ -101,43 +104,51 @@ def thresholds_of(tails: tuple[Tail, ...], false_alarms_per_hour: float) -> Arra
 
 
 class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
-    joints: tuple[str, ...]
-    axes: tuple[Axis, ...]
-    rows: int
-    terms: dict[str, dict[str, float]]
-    scale: dict[str, float]
-    covariance: list[list[list[list[float]]]]
-    ticks: list[float]
+    joints: Annotated[tuple[bounds.Name, ...], bounds.OfJoints]
+    axes: Annotated[tuple[Axis, ...], bounds.OfJoints]
+    rows: bounds.Count
+    terms: dict[str, dict[str, bounds.Number]]
+    scale: dict[str, bounds.Size]
+    covariance: list[list[list[list[bounds.Variance]]]]
+    ticks: list[bounds.Weight]
     domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
     # Of terms of how the leg moves.
-    inflation: float | msgspec.UnsetType = msgspec.field(default=msgspec.UNSET, name="doubt")
+    inflation: bounds.Inflation | msgspec.UnsetType = msgspec.field(
+        default=msgspec.UNSET, name="doubt"
+    )
 
 
 class _LibraryFile(msgspec.Struct, forbid_unknown_fields=True):
     name: LibraryName
-    past_measured: int
-    past_desired: int
-    preview: int
-    slope_rad: float
-    period_s: float
+    past_measured: bounds.Lag
+    past_desired: bounds.Lag
+    preview: bounds.Lag
+    slope_rad: bounds.Slope
+    period_s: bounds.Period
 
 
 class _TailFile(msgspec.Struct, forbid_unknown_fields=True):
-    level: float
-    rate: float
-    scale: float
-    shape: float
-    ticks: int
+    level: bounds.Level
+    rate: bounds.Share
+    scale: bounds.Excess
+    shape: bounds.Shape
+    ticks: bounds.Count
+
+
+class _Head(msgspec.Struct):
+    format: Any = None
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     format: int
-    robot: str
-    origin: str
-    quantum_rad: float
+    robot: bounds.Name
+    origin: bounds.Text
+    quantum_rad: bounds.Quantum
     library: _LibraryFile
-    tails: list[_TailFile]
-    legs: dict[str, _LegFile]
+    tails: Annotated[
+        list[_TailFile], msgspec.Meta(min_length=len(WINDOWS), max_length=len(WINDOWS))
+    ]
+    legs: Annotated[dict[str, _LegFile], bounds.OfLegs]
 
 
 def dump_baseline(baseline: Baseline) -> str:
@@ -191,12 +202,7 @@ def load_baseline(path: str | Path) -> Baseline:
         BaselineError: in one line, what is wrong with it.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise BaselineError(
-            f"{path}: cannot be read ({error.strerror}); give a file that `fit` wrote"
-        ) from error
+    data = read_file(path, "give a file that `fit` wrote", most=_MOST_BYTES, error=BaselineError)
     return parse_baseline(data, source=str(path))
 
 
@@ -220,16 +226,15 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
     """
     try:
         # Editors of Windows begin a file with a mark.
-        table = msgspec.json.decode(data.removeprefix(codecs.BOM_UTF8))
-        found = table.get("format") if isinstance(table, dict) else None
+        data = data.removeprefix(codecs.BOM_UTF8)
+        found = msgspec.json.decode(data, type=_Head).format
         if found != FORMAT:
             raise BaselineError(
                 f"{source}: a file of format {_brief(found)}; expected a baseline of format "
                 f"{FORMAT}: fit a new one with `adaptive-contact fit`"
             )
-        file = msgspec.convert(table, _File)
-        return _baseline(file)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        return _baseline(msgspec.json.decode(data, type=_File))
+    except (ValueError, RecursionError) as error:  # also of Unicode, and of long numbers
         raise BaselineError(
             f"{source}: not a baseline file ({error}); expected what `adaptive-contact fit` writes"
         ) from error
@@ -298,9 +303,12 @@ def _domain(entry: _LegFile, library: Library, scale: Array) -> Domain | None:
     try:
         for i, row in enumerate(rows):
             triangle[i, i:] = np.array(row.split(), dtype=np.float64)
+        if not (np.abs(triangle) <= bounds.MOST).all():
+            raise ValueError
     except (ValueError, IndexError) as error:
         raise IdentificationError(
-            f"its domain is no triangle of {p} rows; fit a new one"
+            f"its domain is no triangle of {p} rows, of numbers up to {bounds.MOST:g}; fit a new "
+            "one"
         ) from error
     if entry.inflation is msgspec.UNSET:
         return Domain(triangle, scale)
@@ -309,15 +317,6 @@ def _domain(entry: _LegFile, library: Library, scale: Array) -> Domain | None:
 
 def _baseline(file: _File) -> Baseline:
     legs = {leg: _leg(leg, entry, file.library) for leg, entry in file.legs.items()}
-    if not legs:
-        raise IdentificationError("it has no legs; fit a new one")
-    if len(file.tails) != len(WINDOWS):
-        raise IdentificationError(f"it has {len(file.tails)} tails; expected {len(WINDOWS)}")
-    for tail in file.tails:
-        sound = all(math.isfinite(x) for x in (tail.level, tail.scale, tail.shape))
-        usual = SHAPE_RANGE[0] <= tail.shape <= SHAPE_RANGE[1] and tail.ticks >= 0
-        if not (sound and usual and tail.scale > 0 and 0 < tail.rate < 1):
-            raise IdentificationError("a tail is implausible; fit a new one")
     tails = tuple(Tail(t.level, t.rate, t.scale, t.shape, t.ticks) for t in file.tails)
     return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails)
 
@@ -326,6 +325,8 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
     library = leg_library_of(of, entry.joints, entry.axes)
     coefficients = np.zeros((library.size, len(library.joints)))
     row = {name: i for i, name in enumerate(library.names)}
+    if not entry.terms.keys() <= set(library.joints):
+        raise IdentificationError(f"leg '{leg}' has terms of other joints; fit a new one")
     for j, joint in enumerate(library.joints):
         for term, value in entry.terms.get(joint, {}).items():
             if term not in row:
@@ -338,12 +339,14 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
     shape = (CONTEXTS, len(WINDOWS), joints, joints)
     covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
     ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
-    if not (np.isfinite(ticks).all() and (ticks >= 0).all() and ticks.sum() > 0):
-        raise IdentificationError(f"leg '{leg}': ticks are not counts, or none; fit a new one")
+    if not ticks.sum() > 0:
+        raise IdentificationError(f"leg '{leg}': ticks are none; fit a new one")
     scale = np.array([entry.scale.get(name, np.nan) for name in library.names])
-    if not (np.isfinite(scale).all() and (scale > 0).all()):
-        raise IdentificationError(f"leg '{leg}': a scale is missing or not above 0")
+    if not np.isfinite(scale).all():
+        raise IdentificationError(f"leg '{leg}': a scale is missing; fit a new one")
     model, noise = LegModel(library, coefficients), NoiseModel(covariance, ticks)
+    if not np.abs(noise.whiten).max() <= bounds.MOST_WHITEN:
+        raise IdentificationError(f"leg '{leg}': covariance is too small; fit a new one")
     return LegBaseline(model, noise, scale, entry.rows, _domain(entry, library, scale))
 
 

@@ -10,15 +10,15 @@ import difflib
 import functools
 import math
 import re
-import tomllib
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from typing import Final, NoReturn, get_args, get_type_hints
+from typing import Any, Final, NoReturn, get_args, get_type_hints
 
 import msgspec
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import parse_toml, read_toml
 from adaptive_contact.robot.description import (
     Angles,
     AxisWord,
@@ -35,8 +35,10 @@ from adaptive_contact.robot.description import (
 )
 from adaptive_contact.wire import is_leg_id
 
-# What one service has been tried with (`make many`).
+# What one service has been tried with (`make many`); what a sample has room for; letters.
 MAX_LEGS: Final = 64
+MAX_JOINTS: Final = 16
+_LONGEST_NAME: Final = 1000
 # A link is no longer, m, a leg reaches no less, and a direction is no shorter.
 MOST_M: Final = 5.0
 LEAST_REACH_M: Final = 1e-3
@@ -101,8 +103,8 @@ def _check_text(text: str, where: str, fail: _Fail) -> None:
     """Refuse a text that a person cannot read and a terminal would obey."""
     if not text.strip():
         fail(f"{where} is empty; write one")
-    if not text.isprintable():
-        fail(f"{where} is {text!r}; expected letters that can be printed")
+    if not text.isprintable() or len(text) > _LONGEST_NAME:
+        fail(f"{where} is {text!r}; expected letters that can be printed, up to {_LONGEST_NAME}")
 
 
 def _check_ports(robot: Robot, fail: _Fail) -> None:
@@ -152,8 +154,9 @@ def _check_ports(robot: Robot, fail: _Fail) -> None:
 def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
     joints = len(leg.joints)
     quantum = robot.quantum(leg.id)
-    if joints == 0:
-        fail(f"{where}: joints is empty; name at least one")
+    if not 1 <= joints <= MAX_JOINTS:
+        has = f"has {joints} names" if joints else "is empty"
+        fail(f"{where}: joints {has}; expected 1 to {MAX_JOINTS} names")
     for joint in leg.joints:
         _check_text(joint, f"{where}: the name of a joint", fail)
     if len(set(leg.joints)) != joints:
@@ -318,16 +321,9 @@ def load_robot(path: str | Path) -> Robot:
     path = Path(path)
     if is_shipped(path):
         return shipped_robot(path.name)
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # editors of Windows begin with a mark
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read ({error.strerror}); give the path of a robot.toml, or a "
-            f"shipped robot's name ({', '.join(_shipped_names())})"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{path}: is not UTF-8 text; expected a robot.toml") from error
-    return parse_robot(text, source=str(path))
+    names = ", ".join(_shipped_names())
+    advice = f"give the path of a robot.toml, or a shipped robot's name ({names})"
+    return _robot_of(read_toml(path, advice), str(path))
 
 
 @functools.cache  # a description cannot change
@@ -371,14 +367,12 @@ def parse_robot(text: str, *, source: str) -> Robot:
     Raises:
         ConfigurationError: see :func:`load_robot`.
     """
+    return _robot_of(parse_toml(text, source), source)
+
+
+def _robot_of(table: dict[str, Any], source: str) -> Robot:
     try:
-        file = msgspec.convert(tomllib.loads(text), _File, strict=True)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{source}: not valid TOML: {error}") from error
-    except RecursionError as error:
-        raise ConfigurationError(
-            f"{source}: nested too deeply; expected the tables of a robot.toml"
-        ) from error
+        file = msgspec.convert(table, _File, strict=True)
     except msgspec.ValidationError as error:
         raise ConfigurationError(f"{source}: {_explain(str(error))}") from error
     robot = Robot(

@@ -27,12 +27,15 @@ import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import read_file
 from adaptive_contact.printable import did_you_mean, printable
 from adaptive_contact.robot.description import Leg, Limits, Mount
 from adaptive_contact.robot.kinematics import Vector, turned
 
 MOST_BYTES: Final = 8_000_000
 MOST_DEPTH: Final = 64
+# Joints of any kind from the root to a foot; legs of 16 that turn have two fixed ones beside each.
+_LONGEST_PATH: Final = 100
 # Joints that turn, and that leave a leg as it is.
 _TURNING: Final = ("revolute", "continuous")
 _NO_LEG_S: Final = ("fixed", "floating", "planar")
@@ -102,11 +105,6 @@ class Urdf:
 
     def __init__(self, data: bytes, source: str) -> None:
         self.source = source
-        if len(data) > MOST_BYTES:
-            raise self._error(
-                f"has {len(data) / 1e6:.0f} MB; expected a URDF of {MOST_BYTES / 1e6:.0f} MB at "
-                "most: meshes are files of their own"
-            )
         self.name = ""
         self.links: list[str] = []
         self._joints: list[_Joint] = []
@@ -126,17 +124,14 @@ class Urdf:
                 f"line {self._line()}: no XML that can be read ({reason}); expected a URDF: "
                 "correct the line, or save the file as UTF-8"
             ) from error
+        self._moved: set[str] = set()  # links that joints move
         self._parents = self._tree()
 
     @property
     def tips(self) -> list[str]:
         """The links that carry no other, and that joints move."""
         carrying = {joint.parent for joint in self._joints}
-        return [
-            link
-            for link in self.links
-            if link not in carrying and any(j.kind in _TURNING for j in self._above(link))
-        ]
+        return [link for link in self.links if link in self._moved and link not in carrying]
 
     def legs(
         self, feet: Mapping[str, str], *, base: str | None = None, tips_m: Sequence[Vector] = ()
@@ -181,7 +176,11 @@ class Urdf:
             odd += [joint.odd for joint in chain if joint.odd is not None]
             raised += [leg] if _is_raised(legs[-1]) else []
         above = ", ".join(j.name for j in self._above(body) if j.kind not in _NO_LEG_S)
+        legs_own = {joint.name for joint in (*itertools.chain(*paths.values()), *self._above(body))}
+        beside = [j for j in self._joints if j.name not in legs_own and j.kind not in _NO_LEG_S]
+        listed = ", ".join(map(_shown, beside[:_LISTED])) + ", …" * (len(beside) > _LISTED)
         notes = {
+            f"left out, as they lead to no foot: joint {listed}": beside,
             f"the body is link '{body}': joints above it ({above}) are no leg's": above,
             f"no limits for joint {', '.join(free)}; fill in limits before the bridge drives "
             "it": free,
@@ -327,13 +326,22 @@ class Urdf:
                 way[link] = None
                 link = parents[link].parent
             ends_in_a_root.update(way)
+            for below in reversed(way):
+                if parents[below].kind in _TURNING or parents[below].parent in self._moved:
+                    self._moved.add(below)
         return parents
 
     def _path(self, leg: str, link: str) -> list[_Joint]:
         if link not in self.links:
             hint = did_you_mean(link, self.links, f"its last links: {self.last_links()}", 0.5)
             raise self._error(f"leg '{leg}': there is no link '{link}'; {hint}")
-        return self._above(link)[::-1]
+        path = self._above(link)[::-1]
+        if len(path) > _LONGEST_PATH:
+            raise self._error(
+                f"leg '{leg}': {len(path)} joints lead to link '{link}'; expected up to "
+                f"{_LONGEST_PATH}, the fixed ones included"
+            )
+        return path
 
     def last_links(self) -> str:
         """The links that carry no other, for a person."""
@@ -443,14 +451,15 @@ def read_urdf(path: Path) -> Urdf:
     Raises:
         ConfigurationError: it cannot be read, or is no URDF.
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read ({error.strerror}); give the path of a URDF"
-        ) from error
-    return Urdf(data, str(path))
+    advice = "give the path of a URDF; meshes are files of their own"
+    return Urdf(read_file(path, advice, most=MOST_BYTES), str(path))
+
+
+def _shown(joint: _Joint) -> str:
+    """A joint for a person; a rod that follows another makes a leg more than a chain."""
+    if joint.mimics is None:
+        return joint.name
+    return f"{joint.name} (follows {printable(joint.mimics)}; its load is not modelled)"
 
 
 def _rotation(rpy: Vector) -> Array:

@@ -7,6 +7,7 @@ defaults, which hide what the file itself says; so its keys are read here too.
 
 from __future__ import annotations
 
+import itertools
 import json
 import logging
 import os
@@ -18,7 +19,8 @@ from typing import Final, NamedTuple
 
 import zenoh
 
-from adaptive_contact.errors import ConfigurationError, reason_of
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import read_file
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     LinkSettings,
@@ -167,14 +169,11 @@ def _insert(config: zenoh.Config, key: str, value: object) -> None:
 
 
 def _from_file(path: Path) -> zenoh.Config:
-    try:
-        with path.open("rb"):
-            pass
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read: {reason_of(error)}; give a Zenoh "
-            "configuration with --zenoh-config (docs/security.md has some)"
-        ) from error
+    advice = "give a Zenoh configuration with --zenoh-config (docs/security.md has some)"
+    marks = [(mark in b"[{") - (mark in b"]}") for mark in read_file(path, advice)]
+    if max(itertools.accumulate(marks), default=0) > _DEEPEST:
+        # Zenoh's parser would end the process.
+        raise ConfigurationError(f"{path}: nested more than {_DEEPEST} deep; {advice}")
     try:
         return zenoh.Config.from_file(path)
     except zenoh.ZError as error:

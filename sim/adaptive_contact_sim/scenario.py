@@ -11,7 +11,6 @@ The shipped scenarios' names and seeds are permanent: a figure published for one
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -22,6 +21,7 @@ import msgspec
 
 from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import parse_toml, read_toml
 from adaptive_contact.printable import did_you_mean
 from adaptive_contact.wire import Drift
 from adaptive_contact_sim.drift import KINDS, Injection, check
@@ -196,15 +196,8 @@ def load_scenario(name: str) -> Scenario:
             return shipped[name]
         hint = did_you_mean(name, shipped, "`adaptive-contact sim list` shows them")
         raise ConfigurationError(f"no scenario '{name}' ships, and it is no .toml file; {hint}")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read ({error.strerror}); give the path of a scenario file"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{path}: is not UTF-8 text; expected a scenario file") from error
-    return parse_scenario(text, name=path.stem, source=str(path))
+    table = read_toml(path, "give the path of a scenario file")
+    return _scenario_of(table, path.stem, str(path))
 
 
 def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenario:
@@ -214,10 +207,10 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
         ConfigurationError: in one line, what is wrong and what is expected.
     """
     source = source or f"scenario {name}"
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{source}: not valid TOML: {error}") from error
+    return _scenario_of(parse_toml(text, source), name, source)
+
+
+def _scenario_of(table: Mapping[str, Any], name: str, source: str) -> Scenario:
     _refuse_unknown(table, _TOP, source, "unknown setting")
     mode = table.get("mode")
     if mode not in ("pose", "walk"):
@@ -236,7 +229,7 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
         # A gait that is not a table is reported by what reads it.
         gait = own.get("gait") if isinstance(own, dict) else None
         base = SimulationSettings.of(
-            robot, "pose" if mode == "pose" else "walk", gait if gait in GAITS else None
+            robot, "pose" if mode == "pose" else "walk", gait if gait in [*GAITS] else None
         )
     except ConfigurationError as error:
         raise ConfigurationError(f"{source}: {error}") from error

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -29,21 +31,56 @@ def test_what_was_written_is_read_back(tree: dict[str, Any], robot: Robot, mark:
     assert ContactLearner(robot, "rf", again).status.status == "valid"
 
 
-@pytest.mark.parametrize("shape", [-0.5, 0.7, 1.0, float("nan")])
-def test_a_tail_of_no_such_shape_is_refused(tree: dict[str, Any], shape: float) -> None:
-    tree["tails"][1]["shape"] = shape
-    text = json.dumps(tree).replace("NaN", "null")
-    with pytest.raises(BaselineError, match=r"^here: "):
-        parse_baseline(text.encode(), source="here")
+def places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Paths of all fields; of lists, and of what a leg has, the first entry stands for all."""
+    if path:
+        yield path
+    if isinstance(tree, dict):
+        some = path[:1] == ("legs",) and len(path) != 2
+        for key in list(tree)[: 1 if some else None]:
+            yield from places(tree[key], (*path, key))
+    elif isinstance(tree, list):
+        yield from places(tree[0], (*path, 0))
 
 
-@pytest.mark.parametrize("ticks", [0.0, -1.0, 1e400])
-def test_ticks_that_are_no_counts_are_refused(tree: dict[str, Any], ticks: float) -> None:
-    leg = tree["legs"]["rf"]
-    leg["ticks"] = [ticks] * len(leg["ticks"])
-    text = json.dumps(tree).replace("Infinity", "1e400")
-    with pytest.raises(BaselineError, match=r"^here: "):
-        parse_baseline(text.encode(), source="here")
+LIST = [1.0] * 100_000
+NUMBERS = [0, -1, 1e308, "Infinity", 10**400, None, "x", LIST, {"a": 1}]
+NAMES = {
+    *("format", "robot", "origin", "quantum_rad", "name", "past_measured", "past_desired"),
+    *("preview", "slope_rad", "period_s", "level", "rate", "scale", "shape", "ticks", "joints"),
+    *("axes", "rows", "terms", "covariance", "domain", "legs", "tails", "library"),
+}
+# What a leg may have, of what is written into each field.
+PLAUSIBLE = {
+    *(("rows", "0"), ("terms", "0"), ("terms", "-1"), ("ticks", "0"), ("level", "0")),
+    *(("preview", "0"), ("shape", "0")),
+    *(("robot", "'x'"), ("origin", "'x'"), ("origin", "'Infinity'"), ("domain", "None")),
+}
+
+
+@pytest.mark.parametrize("value", NUMBERS, ids=lambda value: repr(value)[:10])
+def test_every_field_that_no_leg_has_is_named(tree: dict[str, Any], value: Any) -> None:
+    seen = set()
+    for path in places(tree):
+        changed = copy.deepcopy(tree)
+        at = changed
+        for key in path[:-1]:
+            at = at[key]
+        leaf = not isinstance(at[path[-1]], list | dict)
+        at[path[-1]] = value
+        field = next(key for key in reversed(path) if key in NAMES)
+        seen.add(field)
+        text = json.dumps(changed).replace('"Infinity"', "1e400")
+        if (field, repr(value)[:9]) in PLAUSIBLE and leaf is not (value is None):
+            thresholds = parse_baseline(text.encode(), source="here").thresholds(1.0)
+            assert 0 < thresholds.min() <= thresholds.max() < 1e6
+            continue
+        with pytest.raises(
+            BaselineError, match=rf"^here: .*({field.rstrip('s')}|library)"
+        ) as refused:
+            parse_baseline(text.encode(), source="here")
+        assert len(str(refused.value)) < 500
+    assert seen == NAMES
 
 
 @pytest.mark.parametrize("shape", [*SHAPE_RANGE, 0.5])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from typing import Any
 
 import msgpack
@@ -140,3 +141,44 @@ def test_no_baseline_is_begun_with_where_there_was_none(robot: Any) -> None:
     line = learner(robot).restore(bare.snapshot())
     assert line is not None
     assert "another baseline" in line
+
+
+def places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Paths of all values; of a list of segments, the first stands for all."""
+    if isinstance(tree, dict) and "shape" not in tree:
+        for key, value in tree.items():
+            yield from places(value, (*path, key))
+    elif isinstance(tree, list) and tree:
+        yield from places(tree[0], (*path, 0))
+    else:
+        yield path
+
+
+@pytest.mark.parametrize(
+    "value", [-1, 1 << 63, 1e308, float("nan"), [1.0] * 1000, {"a": 1}], ids=repr
+)
+def test_no_number_of_a_file_is_counted_or_learned_on_from(robot: Any, value: Any) -> None:
+    """Refused in a line, or left out; arrays are refused, with their names."""
+    lived = learner(robot)
+    play(lived, samples(*FakeLeg(seed=3).run(4)[:3]))
+    tree = msgpack.unpackb(msgpack.packb(lived.snapshot()))
+    fresh = learner(robot)
+    for path in places(tree):
+        changed = copy.deepcopy(tree)
+        at = changed
+        for key in path[:-1]:
+            at = at[key]
+        array = isinstance(at[path[-1]], dict)
+        if array and isinstance(value, float):
+            rows = np.frombuffer(at[path[-1]]["data"]).copy()
+            rows[0] = value
+            at[path[-1]]["data"] = rows.tobytes()
+        else:
+            at[path[-1]] = value
+        line = fresh.restore(changed)
+        assert line is not None or not array, path
+        assert line is None or "\n" not in line
+        status = msgspec.to_builtins(fresh.status)
+        assert msgspec.msgpack.encode(status)
+        numbers = [n for n in (*status.values(), *status["rejects"].values()) if type(n) is int]
+        assert 0 <= min(numbers) <= max(numbers) < 1 << 62, path

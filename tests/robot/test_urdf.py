@@ -212,6 +212,18 @@ def test_angles_that_no_joint_has_are_said(wrong: tuple[str, str], upper: float,
     assert note.startswith("3 joints such as haa (rpy ")
 
 
+def test_joints_that_lead_to_no_foot_are_named() -> None:
+    rod = joint("rod", "thigh", "bar", more='<mimic joint="kfe"/>')
+    head = joint("neck", "body", "head", kind="prismatic", more="")
+    plate = joint("plate", "shank", "cover", kind="fixed", more="")
+    named = "body hip thigh shank foot bar head cover"
+    data = robot_of(HIP, THIGH, KNEE, FOOT, rod, head, plate, links=named)
+    found = Urdf(data, "x").legs({"l": "foot"})
+    assert found.legs == (leg_of(robot_of(HIP, THIGH, KNEE, FOOT)),)
+    (note,) = found.notes
+    assert "lead to no foot: joint rod (follows kfe; its load is not modelled), neck" in note
+
+
 def test_a_foot_of_other_case_is_recognised() -> None:
     with pytest.raises(ConfigurationError, match=r"no link 'FOOT'; did you mean 'foot'\?"):
         leg_of(robot_of(HIP, THIGH, KNEE, FOOT), "FOOT")
@@ -347,7 +359,7 @@ def test_a_leaf_on_a_circle_is_refused_before_anybody_looks_for_feet() -> None:
 def test_large_and_missing_files_are_refused(tmp_path: Path) -> None:
     large = tmp_path / "large.urdf"
     large.write_bytes(b"<robot>" + b" " * MOST_BYTES + b"</robot>")
-    with pytest.raises(ConfigurationError, match="has 8 MB; expected a URDF of 8 MB at most"):
+    with pytest.raises(ConfigurationError, match="has more than 8000 kB; give the path of a URDF"):
         read_urdf(large)
     with pytest.raises(ConfigurationError, match="cannot be read"):
         read_urdf(tmp_path / "none.urdf")

@@ -11,6 +11,7 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.settings import client_settings, router_settings
 from adaptive_contact.service.transport import DEFAULTS, configure, keys_of
 
@@ -93,3 +94,12 @@ def test_a_file_in_yaml_holds_where_it_differs(tmp_path: Path) -> None:
     config, _ = configure(router_settings(["127.0.0.1:0"], zenoh_config=file))
     assert json.loads(config.get_json("transport/link/tx/lease")) == 3456
     assert json.loads(config.get_json("timestamping/enabled")) is True
+
+
+@pytest.mark.parametrize("text", ["{a:" * 100_000, "[" * 200_000, "#" * 1_000_000])
+def test_a_text_that_would_end_zenoh_or_fill_memory_is_refused(tmp_path: Path, text: str) -> None:
+    """Its parser overflows the stack where a text is nested deeply."""
+    path = tmp_path / "zenoh.json5"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=f"^{path}: (nested|has) more than .*; give a"):
+        configure(router_settings(zenoh_config=path))

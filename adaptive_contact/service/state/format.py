@@ -27,6 +27,7 @@ import msgpack
 import msgspec
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model.bounds import Count
 from adaptive_contact.robot import Robot
 
 # 2: position of the source, so that samples that passed while the service was down are counted.
@@ -52,14 +53,14 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
     """A leg's state, and when it was."""
 
     identity: Identity  # what it belongs to
-    saved_ns: int  # wall clock, since 1970
+    saved_ns: Count  # wall clock, since 1970
     package: str  # version of this package
-    model_version: int  # in force
+    model_version: Count  # in force
     # run, seq: of the last sample the learner used; the run is None where samples carry none, the
     # number where none came yet
     run: int | None
-    seq: int | None
-    missed_down: int = 0  # samples that passed while the service was down, all times together
+    seq: Count | None
+    missed_down: Count = 0  # samples that passed while the service was down, all times together
     # runs of older publishers of the leg; none in files from before it was kept
     superseded: tuple[int | None, ...] = ()
     body: dict[str, Any]  # the learner's own snapshot: numbers, strings, bytes, lists and maps

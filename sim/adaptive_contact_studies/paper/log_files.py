@@ -24,6 +24,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import RecordingError
+from adaptive_contact.service.recording.reader import MAX_CHUNK_BYTES, MAX_RATIO
 
 PERIOD_S: Final = 0.02
 # A recorded rate this far off 50 Hz is resampled.
@@ -40,7 +41,7 @@ _FILES: Final = 3
 # What reading a file that is something else, or is damaged, may end with.
 _UNREADABLE: Final = (
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError, EOFError,
-    NotImplementedError, RecursionError, zipfile.BadZipFile, zlib.error,
+    NotImplementedError, RecursionError, MemoryError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 # Buses that return -π for "no answer", and readings no servo could have made in a tick.
 _MAX_STEP_RAD: Final = 0.6
@@ -111,6 +112,9 @@ def load_logs(path: Path) -> LogSet:
 
 def _arm(file: Path) -> Iterator[Recording | str]:
     with np.load(file, allow_pickle=False) as data:
+        most = max(MAX_CHUNK_BYTES, MAX_RATIO * file.stat().st_size)
+        if sum(entry.file_size for entry in data.zip.infolist()) > most:
+            raise ValueError(f"unpacks to more than {most >> 20} MB")
         motions = sorted({key.rsplit("/", 1)[0] for key in data.files if "/" in key})
         if not motions:
             raise ValueError("no MOTION/t, MOTION/goal, MOTION/pos keys")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -256,3 +257,12 @@ def test_the_real_pendulum_prefers_a_refit_of_its_own_gain() -> None:
     for gain in ("100", "200"):
         assert rms[gain][gain] < 0.2 * pendulum["naive_deg"][gain]
     assert rms["100"]["800"] > 2.0 * rms["800"]["800"]
+
+
+def test_a_recording_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "bomb.npz", **{"m/t": np.zeros(9 << 20)})
+    tracemalloc.start()
+    with pytest.raises(RecordingError, match="unpacks to more than 64 MB"):
+        load_logs(tmp_path / "bomb.npz")
+    assert tracemalloc.get_traced_memory()[1] < 32 << 20
+    tracemalloc.stop()
