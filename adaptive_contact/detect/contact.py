@@ -209,7 +209,7 @@ def note_contact(leg):
     fit = leg.fit_n
     if not fit and leg.misfit_ns >= leg.onset_ns - leg.period_ns:
         fit = leg.fit_before
-    leg.fits |= fit >= MIN_LIFT_ROWS and leg.moved > LEAST_WAY_M * leg.size
+    leg.fits |= fit >= MIN_LIFT_ROWS and leg.moved > LEAST_WAY_M * leg.leg_size
 
 
 @compiled

@@ -122,7 +122,7 @@ LEG: Final = np.dtype(
         ("sure", b1),  # the leg is judged by a model that fits it
         # Description.
         ("has_lengths", b1),  # geometry is known: `lengths_m`
-        ("size", f8),  # of the leg, in the hexapod's; limits of lengths are in proportion
+        ("leg_size", f8),  # of the leg, in the hexapod's; limits of lengths are in proportion
         ("quantum", f8),  # rad, position step of the servos
         ("max_step", f8),  # rad per tick, beyond which a reading is impossible
         ("length", i4),  # samples in a row before a prediction
@@ -344,22 +344,25 @@ Noise = namedtuple(
 )
 Kept = namedtuple("Kept", "rows row_values touch target free_ring")
 
-_KINDS: Final = {f8: "floats", i8: "ints", b1: "bools"}
-_PLACES: Final = {
-    name: (_KINDS[kind], getattr(SLOT, name)) for kind, names in VECTORS.items() for name in names
+# Each vector's array, and its number.
+SOURCES: Final = ("floats", "ints", "bools")
+PLACES: Final = {
+    name: (source, getattr(SLOT, name))
+    for source, names in zip(SOURCES, VECTORS.values(), strict=True)
+    for name in names
 }
-sample_of: Final = TICK.part(Sample, _PLACES, SHARED)
-source_of: Final = TICK.part(Source, _PLACES, SHARED)
-swing_of: Final = TICK.part(Swing, _PLACES, SHARED)
-past_of: Final = TICK.part(Past, _PLACES, SHARED)
-model_of: Final = TICK.part(Model, _PLACES, SHARED)
-noise_of: Final = TICK.part(Noise, _PLACES, SHARED)
-kept_of: Final = TICK.part(Kept, _PLACES, SHARED)
+sample_of: Final = TICK.part(Sample, PLACES, SHARED)
+source_of: Final = TICK.part(Source, PLACES, SHARED)
+swing_of: Final = TICK.part(Swing, PLACES, SHARED)
+past_of: Final = TICK.part(Past, PLACES, SHARED)
+model_of: Final = TICK.part(Model, PLACES, SHARED)
+noise_of: Final = TICK.part(Noise, PLACES, SHARED)
+kept_of: Final = TICK.part(Kept, PLACES, SHARED)
 
 
 def vectors(
     count: int, lengths: Mapping[str, int]
-) -> tuple[list[NDArray[Any]], NDArray[np.int64], dict[str, NDArray[Any]]]:
+) -> tuple[list[NDArray[Any]], NDArray[np.int64]]:
     """Make the vectors of legs that have seen nothing.
 
     Args:
@@ -367,18 +370,15 @@ def vectors(
         lengths: J, p, w and t.
 
     Returns:
-        One array of L rows for each kind, the place of each vector in its row, and the (L, n)
-        vectors by name, as views.
+        One array of L rows for each kind, and the place of each vector in its row.
     """
-    arrays, places, views = [], [], {}
+    arrays: list[NDArray[Any]] = []
+    places: list[Any] = []
     for kind, of_kind in VECTORS.items():
         ends = np.cumsum([lengths[n] if isinstance(n, str) else n for n in of_kind.values()])
-        array = np.zeros((count, int(ends[-1])), dtype=kind)
-        for name, first, last in zip(of_kind, [0, *ends[:-1]], ends, strict=True):
-            views[name] = array[:, first:last]
-            places.append((first, last))
-        arrays.append(array)
-    return arrays, np.array(places), views
+        places += zip([0, *ends[:-1]], ends, strict=True)
+        arrays.append(np.zeros((count, int(ends[-1])), dtype=kind))
+    return arrays, np.array(places)
 
 
 def new_legs(count: int) -> Any:
@@ -391,7 +391,7 @@ def new_legs(count: int) -> Any:
 
 _BEGINNING: Final = {
     "late": -1, "rate_ticks": 9, "found_ns": np.nan, "descent": True, "reading_variance": 1.0,
-    "sound": True, "size": 1.0, "pace": 1.0, "variance_scale": 1.0, "loaded": True,
+    "sound": True, "leg_size": 1.0, "pace": 1.0, "variance_scale": 1.0, "loaded": True,
     "hole_ns": -1,
     "surface": -np.inf,
     "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,

@@ -19,9 +19,11 @@ from adaptive_contact.detect.layout import (
     FREE_AT,
     KEPT,
     PATH_TICKS,
+    PLACES,
     RING,
     SAMPLE,
     SHARED,
+    SOURCES,
     TICK,
     TOUCH_TICKS,
     new_legs,
@@ -124,11 +126,9 @@ class LegBatch:
         self.legs = legs_ = new_legs(rows)
         touch = TOUCH_TICKS * Touch.size(p, joints)
         lengths = {"J": joints, "p": p, "w": depth * joints, "t": touch}
-        self.vectors, self.places, views = vectors(rows, lengths)
-        for name, view in views.items():
-            setattr(self, name, view)
+        self.vectors, self.places = vectors(rows, lengths)
+        self._name_vectors()
         self.unit[:] = 1.0
-        self.accepted = legs_["accepted"]
         self.preview_in = zeros(shape.preview, joints)
         # Stream, source and swing.
         self.ring = zeros(RING, 3, dtype=i)
@@ -161,10 +161,25 @@ class LegBatch:
             legs_[row]["period_ns"] = period_ns
             legs_[row]["has_lengths"] = leg.chain is not None
             if leg.chain is not None:
-                legs_[row]["size"] = leg.chain.size
+                legs_[row]["leg_size"] = leg.chain.size
                 self.links[row], self.axis_kinds[row] = tabulate(leg.chain)
 
         self._gather()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: of for name, of in vars(self).items() if name not in _BOUND}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._name_vectors()
+        self._gather()
+
+    def _name_vectors(self) -> None:
+        """Name the parts of the arrays that have several."""
+        self.accepted = self.legs["accepted"]
+        for name, (slot, at) in PLACES.items():
+            first, last = self.places[at]
+            setattr(self, name, self.vectors[SOURCES.index(slot)][:, first:last])
 
     def _gather(self) -> None:
         """Bind the two halves of a tick to the arrays as they are."""
@@ -247,6 +262,8 @@ class LegBatch:
         leg.sound, leg.reading_variance = True, 1.0
 
 
+# What is made of the arrays, and belongs to no other process.
+_BOUND: Final = ("_judge", "_finish", "accepted", *PLACES)
 _OF_ROWS: Final = ("rows", "row_values")
 # Scratch, what is of all legs, and what is adopted by other names.
 _OF_NO_LEG: Final = (*SHARED, "places", "accepted")
@@ -371,6 +388,13 @@ class LegPlace:
     def predict_by(self, coefficients: Array) -> None:
         """Put a model's (p, J) coefficients in force; the rest of free motion is as it was."""
         self.batch.coefficients[self.row] = coefficients
+
+    def __getstate__(self) -> tuple[LegBatch, int, FreeMotion | None]:
+        return self.batch, self.row, self._judged_by
+
+    def __setstate__(self, state: tuple[LegBatch, int, FreeMotion | None]) -> None:
+        batch, row, self._judged_by = state
+        self._locate(batch, row)
 
     def _locate(self, batch: LegBatch, row: int) -> None:
         self.batch, self.row, self.record = batch, row, batch.legs[row]

@@ -377,7 +377,8 @@ def compare_parts(leg, parts, swing, ended):
         leg.swapped = leg.slow_swings >= SLOW_SWINGS
     elif slower and (ended or not swing):
         fall = parts[in_stance, FALL]
-        leg.swapped = fall > LEAST_FALL_M * leg.size and parts[in_swing, FALL] <= FALL_SHARE * fall
+        small = parts[in_swing, FALL] <= FALL_SHARE * fall
+        leg.swapped = small and fall > LEAST_FALL_M * leg.leg_size
 
 
 @compiled

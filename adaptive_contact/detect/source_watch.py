@@ -158,7 +158,6 @@ class RateWatch:
     def __init__(self, period_ns: int, place: LegPlace | None = None) -> None:
         self._place = place
         self.own = new_legs(1)
-        self._own_leg = scalars_of(self.own, 0)
         self.own["period_ns"] = period_ns
         self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
 
@@ -245,7 +244,7 @@ class RateWatch:
     @property
     def leg(self) -> Any:
         """The leg's scalars, by the names of :data:`~adaptive_contact.detect.layout.LEG`."""
-        return self._own_leg if self._place is None else self._place.leg
+        return scalars_of(self.own, 0) if self._place is None else self._place.leg
 
     @property
     def _ring(self) -> NDArray[np.int64]:

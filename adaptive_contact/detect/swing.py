@@ -158,11 +158,12 @@ def infer_phase(leg, height, low):
         least = height
         for k in range(leg.low_n):
             least = min(least, low[(leg.low_next - 1 - k) % LOW_TICKS])
-        if height > before and height - least > RISE_M * leg.size:
+        if height > before and height - least > RISE_M * leg.leg_size:
             leg.swing_phase, leg.apex, leg.still = True, height, 0
     else:
         leg.apex = max(leg.apex, height)
-        still = abs(height - before) < STILL_M * leg.size and height < leg.apex - RISE_M * leg.size
+        still = abs(height - before) < STILL_M * leg.leg_size
+        still = still and height < leg.apex - RISE_M * leg.leg_size
         leg.still = leg.still + 1 if still else 0
         if leg.still >= STILL_TICKS:
             leg.swing_phase = False
@@ -268,7 +269,7 @@ def follow_command(leg, swing, measured, desired, awaited):
             leg.asked_n = 1
             swing.asked[0] = 0.0
             leg.surface = (
-                leg.touch_before if start[2] < leg.touch_at - SUNK_M * leg.size else -np.inf
+                leg.touch_before if start[2] < leg.touch_at - SUNK_M * leg.leg_size else -np.inf
             )
             leg.touch_at = leg.touch_before = -np.inf
             leg.top = leg.lowest_m = start[2]
@@ -303,7 +304,7 @@ def follow_foot(leg, swing, reading):
         leg.rising = half >= LIFT_TICKS and LIFT_OFF_TICKS < leg.ticks <= half
         return
     out = foot[2] > leg.surface or leg.ticks >= SOFT_TICKS
-    leg.cleared = out and (leg.rise > CLEARANCE_M * leg.size or leg.ticks >= CLEAR_TICKS)
+    leg.cleared = out and (leg.rise > CLEARANCE_M * leg.leg_size or leg.ticks >= CLEAR_TICKS)
     place_foot(reading, swing.links, swing.axis_kinds, now)
     leg.rising = now[2] > foot[2]
     for k in range(3):

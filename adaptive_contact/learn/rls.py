@@ -25,7 +25,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import scipy.linalg
@@ -160,6 +160,13 @@ class RecursiveLeastSquares:
     def __deepcopy__(self, _: object) -> RecursiveLeastSquares:
         """As :meth:`copy`: what is bound to the arrays of one is of no use to another."""
         return self.copy()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: of for name, of in vars(self).items() if name != "_learn"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._hand_over()
 
     def reset_covariance(self) -> None:
         """Reset the covariance to the prior: every term may move by as much as it says."""
