@@ -12,16 +12,13 @@ from hypothesis import strategies as st
 from adaptive_contact import ContactLearner
 from adaptive_contact.learn.drift import EARLY_BEGIN, EARLY_END, EARLY_SWINGS, EarlyContacts
 from adaptive_contact.model import Baseline
-from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.robot import Robot
 from adaptive_contact.robot.kinematics import inverse
 from adaptive_contact.wire import ServoSample
 
-from .conftest import LENGTHS, TOML, FakeLeg, samples
-from .drivers import Swings
+from .conftest import LENGTHS, FakeLeg, samples
 
 TOP, GROUND = -0.04, -0.10
-RISE = [GROUND + (TOP - GROUND) * k / 10 for k in range(11)]
-FALL = [TOP + (GROUND - TOP) * k / 14 for k in range(1, 15)]
 STANCE = 4
 
 
@@ -44,89 +41,6 @@ def stream(heights: Sequence[float], commanded: Sequence[float]) -> list[ServoSa
         )
         for k in range(len(foot))
     ]
-
-
-def delayed(commanded: Sequence[float], lag: int = 3) -> list[float]:
-    """Where a free foot is."""
-    return [GROUND] * lag + list(commanded[: len(commanded) - lag])
-
-
-def belied(
-    watch: Swings, heights: Sequence[float], commanded: Sequence[float], onset: int | None
-) -> bool | None:
-    """Play a swing; a touch is told two ticks after its onset."""
-    told = whole = False
-    for k, sample in enumerate(stream(heights, commanded)):
-        watch.follow(sample)
-        if k == len(heights) + STANCE:
-            break
-        whole = bool(watch.place.record["whole"])
-        watch.observe(sample.measured)
-        if onset is not None and k == STANCE + onset + 2:
-            watch.judge.touched(2)
-            told = True
-    assert told == (onset is not None)
-    return belied_of(watch, whole=whole)
-
-
-def belied_of(watch: Swings, *, whole: bool) -> bool | None:
-    """What the swing in hand shows where it ends."""
-    leg = watch.place.record
-    leg["resolved_whole"], leg["resolved_rise"] = whole, leg["rise"]
-    leg["resolved_fallen"] = leg["fallen"]
-    return watch.judge.touched_early()
-
-
-COMMANDED = [*RISE, *FALL]
-
-
-def stopped(at: int) -> list[float]:
-    """A free foot up to a tick, which then stays where it is."""
-    free = delayed(COMMANDED)
-    return [*free[: at + 1], *[free[at]] * (len(free) - at - 1)]
-
-
-@pytest.mark.parametrize(
-    ("heights", "onset", "expected"),
-    [
-        pytest.param(delayed(COMMANDED), None, False, id="no touch"),
-        pytest.param(stopped(19), 19, False, id="stopped, having come down by 40 % of its rise"),
-        pytest.param(stopped(21), 21, False, id="stopped half way down"),
-        pytest.param(delayed(COMMANDED), 18, False, id="just beyond a third"),
-        pytest.param(delayed(COMMANDED), 17, True, id="just before it"),
-        pytest.param(stopped(15), 15, True, id="stopped at its top"),
-        pytest.param(stopped(10), 10, True, id="stopped on its way up"),
-        pytest.param([GROUND] * len(COMMANDED), 18, None, id="the foot never rose"),
-    ],
-)
-def test_a_foot_belies_a_touch_where_it_has_hardly_begun_to_come_down(
-    robot: Robot, heights: list[float], onset: int | None, expected: bool | None
-) -> None:
-    assert belied(Swings(robot), heights, COMMANDED, onset) is expected
-
-
-def test_the_first_touch_of_a_swing_counts(robot: Robot) -> None:
-    watch = Swings(robot)
-    for k, sample in enumerate(stream(delayed(COMMANDED), COMMANDED)):
-        watch.follow(sample)
-        if sample.phase == "swing" or k < STANCE:
-            watch.observe(sample.measured)
-        if k in (STANCE + 17, STANCE + 23):
-            watch.judge.touched(2)
-    assert belied_of(watch, whole=True) is True
-
-
-def test_a_touch_of_the_swing_before_says_nothing(robot: Robot) -> None:
-    watch = Swings(robot)
-    assert belied(watch, delayed(COMMANDED), COMMANDED, 15) is True
-    assert belied(watch, delayed(COMMANDED), COMMANDED, None) is False
-
-
-def test_without_geometry_nobody_can_tell() -> None:
-    blind = parse_robot(
-        "\n".join(line for line in TOML.splitlines() if "lengths" not in line), source="blind"
-    )
-    assert belied(Swings(blind), delayed(COMMANDED), COMMANDED, 15) is None
 
 
 SHARES = st.floats(0.3, 1.0).flatmap(

@@ -14,8 +14,6 @@ from adaptive_contact import ContactLearner
 from adaptive_contact.fit.refit_job import InlineRefitter
 from adaptive_contact.learn.active_model import BALANCE, MAX_TERM_RAD
 from adaptive_contact.learn.adapter import (
-    REFRESH_SWINGS,
-    REFRESH_TICKS,
     Adapter,
 )
 from adaptive_contact.learn.mode import LearnerMode
@@ -73,13 +71,6 @@ def lifts(
         theta = rng.normal(size=(8, model.library.size)) * scale
         target = theta @ model.coefficients + 1e-3 * rng.normal(size=(8, 3))
         swing(adapter, spoil(lift_of(theta, target)), number)
-
-
-def test_a_model_that_fits_stays(adapter: Adapter, scale: Array) -> None:
-    before = adapter.model.coefficients
-    lifts(adapter, scale, 10)
-    np.testing.assert_allclose(adapter.model.coefficients, before, atol=1e-3)
-    assert adapter.refits.rolled_back == 0
 
 
 def go_wild(adapter: Adapter, wild: float) -> None:
@@ -154,24 +145,6 @@ def first_model(baseline: Baseline, rows: int) -> tuple[LegBaseline, Array]:
     return dataclasses.replace(known, model=model, domain=domain), true
 
 
-def test_six_legs_make_their_covariances_anew_in_ticks_of_their_own(baseline: Baseline) -> None:
-    known = baseline.legs["rf"]
-    due: dict[int, list[str]] = {}
-    for leg in ("lf", "lm", "lr", "rf", "rm", "rr"):
-        recent = NoiseTracker(known.noise, baseline.tails, 1.0)
-        adapter = Adapter(leg, known, recent, LearnerMode.RLS, InlineRefitter())
-        for _ in range(REFRESH_SWINGS):
-            adapter.learn(LabelledSwing(Label.END))
-        before = recent.whiten
-        for tick in range(REFRESH_TICKS):
-            adapter.tick(3)
-            if recent.whiten is not before:
-                due.setdefault(tick, []).append(leg)
-                break
-    assert sum(map(len, due.values())) == 6
-    assert max(map(len, due.values())) == 1
-
-
 def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> None:
     known, _ = first_model(baseline, rows=2 * len(baseline.legs["rf"].scale))
 
@@ -193,34 +166,6 @@ def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> 
     again = fresh()
     assert again.restore(adapter.snapshot()) is None
     assert leverage(again) <= grown * 1.05
-
-
-def rows_at(adapter: Adapter, scale: Array, level: float, t_ns: int) -> Rows:
-    """Eight rows of the model's own leg, as far off as is said."""
-    theta = np.random.default_rng(t_ns).normal(size=(8, len(scale))) * scale
-    return lift_of(theta, theta @ adapter.model.coefficients, level=level, t_ns=t_ns)
-
-
-@pytest.mark.parametrize(
-    ("second", "distrusted", "learned"), [(20.0, False, 24), (1.0, False, 8), (20.0, True, 16)]
-)
-def test_the_descent_of_a_doubted_lift_waits_for_the_next(
-    adapter: Adapter, scale: Array, second: float, distrusted: bool, learned: int
-) -> None:
-    """It is learned with the change, is dropped where there was none, or its ticks were none."""
-    for t_ns in range(1000, 1005):
-        adapter.monitor.begin_swing()
-        adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, scale, 1.0, 100 * t_ns), 0, 0))
-    before = len(adapter.confirmed_ns)
-    adapter.monitor.begin_swing()
-    adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, scale, 20.0, 10_000_000), 0, 0))
-    adapter.learn(LabelledSwing(Label.DESCENT, rows_at(adapter, scale, 20.0, 11_000_000), 0))
-    assert len(adapter.confirmed_ns) == before
-    if distrusted:
-        adapter.distrust(11_000_000)
-    adapter.monitor.begin_swing()
-    adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, scale, second, 12_000_000), 0, 0))
-    assert len(adapter.confirmed_ns) - before == learned
 
 
 def without_lengths() -> Robot:
@@ -283,25 +228,6 @@ def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
     )
 
 
-def test_what_came_at_another_rate_is_dropped_wherever_it_lies(adapter: Adapter) -> None:
-    """A descent that waits for the next lift is confirmed after it, and is older."""
-    p = adapter.model.library.size
-
-    def rows(t_ns: int) -> Rows:
-        return lift_of(np.zeros((4, p)), np.zeros((4, 3)), t_ns=t_ns)
-
-    for first_ns in (100, 300, 200):
-        adapter.learn(LabelledSwing(Label.DESCENT, rows(first_ns)))
-    adapter.distrust(250)
-    assert sorted(adapter.confirmed_ns) == [100, 101, 102, 103, 200, 201, 202, 203]
-    assert [segment.t_ns for segment in adapter.buffer.segments] == [103, 203]
-    adapter.new_source()
-    adapter.distrust(0)
-    assert len(adapter.buffer.segments) == 2, "of another clock"
-    adapter.buffer.add(rows(50), 0, 0)
-    assert sum(len(segment.target) for segment in adapter.buffer.segments) == 12
-
-
 @pytest.mark.parametrize(("seed", "at", "stop"), [(7, 8, 16), (6, 10, 18), (8, 6, 14)])
 def test_a_source_that_begins_within_a_swing_teaches_nothing_of_it(
     baseline: Baseline, seed: int, at: int, stop: int
@@ -332,22 +258,6 @@ def test_a_swing_that_began_before_the_source_says_nothing_of_how_long_swings_ar
     for part, run in ((stream[28 * 20 + 18 : 28 * 22], 1), (stream[28 * 23 + 18 :], 1)):
         play(learner, [msgspec.structs.replace(s, run=run) for s in part])
         assert learner.status.note is None
-
-
-def test_a_model_that_falls_in_the_midst_of_a_tick_takes_the_rows_that_wait_with_it(
-    adapter: Adapter, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    p = adapter.model.library.size
-    adapter.learn(LabelledSwing(Label.DESCENT, lift_of(np.zeros((30, p)), np.zeros((30, 3)))))
-    learned = []
-
-    def falls(_: Array, at: int) -> None:
-        learned.append(at)
-        adapter.distrust(0)
-
-    monkeypatch.setattr(adapter.active, "learn", falls)
-    adapter.tick(3)
-    assert len(learned) == 1
 
 
 def test_where_swings_are_too_short_for_that_it_is_said(baseline: Baseline) -> None:

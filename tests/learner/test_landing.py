@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.detect.contact import context_of, statistic
-from adaptive_contact.detect.swing import AFTER_TICKS, SAME_TICKS
+from adaptive_contact.detect.swing import AFTER_TICKS
 from adaptive_contact.detect.swing_judge import LANDINGS, Landings
 from adaptive_contact.learn.noise_tracker import AWAITED
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
-from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
 
-from .conftest import TOML, FakeLeg, play, samples
-from .drivers import Swings, arrays_of
+from .conftest import FakeLeg, play, samples
+from .drivers import arrays_of
 
 TICKS = 28  # of a swing and its stance, as FakeLeg makes them
-ROBOT = parse_robot(TOML, source="testbot")
 TURN = 18  # where these gaits say "stance": ten ticks before the next swing
 
 
@@ -125,58 +120,7 @@ def test_awaited_touches_have_thresholds_of_their_own_aim(robot: Robot, baseline
     assert (recent.awaited < recent.thresholds).all()
 
 
-Step = tuple[Literal["swing", "stance"], bool, bool]  # phase, in the air, the leg moves
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.lists(st.tuples(st.sampled_from(["swing", "stance"]), st.booleans(), st.booleans())))
-def test_waiting_ends_with_a_touch_a_standstill_a_swing_or_16_ticks(steps: list[Step]) -> None:
-    """Against the rules, spelled out for any course of phases."""
-    watch = Swings(ROBOT)
-    at, still, awaiting, over = 0, 0, None, True
-    for k, (phase, air, moves) in enumerate(steps):
-        at += moves
-        sample = ServoSample(t_ns=k, seq=k, measured=[0.1 * at] * 3, desired=[0.1] * 3, phase=phase)
-        was = int(watch.place.record["after"])
-        ended = watch.follow(sample, awaited=air)
-        after, ticks = (int(watch.place.record[name]) for name in ("after", "ticks"))
-        if phase == "swing":
-            assert ended == (was > 0)
-            assert after == 0 < ticks
-            still, awaiting, over = 0, 0, False
-            continue
-        still = 0 if moves or k == 0 else still + 1
-        assert not ended
-        if not over and awaiting is not None:
-            goes_on = air and awaiting < AFTER_TICKS and still < SAME_TICKS
-            awaiting, over = (awaiting + 1, False) if goes_on else (None, True)
-        assert after == (awaiting or 0)
-        assert (ticks > 0) == (not over)
-
-
 class TestLandings:
-    @pytest.mark.parametrize(
-        ("quiet", "after", "awaited", "counts"),
-        [
-            (AFTER_TICKS, AFTER_TICKS, True, True),
-            (AFTER_TICKS - 1, AFTER_TICKS, True, False),  # a tick was not judged, or pushed
-            (AFTER_TICKS, AFTER_TICKS - 1, True, False),  # it ended otherwise
-            (AFTER_TICKS, AFTER_TICKS, False, False),  # with a touch
-        ],
-    )
-    def test_only_a_whole_quiet_wait_is_no_touch(
-        self, quiet: int, after: int, awaited: bool, counts: bool
-    ) -> None:
-        watch = Swings(ROBOT)
-        leg = watch.place.record
-        leg["ticks"], leg["after"], leg["quiet"], leg["same"], leg["t_ns"] = 30, after, quiet, 5, 7
-        watch.follow(
-            ServoSample(t_ns=7, seq=7, measured=[0.1] * 3, desired=[0.1] * 3, phase="stance"),
-            awaited=awaited,
-        )
-        assert leg["untouched"] == counts
-        assert (leg["untouched_ns"] == 7) == counts
-
     def test_touches_that_keep_coming_late_are_noted(self) -> None:
         landings = Landings()
         for _ in range(LANDINGS):

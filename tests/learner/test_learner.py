@@ -13,13 +13,9 @@ from adaptive_contact import ContactLearner
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.fit.train import Stretch, learn
-from adaptive_contact.learn.active_model import ActiveModel
-from adaptive_contact.learn.adapter import Adapter
 from adaptive_contact.learn.mode import LearnerMode
-from adaptive_contact.leg_learner import ROWS_PER_TICK
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.wire import ContactEvent
 
 from .conftest import PERIOD, FakeLeg, outcomes, play, samples
 
@@ -36,45 +32,6 @@ def test_contacts_are_found_and_nothing_else(robot: Robot, baseline: Baseline) -
     onset_error = [(e.onset_ns / PERIOD) % 28 - 16 for e in events if e.contact]
     assert np.median(np.abs(onset_error)) < 1.5
     assert all(e.onset_ns <= e.t_ns for e in events)
-
-
-def test_every_contact_is_released_in_the_next_swing(robot: Robot, baseline: Baseline) -> None:
-    measured, desired, swing, _ = FakeLeg(seed=3).run(
-        40, touch=lambda n: 16 if n % 3 == 0 else None
-    )
-    events = play(ContactLearner(robot, "rf", baseline), samples(measured, desired, swing))
-    states = [e.contact for e in events]
-    assert states == [i % 2 == 0 for i in range(len(states))]
-
-
-@pytest.mark.parametrize("run", [2, None])
-def test_a_restart_of_the_source_ends_a_contact(
-    robot: Robot, baseline: Baseline, run: int | None
-) -> None:
-    """With a new run at once, without one when the source's clock is believed; never silently."""
-    measured, desired, swing, _ = FakeLeg(seed=3).run(40, touch=lambda n: 16)
-    stream = samples(measured, desired, swing)
-    learner = ContactLearner(robot, "rf", baseline)
-    last: ContactEvent | None = None
-    first = [
-        msgspec.structs.replace(s, run=1 if run else None, t_ns=s.t_ns + 10**15) for s in stream
-    ]
-    for s in first[: 28 * 20 + 24]:
-        last = learner.update(s) or last
-    assert last is not None
-    assert last.contact
-    assert learner.contact
-    again = play(learner, [msgspec.structs.replace(s, run=run) for s in stream[:12]])
-    assert [(e.contact, e.seq, e.score) for e in again] == [(False, 0 if run else 9, 0.0)]
-    assert again[0].onset_ns == again[0].t_ns
-    assert not learner.status.contact
-
-
-def test_no_event_is_decided_outside_a_swing(robot: Robot, baseline: Baseline) -> None:
-    measured, desired, swing, _ = FakeLeg(seed=4).run(60, touch=lambda _: 16)
-    events = play(ContactLearner(robot, "rf", baseline), samples(measured, desired, swing))
-    assert events
-    assert all(swing[e.seq] for e in events)
 
 
 def test_a_command_that_freezes_is_no_contact(robot: Robot, baseline: Baseline) -> None:
@@ -133,12 +90,6 @@ def test_a_leg_whose_lifts_are_never_heard_says_so(robot: Robot, baseline: Basel
     heard = ContactLearner(robot, "rf", baseline)
     play(heard, samples(*FakeLeg(seed=5).run(40)[:3]))
     assert heard.status.note is None
-
-
-def test_the_same_samples_give_the_same_events(robot: Robot, baseline: Baseline) -> None:
-    stream = samples(*FakeLeg(seed=6).run(100, touch=lambda n: 16 if n % 2 else None)[:3])
-    first = play(ContactLearner(robot, "rf", baseline), stream)
-    assert first == play(ContactLearner(robot, "rf", baseline), stream)
 
 
 # -- following the leg ---------------------------------------------------------------------------
@@ -202,27 +153,6 @@ def test_it_is_followed_even_when_every_swing_ends_in_contact(
 ) -> None:
     full = run_changed(LearnerMode.FULL, robot, baseline, always=True)
     assert errors(full[85:]) <= 3
-
-
-def test_then_it_is_learned_to_the_end_of_its_descents(
-    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a leg that has changed, and but for what touches; before, the guard is kept."""
-    *arrays, touching = FakeLeg(seed=7).run(160, touch=lambda _: 16, change=changed)
-
-    def learned() -> tuple[np.ndarray, np.ndarray]:
-        learner = ContactLearner(robot, "rf", baseline)
-        play(learner, samples(*arrays))
-        ticks = np.array(learner.drain_confirmed()) // PERIOD
-        assert not touching[ticks].any()
-        late = ticks[(ticks % 28 == 15) | (ticks % 28 == 16)]  # the foot is stopped in the 17th
-        return late[late < 60 * 28], late[late >= 60 * 28]
-
-    before, after = learned()
-    monkeypatch.setattr(Adapter, "changed", False)
-    guarded_before, guarded_after = learned()
-    assert len(before) == len(guarded_before) <= 2
-    assert len(after) > 2 * len(guarded_after) > 0
 
 
 def test_a_stream_of_contacts_does_not_blind_it(robot: Robot, baseline: Baseline) -> None:
@@ -384,29 +314,6 @@ def test_servos_that_are_far_behind_their_commands_are_not_taken_for_a_held_foot
     assert sum(confirmed[76:]) > 150
 
 
-def test_a_swing_s_rows_are_learned_a_few_per_tick(
-    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A swing confirms a dozen rows or two at once; no tick pays for all of them."""
-    learned: list[int] = []
-    whole = ActiveModel.learn
-
-    def count(active: ActiveModel, values: np.ndarray, at: int) -> None:
-        learned[-1] += 1
-        whole(active, values, at)
-
-    monkeypatch.setattr(ActiveModel, "learn", count)
-    run = FakeLeg(seed=3).run(80, change=lambda n: 0.7 if n >= 40 else 1.0)
-    learner = ContactLearner(robot, "rf", baseline)
-    for sample in samples(*run[:3]):
-        learned.append(0)
-        learner.update(sample)
-    assert max(learned) == ROWS_PER_TICK, "while it adapts"
-    calm = learned[28 * 20 : 28 * 40]
-    assert max(calm) == 1, "a leg that is known can wait"
-    assert sum(calm) > 150
-
-
 @pytest.mark.parametrize("tick", [15, 18, 21])
 def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline, tick: int) -> None:
     """Two hundred swings that all end in a touch, against the same leg without."""
@@ -424,18 +331,6 @@ def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline, tic
     np.testing.assert_array_less(limits[1], 1.05 * limits[0])
     assert levels[1] <= 1.05 * levels[0]
     assert tails[1] <= tuple(1.05 * factor for factor in tails[0])
-
-
-def test_a_foot_stopped_in_its_lift_is_told_once_its_command_has_turned(
-    robot: Robot, baseline: Baseline
-) -> None:
-    """Until then it speaks of the leg: one that still falls as its command rises does, too."""
-    run = FakeLeg(seed=4).run(120, touch=lambda n: 6 if n >= 20 and n % 4 == 0 else None)
-    events = play(ContactLearner(robot, "rf", baseline), samples(*run[:3]))
-    at = [e.seq % 28 for e in events if e.contact and e.seq // 28 % 4 == 0]
-    assert len(at) >= 20
-    assert min(at) >= 10
-    assert np.median(at) <= 13
 
 
 @pytest.mark.parametrize("wrong", [{"v": 1, "t_ns": 0, "seq": 0}, b"payload", None, [0.1, 0.2]])

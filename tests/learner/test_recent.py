@@ -7,8 +7,6 @@ import pytest
 
 from adaptive_contact.learn.noise_tracker import (
     CLIP,
-    MOST,
-    SEGMENTS_PER_TICK,
     SHRINK_TICKS,
     NoiseTracker,
     turned_by,
@@ -56,21 +54,6 @@ def shape(of: NoiseTracker, noise: NoiseModel) -> np.ndarray:
     return np.linalg.inv(turned.T @ turned)
 
 
-def test_at_first_they_are_the_baseline_s(noise: NoiseModel) -> None:
-    of = recent(noise)
-    before = of.thresholds.copy()
-    np.testing.assert_array_equal(of.whiten, noise.whiten)
-    of.refresh(*NONE)
-    np.testing.assert_array_equal(of.whiten, noise.whiten)
-    np.testing.assert_allclose(of.thresholds, before)
-
-
-def test_a_leg_that_is_as_it_was_keeps_them(noise: NoiseModel) -> None:
-    of = recent(noise)
-    of.refresh(*free_ticks(SIGMA**2 * np.eye(J), 40_000))
-    np.testing.assert_allclose(shape(of, noise), np.eye(J), atol=0.06)
-
-
 def test_a_joint_that_grew_noisier_gets_the_share_it_has_earned(noise: NoiseModel) -> None:
     of = recent(noise)
     grown = SIGMA**2 * np.diag([1.0, 9.0, 1.0])
@@ -83,45 +66,6 @@ def test_a_joint_that_grew_noisier_gets_the_share_it_has_earned(noise: NoiseMode
     tied = SIGMA**2 * np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
     of.refresh(*free_ticks(tied, 40_000))
     assert shape(of, noise)[0, 1] == pytest.approx(0.8, abs=0.1)
-
-
-def test_what_is_recomputed_is_in_force_some_ticks_later(noise: NoiseModel) -> None:
-    free = free_ticks(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 400)
-    at_once, later = recent(noise), recent(noise)
-    at_once.refresh(*free)
-    later.begin_refresh(*free, 4 * SEGMENTS_PER_TICK + 1)
-    for _ in range(5):
-        assert not later.go_on()
-        np.testing.assert_array_equal(later.whiten, noise.whiten)
-    assert later.go_on(), "five ticks for the segments, and one more"
-    np.testing.assert_array_equal(later.whiten, at_once.whiten)
-    assert not later.go_on()
-
-
-def test_what_was_begun_with_another_model_is_dropped(noise: NoiseModel) -> None:
-    of = recent(noise)
-    of.begin_refresh(*free_ticks(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 800), 100)
-    of.go_on()
-    of.refresh(*NONE)
-    of.go_on()
-    np.testing.assert_array_equal(of.whiten, noise.whiten)
-
-
-def test_what_was_begun_with_ticks_that_were_dropped_is_dropped(noise: NoiseModel) -> None:
-    of = recent(noise)
-    of.begin_refresh(*free_ticks(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 80), 10)
-    of.drop_refresh()
-    assert not of.go_on()
-
-
-def test_few_ticks_and_wild_ones_move_little(noise: NoiseModel) -> None:
-    of = recent(noise)
-    of.refresh(*free_ticks(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 16))
-    assert np.abs(shape(of, noise) - np.eye(J)).max() < 0.25
-    wild, context = free_ticks(SIGMA**2 * np.eye(J), 800)
-    wild[26, 0] += 1.0  # one reading, by 300 deviations
-    of.refresh(wild, context)
-    assert np.abs(shape(of, noise) - np.eye(J)).max() < 0.15
 
 
 def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: NoiseModel) -> None:
@@ -143,40 +87,6 @@ def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: Noise
     at_least = (value > least[0]).sum()
     assert at_least > 50
     assert (value > heavy.thresholds[0]).sum() < at_least / 10
-
-
-def test_thresholds_never_fall_below_the_baseline_s_and_have_a_top(noise: NoiseModel) -> None:
-    tails = prior_tails(J)
-    of, least = recent(noise, tails), recent(noise, tails).thresholds
-    of.count(rows([0.0] * 20_000))
-    of.refresh(*NONE)
-    np.testing.assert_array_equal(of.thresholds, least)
-    of.count(rows([1e9] * 20_000))
-    assert of.tail_factors == (MOST, MOST)
-
-
-def test_old_ticks_fade(noise: NoiseModel) -> None:
-    of = recent(noise)
-    of.count(rows([50.0] * 1000))
-    often, _ = of.tail_factors
-    for _ in range(10):
-        of.count(rows([1.0] * 20_000))
-    assert of.tail_factors[0] < 1.2 < often
-
-
-def test_counts_survive_a_restart_and_nonsense_is_left(noise: NoiseModel) -> None:
-    of, twin = recent(noise), recent(noise)
-    of.count(rows([50.0, 1.0] * 500))
-    twin.restore(of.snapshot())
-    assert twin.tail_factors == of.tail_factors
-    for nonsense in (
-        None,
-        {},
-        {"ticks": float("nan"), "above": 1.0, "excess": 1.0},
-        {"ticks": "a"},
-    ):
-        twin.restore(nonsense)
-        assert twin.tail_factors == of.tail_factors
 
 
 def test_nan_counts_as_a_tick_that_shows_nothing(noise: NoiseModel) -> None:
@@ -211,9 +121,3 @@ def test_whitening_is_turned_as_dense_algebra_does(noise: NoiseModel) -> None:
         shape *= J / shape.trace()
         expected = np.linalg.inv(np.linalg.cholesky(shape)) @ whiten
         np.testing.assert_allclose(turned_by(whiten, residuals, context), expected, rtol=1e-9)
-
-
-def test_residuals_without_scatter_turn_nothing(noise: NoiseModel) -> None:
-    of = recent(noise)
-    of.refresh(np.zeros((20, J)), np.zeros(20, dtype=np.int64))
-    np.testing.assert_array_equal(of.whiten, noise.whiten)

@@ -34,12 +34,6 @@ def learner(robot: Any, leg: str = "rf") -> ContactLearner:
     return ContactLearner(robot, leg, shipped_baseline(robot.name))
 
 
-def test_it_comes_back_the_same(robot: Any, saved: dict[str, Any]) -> None:
-    fresh = learner(robot)
-    assert fresh.restore(copy.deepcopy(saved)) is None
-    assert msgpack.packb(fresh.snapshot()) == msgpack.packb(saved)
-
-
 def damage(saved: dict[str, Any], name: str, value: object) -> dict[str, Any]:
     tree = copy.deepcopy(saved)
     tree["follower"][name] = value
@@ -107,22 +101,6 @@ def test_without_a_model_counts_and_publishers_are_kept(robot: Any) -> None:
     assert again.status.rejects == {"malformed": 3}
     again.update(sample)
     assert again.status.rejects["other_publisher"] == 1, "the newer one still wins"
-
-
-def test_a_leg_without_a_baseline_goes_on_where_it_was(robot: Any) -> None:
-    found = ContactLearner(robot, "rf", None)
-    play(found, samples(*FakeLeg(seed=3).run(14)[:3]))
-    tree = msgpack.unpackb(msgpack.packb(found.snapshot()))
-
-    fresh = ContactLearner(robot, "rf", None)
-    assert fresh.restore(copy.deepcopy(tree)) is None
-    kept = ("status", "model_version", "noise_floor", "drift", "refits", "note")
-    for name in kept:
-        assert getattr(fresh.status, name) == getattr(found.status, name), name
-    assert fresh.model_report is not None
-    assert found.model_report is not None
-    assert fresh.model_report.equations == found.model_report.equations
-    assert fresh.model_report.origin == "what is known of any leg"
 
 
 def test_a_leg_of_an_older_version_without_a_baseline_begins_anew(robot: Any) -> None:

@@ -16,11 +16,10 @@ from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.leg_learner import ContactLearner as Learner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Label, LabelledSwing
-from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactEvent, Doubt, ServoSample
 
 from .conftest import FakeLeg, play, samples
-from .drivers import Phases
 from .ticks import Tick, rows_of
 
 STEP = 0.005
@@ -163,37 +162,6 @@ def test_a_copy_ends_with_three_ticks_that_are_none() -> None:
     assert told(watch, made[: 3 * PERIOD]) == {0, 1, 2}
     told(watch, made[3 * PERIOD : 4 * PERIOD])
     assert watch.echoing == set()
-
-
-@pytest.mark.parametrize("geometry", [True, False])
-def test_swapped_phases_are_told_and_end(robot: Robot, geometry: bool) -> None:
-    leg = robot.leg("rf") if geometry else without_lengths(robot)
-    stream = swapped(swings(14), 4 * PERIOD + 7, 9 * PERIOD + 3)
-    watch = Phases(robot, leg)
-    states = []
-    for sample in stream:
-        watch.take(sample)
-        states.append(watch.swapped)
-    assert not any(states[: 4 * PERIOD + 7])
-    # The first stance that is published as a swing, and where speed alone tells, the second.
-    first = 5 * PERIOD if geometry else 6 * PERIOD
-    assert states[first + 1]
-    assert all(states[first + 1 : 9 * PERIOD])
-    assert not any(states[10 * PERIOD + SWING :])
-
-
-def without_lengths(robot: Robot) -> Leg:
-    return msgspec.structs.replace(robot.leg("rf"), lengths_m=None)
-
-
-def test_a_leg_that_is_put_elsewhere_fast_is_not_swapped(robot: Robot) -> None:
-    """A stance that is faster than the swings beside it, whose foot comes down as far."""
-    watch = Phases(robot, robot.leg("rf"))
-    for k, sample in enumerate(swings(12)):
-        fast = 5 * PERIOD + SWING <= k < 6 * PERIOD
-        desired = [x + 0.4 * (k % 2) for x in sample.desired] if fast else sample.desired
-        watch.take(msgspec.structs.replace(sample, desired=desired))
-        assert not watch.swapped
 
 
 # -- the learner -----------------------------------------------------------------------------------
