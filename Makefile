@@ -31,7 +31,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun golden same same-faults pico prior strangers
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun golden golden-constants same same-faults pico prior strangers
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -95,6 +95,9 @@ many: env  ## LEGS legs of one robot.toml at 50 Hz for MINUTES: losses, latency,
 
 golden: env  ## what golden recordings are to give, made again: in a commit of its own, with scores before and after
 	PYTHONPATH=tests $(BIN)/python -m same --golden $(ONLY)
+
+golden-constants: env  ## 30 constants of detection and learning, doubled and halved: do golden recordings notice? (an hour)
+	PYTHONPATH=tests $(BIN)/python -m same.constants 30 $(SEED)
 
 same-faults: env  ## faults of one line that `make same` must find, planted one after another
 	PYTHONPATH=tests $(BIN)/python -m same --faults
