@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -193,6 +194,17 @@ class ContactLearner:
         """Request a release: another process may have reported that the leg touches."""
         self.place.leg.release_pending = True
 
+    def withdraw(self) -> ContactEvent | None:
+        """Withdraw the contact of a leg whose samples have stopped: it is not known any more.
+
+        Returns:
+            The event that says so, of the last sample; None before the first.
+        """
+        sample = self._sample
+        if sample is None:
+            return None
+        return msgspec.structs.replace(self._release(sample), status="silent", withheld=True)
+
     @property
     def contact(self) -> bool:
         """Whether the leg touches, by its last event."""
@@ -286,11 +298,7 @@ class ContactLearner:
             self._assess(flags)
             self.report.read_status()
         if flags & RELEASE_PENDING:
-            leg.release_pending = False
-            event = self.report.event(
-                sample, contact=False, onset_ns=leg.at_ns, score=0.0,
-                residual=[0.0] * len(self.leg.joints),
-            )  # fmt: skip
+            event = self._release(sample)
         if flags & DECIDED:
             contact = leg.contact
             if contact or leg.reported:  # else the end of one that was withheld
@@ -348,6 +356,15 @@ class ContactLearner:
         self._begin()
 
     # -- private -------------------------------------------------------------------------------
+
+    def _release(self, sample: ServoSample) -> ContactEvent:
+        """End a contact that no touch or lift has ended."""
+        leg = self.place.leg
+        leg.release_pending = False
+        return self.report.event(
+            sample, contact=False, onset_ns=leg.at_ns, score=0.0,
+            residual=[0.0] * len(self.leg.joints),
+        )  # fmt: skip
 
     def _end_tick(self) -> None:
         """Finish a tick of this leg by itself: learning, then command and prediction."""

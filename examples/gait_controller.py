@@ -10,9 +10,9 @@ bridge's samples, contacts from the service.  Run it against a virtual robot on 
     python examples/gait_controller.py --leg rf --steps 5
 
 What it does when something is missing: without samples it ends and commands nothing more, and the
-bridge holds the leg where it is.  While no service runs, no contacts are reported: the leg holds
-still, lifts once the service is back, and steps again.  A contact from before a descent began (the
-last one is kept for late joiners) is not one of this descent.
+bridge holds the leg where it is.  While no service watches the leg, no contacts are reported: the
+leg holds still, lifts once it is watched again, and steps again.  A contact from before a descent
+began (the last one is kept for late joiners) is not one of this descent.
 
 Legs of three joints (yaw, pitch, pitch) and of two (pitch, pitch) will do.
 
@@ -24,7 +24,6 @@ from __future__ import annotations
 import argparse
 import queue
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -33,10 +32,12 @@ import numpy as np
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.robot import Leg, axis_text, inverse, load_robot, shipped_robot
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.settings import SERVICE_TOKEN, Finding
+from adaptive_contact.service.settings import SILENT_AFTER_S, Finding
 from adaptive_contact.wire import (
+    HEARTBEAT,
     Command,
     ContactEvent,
+    Heartbeat,
     Rejected,
     ServoSample,
     command_key,
@@ -58,8 +59,9 @@ class Ears:
     def __init__(self, link: Link, leg: str) -> None:
         self.samples: queue.Queue[ServoSample] = queue.Queue()
         self.contact: ContactEvent | None = None
-        self.service = threading.Event()  # set while one runs
-        link.watch_tokens(SERVICE_TOKEN, self._token)
+        self._leg = leg
+        self._sampled_s = float("-inf")  # when the service's newest sample of the leg came
+        link.subscribe(HEARTBEAT, self._heartbeat)
         link.subscribe(servo_key(leg), self._sample)
         link.subscribe(contact_key(leg), self._contact, history=True)  # also after a cut link
 
@@ -73,11 +75,15 @@ class Ears:
         if not isinstance(event, Rejected):
             self.contact = event
 
-    def _token(self, key: str, alive: bool) -> None:
-        if alive:
-            self.service.set()
-        else:
-            self.service.clear()
+    def _heartbeat(self, received) -> None:
+        heartbeat = decode(received.payload, Heartbeat, received.encoding)
+        if not isinstance(heartbeat, Rejected) and self._leg in heartbeat.legs:
+            self._sampled_s = time.monotonic() - heartbeat.legs[self._leg].age_s
+
+    @property
+    def watched(self) -> bool:
+        """Whether a service watches the leg: it has had a sample of it just now."""
+        return time.monotonic() - self._sampled_s <= SILENT_AFTER_S
 
     def touched_since(self, t_ns: int) -> bool:
         """Whether the foot touches, by an event no older than ``t_ns`` of the samples."""
@@ -119,9 +125,9 @@ class Legwork:
 
     def await_service(self) -> None:
         """Stay where the last goal is until contacts are reported."""
-        if not self.ears.service.is_set():
+        if not self.ears.watched:
             print("no service reports contacts; holding still until one does", flush=True)
-        while not self.ears.service.is_set():
+        while not self.ears.watched:
             self.tick(self.goal)
 
     def move(self, target_m, ticks: int) -> None:
@@ -140,7 +146,7 @@ class Legwork:
         # The foot lags its command: what it runs into after the last goal counts as well.
         line = self._line(target_m, ticks)
         for goal in [*line, *[line[-1]] * LAG_TICKS]:
-            if not self.ears.service.is_set():
+            if not self.ears.watched:
                 return "unwatched"
             if self.ears.touched_since(began_ns):
                 return "contact"

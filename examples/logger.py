@@ -38,6 +38,8 @@ BRIDGES = "robot/bridge/*/status"
 
 def contact_line(event: ContactEvent) -> str:
     """A contact, or its end."""
+    if event.withheld:
+        return f"{event.leg} not known: {event.status}"
     if not event.contact:
         return f"{event.leg} released"
     late_ms = (event.t_ns - event.onset_ns) / 1e6

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Look = Callable[[], View]
 
-_REFRESH_S: Final = 0.25
+_REFRESH_S: Final = 0.15  # a leg that is not known shows as such within 0.7 s
 _PIPE_WIDTH: Final = 160
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -27,7 +28,7 @@ _MEANS: Final = {
     "ambiguous": "cannot be judged: contacts are withheld",
     "silent": "sends no usable samples",
 }
-_INTERFACES: Final = ("contact", "score", "onset_age", "withheld")
+_INTERFACES: Final = ("contact", "score", "onset_age", "withheld", "valid", "age")
 
 
 def topic_of_leg(node: str, leg: str) -> str:
@@ -59,6 +60,7 @@ class Report:
         self._robot = robot
         self._node = node
         self._last: dict[str, ContactEvent] = {}
+        self._newest_ns = 0  # of the sample that decided the newest event
         self.contacts = {leg: self._address(topic_of_leg(node, leg), RosType.BOOL) for leg in legs}
         if len({address.topic for address in self.contacts.values()}) < len(legs):
             raise ConfigurationError(
@@ -71,37 +73,42 @@ class Report:
     def _address(self, topic: str, type_name: str) -> Address:
         return Address(topic, type_name, self._types.hash_of(type_name))
 
-    def contact(self, contact: bool) -> bytes:
-        """A ``Bool``."""
-        return self._types.encode(self._types.types[RosType.BOOL](data=contact))
+    def take(self, event: ContactEvent) -> bytes | None:
+        """Take an event in; its contact as a ``Bool``, None where that is as it was."""
+        before = self._last.get(event.leg)
+        self._last[event.leg], self._newest_ns = event, event.t_ns
+        if before is not None and before.contact == event.contact:
+            return None
+        return self._types.encode(self._types.types[RosType.BOOL](data=event.contact))
 
-    def take(self, event: ContactEvent) -> bytes:
-        """A ``DynamicJointState`` of all legs with an event, after this one.
+    def all_legs(self, ages_s: Mapping[str, float], valid: Container[str]) -> bytes:
+        """A ``DynamicJointState`` of all legs.
 
         A leg's values: contact (0 or 1), score, onset age in seconds (how long before the deciding
-        sample the foot touched or let go), withheld (0 or 1).
+        sample the foot touched or let go), withheld and valid (0 or 1), age in seconds.  What was
+        never reported is NaN.
+
+        Args:
+            ages_s: of each leg's newest sample; without those that have had none.
+            valid: legs that are watched.
         """
-        self._last[event.leg] = event
         types = self._types.types
         value = types["control_msgs/msg/InterfaceValue"]
-        legs = [leg for leg in self.contacts if leg in self._last]
-        rows = [self._last[leg] for leg in legs]
         message = types[RosType.JOINT_VALUES](
-            header=self._header(event.t_ns),
-            joint_names=legs,
+            header=self._header(self._newest_ns),
+            joint_names=list(self.contacts),
             interface_values=[
                 value(
                     interface_names=list(_INTERFACES),
                     values=np.array(
                         [
-                            float(row.contact),
-                            row.score,
-                            (row.t_ns - row.onset_ns) / _NS,
-                            float(row.withheld),
+                            *_decided(self._last.get(leg)),
+                            float(leg in valid),
+                            ages_s.get(leg, math.nan),
                         ]
                     ),
                 )
-                for row in rows
+                for leg in self.contacts
             ],
         )
         return self._types.encode(message)
@@ -110,6 +117,7 @@ class Report:
         self,
         now_ns: int,
         learners: Mapping[str, LearnerStatus],
+        valid: Container[str],
         gateway: Mapping[str, object],
         trouble: str | None,
     ) -> bytes:
@@ -118,10 +126,11 @@ class Report:
         Args:
             now_ns: wall clock.
             learners: newest status of each leg.
+            valid: legs that are watched.
             gateway: what the gateway has counted.
             trouble: what is wrong with the gateway, None where nothing is.
         """
-        rows = [self._of_learner(status) for _, status in sorted(learners.items())]
+        rows = [self._of_learner(one, leg in valid) for leg, one in sorted(learners.items())]
         level = OK if trouble is None else ERROR
         text = "relays" if trouble is None else trouble
         rows.append(self._row(level, f"{self._node}: gateway", text, gateway))
@@ -129,12 +138,15 @@ class Report:
         message = types[RosType.DIAGNOSTICS](header=self._header(now_ns), status=rows)
         return self._types.encode(message)
 
-    def _of_learner(self, status: LearnerStatus) -> Any:
+    def _of_learner(self, status: LearnerStatus, valid: bool) -> Any:
         text = status.note or f"{status.status}: {_MEANS[status.status]}"
+        if not valid and status.status != "silent":
+            text = f"not known: no word of the service; was {text}"
         rejects = ", ".join(f"{why} {n}" for why, n in status.rejects.items())
         values: dict[str, object] = {
             "status": status.status,
-            "contact": status.contact,
+            "valid": valid,
+            "contact": status.contact and valid,
             "contacts": status.contacts,
             "withheld": status.withheld,
             "doubt": status.doubt or "",
@@ -146,7 +158,8 @@ class Report:
             "rejects": rejects,
             "residual_rms_rad": " ".join(f"{value:.4f}" for value in status.residual_rms),
         }
-        return self._row(_LEVELS[status.status], f"{self._node}: leg {status.leg}", text, values)
+        level = _LEVELS[status.status] if valid else STALE
+        return self._row(level, f"{self._node}: leg {status.leg}", text, values)
 
     def _row(self, level: int, name: str, text: str, values: Mapping[str, object]) -> Any:
         types = self._types.types
@@ -166,3 +179,10 @@ class Report:
         return types["std_msgs/msg/Header"](
             stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest), frame_id=""
         )
+
+
+def _decided(event: ContactEvent | None) -> tuple[float, float, float, float]:
+    if event is None:
+        return 0.0, math.nan, math.nan, 1.0
+    onset_age_s = (event.t_ns - event.onset_ns) / _NS
+    return float(event.contact), event.score, onset_age_s, float(event.withheld)

@@ -122,7 +122,10 @@ class Gatherer:
     @property
     def withheld(self) -> dict[str, int]:
         """Contacts of each leg that the service withheld, as the leg was ambiguous."""
-        counts = {leg: sum(e.withheld for e in events) for leg, events in self._events.items()}
+        counts = {
+            leg: sum(e.withheld and e.status != "silent" for e in events)
+            for leg, events in self._events.items()
+        }
         return {leg: count for leg, count in counts.items() if count}
 
     def replace_events(self, events: Iterable[ContactEvent]) -> None:

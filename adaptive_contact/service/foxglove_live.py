@@ -4,6 +4,9 @@ Topics, schemas and bytes are those of ``export --to protobuf``.  One kind of ch
 leg's ``trace`` has a message per tick, with the prediction and the test ratio.  The service is
 asked for them only while a client shows one.
 
+The contact of a leg that is not known any more is withdrawn, by an event that is made here where
+the service cannot send one.
+
 Everything goes out and nothing comes in: clients can neither publish nor set anything.  A client
 that is too slow loses its oldest messages (foxglove-sdk keeps 1024 for each).
 
@@ -14,6 +17,7 @@ Reference: https://github.com/foxglove/ws-protocol, docs/spec.md; subprotocol ``
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import queue
 import threading
@@ -22,6 +26,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Final, Self
 
 from adaptive_contact.errors import ConfigurationError, LinkError, needs
+from adaptive_contact.service.known_contacts import KnownContacts
 from adaptive_contact.service.link import Link, Received
 from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_class, schema_name
 from adaptive_contact.service.status import SERVICE_STATUS
@@ -31,7 +36,10 @@ from adaptive_contact.wire import (
     ALL_LEARNER,
     ALL_SERVO,
     ALL_TRUTH,
+    HEARTBEAT,
     MAX_PAYLOAD_BYTES,
+    ContactEvent,
+    Heartbeat,
     LegTrace,
     Message,
     Reject,
@@ -39,6 +47,7 @@ from adaptive_contact.wire import (
     ServoSample,
     bridge_status_key,
     command_key,
+    contact_key,
     decode,
     leg_of_key,
     trace_key,
@@ -60,7 +69,9 @@ _END_S: Final = 2.0
 # A tick placed further from now was taken before its source's clock jumped.
 _MOST_AGE_NS: Final = 60_000_000_000
 _HISTORY: Final = (ALL_CONTACT, SERVICE_STATUS)
-_STREAMS: Final = (ALL_SERVO, ALL_LEARNER, ALL_TRUTH, command_key("*"), bridge_status_key("*"))
+_STREAMS: Final = (
+    HEARTBEAT, ALL_SERVO, ALL_LEARNER, ALL_TRUTH, command_key("*"), bridge_status_key("*"),
+)  # fmt: skip
 
 
 class JudgedTick(Message, frozen=True, kw_only=True):
@@ -119,6 +130,7 @@ class FoxgloveServer:
         self._link = link
         self._channels: dict[str, Channel] = {}
         self._waiting: queue.Queue[Received] = queue.Queue(_MOST_WAITING)
+        self._known = KnownContacts()
         self._offsets_ns: dict[str, int] = {}
         self._stop = threading.Event()
         self._asker = threading.Thread(target=self._ask, name="foxglove-ticks", daemon=True)
@@ -144,11 +156,10 @@ class FoxgloveServer:
             self._link.subscribe(key, self._enqueue)
         self._asker.start()
         while not stop.is_set():
-            try:
-                received = self._waiting.get(timeout=_LOOK_S)
-            except queue.Empty:
-                continue
-            self._show_received(received)
+            with contextlib.suppress(queue.Empty):
+                self._show_received(self._waiting.get(timeout=_LOOK_S))
+            for event in self._known.look(time.monotonic_ns()):
+                self._show(contact_key(event.leg), event, time.time_ns())
 
     def _enqueue(self, received: Received) -> None:
         """Called on Zenoh's threads."""
@@ -173,6 +184,12 @@ class FoxgloveServer:
             # Its ticks are put on the same clock, so that both lie on each other in a plot.
             self._offsets_ns[leg] = arrived_ns - message.t_ns
             self._channel(trace_key(leg), JudgedTick)
+        elif isinstance(message, Heartbeat):
+            self._known.heartbeat(message, received.arrival_ns)
+        elif isinstance(message, ContactEvent):
+            for event in self._known.event(message, time.monotonic_ns()):
+                self._show(received.key, event, arrived_ns)
+            return
         self._show(received.key, message, arrived_ns)
 
     def _channel(self, key: str, kind: type[Message]) -> Channel | None:

@@ -20,10 +20,12 @@ import structlog
 from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP, StreamGuard
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.logs import FaultLog, LogThrottle
-from adaptive_contact.service.settings import leg_token
+from adaptive_contact.service.settings import SILENT_AFTER_S, leg_token
 from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import (
+    ContactEvent,
     LearnerStatus,
+    LegHeartbeat,
     ModelReport,
     Reject,
     Rejected,
@@ -132,7 +134,6 @@ class JointAvailability:
         return f"{joints} not answered for {for_s}: judged by the others"
 
 
-SILENT_AFTER_S: Final = 0.5
 STATUS_PERIOD_S: Final = 1.0
 
 _SILENT_AFTER_NS: Final = int(SILENT_AFTER_S * 1e9)
@@ -164,8 +165,10 @@ class LegEndpoint:
         self.contact = link.publisher(contact_key(leg), reliable=True, history=1)
         self._status = link.publisher(learner_key(leg))
         self._token: Declared | None = None
+        self._withdrawn = False  # its contact, as it is silent
         self._since_ns = now_ns
         self._seen_ns: int | None = None  # when a sample came that was used and had a reading
+        self._seen_t_ns = 0  # its time
         self._used_ns = now_ns  # when a sample came that was used
         self._unused: Reject | None = None
         self._unused_ns = 0
@@ -191,7 +194,7 @@ class LegEndpoint:
         self._used_ns = now_ns
         if not self._answers.follow(sample.valid, now_ns):
             return None
-        self._seen_ns = now_ns
+        self._seen_ns, self._seen_t_ns = now_ns, sample.t_ns
         if self._token is None:
             self._token = self._link.token(leg_token(self.leg))
         return None
@@ -205,6 +208,26 @@ class LegEndpoint:
     def silent(self, now_ns: int) -> bool:
         """Return whether no usable sample, or no servo's answer, has come for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
+
+    def heartbeat(self, now_ns: int) -> LegHeartbeat | None:
+        """How fresh what is known of the leg is; None before its first sample."""
+        if self._seen_ns is None:
+            return None
+        return LegHeartbeat(
+            t_ns=self._seen_t_ns,
+            age_s=(now_ns - self._seen_ns) / 1e9,
+            contact=self.learner.contact,
+        )
+
+    def withdraw(self, now_ns: int, *, ending: bool = False) -> ContactEvent | None:
+        """Return the event of a leg that has fallen silent since the last call, otherwise None.
+
+        Args:
+            now_ns: monotonic.
+            ending: the service ends, which is the same for who reads its contacts.
+        """
+        before, self._withdrawn = self._withdrawn, ending or self.silent(now_ns)
+        return self.learner.withdraw() if self._withdrawn and not before else None
 
     def publish_status(self, now_ns: int, *, anyway: bool = False) -> Status | None:
         """Send the status if a second has passed, it has changed, or it is wanted anyway.

@@ -33,6 +33,7 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.score import ROWS, Contacts, Gatherer, LegOutcome, contacts_of, match
 from adaptive_contact.service.link import Link, Publisher
 from adaptive_contact.service.recording import Record
+from adaptive_contact.service.settings import SILENT_AFTER_S
 from adaptive_contact.wire import (
     ContactEvent,
     Reject,
@@ -319,7 +320,11 @@ class TraceBank:
         ratio = np.array(self._ratio[leg], dtype=np.float64)
         events = [event for event in self._events if event.leg == leg]
         end_ns = int(t_ns.max(initial=start_ns))
-        reported = _spans([(event.t_ns, event.contact) for event in events], start_ns, end_ns)
+        # Nothing is known from a leg's last sample on until something is said of it again.
+        gaps = t_ns[:-1][np.diff(t_ns) > int(SILENT_AFTER_S * _NS_PER_S)].tolist()
+        ends = [(t, False) for t in gaps]
+        decided = [(event.t_ns, event.contact) for event in events]
+        reported = _spans([*decided, *ends], start_ns, end_ns)
         stance: Spans = []
         truth: Spans | None = None
         touches: list[Touch] = []
@@ -330,7 +335,7 @@ class TraceBank:
             note = str(error)
         else:
             changes = [(int(t), not s) for t, s in zip(stream.t_ns, stream.swing, strict=True)]
-            stance = _spans(changes, start_ns, end_ns)
+            stance = _spans([*changes, *ends], start_ns, end_ns)
             if leg in gathered.legs_with_truth:
                 contacts = contacts_of(stream.truth, int(stream.t_ns[0]))
                 truth = [
@@ -368,10 +373,10 @@ class TracedRecords:
 
 
 def _spans(changes: list[tuple[int, bool]], start_ns: int, end_ns: int) -> Spans:
-    """Spans in which a state holds, from its changes (or repeats) in order of time."""
+    """Spans in which a state holds, from its changes (or repeats); of one time, the last counts."""
     spans: Spans = []
     since: int | None = None
-    for at_ns, holds in [*changes, (end_ns, False)]:
+    for at_ns, holds in [*sorted(changes, key=lambda change: change[0]), (end_ns, False)]:
         if holds and since is None:
             since = at_ns
         elif not holds and since is not None:

@@ -3,7 +3,7 @@
 ::
 
     ROS 2  --state, command-->  [inbox]  --ServoSample-->  service
-    ROS 2  <--Bool, values----  [outbox] <--ContactEvent-  service
+    ROS 2  <--Bool, values----  [outbox] <--events, heartbeats-- service
     ROS 2  <--diagnostics-----  [once a second] <--------  LearnerStatus
 
 Contacts have a thread and a queue of their own, so that no flood of messages holds one up.  The
@@ -30,12 +30,15 @@ from adaptive_contact.ros2.problems import Complaints, Reason
 from adaptive_contact.ros2.report import Report
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types
+from adaptive_contact.service.known_contacts import KnownContacts
 from adaptive_contact.service.link import Arrivals, Link, Publisher, Received
 from adaptive_contact.service.settings import REMEDY, Finding
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    HEARTBEAT,
     ContactEvent,
+    Heartbeat,
     LearnerStatus,
     ServoSample,
     decode,
@@ -51,7 +54,6 @@ _MOST_KEYS: Final = 1024
 _MOST_LINES: Final = 256  # that wait to be said
 _LOOK_S: Final = 0.1
 _EVERY_S: Final = 1.0
-# A service publishes a status of each leg once a second.
 _SERVICE_GONE_S: Final = 3.0
 # After this long without a sample of a leg it is said, and again after ten times as long.
 _SILENT_S: Final = 5.0
@@ -159,9 +161,10 @@ class Gateway:
         self._addresses: dict[str, rmw.Address | None] = {}
         self._inbox = Inbox(tuple(self._topics))
         self._arrivals, self._contacts = Arrivals(), Arrivals()
+        self._known = KnownContacts()
+        self._heard_s: float | None = None  # when the last heartbeat came
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._learners: dict[str, Received] = {}
-        self._learner_s: float | None = None
         self._numbers = itertools.count(1)
         self._shown: set[str] = set()
         self._samples = {leg: service.publisher(servo_key(leg)) for leg in self.intake.legs}
@@ -225,6 +228,7 @@ class Gateway:
             ros.subscribe(rmw.any_type(node.domain, topic), self._arrivals)
             if len(types) == 1:
                 self._show(rmw.Address(topic, types[0], self._types.hash_of(types[0])))
+        self._service.subscribe(HEARTBEAT, self._contacts)
         self._service.subscribe(ALL_CONTACT, self._contacts, history=True)
         self._service.subscribe(ALL_LEARNER, self.note_learner)
 
@@ -239,7 +243,6 @@ class Gateway:
         """Keep the newest status of a leg's learner, for the diagnostics."""
         if leg_of_key(received.key) in self._legs:
             self._learners[received.key] = received
-            self._learner_s = self._now_s()
 
     # -- ROS 2 to the service ----------------------------------------------------------------------
 
@@ -293,17 +296,45 @@ class Gateway:
     # -- the service to ROS 2 ----------------------------------------------------------------------
 
     def _outward(self, stop: threading.Event) -> None:
-        while (received := self._contacts.get()) is not None:
-            event = decode(received.payload, ContactEvent, received.encoding)
-            if not isinstance(event, ContactEvent) or event.leg not in self._of_leg:
-                continue
-            try:
-                self._of_leg[event.leg].put(self._report.contact(event.contact))
-                self._values.put(self._report.take(event))
-                self.events += 1
-            except LinkError as error:
-                if not stop.is_set():
-                    self._say(str(error))
+        while not stop.is_set():
+            self._relay(self._contacts.get(_LOOK_S), stop)
+        self._known.heartbeat(Heartbeat(legs={}), 0)  # from now on ROS 2 gets no word of any leg
+        self._relay(None, stop)
+
+    def _relay(self, received: Received | None, stop: threading.Event) -> None:
+        """Pass on what has arrived, and what follows from time passing."""
+        now_ns = time.monotonic_ns()
+        events = [] if received is None else self._take(received, now_ns)
+        events += self._known.look(now_ns)
+        try:
+            for event in events:
+                changed = self._report.take(event)
+                if changed is not None:
+                    self._of_leg[event.leg].put(changed)
+            if events or received is None or received.key == HEARTBEAT:
+                ages_s = {leg: self._known.age_s(leg, now_ns) for leg in self._of_leg}
+                sampled = {leg: age_s for leg, age_s in ages_s.items() if age_s is not None}
+                self._values.put(self._report.all_legs(sampled, self._valid(now_ns)))
+        except LinkError as error:
+            if not stop.is_set():
+                self._say(str(error))
+
+    def _take(self, received: Received, now_ns: int) -> list[ContactEvent]:
+        """Take a heartbeat or an event in; the events to pass on."""
+        if received.key == HEARTBEAT:
+            heartbeat = decode(received.payload, Heartbeat, received.encoding)
+            if isinstance(heartbeat, Heartbeat):
+                self._heard_s = self._now_s()
+                self._known.heartbeat(heartbeat, received.arrival_ns)
+            return []
+        event = decode(received.payload, ContactEvent, received.encoding)
+        if not isinstance(event, ContactEvent) or event.leg not in self._of_leg:
+            return []
+        self.events += 1
+        return self._known.event(event, now_ns)
+
+    def _valid(self, now_ns: int) -> frozenset[str]:
+        return frozenset(leg for leg in self._legs if self._known.is_known(leg, now_ns))
 
     def _housekeeping(self, stop: threading.Event) -> None:
         begun_s = self._now_s()
@@ -350,11 +381,11 @@ class Gateway:
             return f"ROS 2 cannot be reached: {shown_of_ros(self._ros.diagnose())}; trying on"
         if not self._service.is_connected():
             return f"the service cannot be reached: {self._service.diagnose().line}; trying on"
-        learner_s = self._learner_s
+        heard_s = self._heard_s
         if up_s > _SERVICE_GONE_S and (
-            learner_s is None or self._now_s() - learner_s > _SERVICE_GONE_S
+            heard_s is None or self._now_s() - heard_s > _SERVICE_GONE_S
         ):
-            return "no service publishes robot/leg/*/learner; run `adaptive-contact serve`"
+            return f"no service publishes {HEARTBEAT}; run `adaptive-contact serve`"
         return None
 
     def diagnosis(self, trouble: str | None) -> bytes:
@@ -369,7 +400,8 @@ class Gateway:
             f"{topic} {reason}": times
             for (topic, reason), times in list(self.complaints.counts.items())
         }
-        return self._report.diagnose(time.time_ns(), learners, counts, trouble)
+        valid = self._valid(time.monotonic_ns())
+        return self._report.diagnose(time.time_ns(), learners, valid, counts, trouble)
 
     def _report_silent(self) -> None:
         """Say which legs have had no sample, and who publishes on their topics."""

@@ -36,6 +36,9 @@ from adaptive_contact.service.trace import Tracer, judged_tick
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.wire import (
     ALL_SERVO,
+    HEARTBEAT,
+    ContactEvent,
+    Heartbeat,
     Reject,
     Rejected,
     ServoSample,
@@ -157,6 +160,7 @@ class Service:
         self._strays = UnreadKeys(link)
         self._stray_keys: dict[str, str] = {}
         self._status = link.publisher(SERVICE_STATUS, history=1)
+        self._heartbeat = link.publisher(HEARTBEAT)
         self._look_ns = self._status_ns = self._note_ns = now_ns
         self._amiss: list[bool] = []  # which complaints the last status had
         self._latency_ns = now_ns + _LATENCY_LOG_NS
@@ -259,6 +263,9 @@ class Service:
         self._network.look(now_ns)
         if now_ns >= self._note_ns:
             self._note_ns = now_ns + _LOOK_NS
+            beats = {leg: one.heartbeat(now_ns) for leg, one in self._endpoints.items()}
+            known = {leg: beat for leg, beat in beats.items() if beat is not None}
+            self._heartbeat.put(Heartbeat(legs=known))
             # A complaint that comes or goes is published at once, its figures with the next status.
             amiss = [one is not None for one in self._complaints(now_ns)]
             if amiss != self._amiss:
@@ -356,18 +363,22 @@ class Service:
 
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
         for event in self._bank.judge(samples):
-            contact = self._endpoints[event.leg].contact
-            self._publisher.post(contact, event, raws[event.leg].arrival_ns)
-            self._events += 1
-            _log.debug(
-                "contact" if event.contact else "withheld" if event.withheld else "release",
-                leg=event.leg,
-                seq=event.seq,
-                score=round(event.score, 2),
-            )
+            self._post(event, raws[event.leg].arrival_ns)
         self._unfinished += [raws[leg].arrival_ns for leg in samples]
         if self._tracer.wanted(time.monotonic_ns()):
             self._untraced += [pair for pair in samples.items() if pair[0] not in self._refused]
+
+    def _post(self, event: ContactEvent | None, arrival_ns: int) -> None:
+        if event is None:
+            return
+        self._publisher.post(self._endpoints[event.leg].contact, event, arrival_ns)
+        self._events += 1
+        _log.debug(
+            "contact" if event.contact else "withheld" if event.withheld else "release",
+            leg=event.leg,
+            seq=event.seq,
+            score=round(event.score, 2),
+        )
 
     def _trace(self) -> None:
         """Keep the tick for a page that asks for it."""
@@ -426,6 +437,7 @@ class Service:
 
     def _look_at(self, at: int, now_ns: int) -> None:
         endpoint = next(itertools.islice(self._endpoints.values(), at, None))
+        self._post(endpoint.withdraw(now_ns), now_ns)
         changed = endpoint.publish_status(now_ns)
         if changed is not None and endpoint.received_samples:
             _log.info("leg status", leg=endpoint.leg, status=changed)
@@ -443,6 +455,7 @@ class Service:
     def _end(self, now_ns: int) -> None:
         """Have every leg saved, send the last events, and publish the last counts."""
         for endpoint in self._endpoints.values():
+            self._post(endpoint.withdraw(now_ns, ending=True), now_ns)
             endpoint.publish_status(now_ns, anyway=True)
             if self._keeper is not None and endpoint.received_samples:
                 self._keeper.take(endpoint, now_ns)

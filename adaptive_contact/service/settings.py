@@ -26,6 +26,8 @@ DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
 # Liveliness tokens live in a key space of their own; these do not collide with the wire's keys.
 SERVICE_TOKEN: Final = "robot/service"
+# A leg is silent, and what was known of it is not any more, this long after its last sample.
+SILENT_AFTER_S: Final = 0.5
 
 # One chunk or several of a key, without Zenoh's wildcards and without anything a shell or a
 # person would stumble over.

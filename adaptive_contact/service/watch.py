@@ -18,17 +18,21 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import msgspec
 
 from adaptive_contact.service.interfaces import Received
+from adaptive_contact.service.known_contacts import KnownContacts
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
     ALL_TRUTH,
+    HEARTBEAT,
     LEG_MESSAGES,
     MAX_PAYLOAD_BYTES,
     ContactEvent,
     ContactTruth,
+    Heartbeat,
     LearnerStatus,
+    Message,
     Status,
     decode,
     leg_of_key,
@@ -55,7 +59,8 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     """One row: a leg as it is now."""
 
     leg: str
-    contact: bool | None = None  # None before the first word of the service
+    contact: bool | None = None  # None while it is not known
+    age_s: float | None = None  # of the newest sample that the service has used
     status: Status | None = None
     contact_age_s: float | None = None  # since the last change to contact
     contacts: int = 0
@@ -231,6 +236,7 @@ class Watch:
     def __init__(self) -> None:
         self._legs: dict[str, _Leg] = {}
         self._service: ServiceStatus | None = None
+        self.known = KnownContacts()
 
     def event(self, event: ContactEvent, now_ns: int, age_ns: int = 0) -> None:
         """Take an event in; ``age_ns`` is how old it was when it arrived (a late joiner's)."""
@@ -300,7 +306,8 @@ class Watch:
         status, truth = leg.status, leg.truth
         row = LegView(
             leg=name,
-            contact=leg.contact,
+            contact=leg.contact if self.known.is_known(name, now_ns) else None,
+            age_s=self.known.age_s(name, now_ns),
             contact_age_s=None if leg.contact_ns is None else (now_ns - leg.contact_ns) / 1e9,
         )
         if truth is not None:
@@ -360,6 +367,7 @@ def _rate(ticks: list[tuple[int, int]]) -> float | None:
     return (ticks[-1][1] - ticks[0][1]) / ((ticks[-1][0] - ticks[0][0]) / 1e9)
 
 
+_OF_SERVICE: Final[dict[str, type[Message]]] = {SERVICE_STATUS: ServiceStatus, HEARTBEAT: Heartbeat}
 OnContact = Callable[[str, ContactEvent | ContactTruth], None]
 
 _KEPT: Final = 20_000
@@ -371,7 +379,7 @@ class Feed:
     Args:
         link: open; closed by its owner.
         on_contact: is given each contact event and change of truth that :meth:`view` takes in, with
-            its leg.
+            its leg, and an event for each leg whose contact is not known any more.
     """
 
     def __init__(self, link: Link, on_contact: OnContact | None = None) -> None:
@@ -383,6 +391,7 @@ class Feed:
         self._alive = False
         link.watch_tokens(SERVICE_TOKEN, self._token)
         link.subscribe(SERVICE_STATUS, self._receive, history=True)
+        link.subscribe(HEARTBEAT, self._receive)
         link.subscribe(ALL_CONTACT, self._receive, history=True)
         link.subscribe(ALL_LEARNER, self._receive)
         link.subscribe(ALL_TRUTH, self._receive)
@@ -396,25 +405,32 @@ class Feed:
         """Take in what has arrived, and give what is known now; ``now_ns`` is monotonic."""
         for _ in range(len(self._waiting)):
             self._take(self._waiting.popleft())
+        self._pass_on(self.watch.known.look(now_ns))
         return self.watch.view(now_ns, alive=self._alive, connected=self._link.is_connected())
 
     def _take(self, received: Received) -> None:
         name = received.key.rsplit("/", 1)[-1]
-        kind = ServiceStatus if received.key == SERVICE_STATUS else LEG_MESSAGES[name]
+        kind = _OF_SERVICE.get(received.key) or LEG_MESSAGES[name]
         message = decode(received.payload, kind, received.encoding)
         leg = leg_of_key(received.key)
         if isinstance(message, ServiceStatus):
             self.watch.service(message)
+        elif isinstance(message, Heartbeat):
+            self.watch.known.heartbeat(message, received.arrival_ns)
         elif isinstance(message, ContactEvent):
             self.watch.event(message, received.arrival_ns, _age_ns(received))
+            self._pass_on(self.watch.known.event(message, received.arrival_ns))
         elif isinstance(message, LearnerStatus):
             self.watch.learner(message, received.arrival_ns)
         elif isinstance(message, ContactTruth) and leg is not None:
             self.watch.truth(leg, message, received.arrival_ns)
-        if self._on_contact is None or leg is None:
-            return
-        if isinstance(message, ContactEvent | ContactTruth):
-            self._on_contact(leg, message)
+            if self._on_contact is not None:
+                self._on_contact(leg, message)
+
+    def _pass_on(self, events: list[ContactEvent]) -> None:
+        for event in events:
+            if self._on_contact is not None:
+                self._on_contact(event.leg, event)
 
     def _token(self, key: str, alive: bool) -> None:
         self._alive = alive

@@ -220,7 +220,7 @@ def _lost(leg: LegView) -> Text:
 def _state(leg: LegView) -> Text:
     """Free or contact; and of an ambiguous leg how many contacts have been withheld."""
     if leg.contact is None:
-        return Text("?", style="dim")
+        return Text("unknown", style="dim")
     if leg.contact:
         return Text("CONTACT", style="bold reverse")
     if leg.withheld and leg.status == "ambiguous":

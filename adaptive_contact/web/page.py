@@ -1,14 +1,17 @@
 """The page's server and what feeds it, each on a thread of its own.
 
-The feeding thread asks the service for its ticks ten times a second, takes in what has been
-published, and hands bytes to the serving thread, which gives the same bytes to every browser.
+The feeding thread takes in what has been published, ten times a second, and hands bytes to the
+serving thread, which gives the same bytes to every browser.  A third one asks the service for its
+ticks: where no answer comes, the others do not wait for it.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Final, Self
 
@@ -21,10 +24,11 @@ from adaptive_contact.service.trace import TraceReader
 from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.web.frames import Frames, Table
 from adaptive_contact.web.server import Site, WebSettings
-from adaptive_contact.wire import ModelReport, Rejected, decode, model_key
+from adaptive_contact.wire import LegTrace, ModelReport, Rejected, decode, model_key
 
 FRAME_S: Final = 0.1
-# The table of legs is looked at every so many frames: its figures come once a second.
+# The table of legs is looked at every so many frames, as its figures come once a second, and at
+# once where a leg is not known any more.
 _TABLE_FRAMES: Final = 3
 _ASK_S: Final = 0.5
 # Legs whose samples come, and no answer for so many questions: the service knows no such question.
@@ -56,14 +60,18 @@ class LivePage:
         self._waiting: Finding | None = None
         self._link: Link | None = None
         self._reader: TraceReader | None = None
+        self._traces: deque[tuple[LegTrace, int]] = deque()  # and when they came
+        self._view: View | None = None
+        self._unanswered = 0  # questions in a row
         self._models: dict[str, tuple[float, bytes | None]] = {}
         self._asking = asyncio.Lock()
         self._closed = False
         self._fault: BaseException | None = None
         self._server = self._thread("page-server", self._serve)
         self._feeder = self._thread("page-feeder", self._feed)
-        self._server.start()
-        self._feeder.start()
+        self._asker = self._thread("page-asker", self._ask)
+        for thread in (self._server, self._feeder, self._asker):
+            thread.start()
 
     def __enter__(self) -> Self:
         return self
@@ -96,6 +104,7 @@ class LivePage:
         """Ask the link no more; what has been shown stays."""
         self._stop.set()
         self._feeder.join(_END_S)
+        self._asker.join(_END_S)
 
     def close(self, farewell: str | None = None) -> None:
         """End both threads; calling it twice is safe.
@@ -165,26 +174,28 @@ class LivePage:
 
     def _feed(self) -> None:
         feed: Feed | None = None
-        view: View | None = None
         due_s = time.monotonic()
-        count = unanswered = 0
+        count = 0
+        unknown: list[str] = []  # legs of which nothing is known
         while not self._stop.is_set():
             if feed is None and self._link is not None:
                 feed = Feed(self._link, self._frames.contact)
+            view = self._view
             if feed is not None:
-                view = feed.view(time.monotonic_ns())
-                samples_come = any(leg.rate_hz for leg in view.legs)
-                unanswered = unanswered + 1 if not self._ask_ticks(view) and samples_come else 0
+                view = self._view = feed.view(time.monotonic_ns())
                 self._frames.verdicts(feed.watch.take_verdicts())
-            table = None
-            if count % _TABLE_FRAMES == 0:
+            for _ in range(len(self._traces)):
+                self._frames.trace(*self._traces.popleft())
+            table, before = None, unknown
+            unknown = [] if view is None else [leg.leg for leg in view.legs if leg.contact is None]
+            if count % _TABLE_FRAMES == 0 or unknown != before:
                 statuses = {} if feed is None else feed.watch.statuses()
                 table = self._table.encode(
                     view,
                     statuses,
                     time.monotonic_ns(),
                     waiting=self._waiting,
-                    untraced=unanswered > _UNANSWERED,
+                    untraced=self._unanswered > _UNANSWERED,
                 )
             frame = self._frames.frame(time.monotonic_ns())
             self._loop.call_soon_threadsafe(self._site.history.push, frame, table)
@@ -192,14 +203,18 @@ class LivePage:
             due_s = max(due_s + FRAME_S, time.monotonic())
             self._stop.wait(due_s - time.monotonic())
 
-    def _ask_ticks(self, view: View) -> bool:
-        """Ask the service for the ticks since the last question; False where it has none."""
-        if self._reader is None or not view.alive or not view.connected:
-            return True  # no service is there to ask
-        try:
-            traces = self._reader.ask()
-        except LinkError:
-            return False
-        for trace in traces:
-            self._frames.trace(trace, time.monotonic_ns())
-        return any(trace.t_ns for trace in traces)
+    # -- the asking thread ---------------------------------------------------------------------
+
+    def _ask(self) -> None:
+        """Ask the service for the ticks since the last question, where one is there."""
+        while not self._stop.wait(FRAME_S):
+            view, traces = self._view, []
+            if self._reader is None or view is None or not view.alive or not view.connected:
+                self._unanswered = 0
+                continue
+            with contextlib.suppress(LinkError):
+                traces = self._reader.ask()
+            self._traces.extend((trace, time.monotonic_ns()) for trace in traces)
+            answered = any(trace.t_ns for trace in traces)
+            samples_come = any(leg.rate_hz for leg in view.legs)
+            self._unanswered = self._unanswered + 1 if samples_come and not answered else 0

@@ -15,7 +15,7 @@ import json
 import os
 import secrets
 import socket
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from http import HTTPStatus
@@ -26,9 +26,11 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.web.http import MOST_HEAD_BYTES, Refused, Request, read_request, write_answer
 from adaptive_contact.wire import is_leg_id
 
-# Browsers that look at once, and connections: each takes up to half a megabyte while it hangs.
+# Browsers that look at once, connections that have shown the token, and those that have not yet:
+# each takes up to half a megabyte while it hangs.
 MOST_STREAMS: Final = 128
 _MOST_CONNECTIONS: Final = 256
+_MOST_WAITING: Final = 256
 _BUFFER_BYTES: Final = 128 * 1024
 _HUNG_AFTER_S: Final = 20.0
 # How far back a page can look that is opened now: five minutes of ten frames a second, less where
@@ -156,6 +158,10 @@ class Site:
         self._model_of = model_of
         self._socket: socket.socket | None = None
         self._connections: set[asyncio.Task[None]] = set()
+        # Those that have shown the token, where one is asked for; others with their address, the
+        # oldest first.
+        self._admitted: set[asyncio.Task[None]] = set()
+        self._waiting: dict[asyncio.Task[None], str] = {}
         self._files = {
             path: (resources.files(__package__).joinpath("static", name).read_bytes(), kind)
             for path, (name, kind) in _PAGES.items()
@@ -232,6 +238,10 @@ class Site:
         task = asyncio.current_task()
         assert task is not None
         self._connections.add(task)
+        address, *_ = writer.get_extra_info("peername") or ("",)
+        self._waiting[task] = address
+        if len(self._waiting) > _MOST_WAITING:
+            self._end_a_stranger()
         try:
             writer.transport.set_write_buffer_limits(high=_BUFFER_BYTES)
             await self._converse(reader, writer)
@@ -241,12 +251,19 @@ class Site:
         finally:
             writer.close()
             self._connections.discard(task)
+            self._admitted.discard(task)
+            self._waiting.pop(task, None)
+
+    def _end_a_stranger(self) -> None:
+        """End the oldest connection of the address that has most: nobody keeps others out."""
+        ((most, _),) = Counter(self._waiting.values()).most_common(1)
+        oldest = next(task for task, address in self._waiting.items() if address == most)
+        del self._waiting[oldest]
+        oldest.cancel()
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         head_only = False
         try:
-            if len(self._connections) > _MOST_CONNECTIONS:
-                raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections; try again")
             request = await read_request(reader)
             head_only = request.method == "HEAD"
             await self._answer(request, reader, writer)
@@ -262,6 +279,7 @@ class Site:
     ) -> None:
         self._check_origin(request)
         self._check_token(request)
+        self._admit()
         head_only = request.method == "HEAD"
         if request.path in self._files:
             body, kind = self._files[request.path]
@@ -275,6 +293,15 @@ class Site:
         else:
             raise Refused(HTTPStatus.NOT_FOUND, "no such page; there is /")
         write_answer(writer, HTTPStatus.OK, kind, body, head_only=head_only)
+
+    def _admit(self) -> None:
+        """Count a connection among those that have shown the token."""
+        task = asyncio.current_task()
+        assert task is not None
+        if len(self._admitted) >= _MOST_CONNECTIONS:
+            raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections; try again")
+        self._waiting.pop(task, None)
+        self._admitted.add(task)
 
     def _check_origin(self, request: Request) -> None:
         """Refuse what a page of another site asks, under whatever name it reached this server."""

@@ -74,7 +74,8 @@ class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
         onset_ns: estimated first touch (or release), at most ``t_ns``.
         score: statistic over threshold, above 1 for a contact.
         residual: (J,) rad, measured minus predicted at the deciding sample.
-        withheld: ``contact`` is False because the leg is ambiguous, whatever its residuals say.
+        withheld: ``contact`` is False because the leg is ambiguous, whatever its residuals say, or
+            because its samples have stopped (``status`` is ``silent``).
         doubt: why the leg is ambiguous.
     """
 
@@ -161,6 +162,30 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
     untouched: int = 0
     untouched_ns: int | None = None
     note: str | None = None
+
+
+class LegHeartbeat(msgspec.Struct, frozen=True, kw_only=True):
+    """How fresh what is known of a leg is.
+
+    Attributes:
+        t_ns: of the newest sample.
+        age_s: since the last usable sample in which a servo answered.
+        contact: whether the leg touches, by its last event.
+    """
+
+    t_ns: int
+    age_s: float
+    contact: bool
+
+
+class Heartbeat(Message, frozen=True, kw_only=True):
+    """What the service publishes ten times a second, so that its end shows within half a second.
+
+    Attributes:
+        legs: those that have had a sample.
+    """
+
+    legs: dict[str, LegHeartbeat]
 
 
 class ModelTerm(msgspec.Struct, frozen=True, kw_only=True):

@@ -408,3 +408,23 @@ def test_whoever_may_have_heard_of_a_touch_is_told_that_it_is_over(robot: Robot)
     assert event is not None
     assert (event.contact, event.t_ns) == (False, stream[0].t_ns)
     assert [learner.update(sample) for sample in stream[1:]] == [None] * (len(stream) - 1)
+
+
+def test_a_contact_whose_samples_have_stopped_is_withdrawn_until_the_next_touch(
+    robot: Robot, baseline: Baseline
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=6).run(12, touch=lambda _: 16)
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(robot, "rf", baseline)
+    assert learner.withdraw() is None, "there was no sample"
+    last = next(k for k, s in enumerate(stream) if (e := learner.update(s)) and e.contact)
+    before = learner.status
+    gone = learner.withdraw()
+    assert gone is not None
+    assert (gone.contact, gone.withheld, gone.status) == (False, True, "silent")
+    assert (gone.t_ns, gone.onset_ns, gone.score) == (stream[last].t_ns, stream[last].t_ns, 0.0)
+    after = learner.status
+    assert (before.contact, after.contact) == (True, False)
+    assert (before.contacts, before.withheld) == (after.contacts, after.withheld)
+    events = [e for s in stream[last + 50 :] if (e := learner.update(s)) is not None]
+    assert events[0].contact, "the end of what was withdrawn is no news"

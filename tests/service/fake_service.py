@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from msgspec.structs import replace
+
 from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import (
@@ -38,7 +40,7 @@ class FakeLearner:
         self.contact = False
         self.contacts = 0
         self.ticks = 0
-        self.t_ns = 0
+        self.t_ns = self.seq = 0
         self.rejects: Counter[str] = Counter()
         self.guard = StreamGuard(joints)
         self.note: str | None = None
@@ -73,6 +75,12 @@ class FakeLearner:
 
     def request_release(self) -> None:
         self.owes_release = True
+
+    def withdraw(self) -> ContactEvent | None:
+        if not self.ticks:
+            return None
+        self.contact = False
+        return replace(self._event(score=0.0), status="silent", withheld=True)
 
     def reset_after_fault(self, fault: Exception) -> None:
         self.fault = None
@@ -112,20 +120,23 @@ class FakeLearner:
             self.count(found)
             return None
         self.ticks += 1
-        self.t_ns = sample.t_ns
+        self.t_ns, self.seq = sample.t_ns, sample.seq
         contact = abs(sample.measured[0] - sample.desired[0]) > 0.2
         if contact == self.contact:
             return None
         self.contact = contact
         self.contacts += contact
+        return self._event(score=2.0)
+
+    def _event(self, score: float) -> ContactEvent:
         return ContactEvent(
             leg=self.leg,
-            t_ns=sample.t_ns,
-            seq=sample.seq,
-            onset_ns=sample.t_ns,
-            contact=contact,
+            t_ns=self.t_ns,
+            seq=self.seq,
+            onset_ns=self.t_ns,
+            contact=self.contact,
             status=self.word,
-            score=2.0,
+            score=score,
             residual=[0.1] * self.joints,
             model_version=3,
         )

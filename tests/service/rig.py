@@ -13,7 +13,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -105,9 +105,11 @@ class Robot50(threading.Thread):
         epoch_ns: int = S,
         first: int = 0,
         zenoh_config: Path | None = None,
+        touch: Callable[[int], bool] = touches,
     ) -> None:
         super().__init__(daemon=True)
         self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
+        self.touch = touch
         self.publishers = {leg: self.link.publisher(servo_key(leg)) for leg in legs}
         self.seq = first
         self.run_id = run
@@ -120,7 +122,7 @@ class Robot50(threading.Thread):
         due = time.monotonic()
         while not self.stop.is_set():
             seq = self.seq
-            off = 0.5 if touches(seq) else 0.0
+            off = 0.5 if self.touch(seq) else 0.0
             sample = ServoSample(
                 t_ns=self.epoch_ns + seq * 20_000_000,
                 seq=seq,

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -98,47 +99,49 @@ def test_the_subscriber_in_python_works(
     assert re.match(r"rf (touches|lets go) \d+$", first[0])
 
 
+def contacts_code() -> str:
+    part = TEXT.split("## A safe subscriber")[1]
+    (code,) = re.findall(r"```python\n(.*?)```", part, re.DOTALL)
+    return str(code)
+
+
+def contacts_class() -> Any:
+    """The class of the section on safe subscribers."""
+    names: dict[str, Any] = {}
+    exec(contacts_code(), names)
+    return names["Contacts"]
+
+
 @pytest.mark.e2e
 @pytest.mark.parametrize("options", [(), ("--json",)], ids=["msgpack", "json"])
 def test_the_safe_subscriber_acts_on_no_old_contact_and_on_none_without_a_service(
-    serve: Any,
-    join: Callable[..., Any],
-    sample: Callable[..., ServoSample],
-    options: tuple[str, ...],
+    serve: Any, rig: Any, options: tuple[str, ...]
 ) -> None:
-    part = TEXT.split("## A safe subscriber")[1]
-    (code,) = re.findall(r"```python\n(.*?)```", part, re.DOTALL)
-    names: dict[str, Any] = {}
-    exec(code, names)
+    class_ = contacts_class()
     served = serve(*options)
     config = zenoh.Config.from_json5(
         f'{{mode: "client", connect: {{endpoints: ["{served.endpoint}"]}}}}'
     )
     # A program that neither closes nor drops its session ends.
     own = (
-        f"{code}\nconfig = zenoh.Config.from_json5({str(config)!r})\n"
+        f"{contacts_code()}\nimport zenoh\nconfig = zenoh.Config.from_json5({str(config)!r})\n"
         "contacts = Contacts(zenoh.open(config))\ncontacts.look('rf', 0)"
     )
     subprocess.run([sys.executable, "-c", own], check=True, timeout=60)
-    client = join(served.endpoint)
-    publisher = client.publisher(servo_key("rf"))
-    with zenoh.open(config) as session:
-        contacts = names["Contacts"](session)
-        until("free", contacts.look, "rf", 0)
-        # Contacts go on until the first has arrived: it is only then known that all is declared.
-        for seq in range(1000):
-            publisher.put(sample(seq, contact=True))
-            if contacts.look("rf", 0) == "contact":
-                break
-            threading.Event().wait(0.02)
+    with (
+        zenoh.open(config) as session,
+        closing(rig.Robot50(served.endpoint, touch=lambda _: True)),
+    ):
+        contacts = class_(session)
+        until("contact", contacts.look, "rf", 0)
         began_ns = contacts.events["rf"]["t_ns"]
-        assert contacts.look("rf", began_ns) == "contact"
-        assert contacts.look("rf", began_ns + 1) == "free"
-        assert contacts.look("lf", 0) == "free"
+        until("contact", contacts.look, "rf", began_ns)
+        until("free", contacts.look, "rf", began_ns + 1)
+        assert contacts.look("lf", 0) == "unwatched"
         # Who joins late gets the contact that stands, however old, and may refuse it.
-        late = names["Contacts"](session)
+        late = class_(session)
         until("contact", late.look, "rf", began_ns)
-        assert late.look("rf", began_ns + 1) == "free"
+        until("free", late.look, "rf", began_ns + 1)
         served.stop()
         until("unwatched", contacts.look, "rf", began_ns)
 

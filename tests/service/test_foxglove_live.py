@@ -27,7 +27,10 @@ from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
 from adaptive_contact.service.link import Link, Request, client_settings, router_settings
 from adaptive_contact.wire import (
+    HEARTBEAT,
     ContactEvent,
+    Heartbeat,
+    LegHeartbeat,
     LegTrace,
     ServoSample,
     contact_key,
@@ -44,6 +47,7 @@ EVENT = ContactEvent(
     leg="lf", t_ns=T_NS, seq=7, onset_ns=T_NS - 5, contact=True, status="valid", score=1.5,
     residual=[0.5, -0.25], model_version=3,
 )  # fmt: skip
+BEAT = LegHeartbeat(t_ns=T_NS, age_s=0.0, contact=True)
 TRACE = LegTrace(
     leg="lf",
     number=12,
@@ -151,6 +155,7 @@ class Source:
     def __init__(self, link: Link) -> None:
         self._servo = link.publisher(servo_key("lf"))
         self._contact = link.publisher(contact_key("lf"), reliable=True, history=1)
+        self._heartbeat = link.publisher(HEARTBEAT)
         self._stop = threading.Event()
         self._worker = threading.Thread(target=self._run)
         self._worker.start()
@@ -158,6 +163,7 @@ class Source:
     def _run(self) -> None:
         while not self._stop.wait(0.02):
             self._servo.put(SAMPLE)
+            self._heartbeat.put(Heartbeat(legs={"lf": BEAT}))
             self._contact.put(EVENT)
 
     def close(self) -> None:

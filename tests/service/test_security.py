@@ -170,13 +170,14 @@ def test_only_the_service_publishes_contacts_and_statuses(
     for liar in liars:  # a round trip: what it put before has been dealt with after it
         assert len(liar.query(model_key("rf"))) >= 1
     servo.put(sample(2))
-    assert [e.seq for e in contacts.wait(2)] == [1, 2]
+    # (Of a leg without samples an event says that it is silent.)
+    assert {e.seq for e in contacts.wait(lambda items: items[-1].seq == 2)} == {1, 2}
     late = inbox(ContactEvent)
     guarded.user("viewer").subscribe(ALL_CONTACT, late, history=True)
     assert [e.seq for e in late.wait(1)] == [2]
     statuses.wait(lambda items: any(status.ticks == 2 for status in items))
     assert all(status.model_version == 3 for status in statuses.items)
-    assert [e.seq for e in plain.wait(2)] == [1, 2]
+    assert {e.seq for e in plain.wait(lambda items: items[-1].seq == 2)} == {1, 2}
     (last,) = viewer.query(contact_key("rf"))
     assert b"666" not in last.payload
     (report,) = viewer.query(model_key("rf"))

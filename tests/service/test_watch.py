@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from views import MS, S, drawn, event, service, status, truth
+from views import MS, S, drawn, event, heartbeat, service, status, truth
 
 from adaptive_contact.service.watch import Watch
 from adaptive_contact.service.watch_table import headline
@@ -42,12 +42,17 @@ def test_events_and_statuses_make_a_row() -> None:
     for second in range(4):
         watch.learner(status(ticks=50 * second, contacts=2, missed=3), second * S)
     watch.event(event(1), 4 * S)
+    assert row(watch, 5 * S).contact is None, "no service says that it is known"
+    watch.known.heartbeat(heartbeat("rf", age_s=0.1), 5 * S)
     leg = row(watch, 5 * S)
+    assert leg.age_s == 0.1
     assert (leg.leg, leg.contact, leg.status, leg.model_version) == ("rf", True, "valid", 4)
     assert (leg.contact_age_s, leg.rate_hz, leg.missed, leg.contacts) == (1.0, 50.0, 3, 2)
     assert leg.touches is None
     assert not leg.stale
     watch.event(event(2, contact=False), 6 * S)
+    assert row(watch, 6 * S).contact is None
+    watch.known.heartbeat(heartbeat("rf"), 7 * S)
     assert row(watch, 7 * S).contact is False
     assert row(watch, 7 * S).contact_age_s == 3.0
     assert row(watch, 7 * S).stale, "the last status is 4 s old"
@@ -261,7 +266,7 @@ def test_a_contact_heard_before_the_first_status_is_counted_as_heard() -> None:
 
 @pytest.mark.e2e
 def test_the_command_over_zenoh(
-    serve: Any, cli: Any, join: Callable[..., Any], sample: Callable[..., ServoSample]
+    serve: Any, cli: Any, join: Callable[..., Any], sample: Callable[..., ServoSample], rig: Any
 ) -> None:
     served = serve()
     client = join(served.endpoint)
@@ -271,7 +276,7 @@ def test_the_command_over_zenoh(
         assert time.monotonic() < until
         time.sleep(0.005)
     arguments = ("watch", "--connect", served.endpoint, "--once")
-    process = cli(*arguments, "--json", "--seconds", "1.5")
+    process = cli(*arguments, "--json", "--seconds", "3")
     # Until it subscribes there is nobody for the truth; from then on it sees the touches.
     until = time.monotonic() + 30
     while not real.matched:
@@ -284,6 +289,7 @@ def test_the_command_over_zenoh(
         if seq == 29:
             real.put(truth(20 * seq - 5, True))
         servo.put(sample(seq, contact=seq >= 29))
+    standing = rig.Robot50(served.endpoint, epoch_ns=0, first=40, touch=lambda _: True)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     view = json.loads(out)
@@ -294,6 +300,7 @@ def test_the_command_over_zenoh(
     assert leg["latency_ms"] == 5.0
     table_process = cli(*arguments, "--seconds", "0.3")
     out, _ = table_process.communicate(timeout=60)
+    standing.close()
     assert "mini" in out
     assert "CONTACT" in out
 

@@ -7,7 +7,7 @@ import re
 
 import pytest
 from rich.console import Console
-from views import S, drawn, event, service, status, truth
+from views import S, drawn, event, heartbeat, service, status, truth
 
 from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.watch import LegView, View, Watch
@@ -94,6 +94,7 @@ def test_the_table_says_what_matters() -> None:
     watch.truth("rf", truth(500, False), 0)
     watch.truth("rf", truth(1000, True), 0)
     watch.event(event(1016), 1 * S)
+    watch.known.heartbeat(heartbeat("rf"), 2 * S)
     watch.learner(
         status(
             rejects={"malformed": 3, "not_finite": 9},

@@ -9,7 +9,7 @@ from rich.console import Console
 from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.service.watch_table import table
-from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus
+from adaptive_contact.wire import ContactEvent, ContactTruth, Heartbeat, LearnerStatus, LegHeartbeat
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -43,6 +43,11 @@ def status(ticks: int = 0, **fields: Any) -> LearnerStatus:
             **fields,
         }
     )
+
+
+def heartbeat(*legs: str, age_s: float = 0.0) -> Heartbeat:
+    beat = LegHeartbeat(t_ns=0, age_s=age_s, contact=False)
+    return Heartbeat(legs=dict.fromkeys(legs, beat))
 
 
 def truth(t_ms: float, contact: bool) -> ContactTruth:

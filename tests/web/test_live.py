@@ -37,8 +37,10 @@ LEGS = ["lf", "lm", "lr", "rf", "rm", "rr"]
 
 # What the page's modules keep and do, by the names that they give it.
 _MODULES = """
-Promise.all(['data', 'stream', 'theme'].map((name) => import(`/${name}.js`))).then(
-  ([data, stream, theme]) => { Object.assign(globalThis, { ...data, stream, theme }); },
+Promise.all(['data', 'stream', 'theme', 'plots'].map((name) => import(`/${name}.js`))).then(
+  ([data, stream, theme, plots]) => {
+    Object.assign(globalThis, { ...data, stream, theme, plots });
+  },
 )
 """
 
@@ -300,6 +302,58 @@ def test_its_memory_is_flat(tab: Tab) -> None:
     assert kept[0][1] < 1000
     assert sizes[-1] - sizes[0] < 0.5, f"MB of the heap after each half hour: {sizes}"
 
+
+def test_an_outage_is_drawn_as_a_gap(tab: Tab, tmp_path: Path) -> None:
+    """No event says that the contact of a source that died in stance is not known."""
+    tab.value("stream.source.close(); state.over = 'test'; forget(); state.span = 20000")
+    tab.value(_OUTAGE)
+    for drawn in ("rf", "panel"):
+        if drawn == "panel":
+            tab.value("state.legs.get('rf').card.root.click()")
+        tab.value("dispatchEvent(new Event('resize'))")  # which draws
+        tab.wait(f"coloursOf(1100, 3900, {json.dumps(drawn)}).includes('predicted')")
+        tab.picture(tmp_path / f"{drawn}.png")
+        before, gap, after = (
+            set(tab.value(f"coloursOf({begin}, {end}, {json.dumps(drawn)})"))
+            for begin, end in ((1100, 3900), (4200, 11800), (12100, 13900))
+        )
+        assert "predicted" in before
+        assert drawn == "panel" or before >= {"contact", "truth", "stance"}
+        assert not gap & {"contact", "stance", "truth", "predicted", "reading", "ratio"}
+        assert not after & {"contact", "truth"}, "whether the foot stands is not known again yet"
+        assert "predicted" in after
+    assert "unknown" in tab.value("document.querySelector('.leg .state').textContent")
+
+
+# Ticks and truth of a leg in stance, 8 s without, and ticks again; colours between two times.
+_OUTAGE = """
+for (let t = 100; t <= 14000; t += 100) {
+  const comes = t < 4000 || t >= 12000;
+  const k = comes ? { rf: [0, 20, 40, 60, 80].map((d) => [
+    t + d, 0, 50, ...[0, 1, 2].map((j) => Math.round(1000 * Math.sin((t + d) / 300 + j))),
+    500, 600, 700, 510, 610, 710]) } : {};
+  const once = t === 1000 ? { e: [['rf', t, t, 1, 150, 0]], g: [['rf', t, 1]] } : {};
+  takeFrame({ t, k, ...once });
+}
+globalThis.coloursOf = (begin, end, drawn) => {
+  const canvas = drawn === 'panel'
+    ? document.querySelector('#detail-plots canvas') : state.legs.get(drawn).card.canvas;
+  if (!canvas) return [];
+  const axis = plots.scale(canvas.clientWidth);
+  const [left, right] = [begin, end].map((t) => Math.round(axis.x(t)));
+  const { data } = canvas.getContext('2d').getImageData(left, 0, right - left, canvas.height);
+  const probe = document.createElement('canvas').getContext('2d');
+  return Object.keys(theme.colour).filter((name) => {
+    probe.fillStyle = theme.colour[name];
+    probe.fillRect(0, 0, 1, 1);
+    const [r, g, b] = probe.getImageData(0, 0, 1, 1).data;
+    for (let i = 0; i < data.length; i += 4) {
+      if (data[i] === r && data[i + 1] === g && data[i + 2] === b) return true;
+    }
+    return false;
+  });
+};
+"""
 
 _FEED = """
 globalThis.feedFrames = (first, count) => {

@@ -262,6 +262,40 @@ def test_the_token_of_the_link_becomes_a_cookie(guarded: Running) -> None:
     assert guarded.get("/", f"Cookie: a=b; {cookie}")[0] == 200
 
 
+@pytest.mark.parametrize("address", ["127.0.0.1", "127.0.0.2"], ids=["the owner's", "another"])
+def test_strangers_without_the_token_keep_its_owner_out_at_no_time(
+    guarded: Running, monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
+    """Connections that say nothing, half a request, or one that is refused and never read."""
+    monkeypatch.setattr(server, "_MOST_WAITING", 32)
+    cookie = f"Cookie: adaptive_contact_{guarded.port}=s3cret-token"
+    request = f"GET /stream HTTP/1.1\r\nHost: {guarded.host}\r\n"
+    guarded.push()
+    strangers: list[socket.socket] = []
+    try:
+        with guarded.connect() as looking:
+            looking.sendall(f"{request}{cookie}\r\n\r\n".encode())
+            read_until(looking, FRAME)
+            for _ in range(36):
+                for said in ("", request, f"{request}\r\n"):
+                    for _ in range(12):
+                        to = ("127.0.0.1", guarded.port)
+                        one = socket.create_connection(to, 20, source_address=(address, 0))
+                        one.sendall(said.encode())
+                        strangers.append(one)
+                assert guarded.get("/", cookie)[0] == 200
+                while len(strangers) > 200:
+                    strangers.pop(0).close()
+            guarded.push(b'{"t":2}')
+            read_until(looking, b'{"t":2}')
+        held: list[int] = []
+        guarded.on_loop(lambda: held.append(len(guarded.site._waiting)))
+        assert held[0] <= 32
+    finally:
+        for one in strangers:
+            one.close()
+
+
 def test_beyond_loopback_a_token_is_made() -> None:
     one, other = WebSettings(host="0.0.0.0"), WebSettings(host="0.0.0.0")
     assert one.token is not None

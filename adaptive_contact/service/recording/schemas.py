@@ -20,7 +20,14 @@ import msgspec
 
 from adaptive_contact.errors import needs
 from adaptive_contact.service.status import ServiceStatus
-from adaptive_contact.wire import LEG_MESSAGES, BridgeStatus, Drift, LegTrace, Message
+from adaptive_contact.wire import (
+    LEG_MESSAGES,
+    BridgeStatus,
+    Drift,
+    Heartbeat,
+    LegTrace,
+    Message,
+)
 
 if TYPE_CHECKING:
     from google.protobuf.descriptor_pb2 import DescriptorProto
@@ -31,11 +38,12 @@ if TYPE_CHECKING:
 _OF_LEG: Final = {name: kind for name, kind in LEG_MESSAGES.items() if kind is not LegTrace}
 _KEY: Final = re.compile(
     rf"(?:^|/)robot/(?:leg/[^/]+/(?P<leg>{'|'.join(_OF_LEG)})"
-    r"|(?P<bridge>bridge/[^/]+/status)|(?P<service>service/status)|(?P<drift>sim/drift))\Z"
+    r"|(?P<bridge>bridge/[^/]+/status)|(?P<service>service/status)|(?P<heartbeat>service)|(?P<drift>sim/drift))\Z"
 )
 _OTHERS: Final[dict[str, type[Message]]] = {
     "bridge": BridgeStatus,
     "service": ServiceStatus,
+    "heartbeat": Heartbeat,
     "drift": Drift,
 }
 KINDS: Final[tuple[type[Message], ...]] = (*_OF_LEG.values(), *_OTHERS.values())

@@ -5,7 +5,7 @@ const KEPT_MS = 5 * 60 * 1000;
 const MOST_TICKS = 60000; // of a leg: five minutes at 200 Hz
 const MOST_MARKS = 2000; // of a leg and kind
 const MOST_LEGS = 64;
-export const LATE_MS = 500; // a leg without ticks for so long is silent
+export const LATE_MS = 500; // what is older says nothing of now: a leg's ticks, the server's frames
 const RAD = 1e-4; // angles come in 0.1 mrad
 
 /** Ticks of one leg in a ring: time, swing, test ratio, and J commands, readings, predictions. */
@@ -58,6 +58,17 @@ class Ticks {
     }
     return low;
   }
+
+  /** Times between which ticks did not come, [since, until], among ticks from one to another. */
+  gaps(from, to) {
+    const found = [];
+    for (let i = from; i < to; i += 1) {
+      const since = this.time[this.at(i)];
+      const until = i + 1 < this.count ? this.time[this.at(i + 1)] : state.now;
+      if (until - since >= LATE_MS) found.push([since, until]);
+    }
+    return found;
+  }
 }
 
 /** What is kept of a leg. */
@@ -85,14 +96,6 @@ class Leg {
       this.ticks = new Ticks(joints, capacity);
     }
     for (const row of rows) this.ticks.push(row);
-  }
-
-  /** Time up to which the newest change holds: a leg that is silent may do anything since. */
-  knownUntil() {
-    const { ticks } = this;
-    if (!ticks || !ticks.count) return state.now;
-    const newest = ticks.time[ticks.at(ticks.count - 1)];
-    return state.now - newest < LATE_MS ? state.now : newest;
   }
 
   trim(oldest) {

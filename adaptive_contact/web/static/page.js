@@ -6,7 +6,7 @@ import { drawScrub, lookAt } from "./look.js";
 import { closePanel, drawPanel } from "./panel.js";
 import { drawLeg } from "./plots.js";
 import { follow } from "./stream.js";
-import { addCard, drawBanner, drawSummary, drawTable } from "./table.js";
+import { addCard, drawTable } from "./table.js";
 import { applyTheme, nextTheme } from "./theme.js";
 
 function draw() {
@@ -46,10 +46,7 @@ document.addEventListener("keydown", (event) => {
 });
 window.addEventListener("resize", schedule);
 window.addEventListener("scroll", schedule, { passive: true });
-setInterval(() => {
-  drawBanner();
-  drawSummary();
-}, 1000);
+setInterval(drawTable, 100);
 drawnBy(draw);
 applyTheme();
 follow(drawTable);

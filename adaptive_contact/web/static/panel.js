@@ -3,7 +3,7 @@
 import { state } from "./data.js";
 import { $, make, schedule, setText } from "./dom.js";
 import { dragged } from "./look.js";
-import { DEG, drawChanges, drawJoint, drawTime, prepared, scale } from "./plots.js";
+import { DEG, drawChanges, drawGaps, drawJoint, drawTime, prepared, scale } from "./plots.js";
 import { colour } from "./theme.js";
 
 let modelShown = "";
@@ -121,9 +121,11 @@ export function drawPanel() {
     const ticks = leg.ticks;
     const from = Math.max(ticks.since(axis.begin) - 1, 0);
     const to = ticks.since(axis.end + 1);
+    const gaps = ticks.gaps(from, to);
+    drawGaps(pen, axis, gaps, height - 16);
     drawTime(pen, axis, 0, height - 16);
     pen.globalAlpha = 0.25;
-    drawChanges(pen, axis, leg.contacts, leg.knownUntil(), 0, height - 16, colour.contact, (entry) => entry[1]);
+    drawChanges(pen, axis, leg.contacts, gaps, 0, height - 16, colour.contact);
     pen.globalAlpha = 1;
     drawJoint(pen, axis, ticks, from, to, joint, 4, height - 24);
   }

@@ -1,6 +1,6 @@
 // Plots over time on canvases: stance, contacts, angles, test ratio.
 
-import { LATE_MS, state } from "./data.js";
+import { state } from "./data.js";
 import { colour } from "./theme.js";
 
 export const GUTTER = 62; // px, left of the plots
@@ -62,38 +62,47 @@ function label(pen, text, y) {
   pen.fillText(text, 0, y, GUTTER - 6);
 }
 
-/** Blocks where a list of changes says yes; the last goes on until nothing is known any more. */
-export function drawChanges(pen, axis, list, until, top, height, fill, yes) {
+/** Times without ticks: nothing is known of the leg. */
+export function drawGaps(pen, axis, gaps, height) {
+  pen.textAlign = "center";
+  for (const [since, until] of gaps) {
+    const left = Math.max(axis.x(since), GUTTER);
+    const width = Math.min(axis.x(until), axis.right) - left;
+    pen.fillStyle = colour.grid;
+    if (width > 0) pen.fillRect(left, 0, width, height);
+    pen.fillStyle = colour.dim;
+    if (width > 70) pen.fillText("no samples", left + width / 2, height / 2);
+  }
+}
+
+/** Blocks where changes [time, yes] say yes; what they say ends in a gap, until the next change. */
+export function drawChanges(pen, axis, list, gaps, top, height, fill) {
   let since = null;
   const block = (from, to) => {
     const left = Math.max(axis.x(from), GUTTER);
     const right = Math.min(axis.x(to), axis.right);
     if (right >= left) pen.fillRect(left, top, Math.max(right - left, 1), height);
   };
+  const ends = gaps.map((gap) => [gap[0], false]);
   pen.fillStyle = fill;
-  for (const entry of list) {
-    if (entry[0] > axis.end) break;
-    if (yes(entry) && since === null) since = entry[0];
-    else if (!yes(entry) && since !== null) {
-      block(since, entry[0]);
+  for (const [time, yes] of [...list, ...ends].sort((a, b) => a[0] - b[0])) {
+    if (time > axis.end) break;
+    if (yes && since === null) since = time;
+    else if (!yes && since !== null) {
+      block(since, time);
       since = null;
     }
   }
-  if (since !== null) block(since, Math.min(axis.end, until));
+  if (since !== null) block(since, Math.min(axis.end, state.now));
 }
 
-function drawStance(pen, axis, ticks, from, to, top, height) {
+function drawStance(pen, axis, ticks, from, to, gaps, top, height) {
   const changes = [];
-  let before = 0;
   for (let i = from; i < to; i += 1) {
     const at = ticks.at(i);
-    const time = ticks.time[at];
-    const stands = ticks.swing[at] === 0;
-    if (!stands || time - before >= LATE_MS) changes.push([before, false]);
-    if (stands) changes.push([time, true]);
-    before = time;
+    changes.push([ticks.time[at], ticks.swing[at] === 0]);
   }
-  drawChanges(pen, axis, changes, before, top, height, colour.stance, (entry) => entry[1]);
+  drawChanges(pen, axis, changes, gaps, top, height, colour.stance);
 }
 
 /**
@@ -236,19 +245,20 @@ export function drawLeg(leg) {
   const { pen, width, height } = drawn;
   const axis = scale(width);
   const bottom = height - 16;
-  drawTime(pen, axis, 0, bottom);
   const ticks = leg.ticks;
   const from = ticks ? Math.max(ticks.since(axis.begin) - 1, 0) : 0;
   const to = ticks ? ticks.since(axis.end + 1) : 0;
+  const gaps = ticks ? ticks.gaps(from, to) : [];
+  drawGaps(pen, axis, gaps, bottom);
+  drawTime(pen, axis, 0, bottom);
   const joint = ticks ? Math.min(state.joint, ticks.joints - 1) : 0;
   label(pen, "stance", 8);
-  if (ticks) drawStance(pen, axis, ticks, from, to, 3, 10);
+  if (ticks) drawStance(pen, axis, ticks, from, to, gaps, 3, 10);
   label(pen, "contact", 22);
-  const until = leg.knownUntil();
-  drawChanges(pen, axis, leg.contacts, until, 17, 10, colour.contact, (entry) => entry[1]);
+  drawChanges(pen, axis, leg.contacts, gaps, 17, 10, colour.contact);
   if (state.truth) {
     label(pen, "truth", 35);
-    drawChanges(pen, axis, leg.truth, until, 32, 6, colour.truth, (entry) => entry[1]);
+    drawChanges(pen, axis, leg.truth, gaps, 32, 6, colour.truth);
   }
   drawMarks(pen, axis, leg.marks, 22, 35);
   const names = leg.row && leg.row.joints.length ? leg.row.joints : [];

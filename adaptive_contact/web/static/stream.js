@@ -1,6 +1,6 @@
 // The stream of frames from the server, and what is said where it stops.
 
-import { forget, state, takeFrame, takeView } from "./data.js";
+import { LATE_MS, forget, state, takeFrame, takeView } from "./data.js";
 import { schedule } from "./dom.js";
 
 const SILENT_MS = 2500; // the server sends ten frames a second
@@ -65,6 +65,9 @@ document.addEventListener("visibilitychange", () => {
     connect();
   }
 });
+
+/** Whether nothing is known of any leg: the server's frames do not come. */
+export const lost = () => performance.now() - state.heardAt > LATE_MS;
 
 export function silence() {
   if (state.over) return { level: "note", legs: [], what: state.over, do: "" };

@@ -4,7 +4,7 @@ import { state } from "./data.js";
 import { $, make, setClass, setText } from "./dom.js";
 import { dragged } from "./look.js";
 import { fillPanel, openPanel } from "./panel.js";
-import { silence } from "./stream.js";
+import { lost, silence } from "./stream.js";
 
 export function addCard(leg) {
   const root = make("section", "leg");
@@ -55,7 +55,7 @@ function fillCard(leg) {
   if (!row || !card) return;
   card.root.classList.toggle("stale", Boolean(row.stale));
   card.root.setAttribute("aria-label", `leg ${row.leg}: ${row.status || "unknown"}`);
-  const unknown = row.contact === null || row.stale || row.status === "silent";
+  const unknown = row.contact === null || lost();
   const withheld = row.status === "ambiguous" && row.withheld > 0 && !row.contact;
   const free = withheld ? `${row.withheld} withheld` : "free";
   setText(card.contact, unknown ? "unknown" : row.contact ? "CONTACT" : free);
@@ -88,7 +88,7 @@ function fillCard(leg) {
   });
 }
 
-export function drawBanner() {
+function drawBanner() {
   const quiet = silence();
   const entries = quiet ? [quiet] : state.banner;
   const box = $("banner");
@@ -108,7 +108,7 @@ export function drawBanner() {
   });
 }
 
-export function drawSummary() {
+function drawSummary() {
   const service = state.service;
   const quiet = silence();
   const well = !quiet && service && service.connected && service.alive;

@@ -1,0 +1,79 @@
+"""Which contacts of a running service are known, for programs that show them or pass them on.
+
+A contact holds while samples of its leg come, and while the service says so.  The service itself
+withdraws the contact of a leg that falls silent, by an event.  Where the service is gone, stands
+still, or cannot be reached, no event comes: its heartbeats stop.  So there is one rule for all:
+
+    a leg is known while its newest sample is at most half a second old,
+
+by the ages in the heartbeats and the time since they arrived.  The contact of a leg that is not
+known any more is withdrawn by an event that is made here, as the service would make it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from adaptive_contact.service.settings import SILENT_AFTER_S
+from adaptive_contact.wire import ContactEvent, Heartbeat, LegHeartbeat
+
+_KNOWN_NS: Final = int(SILENT_AFTER_S * 1e9)
+_OLD_S: Final = 1e6  # in place of an age that is none
+
+
+class KnownContacts:
+    """Takes heartbeats and events in, and gives the events to pass on; times are monotonic."""
+
+    def __init__(self) -> None:
+        self._beats: dict[str, tuple[int, LegHeartbeat]] = {}  # and when the newest sample came
+        self._last: dict[str, ContactEvent] = {}  # as the service sent them
+        self._withdrawn: set[str] = set()  # legs whose event is not what was passed on
+
+    def age_s(self, leg: str, now_ns: int) -> float | None:
+        """Seconds since the newest sample of a leg; None where none was reported."""
+        return (now_ns - self._beats[leg][0]) / 1e9 if leg in self._beats else None
+
+    def is_known(self, leg: str, now_ns: int) -> bool:
+        """Whether a leg is watched now."""
+        return leg in self._beats and now_ns - self._beats[leg][0] <= _KNOWN_NS
+
+    def heartbeat(self, heartbeat: Heartbeat, arrival_ns: int) -> None:
+        """Take a heartbeat in; a leg that it lacks is not known."""
+        self._beats = {}
+        for leg, beat in heartbeat.legs.items():
+            age_s = beat.age_s if 0.0 <= beat.age_s < _OLD_S else _OLD_S
+            self._beats[leg] = (arrival_ns - int(1e9 * age_s), beat)
+
+    def event(self, event: ContactEvent, now_ns: int) -> list[ContactEvent]:
+        """Take an event in, and give what may be passed on."""
+        self._last[event.leg] = event
+        if not self.is_known(event.leg, now_ns):
+            return self.look(now_ns)
+        self._withdrawn.discard(event.leg)
+        return [event]
+
+    def look(self, now_ns: int) -> list[ContactEvent]:
+        """Events of legs that are not known any more, or again; call it some ten times a second."""
+        found = []
+        for leg, last in self._last.items():
+            known = self.is_known(leg, now_ns)
+            if known is (leg not in self._withdrawn):
+                continue
+            if not known:
+                self._withdrawn.add(leg)
+                found.append(self._without_contact(last))
+                continue
+            self._withdrawn.discard(leg)
+            beat = self._beats[leg][1]
+            if last.contact and beat.contact:  # it stands, and no event will say so
+                found.append(msgspec.structs.replace(last, t_ns=max(beat.t_ns, last.t_ns)))
+        return found
+
+    def _without_contact(self, event: ContactEvent) -> ContactEvent:
+        at_ns = self._beats[event.leg][1].t_ns if event.leg in self._beats else event.t_ns
+        return msgspec.structs.replace(
+            event, t_ns=at_ns, onset_ns=at_ns, contact=False, status="silent", score=0.0,
+            residual=[0.0] * len(event.residual), withheld=True,
+        )  # fmt: skip
