@@ -337,7 +337,7 @@ for (let t = 100; t <= 14000; t += 100) {
 }
 globalThis.coloursOf = (begin, end, drawn) => {
   const canvas = drawn === 'panel'
-    ? document.querySelector('#detail-plots canvas') : state.legs.get(drawn).card.canvas;
+    ? document.querySelector('#detail-plots canvas') : state.legs.get(drawn).card?.canvas;
   if (!canvas) return [];
   const axis = plots.scale(canvas.clientWidth);
   const [left, right] = [begin, end].map((t) => Math.round(axis.x(t)));

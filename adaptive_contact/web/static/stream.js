@@ -67,7 +67,9 @@ document.addEventListener("visibilitychange", () => {
 });
 
 /** Whether nothing is known of any leg: the server's frames do not come. */
-export const lost = () => performance.now() - state.heardAt > LATE_MS;
+export function framesStopped() {
+  return performance.now() - state.heardAt > LATE_MS;
+}
 
 export function silence() {
   if (state.over) return { level: "note", legs: [], what: state.over, do: "" };

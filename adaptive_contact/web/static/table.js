@@ -4,7 +4,7 @@ import { state } from "./data.js";
 import { $, make, setClass, setText } from "./dom.js";
 import { dragged } from "./look.js";
 import { fillPanel, openPanel } from "./panel.js";
-import { lost, silence } from "./stream.js";
+import { framesStopped, silence } from "./stream.js";
 
 export function addCard(leg) {
   const root = make("section", "leg");
@@ -55,7 +55,7 @@ function fillCard(leg) {
   if (!row || !card) return;
   card.root.classList.toggle("stale", Boolean(row.stale));
   card.root.setAttribute("aria-label", `leg ${row.leg}: ${row.status || "unknown"}`);
-  const unknown = row.contact === null || lost();
+  const unknown = row.contact === null || framesStopped();
   const withheld = row.status === "ambiguous" && row.withheld > 0 && !row.contact;
   const free = withheld ? `${row.withheld} withheld` : "free";
   setText(card.contact, unknown ? "unknown" : row.contact ? "CONTACT" : free);
