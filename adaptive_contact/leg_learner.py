@@ -319,7 +319,7 @@ class ContactLearner:
         # In most ticks a row was entered that only waits for its swing: nothing to assess.  While
         # the monitor watches a suspected lift, each tick may change the variance scale.
         assessed = flags & ~WAITING or (
-            flags & WEIGHED and (adapter is None or adapter.monitor.watches or not adapter.gated)
+            flags & WEIGHED and (adapter is None or adapter.monitor.watches)
         )
         if assessed or flags & TOUCH_KEPT:
             self._hand_over(flags)
@@ -398,7 +398,7 @@ class ContactLearner:
             return
         library = adapter.model.library
         assert isinstance(library, ChangeLibrary)
-        place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
+        place.begin(library, lifecycle.sigma, learning=adapter.learning)
         self.report.publish_withholding()
         place.judge_by(adapter.free_motion())
 

@@ -6,12 +6,15 @@ import fcntl
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from adaptive_contact import compiled
 from adaptive_contact.service.refit_process import ONE_BLAS_THREAD
+
+sys.path.insert(0, str(Path(__file__).parent))  # recordings that several of them use
 
 # Of this process and of those that tests start; BLAS reads it when it is loaded.  A leg's matrices
 # gain nothing from threads, and threads that wait for each other spin: on a core that another

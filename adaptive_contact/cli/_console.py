@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from rich.console import Console, ConsoleOptions, RenderableType
+from rich.markdown import Markdown
 from rich.segment import Segment
 
 from adaptive_contact.printable import printable_lines
@@ -42,3 +43,9 @@ def table_console(
     if not console.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
         console = _Shown(stderr=stderr, markup=markup, highlight=False, width=pipe_width)
     return console
+
+
+def print_markdown(text: str) -> None:
+    """Print Markdown with its tables; as it is where the output is no terminal."""
+    console = table_console()
+    console.print(Markdown(text) if console.is_terminal else text, soft_wrap=True)

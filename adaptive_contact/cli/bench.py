@@ -41,8 +41,9 @@ def bench(
     The figures in out/bench are replaced; those in another folder only with --force.
     """
     refuse_to_replace([out / "bench.json"], "--out", force=force or out == _OUT)
+    import dataclasses
+
     import msgspec
-    from rich.progress import Progress
     from rich.table import Table
 
     from adaptive_contact.errors import BaselineError
@@ -54,7 +55,7 @@ def bench(
         from adaptive_contact_sim import SimulationSettings, TerrainSettings, WalkSettings
         from adaptive_contact_sim.arrays import record_arrays
         from adaptive_contact_studies.headline import HEADLINE_RUNS, run_headline
-        from adaptive_contact_studies.paper.compression import compare_full
+        from adaptive_contact_studies.paper.compression import compare_all
         from adaptive_contact_studies.paper.plan import FULL
         from adaptive_contact_studies.speed import (
             export_speed,
@@ -62,6 +63,7 @@ def bench(
             restore_speed,
             tick_speed,
         )
+        from adaptive_contact_studies.work import Work
 
     from adaptive_contact.cli._console import table_console
 
@@ -72,23 +74,12 @@ def bench(
     console = table_console(stderr=True)
     part = 0.02 if quick else 1.0
     rows: dict[str, Summary] = {}
+    work = Work(out, processes, console=console)
     if not speeds_only:
         runs = [run._replace(seconds=part * run.seconds) for run in HEADLINE_RUNS]
-        with Progress(console=console) as bar:
-            task = bar.add_task("headline runs", total=sum(run.seconds for run in runs))
-            rows = run_headline(
-                robot,
-                known,
-                runs,
-                processes=processes,
-                progress=lambda spec: bar.advance(task, spec.seconds),
-            )
-    with Progress(console=console) as bar:
-        segments = round(part * FULL.train_segments)
-        task = bar.add_task(f"{segments:,} segments for the compressed fit", total=1.0)
-        fits = compare_full(
-            out / "cache", robot, segments, processes, lambda done: bar.advance(task, done)
-        )
+        rows = run_headline(robot, known, work, runs)
+    plan = dataclasses.replace(FULL, train_segments=round(part * FULL.train_segments))
+    (fits,) = work.each(f"{plan.train_segments:,} segments, compressed", compare_all, [plan])
     console.print("measuring speeds")
     # The walk of the speeds is no row of the table; any seed would do.
     settings = SimulationSettings(
@@ -123,13 +114,7 @@ def bench(
         f"{tick.event_ms:.3f} ms; p99 {tick.refitting_ms:.3f} ms in the {tick.refitting} of "
         f"{tick.ticks} ticks during which a refit was under way",
     )
-    speeds.add_row("one leg alone", f"median {tick.alone_ms:.3f} ms")
-    speeds.add_row(
-        "learners",
-        f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core, "
-        f"{tick.over_arithmetic:.1f} x the compiled arithmetic's time ({tick.arithmetic_ms:.3f} "
-        f"ms a tick); {tick.many_leg_ticks_per_s:.0f} with {tick.many_legs} legs, refits apart",
-    )
+    speeds.add_row("learners", f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core")
     speeds.add_row(
         "restore after a restart",
         f"{restore.legs} legs in {restore.seconds:.3f} s at most ({restore.kilobytes:.0f} kB)",
@@ -144,10 +129,7 @@ def bench(
             f"{'same' if fit.same_support else 'ANOTHER'} support, coefficients within "
             f"{fit.difference:.0e})",
         )
-    speeds.add_row(
-        "simulator",
-        f"{simulator.factor:.1f} x real time on one core (engine alone {simulator.engine:.1f} x)",
-    )
+    speeds.add_row("simulator", f"{simulator:.1f} x real time on one core")
     speeds.add_row(
         "export of a recording",
         ", ".join(f"{form} {ratio:.0f} x" for form, ratio in exports.items()) + " real time",

@@ -35,22 +35,13 @@ def logs(
     """Fit and test the libraries on recordings of real servos."""
     with needs_studies():
         from adaptive_contact_studies.paper.logs import run_logs
-    from adaptive_contact_studies.cache import plain
-    from adaptive_contact_studies.paper.tables import sections
+    from adaptive_contact_studies.paper.report import markdown
+    from adaptive_contact_studies.paper.run import plain
 
     tree = plain(run_logs(path))
     if json:
         say_json(jsonlib.dumps(tree, indent=2))
         return
-    from rich.table import Table
+    from adaptive_contact.cli._console import print_markdown
 
-    from adaptive_contact.cli._console import table_console
-
-    console = table_console()
-    for section in sections({"logs": tree}):
-        console.print(section.text)
-        for table in section.tables:
-            shown = Table(*table.header, title=table.title, title_justify="left")
-            for row in table.rows:
-                shown.add_row(*row)
-            console.print(shown)
+    print_markdown(markdown("logs.md", data=tree))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Final
@@ -31,29 +30,28 @@ def paper(
         Path | None, option("--logs", "Recordings of real servos; skipped where absent.", "PATH")
     ] = _LOGS,
     docs: Annotated[
-        Path | None, option("--docs", "Write the results as a document, too.", "FILE.md")
+        Path | None, option("--docs", "Write the page and its pictures here, too.", "FILE.md")
     ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Run the paper's experiments in the simulator: figures, results.json, report.html.
+    """Run the paper's experiments in the simulator: results.json, paper.md and its pictures.
 
-    The same command goes on in its folder, and makes the pages there, and docs/paper.md, again.
+    The same command goes on in its folder, and makes the page there, and docs/paper.md, again.
     """
     refuse_to_replace([docs] if docs else [], "--docs", force=force or docs == _DOCS)
     with needs_studies():
         from adaptive_contact_studies.paper.plan import FULL, QUICK
         from adaptive_contact_studies.paper.run import STAGES, run_paper
-        from adaptive_contact_studies.workers import on_cluster
+        from adaptive_contact_studies.work import Work
 
         for needed in ("matplotlib", "jinja2"):  # said before hours of work, not after
             if find_spec(needed) is None:
                 raise MissingExtraError("the report", "studies")
     import dataclasses
-
-    from threadpoolctl import threadpool_limits
+    import os
 
     from adaptive_contact.cli._console import table_console
-    from adaptive_contact_studies.paper.tables import write_document
+    from adaptive_contact_studies.paper.report import write_document, write_report
 
     unknown = [name for name in stage or () if name not in STAGES]
     if unknown:
@@ -61,40 +59,13 @@ def paper(
     plan = dataclasses.replace(QUICK if quick else FULL, seed=seed)
     stages = [name for name in STAGES if not stage or name in stage]
     console = table_console()
-    options: dict[str, list[object]] = {
-        "--out": [out] if out != _OUT else [],
-        "--seed": [seed] if seed else [],
-        "--workers": [workers] if workers else [],
-        "--scheduler": [scheduler] if scheduler else [],
-        "--stage": [*(stage or ())],
-        "--logs": [logs] if logs is not None and logs != _LOGS else [],
-        "--docs": [docs] if docs is not None else [],
-    }
     try:
-        # Matrices this small only wait for each other in threads.
-        with threadpool_limits(1), on_cluster(scheduler, out):
-            results = run_paper(
-                out.resolve() if scheduler else out,
-                plan,
-                workers=workers,
-                stages=stages,
-                logs=logs,
-                console=console,
-                command=_command(quick, options),
-            )
+        work = Work(out, workers or os.cpu_count() or 1, scheduler, console)
+        results = run_paper(work, plan, stages, logs)
     except KeyboardInterrupt:
         console.print("\ninterrupted; the same command goes on from here")
         raise typer.Exit(130) from None
+    write_report(results, out)
     if docs is not None:
-        write_document(results, docs, docs.parent / "pictures")
-        console.print(f"wrote {docs}")
-    console.print(f"wrote {out / 'report.html'}, {out / 'results.json'}, {out / 'figures'}/")
-
-
-def _command(quick: bool, options: dict[str, list[object]]) -> str:
-    """What was typed, as it can be typed again: all options that are not left as they are."""
-    words = ["adaptive-contact", "paper", *(["--quick"] if quick else [])]
-    for name, values in options.items():
-        for value in values:
-            words += [name, str(value)]
-    return shlex.join(words)
+        write_document(results, docs)
+    console.print(f"wrote {docs or out / 'paper.md'} and {out / 'results.json'}")

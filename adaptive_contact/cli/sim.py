@@ -39,19 +39,19 @@ def baseline(
     opt.check_output(out, "--out", force=force)
     from threadpoolctl import threadpool_limits
 
+    from adaptive_contact.cli._console import table_console
     from adaptive_contact.cli.fit import print_training
     from adaptive_contact.model import save_baseline
 
     with needs_studies():
         from adaptive_contact_sim import simulated_robot
         from adaptive_contact_studies.training import learn_shipped
-        from adaptive_contact_studies.workers import on_cluster
+        from adaptive_contact_studies.work import Work
 
     description = simulated_robot(robot).description
-    with threadpool_limits(1), on_cluster(scheduler, None):
-        training = learn_shipped(
-            robot, processes=processes, progress=lambda line: say(line, err=True)
-        )
+    with threadpool_limits(1):
+        work = Work(None, processes, scheduler, table_console(stderr=True))
+        training = learn_shipped(robot, work, progress=lambda line: say(line, err=True))
     save_baseline(training.baseline, out)
     print_training(training, description, json=json, equations=equations)
     say(f"baseline written to {out}", err=True)

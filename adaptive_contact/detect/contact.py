@@ -303,17 +303,15 @@ def enter_row(leg, swing, past, noise, kept, value, was_free, past_lift):
     target = kept.target
     joints = history.shape[2]
     leg.found |= WEIGHED
-    if not leg.gated:
-        pass
-    elif leg.broken or not (leg.topped or leg.rising or past_lift):
+    if leg.broken or not (leg.topped or leg.rising or past_lift):
         return
-    elif leg.rising and not leg.topped:
+    if leg.rising and not leg.topped:
         if not (was_free or leg.ticks >= FREE_LIFT_TICKS):
             return
     elif leg.closed:
         leg.topped = True
         return
-    at = leg.row_n if leg.gated else 0  # ungated, each is learned at once
+    at = leg.row_n
     first, most = (
         (0, leg.lift_n) if leg.rising and not leg.topped else (leg.lift_n, at - leg.lift_n)
     )
@@ -342,9 +340,6 @@ def enter_row(leg, swing, past, noise, kept, value, was_free, past_lift):
         push_from_ground(
             leg, row, aside, history[0, 0], target, noise.whiten, noise.unit, swing.gradient
         )
-    if not leg.gated:
-        row.lift = leg.rising
-        return
     leg.row_n = at + 1
     if leg.rising and not leg.topped:
         row.lift = True

@@ -303,7 +303,7 @@ def decide(leg, swing, past, model, noise, kept):
     past_lift = descending(leg, swing.lengths_ticks)
     loaded = leg.loaded
     score, onset_ns = leg_score(leg, past_lift, past, model, noise)
-    topped = not leg.broken and (leg.topped or not leg.gated)
+    topped = not leg.broken and (leg.topped or not leg.learning)
     swing_tick(leg, score, leg.squared / noise.limits[0], onset_ns, past_lift and topped)
     if leg.found & TOUCHED:
         note_contact(leg)
@@ -350,7 +350,7 @@ def leg_score(leg, past_lift, past, model, noise):
         leg.quiet = leg.quiet + 1 if leg.sure and not leg.bad and score < QUIET_SCORE else 0
     if score > 1.0:
         up = leg.rising or not past_lift
-        if leg.gated and up and not (leg.topped or leg.broken):
+        if leg.learning and up and not (leg.topped or leg.broken):
             score = 1.0  # no alarm before the command's top (decision 19)
         elif not leg.loaded:
             spread, score, widest = 0.0, 0.0, 1

@@ -128,7 +128,6 @@ LEG: Final = np.dtype(
         ("length", i4),  # samples in a row before a prediction
         ("period_ns", i8),
         ("has_model", b1),  # a model is in force
-        ("gated", b1),  # learns only what is confirmed
         ("learning", b1),  # anything is learned at all
         # Stream and clock.
         ("at_ns", i8),  # scheduled time of the tick

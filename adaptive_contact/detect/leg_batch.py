@@ -342,17 +342,16 @@ class LegPlace:
             setattr(leg, name, False)
         leg.broken = True
 
-    def begin(self, library: ChangeLibrary, sigma: Array, *, gated: bool, learning: bool) -> None:
+    def begin(self, library: ChangeLibrary, sigma: Array, *, learning: bool) -> None:
         """Prepare the arrays for a model that takes over.
 
         Args:
             library: of the model.
             sigma: (J,) rad, deviation of its residuals at the start.
-            gated: what is learned is confirmed first.
             learning: anything is learned at all.
         """
         leg, batch, row = self.leg, self.batch, self.row
-        leg.has_model, leg.gated, leg.learning = True, gated, learning
+        leg.has_model, leg.learning = True, learning
         batch.xi0[row], batch.sigma[row] = library.first, sigma
         self._judged_by = None
 

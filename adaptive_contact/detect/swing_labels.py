@@ -82,7 +82,7 @@ class SwingLabels:
     def unobservable_note(self) -> str | None:
         """One line for a person when changes of the leg cannot be seen."""
         leg = self._place.leg
-        if not (leg.has_model and leg.gated):
+        if not (leg.has_model and leg.learning):
             return None
         if self._unobserved < UNOBSERVED_SWINGS:
             return self._swing.unobservable_note
@@ -114,9 +114,6 @@ class SwingLabels:
             found += self._contact()
         if not flags & WEIGHED:
             return found
-        if not leg.gated:
-            rows = moving(self._rows(0, 1))
-            return [*found, LabelledSwing(Label.UNGATED, rows)] if rows else found
         joints = self._place.batch.measured.shape[1]
         nis = leg.squared * leg.variance_scale / joints
         found.append(LabelledSwing(Label.TICK, nis=nis))

@@ -81,7 +81,6 @@ class Adapter:
 
     Attributes:
         learning: whether it does anything at all.
-        gated: whether only confirmed ticks are learned, and lifts are assessed.
         baseline: the model as the leg was first known.
         active: the model in force, with its recursion.
         candidate: refits, requested and tried.
@@ -100,13 +99,11 @@ class Adapter:
         mode: LearnerMode,
         refitter: Refitter,
     ) -> None:
-        self.mode = mode
         self.learning = mode is not LearnerMode.FROZEN
-        self.gated = mode.gated
         self.baseline = start.model
         self.monitor = DriftMonitor(len(start.noise.rms))
         self.early = EarlyContacts()
-        self.buffer = ReplayBuffer(rows=rows_for_refit(start.model), queues=mode.recursive)
+        self.buffer = ReplayBuffer(rows=rows_for_refit(start.model))
         self._noise_tracker = noise_tracker
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
@@ -219,8 +216,6 @@ class Adapter:
                 self._lift(part.rows, part.region, part.t_ns)
             case Label.DESCENT:
                 self._descent(part.rows, part.region)
-            case Label.UNGATED:
-                self._learn_row(part.rows.values, 0)
             case Label.CONTACT:
                 # Of any other leg the contact may be wrong, and nothing to try candidates on.
                 if self.status == "valid" and part.touch is not None:
@@ -289,7 +284,7 @@ class Adapter:
                 that is not known.
         """
         learned, self._learned_swing = self._learned_swing, False
-        if not self.gated:
+        if not self.learning:
             return
         valid = self.monitor.status == "valid"
         if self.first is not None and self.first.end_swing(valid=valid):
@@ -303,7 +298,7 @@ class Adapter:
         if valid and self.monitor.variance_scale < SETTLED_LEVEL:
             self.active.remember()
         period_s = self.baseline.library.period_s
-        if self.mode.refits and self.candidate.swing_done(period_s, learned=learned):
+        if self.candidate.swing_done(period_s, learned=learned):
             self.candidate.request(self.model, self.buffer, self._era)
 
     def tick(self, budget: int) -> Moved:
@@ -408,8 +403,7 @@ class Adapter:
             self.early.forget()
             self._evidence = ChangeClassifier(self.model, self._noise)
         self._era += 1
-        if self.mode.recursive:
-            self.active.inflate()
+        self.active.inflate()
         self.candidate.withdraw()
         self._refresh()
 
@@ -429,9 +423,6 @@ class Adapter:
             self._noise_tracker.count(rows, self.candidate.domain)
         self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
-        if not self.mode.recursive:
-            for row in rows:
-                self._compare(row)
 
     def _consider_baseline(self, rows: Rows) -> None:
         """Return to the baseline where it fits again: mud is washed off, a battery is changed."""
@@ -457,12 +448,6 @@ class Adapter:
             # Remade only for the row that decides: that is the model which stands by if replaced.
             model = active.model if self.candidate.deciding else active.as_made
             self._try(row, active.recursion.innovations, model)
-
-    def _compare(self, row: Row) -> None:
-        """Let a candidate be tried on a row that is not learned."""
-        if self.candidate.trying:
-            off = (row.target - row.theta @ self.model.coefficients) / self._noise
-            self._try(row, off.tolist(), self.model)
 
     def _try(self, row: Row, off: Sequence[float], model: LegModel) -> None:
         """Compare the candidate with the model in force on a row; put it in force if it wins."""

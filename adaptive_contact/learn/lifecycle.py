@@ -80,7 +80,7 @@ class Lifecycle:
         if self._start is not None:
             assert baseline is not None
             self._begin(self._start, baseline.tails)
-        elif self._mode.recursive:
+        elif self._mode is LearnerMode.FULL:
             self._begin_prior(1.0)
 
     @property
@@ -107,7 +107,7 @@ class Lifecycle:
 
     def forget(self) -> None:
         """Start again from a prior, or a wider one: what it began with was never this leg's."""
-        if not self._mode.recursive:
+        if self._mode is LearnerMode.FROZEN:
             self._start = self.adapter = self.noise_tracker = None
             self.begun += 1
             self.note = "the baseline does not fit this leg: fit a new one"

@@ -6,28 +6,10 @@ import enum
 
 
 class LearnerMode(enum.StrEnum):
-    """Selects how a learner follows its leg; the lesser ones are there for comparison."""
+    """Selects whether a learner follows its leg; a frozen one is there for comparison."""
 
     FROZEN = "frozen"
-    UNGATED = "ungated"
-    REFIT = "refit"
-    RLS = "rls"
     FULL = "full"
-
-    @property
-    def recursive(self) -> bool:
-        """Whether the model moves by recursive least squares over confirmed ticks."""
-        return self in (LearnerMode.RLS, LearnerMode.FULL)
-
-    @property
-    def refits(self) -> bool:
-        """Whether sparse refits are requested."""
-        return self in (LearnerMode.REFIT, LearnerMode.FULL)
-
-    @property
-    def gated(self) -> bool:
-        """Whether only confirmed ticks are learned, and lifts are assessed."""
-        return self.recursive or self.refits
 
 
 class WhenAmbiguous(enum.StrEnum):

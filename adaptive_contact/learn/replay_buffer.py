@@ -65,14 +65,12 @@ class ReplayBuffer:
     Attributes:
         limit: segments kept, more where they hold less than ``rows`` rows.
         rows: that a refit wants.
-        queues: what is added waits for the recursion.
         values: (rows, p + J) regressors and movements, side by side.
         unlearned: rows that wait for the recursion; those of a segment that goes do not.
     """
 
     limit: int = SEGMENTS
     rows: int = 0
-    queues: bool = False
     unlearned: int = 0
     values: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     _segments: deque[_Place] = dataclasses.field(default_factory=deque)
@@ -116,10 +114,9 @@ class ReplayBuffer:
         of_rows = records(rows.records)
         keep_rows(rows.values, of_rows, self.values, self._context, self._eras, place.first, era)
         self._of_source += 1
-        if self.queues:
-            place.unlearned = place.count
-            self.unlearned += place.count
-            self._queue.append(place)
+        place.unlearned = place.count
+        self.unlearned += place.count
+        self._queue.append(place)
         if len(self._segments) > self.limit and (
             self._held > self.rows or len(self._segments) > MOST_SEGMENTS
         ):

@@ -163,7 +163,6 @@ class Label(enum.Enum):
     TRAVEL = enum.auto()  # the top of the lift was passed: has the foot followed its command?
     LIFT = enum.auto()  # rows of a lift, all free
     DESCENT = enum.auto()  # rows of a descent that are confirmed to be free
-    UNGATED = enum.auto()  # a row that is learned whatever it is of
     CONTACT = enum.auto()  # the first ticks of a contact that was reported
     END = enum.auto()  # the swing is resolved
 
@@ -172,7 +171,7 @@ class LabelledSwing(NamedTuple):
     """Holds a part of a swing and its label."""
 
     label: Label  # what; says which of the others are given
-    rows: Rows = NO_ROWS  # of a lift, of a descent, or ungated
+    rows: Rows = NO_ROWS  # of a lift or of a descent
     region: int = 0  # of the workspace, 0 to 5
     t_ns: int = 0  # of the newest tick
     touch: Touch | None = None  # ticks of a contact

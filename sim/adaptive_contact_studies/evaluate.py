@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from adaptive_contact.bank import LegGroup
+from adaptive_contact.fit.refit_job import Job
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
@@ -21,10 +22,18 @@ from adaptive_contact.score import (
     match,
 )
 from adaptive_contact.wire import ContactEvent, ServoSample
+from adaptive_contact_sim.arrays import Run
 
-if TYPE_CHECKING:
-    from adaptive_contact_sim.arrays import Run
-    from adaptive_contact_studies.scenarios.recording import Recording
+
+class NoRefits:
+    """Makes no refit, for a learner of recursion alone."""
+
+    def submit(self, job: Job) -> None:
+        """Nothing is done with it."""
+
+    def collect(self, leg: str, number: int) -> object | None:
+        """Nothing ever comes."""
+        return None
 
 
 class Played(NamedTuple):
@@ -34,7 +43,7 @@ class Played(NamedTuple):
     learners: dict[str, ContactLearner]  # as they are at the end
 
 
-def samples_of(run: Run | Recording, leg: str) -> list[ServoSample]:
+def samples_of(run: Run, leg: str) -> list[ServoSample]:
     """A leg's stream as the messages that the simulator would have sent."""
     arrays = run.legs[leg]
     good: list[bool] = np.asarray(arrays.valid.all(axis=1)).tolist()
@@ -84,7 +93,7 @@ def feed(
     return events
 
 
-def leg_stream(run: Run | Recording, leg: str, robot: Robot) -> LegStream:
+def leg_stream(run: Run, leg: str, robot: Robot) -> LegStream:
     """A leg's run as the scoring takes it."""
     arrays, described = run.legs[leg], robot.leg(leg)
     assert described.chain is not None
@@ -99,8 +108,6 @@ def leg_stream(run: Run | Recording, leg: str, robot: Robot) -> LegStream:
     )
 
 
-def score_run(
-    run: Run | Recording, robot: Robot, events: dict[str, list[ContactEvent]]
-) -> list[LegOutcome]:
+def score_run(run: Run, robot: Robot, events: dict[str, list[ContactEvent]]) -> list[LegOutcome]:
     """Judge every leg's events against the run's truth."""
     return [match(leg_stream(run, leg, robot), Events.of(e)) for leg, e in events.items()]

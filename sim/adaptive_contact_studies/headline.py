@@ -7,14 +7,12 @@ of every leg; ``walk_rough`` is half an hour of tripod walking over rough ground
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Final
 
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import LegOutcome, Summary, summarise
-from adaptive_contact_sim.arrays import record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings, Workspace
@@ -22,8 +20,8 @@ from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import play, score_run
-from adaptive_contact_studies.training import PlannedRun
-from adaptive_contact_studies.workers import completed
+from adaptive_contact_studies.training import PlannedRun, record_all
+from adaptive_contact_studies.work import Work
 
 
 def _pose(
@@ -58,28 +56,15 @@ HEADLINE_RUNS: Final = (
 
 
 def run_headline(
-    robot: Robot,
-    baseline: Baseline,
-    runs: Sequence[PlannedRun] = HEADLINE_RUNS,
-    *,
-    processes: int = 2,
-    progress: Callable[[PlannedRun], None] = lambda _: None,
+    robot: Robot, baseline: Baseline, work: Work, runs: Sequence[PlannedRun] = HEADLINE_RUNS
 ) -> dict[str, Summary]:
     """Simulate, detect and score.
 
     Returns:
         The figures of every row.
     """
-    done: dict[PlannedRun, list[LegOutcome]] = {}
-    for spec, outcomes in completed(partial(_one, robot, baseline), runs, processes):
-        done[spec] = outcomes
-        progress(spec)
     rows: dict[str, list[LegOutcome]] = {}
-    for spec in runs:
-        rows.setdefault(spec.name, []).extend(done[spec])
+    for spec, run in zip(runs, record_all(work, runs), strict=True):
+        outcomes = score_run(run, robot, play(run, robot, baseline).events)
+        rows.setdefault(spec.name, []).extend(outcomes)
     return {row: summarise(outcomes) for row, outcomes in rows.items()}
-
-
-def _one(robot: Robot, baseline: Baseline, spec: PlannedRun) -> list[LegOutcome]:
-    run = record_arrays(spec.settings, spec.seconds)
-    return score_run(run, robot, play(run, robot, baseline).events)

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact.bank import LegGroup, compile_ahead
-from adaptive_contact.detect.leg_batch import LegBatch
 from adaptive_contact.errors import AdaptiveContactError, MissingExtraError
 from adaptive_contact.fit.refit_job import Job
-from adaptive_contact.learn.rls import RecursiveLeastSquares
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
@@ -26,7 +22,6 @@ from adaptive_contact.service.recording import read_recording
 from adaptive_contact.service.recording.export import ExportFormat, export_recording
 from adaptive_contact.service.refits import ProcessRefitter
 from adaptive_contact.service.state import Identity, Record, Refused, StateStore
-from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.arrays import Run
 from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
@@ -34,8 +29,7 @@ from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import samples_of
 
-# Robots at once, for the most that a process can follow; restores of which the slowest counts.
-_ROBOTS: Final = 100
+# Restores of which the slowest counts.
 _RESTORES: Final = 5
 
 
@@ -52,11 +46,6 @@ class TickSpeed:
     refitting_ms: float  # the 99th percentile of the ticks during which a refit was under way
     refitting: int  # how many of the ticks those were
     leg_ticks_per_s: float  # of this process's time, messages not counted
-    arithmetic_ms: float  # mean of what is compiled, of a tick of all legs
-    over_arithmetic: float  # the mean tick over that
-    alone_ms: float  # median tick of one leg by itself
-    many_legs: int  # of as many robots as it takes
-    many_leg_ticks_per_s: float  # of theirs, refits apart
 
 
 @dataclass(frozen=True)
@@ -86,24 +75,13 @@ class _Watched(ProcessRefitter):
         return result
 
 
-class _NoRefits:
-    """Makes none."""
-
-    def submit(self, job: Job) -> None:
-        """Nothing is done with it."""
-
-    def collect(self, leg: str, number: int) -> object | None:
-        """Nothing ever comes."""
-        return None
-
-
 def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
     """Measure :class:`~adaptive_contact.bank.LegGroup` over a run of all legs."""
     legs = list(run.legs)
     rounds = list(zip(*(samples_of(run, leg) for leg in legs), strict=True))
     compile_ahead()
     refitter = _Watched()
-    with threadpool_limits(1), contextlib.closing(refitter), _compiled_time() as compiled:
+    with threadpool_limits(1), contextlib.closing(refitter):
         group = LegGroup([ContactLearner(robot, leg, baseline, refitter=refitter) for leg in legs])
         spent, events, during = [], [], []
         begun = time.process_time()
@@ -115,9 +93,6 @@ def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
             spent.append(time.perf_counter() - start)
             during.append(bool(refitter.open))
         total = time.process_time() - begun
-    with threadpool_limits(1):
-        alone_ms = _median_ms(robot, legs[0], baseline, [samples[0] for samples in rounds])
-        many = _many(robot, legs, baseline, rounds)
     took, refitting = np.array(spent) * 1e3, np.array(during)
     median, p99 = np.percentile(took, (50, 99))
     return TickSpeed(
@@ -129,67 +104,7 @@ def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
         refitting_ms=float(np.percentile(took[refitting], 99)) if refitting.any() else float("nan"),
         refitting=int(refitting.sum()),
         leg_ticks_per_s=len(spent) * len(legs) / total,
-        arithmetic_ms=1e3 * sum(compiled) / len(spent),
-        over_arithmetic=sum(spent) / sum(compiled),
-        alone_ms=alone_ms,
-        many_legs=_ROBOTS * len(legs),
-        many_leg_ticks_per_s=many,
     )
-
-
-@contextlib.contextmanager
-def _compiled_time() -> Iterator[list[float]]:
-    """Seconds of every call of what is compiled, while it lasts."""
-    spent: list[float] = []
-    calls = (
-        (LegBatch, "judge"), (LegBatch, "finish"), (RecursiveLeastSquares, "learn"),
-    )  # fmt: skip
-    with contextlib.ExitStack() as stack:
-        for owner, name in calls:
-            stack.enter_context(_timed(owner, name, spent))
-        yield spent
-
-
-@contextlib.contextmanager
-def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
-    call = getattr(owner, name)
-
-    @functools.wraps(call)
-    def timed(*args: Any) -> Any:
-        start = time.perf_counter()
-        try:
-            return call(*args)
-        finally:
-            spent.append(time.perf_counter() - start)
-
-    setattr(owner, name, timed)
-    try:
-        yield
-    finally:
-        setattr(owner, name, call)
-
-
-def _median_ms(robot: Robot, leg: str, baseline: Baseline, samples: list[ServoSample]) -> float:
-    learner = ContactLearner(robot, leg, baseline, refitter=_NoRefits())
-    spent = []
-    for sample in samples:
-        start = time.perf_counter()
-        learner.update(sample)
-        spent.append(time.perf_counter() - start)
-    return 1e3 * float(np.median(spent))
-
-
-def _many(robot: Robot, legs: list[str], baseline: Baseline, rounds: list[Any]) -> float:
-    """Leg-ticks per second of this process's time, of many robots that walk alike."""
-    no_refits = _NoRefits()
-    group = LegGroup(
-        [ContactLearner(robot, leg, baseline, refitter=no_refits) for leg in legs * _ROBOTS]
-    )
-    rounds = rounds[: max(100, 50_000 // _ROBOTS)]
-    begun = time.process_time()
-    for samples in rounds:
-        group.advance(samples * _ROBOTS)
-    return len(rounds) * _ROBOTS * len(legs) / (time.process_time() - begun)
 
 
 def restore_speed(run: Run, robot: Robot, baseline: Baseline) -> RestoreSpeed:
@@ -240,21 +155,11 @@ def restore_speed(run: Run, robot: Robot, baseline: Baseline) -> RestoreSpeed:
     return RestoreSpeed(legs=len(run.legs), seconds=max(took), kilobytes=kilobytes)
 
 
-@dataclass(frozen=True)
-class Speed:
-    """Simulated seconds per second of one core."""
-
-    factor: float  # of the whole simulator: physics, servo law, gait, readings, messages
-    engine: float  # of the engine's step alone in the same run's last state, with nothing of ours
-
-
-def real_time_factor(*, seconds: float, engine_seconds: float = 2.0) -> Speed:
-    """Measure the simulator on this machine, by the CPU time of this process.
+def real_time_factor(*, seconds: float) -> float:
+    """Measure simulated seconds per second of one core: physics, servo law, gait, readings.
 
     What runs is the tripod gait on the rough field.
     """
-    import mujoco
-
     rough = TerrainSettings(kind="rough")
     sim = Simulation(SimulationSettings(motion=WalkSettings(), terrain=rough, seed=1))
     for _ in sim.run(2.0):  # into the walk
@@ -262,13 +167,7 @@ def real_time_factor(*, seconds: float, engine_seconds: float = 2.0) -> Speed:
     start = time.process_time()
     for _ in sim.run(seconds):
         pass
-    whole = time.process_time() - start
-    plant = sim.plant
-    start = time.process_time()
-    for _ in range(round(engine_seconds / plant.step_s)):
-        mujoco.mj_step(plant.model, plant.data)
-    bare = time.process_time() - start
-    return Speed(factor=seconds / whole, engine=engine_seconds / bare)
+    return seconds / (time.process_time() - start)
 
 
 def export_speed(settings: SimulationSettings, seconds: float = 60.0) -> dict[str, float]:

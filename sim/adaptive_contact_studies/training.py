@@ -9,7 +9,7 @@ the hexapod, 2000 and up of the quadruped, 3000 and up of the leg, tests and ben
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -24,7 +24,7 @@ from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.workers import completed
+from adaptive_contact_studies.work import SIMULATOR, Work, rests_on
 
 
 class PlannedRun(NamedTuple):
@@ -97,11 +97,22 @@ def stretch_of(run: Run, leg: str, period_s: float = 0.02) -> Stretch:
     )
 
 
+@rests_on(*SIMULATOR)
+def recorded(_: Work, spec: PlannedRun) -> Run:
+    """Record a run."""
+    return record_arrays(spec.settings, spec.seconds)
+
+
+def record_all(work: Work, runs: Sequence[PlannedRun]) -> list[Run]:
+    """Record runs, several at a time."""
+    return work.each("recording", recorded, runs, lambda spec: spec.seconds)
+
+
 def learn_shipped(
     name: str,
+    work: Work,
     *,
     runs: tuple[PlannedRun, ...] | None = None,
-    processes: int = 2,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Training:
     """Record the runs and learn every leg of a simulated robot.
@@ -114,26 +125,18 @@ def learn_shipped(
     robot = simulated_robot(name).description
     runs = TRAINING_RUNS[name] if runs is None else runs
     streams: dict[str, list[Stretch]] = {leg: [] for leg in robot.leg_ids}
-    recorded: dict[str, Run] = {}
-    for spec, run in completed(_record, runs, processes):
-        recorded[spec.name] = run
-        progress(f"recorded {spec.name}")
-    for run in (recorded[spec.name] for spec in runs):
+    for run in record_all(work, runs):
         for leg in robot.leg_ids:
             if run.legs[leg].swing.any():
                 streams[leg].append(stretch_of(run, leg, robot.period_s))
-    seconds = sum(run.seconds for run in runs)
+    seconds = sum(spec.seconds for spec in runs)
     seeds = f"{runs[0].settings.seed} to {runs[-1].settings.seed}"
     return learn(
         robot,
         streams,
         origin=(
             f"adaptive-contact sim baseline: {len(runs)} simulated runs, {seconds:.0f} s, "
-            f"seeds {seeds}: " + "; ".join(run.name for run in runs)
+            f"seeds {seeds}: " + "; ".join(spec.name for spec in runs)
         ),
         progress=lambda leg: progress(f"fitting leg {leg}"),
     )
-
-
-def _record(spec: PlannedRun) -> Run:
-    return record_arrays(spec.settings, spec.seconds)

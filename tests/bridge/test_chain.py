@@ -287,7 +287,7 @@ def test_the_chain_loses_at_most_a_point_of_recall(
     start: Callable[..., Process], tmp_path: Path
 ) -> None:
     """Measured with --realtime, which needs the right to it, on two cores with other work."""
-    from adaptive_contact_sim.virtual.compare import compare
+    from compare import compare
 
     endpoint = router(start)
     robot = start(

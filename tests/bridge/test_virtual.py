@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compare import play
 from kinematic import KinematicBackend
 
 from adaptive_contact.bridge.plan import plan_ports
@@ -22,14 +23,13 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_ports
-from adaptive_contact_sim.virtual.compare import play
 from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend
 from adaptive_contact_sim.virtual.physics import GaitedBackend, LocalSource
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend, QuadrupedPlant
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
-from adaptive_contact_studies.quadruped_trials import SCENARIOS, record
+from quadruped_stand import SCENARIOS, record
 
 
 def horns(robot: str = "hexapod") -> Horns:

@@ -14,16 +14,15 @@ from adaptive_contact.detect.layout import DECIDED, TOUCHED, new_legs
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.noise import WINDOWS, context
-from adaptive_contact_studies.paper.comparison_rules import (
+from adaptive_contact_studies.paper.detectors import (
     JUDGED_AFTER_TICKS,
+    Calibration,
     Motion,
     Prediction,
     alarm_ticks,
-    calibrate,
     learn_noise,
     likelihood_ratio,
-    paper_rule,
-    position_difference,
+    rule,
     tracking_error,
 )
 
@@ -90,17 +89,18 @@ def test_no_alarm_without_scores() -> None:
 
 def test_rules_tick_by_tick() -> None:
     motion, prediction = walk(1, n=60)
-    rule, naive = paper_rule(prediction), position_difference(motion)
+    paper = rule(prediction.residual)
+    naive = rule(np.diff(motion.measured, axis=0, prepend=np.nan))
     lag = 2
     error = tracking_error(motion, lag)
     e, m, d = prediction.residual, motion.measured, motion.desired
     for k in range(4, 60):
         for j in range(3):
-            assert rule[k, j] == pytest.approx(abs(abs(e[k, j]) - abs(e[k - 1, j])))
+            assert paper[k, j] == pytest.approx(abs(abs(e[k, j]) - abs(e[k - 1, j])))
             steps = abs(m[k, j] - m[k - 1, j]), abs(m[k - 1, j] - m[k - 2, j])
             assert naive[k, j] == pytest.approx(abs(steps[0] - steps[1]))
             assert error[k, j] == pytest.approx(abs(d[k - 1 - lag, j] - m[k, j]))
-    assert np.isnan(rule[0]).all()
+    assert np.isnan(paper[0]).all()
     assert np.isnan(naive[:2]).all()
     assert np.isnan(error[: lag + 1]).all()
 
@@ -141,18 +141,18 @@ def test_a_gap_in_the_predictions_shortens_the_windows() -> None:
 
 def test_thresholds_hold_the_rate_they_aim_at() -> None:
     rng = np.random.default_rng(4)
-    calibration = calibrate([rng.exponential(size=(100_000, 2)) for _ in range(3)])
+    calibration = Calibration.of([rng.exponential(size=(100_000, 2)) for _ in range(3)])
     rate = 1e-4
     score = calibration.score(rng.exponential(size=(400_000, 2)), rate)
     assert np.mean(score > 1.0) == pytest.approx(rate, rel=0.35)
     only = replace(calibration, channels=(1,))
-    assert only.thresholds(rate).shape == (1,)
-    assert only.thresholds(rate)[0] < calibration.thresholds(rate)[1]
+    # Its share is the whole of the rate: a lower threshold.
+    assert only.score(np.ones((1, 2)), rate) > calibration.score(np.ones((1, 2)), rate)
 
 
 def test_unknown_channels_do_not_count_and_none_gives_none() -> None:
     rng = np.random.default_rng(5)
-    calibration = calibrate([rng.exponential(size=(20_000, 2))])
+    calibration = Calibration.of([rng.exponential(size=(20_000, 2))])
     rows = np.array([[np.nan, 100.0], [100.0, np.nan], [np.nan, np.nan]])
     score = calibration.score(rows, 1e-5)
     assert (score[:2] > 1.0).all()
@@ -164,4 +164,4 @@ def test_too_few_ticks_are_told() -> None:
     with pytest.raises(IdentificationError, match="free ticks"):
         learn_noise(motion, prediction, motion.judged, QUANTUM)
     with pytest.raises(IdentificationError, match="too few for a threshold"):
-        calibrate([np.ones((100, 3))])
+        Calibration.of([np.ones((100, 3))])

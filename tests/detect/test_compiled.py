@@ -300,7 +300,7 @@ from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.learn.rls import RecursiveLeastSquares
 from adaptive_contact.model.labelled_swing import ROW, Rows
 rows = Rows(np.ones((3, 4)), np.zeros(3, ROW).view(np.recarray), 1)
-buffer = ReplayBuffer(queues=True)
+buffer = ReplayBuffer()
 buffer.add(rows.then(rows), 0, 0)
 rls = RecursiveLeastSquares(np.zeros((2, 1)), np.ones((2, 1), bool), np.ones(2), np.ones(1))
 assert rls.learn(buffer.values, buffer.next_unlearned()[0])

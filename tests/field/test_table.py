@@ -20,7 +20,7 @@ from adaptive_contact.service.legcheck import check_recording
 from adaptive_contact.wire import ServoSample, servo_key
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.quadruped_trials import Scenario, record
+from quadruped_stand import Scenario, record
 
 from . import mistakes as m
 from .listening import alone, causes, listen

@@ -30,7 +30,7 @@ from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.quadruped_trials import SCENARIOS, record
+from quadruped_stand import SCENARIOS, record
 
 Turn = Callable[[np.ndarray], np.ndarray]
 DOWN = (1, -1, -1)

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 def adapter(baseline: Baseline) -> Adapter:
     known = baseline.legs["rf"]
     recent = NoiseTracker(known.noise, baseline.tails, 1.0)
-    return Adapter("rf", known, recent, LearnerMode.RLS, InlineRefitter())
+    return Adapter("rf", known, recent, LearnerMode.FULL, InlineRefitter())
 
 
 @pytest.fixture
@@ -79,7 +79,8 @@ def go_wild(adapter: Adapter, wild: float) -> None:
     coefficients[0, 0] = wild
     adapter.active.recursion.reseed(coefficients)
     theta = np.zeros((1, len(coefficients)))
-    adapter.learn(LabelledSwing(Label.UNGATED, lift_of(theta, np.zeros((1, 3)))))
+    adapter.learn(LabelledSwing(Label.DESCENT, lift_of(theta, np.zeros((1, 3)))))
+    adapter.tick(1)
 
 
 @pytest.mark.parametrize("wild", [np.nan, np.inf, 1e3])

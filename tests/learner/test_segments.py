@@ -139,7 +139,7 @@ def test_regions_are_parts_of_the_range_of_the_newest_commands() -> None:
 
 def test_rows_wait_in_the_buffer_until_they_are_learned() -> None:
     rng = np.random.default_rng(4)
-    buffer, waiting = ReplayBuffer(limit=12, queues=True), list[float]()
+    buffer, waiting = ReplayBuffer(limit=12), list[float]()
     for k in range(300):
         ticks = [row(100 * k + i, lift=True) for i in range(rng.integers(1, 30))]
         buffer.add(rows_of(ticks), region=int(rng.choice(3)), era=0)

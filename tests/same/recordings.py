@@ -21,6 +21,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+import quadruped_stand
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Window, save_baseline
 from adaptive_contact.robot import parse_robot
@@ -32,7 +33,6 @@ from adaptive_contact_sim import (
     SimulationSettings,
     record_arrays,
 )
-from adaptive_contact_studies import quadruped_trials
 from adaptive_contact_studies.scenarios.spec import Staging
 from adaptive_contact_studies.training import stretch_of
 
@@ -165,9 +165,9 @@ def service_restart(recording: Recording) -> Recording:
 
 
 def _quadruped() -> Recording:
-    scenario = quadruped_trials.Scenario("same", "", 5207, 60.0, 0.5, (300.0, 3000.0))
+    scenario = quadruped_stand.Scenario("same", "", 5207, 60.0, 0.5, (300.0, 3000.0))
     rounds: list[Round] = []
-    for leg, sample in quadruped_trials.record(scenario).samples:
+    for leg, sample in quadruped_stand.record(scenario).samples:
         if not rounds or leg in rounds[-1]:
             rounds.append({})
         rounds[-1][leg] = plain(sample)

@@ -15,6 +15,7 @@ from adaptive_contact_studies.family import prior
 from adaptive_contact_studies.family import trials as tried
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.family.trials import Figures, LegTrial, table, trials
+from adaptive_contact_studies.work import Work
 
 KIND = "second generator in pose"
 
@@ -87,7 +88,7 @@ def test_a_family_s_gaussian_is_found_again() -> None:
 
 
 def test_a_family_of_few_legs_is_written_and_read(tmp_path: Path) -> None:
-    family = prior.learn_family(range(4), processes=1)
+    family = prior.learn_family(Work(None), range(4))
     file = tmp_path / "family.json"
     prior.save_family(family, file)
     read = msgspec.json.decode(file.read_bytes(), type=FamilyFile)
@@ -97,23 +98,13 @@ def test_a_family_of_few_legs_is_written_and_read(tmp_path: Path) -> None:
     assert read.origin.startswith("make prior: 2 drawn legs, ")  # two have too few free ticks
 
 
-def test_trials_go_on_where_they_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[tuple[str, int]] = []
-
-    def run(kind: str, number: int) -> list[LegTrial]:
-        made.append((kind, number))
-        if number == 1 and len(made) == 2:
-            raise KeyboardInterrupt
-        return [trial(first=number + 1)]
-
-    monkeypatch.setattr(tried, "legs_of_run", run)
-    monkeypatch.setattr(tried, "source_digest", lambda: "code")
-    with pytest.raises(KeyboardInterrupt):
-        trials(tmp_path, (KIND,), runs=3, processes=1)
-    found = trials(tmp_path, (KIND,), runs=3, processes=1)
-    assert [leg.first for leg in found] == [1, 2, 3]
-    assert made == [(KIND, number) for number in (0, 1, 1, 2)]
-    assert found[0] == trial(first=1)
+@pytest.mark.slow
+def test_a_leg_is_tried_without_a_baseline_and_with_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tried, "_FREE_SWINGS", 150)
+    (leg,) = trials(Work(None), (KIND,), runs=1)
+    assert leg.kind == KIND
+    assert leg.known is not None
+    assert leg.known.touches == leg.without.touches
 
 
 def test_a_row_counts_what_its_legs_did() -> None:

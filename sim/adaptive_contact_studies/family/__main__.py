@@ -1,7 +1,7 @@
 """Learns the family of legs into a file, or tries it on legs of which nothing is known.
 
-``python -m adaptive_contact_studies.family learn FILE``;
-``python -m adaptive_contact_studies.family try FOLDER``, which keeps what each run gave.
+``python -m adaptive_contact_studies.family learn FILE [FOLDER]``;
+``python -m adaptive_contact_studies.family try FOLDER``; what each run gave is kept in FOLDER.
 """
 
 from __future__ import annotations
@@ -9,27 +9,26 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from rich.console import Console
+
 from adaptive_contact_studies.family.prior import learn_family, save_family
 from adaptive_contact_studies.family.trials import table, trials
+from adaptive_contact_studies.work import Work
 
 _USAGE = "expected `learn FILE` or `try FOLDER`"
-
-
-def _show(line: str) -> None:
-    """Show how far it is, where somebody looks on."""
-    if sys.stderr.isatty():
-        print(f"\r{line:40}", end="", file=sys.stderr, flush=True)
+_OUT = "out/prior"
 
 
 def main(arguments: list[str]) -> int:
     """Do what is asked for."""
+    console = Console(stderr=True)
     match arguments:
-        case ["learn", file]:
-            family = learn_family(progress=_show)
+        case ["learn", file, *folder]:
+            family = learn_family(Work(Path(*folder or [_OUT]), 2, console=console))
             save_family(family, Path(file))
             print(f"{file}: {family.origin}")
         case ["try", folder]:
-            print(table(trials(Path(folder), progress=_show)))
+            print(table(trials(Work(Path(folder), 2, console=console))))
         case _:
             print(f"{' '.join(arguments) or 'nothing'}: {_USAGE}", file=sys.stderr)
             return 2

@@ -11,7 +11,7 @@ terms, and each joint's noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -29,7 +29,7 @@ from adaptive_contact.model.library import leg_library
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
-from adaptive_contact_studies.workers import completed
+from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 # Legs the family is learned from; trials take seeds from 10,000 on.
 SEEDS: Final = range(400)
@@ -60,20 +60,12 @@ class JointRows:
     variance: float  # of the noise, as it is known so far
 
 
-def learn_family(
-    seeds: Sequence[int] = SEEDS,
-    *,
-    processes: int = 2,
-    progress: Callable[[str], None] = lambda _: None,
-) -> FamilyFile:
+def learn_family(work: Work, seeds: Sequence[int] = SEEDS) -> FamilyFile:
     """Record the legs and learn the family."""
-    found: dict[int, list[JointRows]] = {}
-    for seed, of_leg in completed(_joints_of, seeds, processes):
-        found[seed] = of_leg
-        progress(f"{len(found)} of {len(seeds)} legs recorded")
-    joints = [joint for seed in seeds for joint in found[seed]]
-    family = maximise(joints, progress)
-    legs = sum(bool(own) for own in found.values())
+    found = work.each("recording legs", joints_of, seeds)
+    joints = [joint for of_leg in found for joint in of_leg]
+    family = maximise(joints)
+    legs = sum(map(bool, found))
     return msgspec.structs.replace(
         family,
         origin=f"make prior: {legs} drawn legs, {len(joints)} joints, "
@@ -81,14 +73,11 @@ def learn_family(
     )
 
 
-def maximise(
-    joints: Sequence[JointRows], progress: Callable[[str], None] = lambda _: None
-) -> FamilyFile:
+def maximise(joints: Sequence[JointRows]) -> FamilyFile:
     """Find the family of joints by expectation maximisation, :data:`_ROUNDS` rounds of it.
 
     Args:
         joints: compressed rows; the variance of each is set to what is found.
-        progress: called after every round.
 
     Returns:
         Mean, covariance and deviations in units of the slope, without an origin.
@@ -97,7 +86,7 @@ def maximise(
     mean, covariance = np.zeros((own, len(joints[0].z))), 0.3 * np.eye(own)
     common, others = np.array([0.1, 0.1]), np.full(2 * len(OTHERS), 0.05)  # deviations
     z = np.array([joint.z for joint in joints])
-    for turn in range(_ROUNDS):
+    for _ in range(_ROUNDS):
         at = np.zeros((len(joints), own))
         spread = np.zeros((own, own))
         of_common, of_others = np.zeros((2, 2)), np.zeros((len(others), 2))
@@ -127,7 +116,6 @@ def maximise(
         covariance = (away.T @ away + (spread + spread.T) / 2) / len(joints) + _FEW * np.eye(own)
         common = np.sqrt(of_common[:, 0] / of_common[:, 1])
         others = np.sqrt(of_others[:, 0] / np.maximum(of_others[:, 1], 1.0))
-        progress(f"{turn + 1} of {_ROUNDS} rounds")
     quanta, slopes = _noise(joints)
     typical = np.sqrt(np.mean([np.square(joint.size) for joint in joints], axis=0))
     pairs, triples = np.median([joint.sums for joint in joints], axis=0)
@@ -148,7 +136,8 @@ def save_family(family: FamilyFile, path: Path) -> None:
     write_file(path, text + "\n", advice="give another file to write the family to")
 
 
-def _joints_of(seed: int) -> list[JointRows]:
+@rests_on(*SIMULATOR, *LEARNER, "adaptive_contact_studies.family.legs")
+def joints_of(_: Work, seed: int) -> list[JointRows]:
     """Record one leg and compress its free swing ticks, joint by joint."""
     leg = draw_leg(seed)
     try:

@@ -8,18 +8,14 @@ shipped one, or one fitted to free swings of the same drawn leg.
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Baseline, shipped_baseline
-from adaptive_contact.model.leg_prior import family
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import LegOutcome
 from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
@@ -30,13 +26,10 @@ from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
 from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.servo import ServoParameters, manufactured
 from adaptive_contact_sim.simulation import SimulationSettings
-from adaptive_contact_studies.cache import Store, name_of, sources_digest
 from adaptive_contact_studies.evaluate import play, score_run
 from adaptive_contact_studies.family.legs import LEG, DrawnLeg, Motion, draw_leg, record
-from adaptive_contact_studies.scenarios.recording import simulator_fingerprint
-from adaptive_contact_studies.scenarios.replay import learner_fingerprint
 from adaptive_contact_studies.training import stretch_of
-from adaptive_contact_studies.workers import completed
+from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 # What is tried, and how many runs; of a hexapod's walk six legs each, in pose three, of a
 # quadruped's four.
@@ -86,24 +79,11 @@ class LegTrial(NamedTuple):
 
 
 def trials(
-    folder: Path,
-    kinds: Sequence[str] = tuple(KINDS),
-    *,
-    runs: int | None = None,
-    processes: int = 2,
-    progress: Callable[[str], None] = lambda _: None,
+    work: Work, kinds: Sequence[str] = tuple(KINDS), *, runs: int | None = None
 ) -> list[LegTrial]:
-    """Try every kind.
-
-    Raises:
-        ConfigurationError: the folder cannot be written to.
-    """
+    """Try every kind; so many runs of each, if not as many as is usual."""
     wanted = [(kind, number) for kind in kinds for number in range(runs or KINDS[kind])]
-    found: dict[tuple[str, int], list[LegTrial]] = {}
-    for run, legs in completed(functools.partial(_kept, Store(folder)), wanted, processes):
-        found[run] = legs
-        progress(f"{len(found)} of {len(wanted)} runs")
-    return [leg for run in wanted for leg in found[run]]
+    return [leg for legs in work.each("trying", legs_of_run, wanted) for leg in legs]
 
 
 def table(found: Sequence[LegTrial]) -> str:
@@ -120,25 +100,10 @@ def table(found: Sequence[LegTrial]) -> str:
     return "\n".join(lines)
 
 
-def _kept(store: Store, wanted: tuple[str, int]) -> list[LegTrial]:
+@rests_on(*SIMULATOR, *LEARNER, "adaptive_contact_studies.family.legs")
+def legs_of_run(_: Work, wanted: tuple[str, int]) -> list[LegTrial]:
+    """Try the legs of a run of a kind."""
     kind, number = wanted
-    tree = store.tree(
-        kind.replace(" ", "-"), (number, source_digest()), lambda: legs_of_run(kind, number)
-    )
-    return msgspec.convert(tree, list[LegTrial])
-
-
-@functools.cache
-def source_digest() -> str:
-    """Hash of all that decides a run."""
-    digest = sources_digest(sorted(Path(__file__).parent.glob("*.py")))
-    robots = [simulator_fingerprint(name) for name in ("hexapod", "quadruped12", "leg5")]
-    prior = msgspec.json.encode(family()).decode()
-    return name_of(digest.hexdigest(), learner_fingerprint(), robots, prior)
-
-
-def legs_of_run(kind: str, number: int) -> list[LegTrial]:
-    """Try the legs of a run."""
     run, robot, baseline = _recorded(kind, _FIRST_SEED + number)
     played = play(run, robot, None)
     known: dict[str, LegOutcome] = {}

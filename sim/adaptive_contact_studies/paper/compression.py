@@ -20,37 +20,29 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
-from adaptive_contact.robot import Robot
-from adaptive_contact_studies.cache import Store
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact_studies.paper.data import Stream, join, load, record_all
-from adaptive_contact_studies.paper.plan import FULL
+from adaptive_contact_studies.paper.plan import Plan
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, free_rows, residual_unit
+from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 # PySINDy's default ridge term, which the paper does not mention changing.
 RIDGE: Final = 0.05
 
 
-@dataclasses.dataclass(frozen=True)
-class PaperFit:
+class PaperFit(NamedTuple):
     """A fit as the paper makes it."""
 
     # `ok`, `emptied` where some state has no terms left, or why there is none
     status: FitStatus
     coefficients: Array  # (p, states), zero where there is no fit
-
-    @property
-    def terms(self) -> list[int]:
-        """(states,) how many each has."""
-        return [int(n) for n in np.count_nonzero(self.coefficients, axis=0)]
 
 
 def paper_fit(
@@ -164,29 +156,16 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
     )
 
 
-def compare_all(
-    robot: Robot, stream: Stream, progress: Callable[[float], None] = lambda _: None
-) -> list[Comparison]:
+@rests_on(*SIMULATOR, *LEARNER, "adaptive_contact_studies.paper.rows")
+def compare_all(work: Work, plan: Plan) -> list[Comparison]:
     """Both libraries, at a λ that keeps nearly every term and one that leaves the sparse model."""
-    leg = robot.leg(stream.leg)
-    found = []
-    # CPU time is compared: that of threads that wait for each other is no one's work.
-    with threadpool_limits(1):
-        for name, window, threshold in _COMPARED:
-            found.append(compare(stream, leg_library(robot, leg, name, window), threshold))
-            progress(1.0 / len(_COMPARED))
-    return found
-
-
-def compare_full(
-    root: Path, robot: Robot, segments: int, workers: int, progress: Callable[[float], None]
-) -> list[Comparison]:
-    """The same on the full plan's training segments, simulated unless they are there."""
-    store = Store(root)
-    pieces = dataclasses.replace(FULL, train_segments=segments).paper_pieces("train")
-    seconds = sum(piece.seconds for piece in pieces)
-    record_all(store, pieces, workers, lambda done: progress(done / seconds))
-    return compare_all(robot, join([load(store, piece) for piece in pieces]))
+    pieces = plan.paper_pieces("train")
+    record_all(work, "the paper's dataset", pieces)
+    stream, robot = join([load(work, piece) for piece in pieces]), shipped_robot()
+    return [
+        compare(stream, leg_library(robot, robot.leg(stream.leg), name, window), threshold)
+        for name, window, threshold in _COMPARED
+    ]
 
 
 def _timed(work: Callable[[], R], repeats: int) -> tuple[R, float]:

@@ -1,43 +1,80 @@
-"""Simulated streams: made in parallel, kept as whole servo steps, read as arrays.
+"""Streams of one leg with their truth: the standing robot, and the robot hung up by its body.
 
-Readings and commands are whole multiples of the servo's step, so that 16-bit integers hold them
-without loss: ten robot-hours take some tens of megabytes.
+A robot that stands is simulated as for everything else, with one difference: where a leg has come
+to a pocket of its workspace out of which no straight way to a new point leads, the way is bent to
+the nearest reachable one instead of being drawn again without end.
+
+Ten robot-hours of one leg swinging while five stand would be 35 hours of simulated time.  A robot
+hung up by its body has six legs that swing at once, each on its own: links, servos, supply,
+friction and readings are the same code and constants, only the body does not give way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Final
 
+import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.fit.train import Stretch
-from adaptive_contact_sim.arrays import LegArrays, Onset, Run
-from adaptive_contact_sim.servo import QUANTUM_RAD
-from adaptive_contact_studies.cache import Store, plain, read_arrays, write_arrays
-from adaptive_contact_studies.paper.plan import GantrySettings, Piece
-from adaptive_contact_studies.paper.recording import (
-    physics_fingerprint,
-    record_gantry,
-    record_leg,
-    require_unchanged_source,
-)
+from adaptive_contact_sim.arrays import LegArrays, Run, record_run
+from adaptive_contact_sim.elements import LEGS, N_SERVOS
+from adaptive_contact_sim.encoder import Encoder
+from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.motion import World
+from adaptive_contact_sim.obstacles import ObstacleCourse
+from adaptive_contact_sim.plant import Plant
+from adaptive_contact_sim.pose import PERIOD_S, PoseMotion, PoseSettings
+from adaptive_contact_sim.scene import on_a_stand
+from adaptive_contact_sim.servo import manufactured
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_studies.paper.plan import GantrySettings, Piece, Shot
 from adaptive_contact_studies.training import stretch_of
-from adaptive_contact_studies.workers import alone, completed
+from adaptive_contact_studies.work import SIMULATOR, Work, rests_on
 
-T = TypeVar("T")
-R = TypeVar("R")
-_Job = list[tuple[Piece, Path]]
+TICK_NS: Final = 20_000_000
+# Ways drawn in vain before one is bent: the acceptance elsewhere is above a tenth.
+_TRIES: Final = 500
+# Stream of randomness of the motion, apart from the simulation's own.
+_MOTION_STREAM: Final = 0x90F3
+_HEIGHT_M: Final = 1.0
+_SETTLE_TICKS: Final = 50
 
-TICK_NS = 20_000_000
-# At the start of every stream that is joined to another, ticks that are no swing's: more than any
-# window looks back.
-SEAM_TICKS = 10
+
+class PatientGeometry(LegGeometry):
+    """Accepts any point after many refusals: ``joints`` pulls points within reach anyway."""
+
+    _refused = 0  # in a row
+
+    def reachable(self, points_m: Array) -> Mask:
+        """Return which points are in reach; after :data:`_TRIES` refusals in a row, all are."""
+        inside = super().reachable(points_m)
+        self._refused = 0 if inside.all() else self._refused + 1
+        if self._refused > _TRIES:
+            self._refused = 0
+            return np.ones_like(inside)
+        return inside
+
+
+class _NoObstacles(ObstacleCourse):
+    """A course with nothing on it, which needs no scene."""
+
+    def __init__(self) -> None:
+        self.standing = None
+
+    def assign(self, leg: int | None) -> None:
+        """Nothing to collide with."""
+
+    def wanted(self) -> bool:
+        """Never."""
+        return False
+
+    def clear(self) -> None:
+        """Nothing stands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,70 +121,39 @@ class Stream:
         return stretch_of(self.run, self.leg)
 
 
-def piece_path(store: Store, piece: Piece) -> Path:
-    """Where a piece's recording lives."""
-    return store.path("data", [physics_fingerprint(), plain(piece)], ".npz")
+def simulation_of(settings: SimulationSettings) -> Simulation:
+    """A simulation whose leg never waits for a way out of a pocket."""
+    motion = settings.motion
+    assert isinstance(motion, PoseSettings)
+    # Its own motion is made, and thrown away: over the paper's subspaces that always succeeds.
+    harmless = replace(motion, workspace="paper", approach="descent")
+    sim = Simulation(replace(settings, motion=harmless))
+    rng = np.random.default_rng([settings.seed, _MOTION_STREAM])
+    sim.motion = PoseMotion(motion, PatientGeometry(), sim.courses[0], rng)
+    return sim
 
 
-def record_all(
-    store: Store, pieces: Sequence[Piece], workers: int, progress: Callable[[float], None]
-) -> None:
-    """Simulate the pieces that are not there yet.
+@rests_on(*SIMULATOR)
+def recorded(_: Work, shot: Shot) -> dict[str, LegArrays]:
+    """Simulate; the arrays of the legs that are kept.
 
     Raises:
-        SimulationDivergedError: the physics of one blew up.
+        SimulationDivergedError: the physics blew up.
     """
-    # Legs of one hung-up robot come from one simulation.
-    jobs: dict[str, _Job] = {}
-    for piece in pieces:
-        path = piece_path(store, piece)
-        if path.exists():
-            progress(piece.seconds)
-            continue
-        shared = isinstance(piece.settings, GantrySettings)
-        key = repr((piece.settings, piece.seconds)) if shared else repr(piece)
-        jobs.setdefault(key, []).append((piece, path))
-    for _, seconds in parallel(record_piece, list(jobs.values()), workers):
-        progress(seconds)
+    if isinstance(shot.settings, GantrySettings):
+        return _hung_up(shot.settings, shot.seconds)
+    return record_run(simulation_of(shot.settings), shot.seconds, legs=shot.legs).legs
 
 
-def load(store: Store, piece: Piece) -> Stream:
-    """Read a piece; simulated now if it is not there."""
-    path = piece_path(store, piece)
-    arrays = read_arrays(path)
-    if arrays is None:
-        record_piece([(piece, path)])
-        arrays = read_arrays(path)
-        assert arrays is not None
-    steps = arrays["steps"].astype(np.float64) * QUANTUM_RAD
-    names = ("ns", "tick", "force_n", "speed_m_s", "part", "soft", "grazing")
-    columns = (arrays[f"onset_{name}"].tolist() for name in names)
-    onsets = tuple(
-        Onset(
-            t_ns=t,
-            tick=tick,
-            force_n=force,
-            speed_m_s=None if speed != speed else speed,
-            part=part or None,
-            surface="soft" if soft else "hard",
-            grazing=grazing,
-        )
-        for t, tick, force, speed, part, soft, grazing in zip(*columns, strict=True)
-    )
-    n = len(steps)
-    leg = LegArrays(
-        measured=steps[:, :3],
-        desired=steps[:, 3:],
-        valid=np.ones((n, 3), dtype=bool),
-        swing=arrays["swing"],
-        # Force and contact by tick are not kept: onsets and releases say all that is judged.
-        contact=np.zeros(n, dtype=bool),
-        force_n=np.zeros(n),
-        angle=arrays["angle"].astype(np.float64),
-        onsets=onsets,
-        releases_ns=tuple(arrays["releases_ns"].tolist()),
-    )
-    return Stream(piece, leg)
+def load(work: Work, piece: Piece) -> Stream:
+    """A piece; simulated now unless it is kept."""
+    return Stream(piece, work.one(recorded, piece.shot)[piece.leg_run.leg])
+
+
+def record_all(work: Work, what: str, pieces: Sequence[Piece]) -> None:
+    """Simulate what is not kept of some pieces, several at a time."""
+    shots = {repr(piece.shot): piece.shot for piece in pieces}
+    work.each(f"simulating {what}", recorded, [*shots.values()], lambda shot: shot.seconds)
 
 
 def join(streams: Sequence[Stream]) -> Stream:
@@ -156,77 +162,77 @@ def join(streams: Sequence[Stream]) -> Stream:
     Every part begins with the leg standing, so that no window of swing ticks reaches back over a
     seam.
     """
-    first = streams[0]
     starts = np.cumsum([0, *(len(s.swing) for s in streams[:-1])]).tolist()
-    assert all(not s.swing[:SEAM_TICKS].any() for s in streams)
-    parts = [s.arrays for s in streams]
+    parts = list(zip(starts, (s.arrays for s in streams), strict=True))
     rows = ("measured", "desired", "valid", "swing", "contact", "force_n", "angle")
     arrays = LegArrays(
-        **{name: np.concatenate([getattr(a, name) for a in parts]) for name in rows},
+        **{name: np.concatenate([getattr(a, name) for _, a in parts]) for name in rows},
         onsets=tuple(
             replace(o, t_ns=o.t_ns + start * TICK_NS, tick=o.tick + start)
-            for start, a in zip(starts, parts, strict=True)
+            for start, a in parts
             for o in a.onsets
         ),
-        releases_ns=tuple(
-            t + start * TICK_NS
-            for start, a in zip(starts, parts, strict=True)
-            for t in a.releases_ns
-        ),
+        releases_ns=tuple(t + start * TICK_NS for start, a in parts for t in a.releases_ns),
     )
-    piece = replace(first.piece, seconds=sum(s.piece.seconds for s in streams))
-    return Stream(piece, arrays)
+    return Stream(streams[0].piece, arrays)
 
 
-def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterator[tuple[T, R]]:
-    """Do work in processes of one thread each, in order of completion.
-
-    An interruption lets the items in hand finish, so that what they store is kept.
-
-    Args:
-        work: a module-level function.
-        items: what to do it on.
-        workers: processes; one does it in this process.
-
-    Yields:
-        Items with their results.
-
-    Raises:
-        ConfigurationError: the source was changed since this process began.
-    """
-    if not alone(workers, len(items)):
-        require_unchanged_source()
-    yield from completed(work, items, workers, finish=True)
-
-
-def record_piece(job: _Job) -> float:
-    """Simulate what pieces have in common, and write each; simulated time, s."""
-    piece, _ = job[0]
-    if isinstance(piece.settings, GantrySettings):
-        legs = record_gantry(piece.settings, piece.seconds)
-    else:
-        name = piece.leg_run.leg
-        legs = {name: record_leg(piece.settings, name, piece.seconds)}
-    for part, path in job:
-        write_arrays(path, pack(legs[part.leg_run.leg]))
-    return sum(part.seconds for part, _ in job)
-
-
-def pack(leg: LegArrays) -> dict[str, NDArray[Any]]:
-    """Arrays to store of one leg's stream."""
-    steps = np.rint(np.concatenate([leg.measured, leg.desired], axis=1) / QUANTUM_RAD)
-    onsets = leg.onsets
-    speed = [np.nan if o.speed_m_s is None else o.speed_m_s for o in onsets]
+def _hung_up(settings: GantrySettings, seconds: float) -> dict[str, LegArrays]:
+    """Simulate all six legs in free air; no leg ever touches anything."""
+    plant = Plant(
+        on_a_stand(_HEIGHT_M).compile(),
+        manufactured(settings.robot_seed),
+        period_s=PERIOD_S,
+        supply_resistance_ohm=settings.supply_resistance_ohm,
+    )
+    geometry = PatientGeometry()
+    seeds = np.random.SeedSequence(settings.seed).spawn(len(LEGS) + 1)
+    motions = [
+        PoseMotion(motion, geometry, _NoObstacles(), np.random.default_rng(seed))
+        for motion, seed in zip(settings.motions, seeds, strict=False)
+    ]
+    encoder = Encoder(settings.encoder, np.random.default_rng(seeds[-1]))
+    start = motions[0].start_joints.reshape(-1)
+    plant.joint_angles[:] = start
+    mujoco.mj_forward(plant.model, plant.data)
+    plant.servos.write_goal(start)
+    for _ in range(_SETTLE_TICKS):
+        plant.advance()
+    n = round(seconds / PERIOD_S)
+    measured, desired, angle = (np.zeros((n, N_SERVOS)) for _ in range(3))
+    swing = np.zeros((n, len(LEGS)), dtype=bool)
+    position, rotation = plant.body_pose()
+    for k in range(n):
+        angle[k] = plant.joint_angles
+        measured[k] = encoder.read(plant.joint_angles).angle_rad
+        world = World(
+            tick=k,
+            step=plant.steps,
+            step_s=plant.step_s,
+            measured_rad=measured[k].reshape(len(LEGS), -1),
+            position_m=position,
+            rotation=rotation,
+            feet_m=plant.foot_positions(),
+            touch_step=(None,) * len(LEGS),
+            reported_tick=(None,) * len(LEGS),
+        )
+        goals = [motion.step(world) for motion in motions]
+        swing[k] = [goal.phase[i] == "swing" for i, goal in enumerate(goals)]
+        wanted = np.array([goal.joints_rad[i] for i, goal in enumerate(goals)])
+        desired[k] = plant.servos.write_goal(wanted.reshape(-1))
+        plant.advance()
+    of_leg = (n, len(LEGS), -1)
     return {
-        "steps": steps.astype(np.int16),
-        "swing": leg.swing,
-        "angle": leg.angle.astype(np.float32),
-        "onset_ns": np.array([o.t_ns for o in onsets], dtype=np.int64),
-        "onset_tick": np.array([o.tick for o in onsets], dtype=np.int64),
-        "onset_force_n": np.array([o.force_n for o in onsets], dtype=np.float64),
-        "onset_speed_m_s": np.array(speed, dtype=np.float64),
-        "onset_part": np.array([o.part or "" for o in onsets], dtype="U8"),
-        "onset_soft": np.array([o.surface == "soft" for o in onsets], dtype=bool),
-        "onset_grazing": np.array([o.grazing for o in onsets], dtype=bool),
-        "releases_ns": np.array(leg.releases_ns, dtype=np.int64),
+        leg: LegArrays(
+            measured=measured.reshape(of_leg)[:, i],
+            desired=desired.reshape(of_leg)[:, i],
+            valid=np.ones((n, 3), dtype=bool),
+            swing=swing[:, i],
+            contact=np.zeros(n, dtype=bool),
+            force_n=np.zeros(n),
+            angle=angle.reshape(of_leg)[:, i],
+            onsets=(),
+            releases_ns=(),
+        )
+        for i, leg in enumerate(LEGS)
     }

@@ -1,189 +1,177 @@
-"""Detection over the whole workspace: every detector's figures on the same streams."""
+"""Detection over the whole workspace: every detector's figures on the same streams.
+
+A slow approach (2 to 10 cm/s) has a row of its own.  What is touched at speed in such a stream is
+mostly touched by a foot that slipped off an edge: it falls after a command that creeps, and meets
+the ground about where the command would have stopped it.  Those touches are no headline; they are
+shown in a row of their own, and together with the headline in another.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, shipped_robot
-from adaptive_contact.score import LegOutcome, Row, summarise
+from adaptive_contact.score import (
+    ROWS,
+    LegOutcome,
+    Row,
+    RowFigures,
+    clopper_pearson,
+    match,
+    summarise,
+)
 from adaptive_contact.score.summary import AlarmFigures
 from adaptive_contact_sim.servo import ServoParameters
-from adaptive_contact_studies.cache import Store
-from adaptive_contact_studies.paper.comparison_rules import Calibration
-from adaptive_contact_studies.paper.detectors import DETECTORS, Bench
+from adaptive_contact_studies.paper.detectors import DETECTORS, MODELS, alarms
 from adaptive_contact_studies.paper.evaluation import (
     AIM,
     AIMS,
     DEFAULT,
     FACTORS,
-    MODELS,
-    NEAR_TURN_TICKS,
-    ONLINE,
-    TOP_SCORE,
+    Evaluated,
+    Job,
     aim_name,
-    jobs_of,
-    online_events,
-    read_job,
 )
-from adaptive_contact_studies.paper.models import learned
-from adaptive_contact_studies.paper.plan import Plan, Role
-from adaptive_contact_studies.paper.touched import (
-    SLIP_MS,
-    Touched,
-    binned,
-    by_kind,
-    headline_streams,
-    late_events,
-    misses,
-    outcome_of,
-    peaks,
-    row_figures,
-    rows_of,
-    slips,
-    touched_streams,
-    what_alarms_are,
-)
+from adaptive_contact_studies.paper.plan import Piece, Plan, Role
 
+Tree = dict[str, Any]
+
+TITLES: Final = {DEFAULT: "default: servo law, likelihood ratio, online"} | {
+    name: detector.title for name, detector in DETECTORS.items()
+}
+# Kinds of streams in which the leg approaches slowly.
+SLOW_KINDS: Final = ("hard slow",)
+# Names of the rows that divide the score's own headline row.
+SLOW_FAST: Final = "fast touches in slow approaches"
+BOTH: Final = "headline and fast touches in slow approaches"
 _SPEED_EDGES_M_S: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5)
-FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
+_FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
 
 
-def detection(root: Path, plan: Plan, progress: Callable[[float], None]) -> dict[str, Any]:
-    """Gather the evaluated streams into figures."""
-    store = Store(root)
-    known = learned(store, plan)
-    quiet = {role: _quiet(root, plan, role) for role in ("free", "stand")}
-    touched = touched_streams(store, root, plan)
-    figures: dict[str, Any] = {}
-    outcomes: dict[str, list[LegOutcome]] = {}
-    for name in (*ONLINE, *DETECTORS):
-        outcomes[name] = [outcome_of(t, name) for t in touched]
-        figures[name] = _figures(name, touched, outcomes[name], quiet)
-        progress(1.0)
-    figures[DEFAULT]["misses"] = misses(touched, outcomes, slow=False)
-    figures[DEFAULT]["slow_misses"] = misses(touched, outcomes, slow=True)
-    figures[DEFAULT]["slips"] = slips(touched) | {"within_ms": SLIP_MS}
-    robot = shipped_robot()
-    return {
-        "detectors": ONLINE | {name: d.title for name, d in DETECTORS.items()},
-        "figures": figures,
-        "tails": {name: _tail(name, known.bench, touched, quiet) for name in DETECTORS},
-        "tail_ticks": {"top_score": TOP_SCORE, "near_turn": NEAR_TURN_TICKS},
-        "residual_deg": _residual_figures(quiet),
-        "worst_leg_run": _worst_leg_runs(quiet),
-        "learned": {k: v for k, v in known.figures.items() if k != "legs"},
-        "leg_runs": len(plan.leg_runs),
-        "legs": known.figures["legs"],
-        "limits": limits_of(robot),
-        "edges": {"speed_m_s": _SPEED_EDGES_M_S, "force_n": FORCE_EDGES_N},
-        "aim_per_hour": known.bench.aim_per_hour,
-    }
+class Touched(NamedTuple):
+    """A stream with contacts, evaluated."""
+
+    piece: Piece
+    found: Evaluated
+
+    @property
+    def slow(self) -> bool:
+        """Whether the leg approaches slowly."""
+        return self.piece.kind in SLOW_KINDS
+
+    def outcome(self, name: str, factor: float = 1.0) -> LegOutcome:
+        """A detector's events against the truth."""
+        of = self.found
+        events = of.events.get(name)
+        if events is None:
+            events = alarms(of.truth.t_ns, of.scores[name], of.swing, factor, of.descending)
+        return match(of.truth, events)
 
 
-def _quiet(root: Path, plan: Plan, role: Role) -> dict[str, Any]:
+class Quiet:
     """Sums over the free streams of a role."""
-    total: dict[str, Any] = {
-        "ticks": 0,
-        "alarms": {name: np.zeros(len(FACTORS), dtype=np.int64) for name in DETECTORS},
-        "online": Counter(),
-        "online_ticks": Counter(),
-        "above": {name: np.zeros(len(FACTORS), dtype=np.int64) for name in DETECTORS},
-        "known": Counter(),
-        "near": Counter(),
-        "top": {name: np.zeros(2, dtype=np.int64) for name in DETECTORS},
-        "squares": {},
-        "rows": Counter(),
-        "kinds": {},
-    }
-    played = (*ONLINE, *(aim_name(aim) for aim in AIMS))
-    for job in jobs_of(root, plan, plan.pieces(role)):
-        result = read_job(job)
-        for index, piece in enumerate(job.pieces):
-            prefix = f"{index}/"
-            ticks = int(result[prefix + "swing"])
-            total["ticks"] += ticks
-            for name in played:
-                events = online_events(result, index, name)
-                if events is not None:
-                    total["online"][name] += int(np.count_nonzero(events.contact))
-                    total["online_ticks"][name] += ticks
-            kind = total["kinds"].setdefault(piece.kind, Counter())
-            reported = online_events(result, index, DEFAULT)
-            assert reported is not None
-            kind["ticks"] += ticks
-            kind["alarms"] += int(np.count_nonzero(reported.contact))
-            for name in DETECTORS:
-                sweep = result[f"{prefix}alarms/{name}"]
-                both = total["alarms"][name]
-                # A threshold too low to be counted on one stream is too low on all.
-                total["alarms"][name] = np.where((sweep < 0) | (both < 0), -1, both + sweep)
-                for part in ("above", "top"):
-                    total[part][name] += result[f"{prefix}{part}/{name}"]
-                for part in ("known", "near"):
-                    total[part][name] += int(result[f"{prefix}{part}/{name}"])
-            for model in MODELS:
-                key = (piece.leg_run.name, model)
-                sums = result[f"{prefix}squares/{model}"]
-                total["squares"][key] = total["squares"].get(key, 0.0) + sums
-                total["rows"][key] += int(result[f"{prefix}rows/{model}"])
-    return total
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.alarms = {name: np.zeros(len(FACTORS), dtype=np.int64) for name in DETECTORS}
+        self.events: Counter[str] = Counter()  # of the default, by target rate
+        self.event_ticks: Counter[str] = Counter()
+        self.squares: dict[tuple[str, str], Array] = {}  # by leg-run and model
+        self.rows: Counter[tuple[str, str]] = Counter()
+
+    def add(self, piece: Piece, found: Evaluated) -> None:
+        """Add a stream."""
+        ticks = int(np.count_nonzero(found.swing >= 0))
+        self.ticks += ticks
+        for name, events in found.events.items():
+            self.events[name] += int(np.count_nonzero(events.contact))
+            self.event_ticks[name] += ticks
+        for name, counts in found.alarms.items():
+            both = self.alarms[name]
+            # A threshold too low to be counted on one stream is too low on all.
+            self.alarms[name] = np.where((counts < 0) | (both < 0), -1, both + counts)
+        for model in MODELS:
+            key = (piece.leg_run.name, model)
+            self.squares[key] = self.squares.get(key, np.zeros(1)) + found.squares[model]
+            self.rows[key] += found.rows[model]
+
+    def count(self, name: str, at: int = AIM) -> int:
+        """A detector's alarms at a factor; -1 where they are not counted."""
+        return int(self.alarms[name][at]) if name in self.alarms else self.events[name]
+
+    def rms_deg(self, model: str, run: str | None = None) -> list[float]:
+        """(3,) one-step residuals on judged free ticks, degrees, of a leg-run or of all."""
+        keys = [key for key in self.rows if key[1] == model and run in (None, key[0])]
+        squares = sum((self.squares[key] for key in keys), np.zeros(3))
+        rows = sum(self.rows[key] for key in keys)
+        return [float(v) for v in np.degrees(np.sqrt(squares / max(rows, 1)))]
 
 
-def _figures(
-    name: str,
-    touched: Sequence[Touched],
-    outcomes: Sequence[LegOutcome],
-    quiet: dict[str, dict[str, Any]],
-) -> dict[str, Any]:
-    summary = summarise(outcomes)
-    alarms = {}
-    for role, total in quiet.items():
-        count = total["online"][name] if name in ONLINE else total["alarms"][name][AIM]
-        alarms[role] = rate_of(int(count), total["ticks"])
-    counts = [alarms[role]["count"] for role in quiet]
-    alarms["all"] = rate_of(
-        -1 if min(counts) < 0 else sum(counts), sum(t["ticks"] for t in quiet.values())
-    )
-    alarms["touch"] = rate_of(summary.false_alarms, summary.judged_ticks)
-    kinds = by_kind(touched, outcomes)
-    for figures in kinds.values():
-        figures["alarms"] = rate_of(figures.pop("false_alarms"), figures.pop("judged_ticks"))
-    found: dict[str, Any] = {
-        "summary": {
-            "rows": rows_of(touched, outcomes),
-            "counted": row_figures(summary.counted),
-            "precision": summary.precision,
-            "precision_interval": list(summary.precision_interval),
-            "neutral": summary.neutral,
-            "outside": summary.outside,
-            "swings": summary.swings,
+def detection(plan: Plan, jobs: Sequence[Job], evaluated: Sequence[list[Evaluated]]) -> Tree:
+    """Gather the evaluated streams into figures."""
+    roles: tuple[Role, ...] = ("free", "stand")
+    quiet = {role: Quiet() for role in roles}
+    touched = []
+    for job, found in zip(jobs, evaluated, strict=True):
+        for piece, own in zip(job.pieces, found, strict=True):
+            if piece.role == "touch":
+                touched.append(Touched(piece, own))
+            else:
+                quiet[piece.role].add(piece, own)
+    robot = shipped_robot()
+    stand = {run.name: quiet["stand"].rms_deg("servo", run.name) for run in plan.leg_runs}
+    return {
+        "detectors": TITLES,
+        "figures": {name: _figures(name, touched, quiet) for name in TITLES},
+        "residual_deg": {
+            role: {model: of.rms_deg(model) for model in MODELS} for role, of in quiet.items()
         },
+        "worst_leg_run": max(stand.items(), key=lambda own: max(own[1])),
+        "leg_runs": len(plan.leg_runs),
+        "limits": limits_of(robot),
+        "aim_per_hour": robot.detector.false_alarms_per_hour,
+    }
+
+
+def _figures(name: str, touched: Sequence[Touched], quiet: dict[Role, Quiet]) -> Tree:
+    outcomes = [t.outcome(name) for t in touched]
+    summary = summarise(outcomes)
+    counts = {role: rate_of(of.count(name), of.ticks) for role, of in quiet.items()}
+    together = [rate["count"] for rate in counts.values()]
+    kinds = {}
+    for kind in dict.fromkeys(t.piece.kind for t in touched):
+        own = summarise([o for o, t in zip(outcomes, touched, strict=True) if t.piece.kind == kind])
+        grazing = own.rows.get(Row.GRAZING) if kind == "graze" else None
+        kinds[kind] = row_figures(grazing or own.counted) | {
+            "alarms": rate_of(own.false_alarms, own.judged_ticks)
+        }
+    return {
+        "rows": rows_of(touched, outcomes),
+        "precision": summary.precision,
+        "precision_interval": list(summary.precision_interval),
         "kinds": kinds,
-        "false_alarms": alarms,
-        "alarms_are": what_alarms_are(outcomes),
+        "false_alarms": counts
+        | {
+            "all": rate_of(
+                -1 if min(together) < 0 else sum(together), sum(of.ticks for of in quiet.values())
+            ),
+            "touch": rate_of(summary.false_alarms, summary.judged_ticks),
+        },
         "by_speed": binned(
             touched, outcomes, "speed_m_s", _SPEED_EDGES_M_S, (Row.SOFT, Row.GRAZING)
         ),
-        "by_force": binned(touched, outcomes, "force_n", FORCE_EDGES_N, (Row.GRAZING,)),
-        "mid": late_events(outcomes, Row.MID),
+        "by_force": binned(touched, outcomes, "force_n", _FORCE_EDGES_N, (Row.GRAZING,)),
+        "roc": _curve(name, [t for t in touched if not t.slow], [*quiet.values()]),
     }
-    if name == DEFAULT:
-        found["free_kinds"] = {
-            role: {k: rate_of(v["alarms"], v["ticks"]) for k, v in total["kinds"].items()}
-            for role, total in quiet.items()
-        }
-        found["roc"] = curve_of_aims(touched, quiet)
-    elif name not in ONLINE:
-        found["roc"] = curve_of(name, touched, quiet)
-    return found
 
 
-def rate_of(count: int, ticks: int) -> dict[str, Any]:
+def rate_of(count: int, ticks: int) -> Tree:
     """Alarms per robot-hour; a count of -1 means a threshold too low to be counted."""
     alarms = AlarmFigures.of(count, ticks) if count >= 0 and ticks else None
     return {
@@ -194,103 +182,100 @@ def rate_of(count: int, ticks: int) -> dict[str, Any]:
     }
 
 
-def _point(touched: Sequence[Touched], name: str, factor: float, rate: Any) -> dict[str, Any]:
-    """One point of a curve: the headline row at a threshold."""
-    row = summarise([outcome_of(t, name, factor) for t in touched]).rows[Row.HEADLINE]
-    return {
-        "per_hour": rate["per_hour"],
-        "hours": rate["hours"],
-        "touches": row.touches,
-        "recall": row.recall,
-        "median_ms": row.latency.median_ms if row.latency else None,
-    }
+def _curve(name: str, fast: Sequence[Touched], quiet: Sequence[Quiet]) -> list[Tree]:
+    """Headline recall against false alarms per robot-hour.
 
-
-def curve_of(
-    name: str, touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]
-) -> list[dict[str, Any]]:
-    """Headline recall against false alarms per robot-hour, over the swept thresholds."""
-    ticks = sum(total["ticks"] for total in quiet.values())
-    fast = headline_streams(touched)
+    Of a compared detector thresholds are swept; the default is played at several target rates.
+    """
     points = []
-    for i, factor in enumerate(FACTORS):
-        counts = [int(total["alarms"][name][i]) for total in quiet.values()]
+    steps: list[tuple[str, float, int, float | None]] = [
+        (name, float(factor), i, None) for i, factor in enumerate(FACTORS)
+    ]
+    if name == DEFAULT:
+        steps = [(aim_name(aim), 1.0, AIM, aim) for aim in AIMS]
+    for played, factor, at, aim in steps:
+        counts = [of.count(played, at) for of in quiet]
+        ticks = sum(of.event_ticks[played] if aim else of.ticks for of in quiet)
         if min(counts) >= 0:
-            point = _point(fast, name, float(factor), rate_of(sum(counts), ticks))
-            points.append({"factor": float(factor), **point})
+            row = summarise([t.outcome(played, factor) for t in fast]).rows[Row.HEADLINE]
+            rate = rate_of(sum(counts), ticks)
+            points.append({"aim": aim, "factor": factor, "recall": row.recall, **rate})
     return points
 
 
-def curve_of_aims(
-    touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]
-) -> list[dict[str, Any]]:
-    """The same of the default, played at several target rates."""
-    fast = headline_streams(touched)
-    points = []
-    for aim in AIMS:
-        name = aim_name(aim)
-        count = sum(total["online"][name] for total in quiet.values())
-        ticks = sum(total["online_ticks"][name] for total in quiet.values())
-        points.append({"aim": aim, **_point(fast, name, 1.0, rate_of(count, ticks))})
-    return points
+def rows_of(touched: Sequence[Touched], outcomes: Sequence[LegOutcome]) -> Tree:
+    """Figures of every row, the headline first; the score's own headline row is divided."""
+    whole = summarise(outcomes).rows
+    headline, fast = (
+        summarise([o for o, t in zip(outcomes, touched, strict=True) if t.slow is slow]).rows[
+            Row.HEADLINE
+        ]
+        for slow in (False, True)
+    )
+    rows = {Row.HEADLINE.value: headline}
+    if fast.touches:
+        rows |= {SLOW_FAST: fast, BOTH: whole[Row.HEADLINE]}
+    rows |= {row.value: own for row, own in whole.items() if row is not Row.HEADLINE}
+    return {name: row_figures(own) for name, own in rows.items()}
 
 
-def _tail(
-    name: str, bench: Bench, touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]
-) -> dict[str, Any]:
-    """Where free ticks and touches score, over the target rate's threshold, and what set that."""
-    calibration: Calibration = bench.calibrations[name]
-    known = sum(total["known"][name] for total in quiet.values())
-    top, near_top = (int(v) for v in sum(total["top"][name] for total in quiet.values()))
-    near = sum(total["near"][name] for total in quiet.values())
+def row_figures(figures: RowFigures) -> Tree:
+    """What tables show of a row."""
+    latency = figures.latency
     return {
-        "ticks": known,
-        "factors": FACTORS,
-        "above": sum(total["above"][name] for total in quiet.values()) / max(known, 1),
-        "peaks": peaks(touched, name),
-        "shape": max(calibration.tails[c].shape for c in calibration.channels),
-        "top": top,
-        "top_near_turn": near_top / top if top else None,
-        "near_turn": near / known if known else None,
+        "touches": figures.touches,
+        "found": figures.found,
+        "recall": figures.recall,
+        "interval": list(figures.interval),
+        "median_ms": latency.median_ms if latency else None,
+        "p95_ms": latency.p95_ms if latency else None,
+        "p99_ms": latency.p99_ms if latency else None,
     }
 
 
-def _residual_figures(quiet: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """One-step residuals of every model, pooled over leg-runs' judged free ticks, degrees."""
-    return {
-        role: {
-            model: _rms_deg(
-                sum(v for (_, m), v in total["squares"].items() if m == model),
-                sum(n for (_, m), n in total["rows"].items() if m == model),
-            )
-            for model in MODELS
-        }
-        for role, total in quiet.items()
-    }
+def binned(
+    touched: Sequence[Touched],
+    outcomes: Sequence[LegOutcome],
+    field: str,
+    edges: Sequence[float],
+    without: tuple[Row, ...],
+) -> list[Tree]:
+    """Recall by a property of the touch.
 
+    Lift and late touches are never counted, nor fast ones in slow approaches, as in the headline.
 
-def _worst_leg_runs(quiet: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """The same of the leg-run whose worst joint is the worst."""
-    found: dict[str, Any] = {}
-    for role, total in quiet.items():
-        for model in MODELS:
-            own = {
-                run: _rms_deg(squares, total["rows"][run, m])
-                for (run, m), squares in total["squares"].items()
-                if m == model
+    Args:
+        touched: streams.
+        outcomes: of one detector on each.
+        field: of the table of touches.
+        edges: of the bins; the last may be infinite.
+        without: further rows that are left out.
+    """
+    left_out = [ROWS.index(row) for row in (*without, Row.LIFT, Row.LATE, Row.UNKNOWN)]
+    tables = [o.touches for o in outcomes]
+    value, found, row = (
+        np.concatenate([getattr(table, name) for table in tables])
+        for name in (field, "found", "row")
+    )
+    slow = np.repeat([t.slow for t in touched], [len(table.row) for table in tables])
+    use = ~np.isin(row, left_out) & ~(slow & (row == ROWS.index(Row.HEADLINE)))
+    bins = []
+    for low, high in itertools.pairwise(edges):
+        inside = use & (value >= low) & (value < high)
+        hits, total = int(np.count_nonzero(found & inside)), int(np.count_nonzero(inside))
+        bins.append(
+            {
+                "low": low,
+                "high": high,
+                "touches": total,
+                "recall": hits / total if total else None,
+                "interval": list(clopper_pearson(hits, total)),
             }
-            if own:
-                worst = max(own, key=lambda run: max(own[run]))
-                found.setdefault(role, {})[model] = {"leg_run": worst, "rms_deg": own[worst]}
-    return found
+        )
+    return bins
 
 
-def _rms_deg(squares: Any, rows: int) -> list[float]:
-    """(3,) degrees, of sums of squares."""
-    return [float(v) for v in np.degrees(np.sqrt(squares / max(rows, 1)) * np.ones(3))]
-
-
-def limits_of(robot: Robot) -> dict[str, Any]:
+def limits_of(robot: Robot) -> Tree:
     """What one step of a servo is at the foot of a stretched leg.
 
     A step of a joint moves the foot by the step times the length beyond that joint; against the

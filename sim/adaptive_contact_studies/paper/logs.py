@@ -11,7 +11,7 @@ tried is held out of both, so that only the gain differs.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,15 +20,15 @@ import numpy as np
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
-from adaptive_contact.model import Factor, Library, LibraryName, Window
+from adaptive_contact.model import Factor, LegModel, Library, LibraryName, Window
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.robot.description import Axis
-from adaptive_contact_studies.paper.comparison_rules import (
+from adaptive_contact_studies.paper.detectors import (
+    Calibration,
     Motion,
     Prediction,
     alarm_ticks,
-    calibrate,
     learn_noise,
     likelihood_ratio,
 )
@@ -58,7 +58,7 @@ _WINDOWS: Final[dict[LibraryName, Window]] = {
 _QUANTUM_RAD: Final = 0.001534  # 4096 steps a turn, both servos
 
 
-def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
+def run_logs(path: Path) -> dict[str, Any]:
     """Fit and test on all recordings of a path.
 
     Returns:
@@ -68,29 +68,19 @@ def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> 
         RecordingError: there is nothing to read.
     """
     logs = load_logs(path)
-    tree: dict[str, Any] = {
-        "path": str(path),
-        "skipped": [{"file": f, "reason": r} for f, r in logs.skipped],
-        "recordings": len(logs.recordings),
-        "repaired": sum(r.repaired for r in logs.recordings),
-        "arms": [],
-    }
     arms: dict[int, list[Recording]] = {}
     for recording in logs.recordings:
         if recording.kind == "arm":
             arms.setdefault(recording.measured.shape[1], []).append(recording)
     pendulum = [r for r in logs.recordings if r.kind == "pendulum"]
-    # An arm's slope and two ways to hold out, a pendulum's slope and one.
-    steps = len(arms) * (1 + 2 * len(_WINDOWS)) + bool(pendulum) * (1 + len(_WINDOWS))
-
-    def done() -> None:
-        progress(1.0 / steps)
-
-    for joints, recordings in sorted(arms.items()):
-        tree["arms"].append({"joints": joints, **_arm(recordings, done)})
-    if pendulum:
-        tree["pendulum"] = _pendulum(pendulum, done)
-    return tree
+    return {
+        "path": str(path),
+        "skipped": [{"file": f, "reason": r} for f, r in logs.skipped],
+        "recordings": len(logs.recordings),
+        "repaired": sum(r.repaired for r in logs.recordings),
+        "arms": [{"joints": joints, **_arm(own)} for joints, own in sorted(arms.items())],
+        "pendulum": _pendulum(pendulum) if pendulum else None,
+    }
 
 
 def _library(name: LibraryName, joints: int, slope: float) -> Library:
@@ -109,27 +99,41 @@ def _library(name: LibraryName, joints: int, slope: float) -> Library:
     )
 
 
-def _factor(library: Library, recordings: Sequence[Recording]) -> Factor:
-    parts = []
-    for recording in recordings:
-        windows = stack(recording.measured, recording.desired, library.window)
-        parts.append(factor_of(library, windows, windows.increment))
-    return Factor.merged(parts, library.size, len(library.joints))
+def _factors(library: Library, recordings: Iterable[Recording]) -> list[Factor]:
+    cut = [stack(r.measured, r.desired, library.window) for r in recordings]
+    return [factor_of(library, windows, windows.increment) for windows in cut]
 
 
-def _fit(factor: Factor, tuning: Factor) -> tuple[FitStatus, Array]:
-    """Status and coefficients of the λ that predicts the tuning rows best."""
+def _merged(library: Library, factors: Iterable[Factor]) -> Factor:
+    return Factor.merged(factors, library.size, len(library.joints))
+
+
+def _fit(factor: Factor, trials: Sequence[tuple[Factor, Factor]]) -> tuple[FitStatus, Array]:
+    """Status and coefficients of the λ that, fitted to the first of each trial, predicts the other.
+
+    Args:
+        factor: that is fitted in the end.
+        trials: none for plain least squares.
+    """
     plain = fit_sparse(factor, FitSettings())
-    if plain.status is not FitStatus.OK:
+    if plain.status is not FitStatus.OK or not trials:
         return plain.status, plain.coefficients
     unit = residual_unit(plain)
-    best, error = plain.coefficients, float((tuning.rms(plain.coefficients) / unit).mean())
-    for threshold in _THRESHOLDS[1:]:
-        fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=unit))
-        tuned = float((tuning.rms(fit.coefficients) / unit).mean())
-        if fit.status is FitStatus.OK and tuned < error:
-            best, error = fit.coefficients, tuned
-    return FitStatus.OK, best
+    errors = []
+    for threshold in _THRESHOLDS:
+        settings = FitSettings(threshold=threshold, unit=unit)
+        fits = [(fit_sparse(fitted, settings), held) for fitted, held in trials]
+        errors.append(
+            sum(
+                float((held.rms(fit.coefficients) / unit).mean())
+                if fit.status is FitStatus.OK
+                else np.inf
+                for fit, held in fits
+            )
+        )
+    best = FitSettings(threshold=_THRESHOLDS[int(np.argmin(errors))], unit=unit)
+    fit = fit_sparse(factor, best)
+    return fit.status, fit.coefficients
 
 
 def _residual(library: Library, coefficients: Array, recording: Recording) -> Array:
@@ -137,24 +141,27 @@ def _residual(library: Library, coefficients: Array, recording: Recording) -> Ar
     return np.asarray(windows.increment - blockwise(library, windows, coefficients))
 
 
-def _arm(recordings: list[Recording], done: Callable[[], None]) -> dict[str, Any]:
+def _naive_deg(recordings: Sequence[Recording]) -> list[float]:
+    return rms_deg(np.concatenate([np.diff(r.measured, axis=0) for r in recordings]))
+
+
+def _arm(recordings: list[Recording]) -> dict[str, Any]:
     """One-step errors of every library, and false alarms of the servo law's."""
     joints = recordings[0].measured.shape[1]
     slope = _best_slope(recordings, joints)
-    done()
     out: dict[str, Any] = {
         "motions": [r.name for r in recordings],
         "rows": int(sum(len(r.measured) for r in recordings)),
         "slope_rad": slope,
-        "naive_deg": rms_deg(np.concatenate([np.diff(r.measured, axis=0) for r in recordings])),
+        "naive_deg": _naive_deg(recordings),
     }
     blocks = [block for r in recordings for block in _blocks(r)]
     for name, parts in (("unseen motions", recordings), ("unseen moments", blocks)):
-        out[name] = (
-            _folded(parts, joints, slope, done)
-            if len(parts) >= FOLDS
-            else {"status": f"{len(parts)} parts; expected at least {FOLDS} to hold some out"}
-        )
+        if len(parts) >= FOLDS:
+            out[name] = _folded(parts, joints, slope)
+        else:
+            few = f"{len(parts)} parts; expected at least {FOLDS} to hold some out"
+            out[name] = {"status": few}
     return out
 
 
@@ -171,33 +178,35 @@ def _blocks(recording: Recording) -> list[Recording]:
     ]
 
 
-def _folded(
-    parts: Sequence[Recording], joints: int, slope: float, done: Callable[[], None]
-) -> dict[str, Any]:
+def _folded(parts: Sequence[Recording], joints: int, slope: float) -> dict[str, Any]:
     """Every part predicted by models of others; no error is reported where a fold has no model."""
     out: dict[str, Any] = {"rms_deg": {}, "terms": {}, "status": {}}
     for name in _WINDOWS:
         library = _library(name, joints, slope)
-        factors = [_factor(library, [r]) for r in parts]
+        factors = _factors(library, parts)
         held, over, ticks, terms = [], 0, 0, []
         ended: list[FitStatus] = []
         reason: str | None = None
         for fold in range(FOLDS):
-            tested = [r for i, r in enumerate(parts) if i % FOLDS == fold]
-            tuning = [i for i in range(len(parts)) if i % FOLDS == (fold + 1) % FOLDS]
-            trained = [
-                f for i, f in enumerate(factors) if i % FOLDS not in (fold, (fold + 1) % FOLDS)
-            ]
-            status, coefficients = _fit(
-                Factor.merged(trained, library.size, joints),
-                Factor.merged((factors[i] for i in tuning), library.size, joints),
+            # From the fold on: those that are tested, then those for tuning.
+            after = [(i - fold) % FOLDS for i in range(len(parts))]
+            tested, tuning = (
+                [part for part, n in zip(parts, after, strict=True) if n == step] for step in (0, 1)
             )
+            tried, trained = (
+                _merged(
+                    library,
+                    (f for f, n in zip(factors, after, strict=True) if n and (n > 1) is rest),
+                )
+                for rest in (False, True)
+            )
+            status, coefficients = _fit(trained, [(trained, tried)])
             ended.append(status)
             terms.append(np.count_nonzero(coefficients, axis=0))
             held += [_residual(library, coefficients, r) for r in tested]
             if name == "servo" and status is FitStatus.OK:
                 try:
-                    counted = _alarms(library, coefficients, [parts[i] for i in tuning], tested)
+                    counted = _alarms(LegModel(library, coefficients), tuning, tested)
                     over, ticks = over + counted[0], ticks + counted[1]
                 except IdentificationError as error:
                     reason = str(error)
@@ -214,7 +223,6 @@ def _folded(
                 "expected": _AIM_PER_HOUR * ticks / ROBOT_HOUR_TICKS,
                 "reason": reason or (status.value if status in NO_MODEL else None),
             }
-        done()
     return out
 
 
@@ -223,58 +231,44 @@ def _best_slope(recordings: Sequence[Recording], joints: int) -> float:
     errors = []
     for slope in SLOPES:
         library = _library("servo", joints, slope)
-        rest = _factor(library, recordings[1::2] or recordings)
-        _, coefficients = _fit(_factor(library, recordings[::2]), rest)
+        half, rest = (
+            _merged(library, _factors(library, part))
+            for part in (recordings[::2], recordings[1::2] or recordings)
+        )
+        _, coefficients = _fit(half, [(half, rest)])
         errors.append(float(rest.rms(coefficients).mean()))
     return SLOPES[int(np.argmin(errors))]
-
-
-def _prediction(library: Library, coefficients: Array, recording: Recording) -> Prediction:
-    windows = stack(recording.measured, recording.desired, library.window)
-    increment = np.full_like(recording.measured, np.nan)
-    increment[windows.tick + 1] = blockwise(library, windows, coefficients)
-    residual = np.full_like(recording.measured, np.nan)
-    residual[1:] = np.diff(recording.measured, axis=0) - increment[1:]
-    return Prediction(residual, increment)
 
 
 def _motion(recording: Recording) -> Motion:
     """All one swing: nothing is known of phases, and nothing is touched."""
     n = len(recording.measured)
     # Descents, the cautious choice.
-    return Motion(
-        recording.measured,
-        recording.desired,
-        np.arange(1, n + 1),
-        np.ones(n, dtype=np.int64),
-    )
+    falling = np.ones(n, dtype=np.int64)
+    return Motion(recording.measured, recording.desired, np.arange(1, n + 1), falling)
 
 
 def _alarms(
-    library: Library, coefficients: Array, tuned: Sequence[Recording], tested: Sequence[Recording]
+    model: LegModel, tuned: Sequence[Recording], tested: Sequence[Recording]
 ) -> tuple[int, int]:
     """Events on free motions, at the threshold that tuning motions set, and judged ticks.
 
     Raises:
         IdentificationError: the tuning motions are too short for a threshold.
     """
-    motions = [_motion(r) for r in tuned]
-    predicted = [_prediction(library, coefficients, r) for r in tuned]
-    joined = Motion(*map(np.concatenate, zip(*motions, strict=True)))
-    pooled = Prediction(*map(np.concatenate, zip(*predicted, strict=True)))
+    known, new = (
+        [(_motion(r), Prediction.of(model, r.measured, r.desired)) for r in part]
+        for part in (tuned, tested)
+    )
+    joined = Motion(*map(np.concatenate, zip(*(m for m, _ in known), strict=True)))
+    pooled = Prediction(*map(np.concatenate, zip(*(p for _, p in known), strict=True)))
     noise = learn_noise(joined, pooled, joined.judged, _QUANTUM_RAD)
-    calibration = calibrate(
-        [
-            likelihood_ratio(m, p, noise, _QUANTUM_RAD)[m.judged]
-            for m, p in zip(motions, predicted, strict=True)
-        ]
+    calibration = Calibration.of(
+        [likelihood_ratio(m, p, noise, _QUANTUM_RAD)[m.judged] for m, p in known]
     )
     over = ticks = 0
-    for recording in tested:
-        motion = _motion(recording)
-        value = likelihood_ratio(
-            motion, _prediction(library, coefficients, recording), noise, _QUANTUM_RAD
-        )
+    for motion, prediction in new:
+        value = likelihood_ratio(motion, prediction, noise, _QUANTUM_RAD)
         score = calibration.score(value, _AIM_PER_HOUR / ROBOT_HOUR_TICKS)
         score[~motion.judged] = np.nan
         over += len(alarm_ticks(score, np.zeros(len(score), dtype=np.int64)))
@@ -282,34 +276,20 @@ def _alarms(
     return over, ticks
 
 
-def _pendulum(recordings: list[Recording], done: Callable[[], None]) -> dict[str, Any]:
+def _pendulum(recordings: list[Recording]) -> dict[str, Any]:
     """Models of every gain at every gain, the trajectory that is tried held out of all of them.
 
     A model tried at its own gain is the refitted one: it differs from the fixed ones in the gain
     of its rows, and in nothing else.
     """
     slope = _best_slope(recordings, 1)
-    done()
     gains = sorted({r.gain for r in recordings if r.gain is not None})
     trajectories = sorted({r.trajectory for r in recordings})
-    out: dict[str, Any] = {
-        "runs": len(recordings),
-        "gains": gains,
-        "trajectories": trajectories,
-        "slope_rad": slope,
-    }
-    out["naive_deg"] = {
-        f"{g:g}": rms_deg(
-            np.concatenate([np.diff(r.measured, axis=0) for r in recordings if r.gain == g])
-        )[0]
-        for g in gains
-    }
     libraries: dict[str, Any] = {}
     for name in _WINDOWS:
         library = _library(name, 1, slope)
-        factors = [_factor(library, [r]) for r in recordings]
-        rms: dict[str, dict[str, float | None]] = {}
-        status: dict[str, dict[str, str]] = {}
+        factors = _factors(library, recordings)
+        table: dict[str, dict[str, float | str]] = {}
         for gain in gains:
             held: dict[float, list[Array]] = {g: [] for g in gains}
             ended: dict[float, list[FitStatus]] = {g: [] for g in gains}
@@ -319,39 +299,30 @@ def _pendulum(recordings: list[Recording], done: Callable[[], None]) -> dict[str
                     for factor, r in zip(factors, recordings, strict=True)
                     if r.gain == gain and r.trajectory != trajectory
                 ]
-                fit, coefficients = _chosen(library, others)
+                trials = [
+                    (_merged(library, others[:i] + others[i + 1 :]), other)
+                    for i, other in enumerate(others)
+                ]
+                fit, coefficients = _fit(
+                    _merged(library, others), trials if len(others) > 1 else []
+                )
                 for r in recordings:
                     if r.trajectory == trajectory and r.gain is not None:
                         held[r.gain].append(_residual(library, coefficients, r))
                         ended[r.gain].append(fit)
             known = {g: worst(ended[g]) for g in gains}
-            status[f"{gain:g}"] = {f"{g:g}": known[g].value for g in gains}
-            rms[f"{gain:g}"] = {
-                f"{g:g}": None if known[g] in NO_MODEL else rms_deg(np.concatenate(held[g]))[0]
+            table[f"{gain:g}"] = {
+                f"{g:g}": known[g].value
+                if known[g] in NO_MODEL
+                else rms_deg(np.concatenate(held[g]))[0]
                 for g in gains
             }
-        libraries[name] = {"rms_deg": rms, "status": status, "size": library.size}
-        done()
-    out["libraries"] = libraries
-    return out
-
-
-def _chosen(library: Library, factors: Sequence[Factor]) -> tuple[FitStatus, Array]:
-    """Fit all factors with the λ that predicts each of them best from the others."""
-    whole = Factor.merged(factors, library.size, 1)
-    plain = fit_sparse(whole, FitSettings())
-    if plain.status is not FitStatus.OK or len(factors) < 2:
-        return plain.status, plain.coefficients
-    unit = residual_unit(plain)
-    errors = []
-    for threshold in _THRESHOLDS:
-        settings = FitSettings(threshold=threshold, unit=unit)
-        error = 0.0
-        for i, held in enumerate(factors):
-            rest = Factor.merged((f for k, f in enumerate(factors) if k != i), library.size, 1)
-            fit = fit_sparse(rest, settings)
-            error += float(held.rms(fit.coefficients)[0]) if fit.status is FitStatus.OK else np.inf
-        errors.append(error)
-    threshold = _THRESHOLDS[int(np.argmin(errors))]
-    fit = fit_sparse(whole, FitSettings(threshold=threshold, unit=unit))
-    return fit.status, fit.coefficients
+        libraries[name] = table
+    return {
+        "gains": [f"{g:g}" for g in gains],
+        "slope_rad": slope,
+        "naive_deg": {
+            f"{g:g}": _naive_deg([r for r in recordings if r.gain == g])[0] for g in gains
+        },
+        "rms_deg": libraries,  # by library, gain of the model and gain; a status without a model
+    }

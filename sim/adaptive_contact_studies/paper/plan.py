@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
@@ -69,6 +69,14 @@ class GantrySettings:
     encoder: EncoderSettings = field(default_factory=EncoderSettings)  # reading noise and faults
 
 
+class Shot(NamedTuple):
+    """One simulation: what it is of, how long it takes, and the legs that are kept."""
+
+    settings: SimulationSettings | GantrySettings
+    seconds: float
+    legs: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class Piece:
     """One stretch of simulation of one leg."""
@@ -78,6 +86,12 @@ class Piece:
     kind: str  # how the leg moves and what it meets
     seconds: float  # simulated
     settings: SimulationSettings | GantrySettings  # all that decides it
+
+    @property
+    def shot(self) -> Shot:
+        """The simulation that it is of: six pieces of a robot hung up share one."""
+        hung = isinstance(self.settings, GantrySettings)
+        return Shot(self.settings, self.seconds, LEGS if hung else (self.leg_run.leg,))
 
 
 @dataclass(frozen=True)
@@ -101,7 +115,7 @@ class Plan:
     touch_s: dict[str, float]  # reported collisions per leg-run by kind, s
     # collisions per leg-run by kind, s, on which baselines choose their settings
     tune_touch_s: dict[str, float]
-    collisions: int = 10  # how many are drawn in detail (Figure 5)
+    collisions: int = 10  # of section 4.3
     seed: int = 0
 
     @property

@@ -1,44 +1,38 @@
-"""A recording through several learners at once, and what they did, kept as arrays.
+"""Recordings of scenarios, and what several learners at once make of each.
 
 All variants see the same samples side by side.  Besides their events, each learner is asked how it
 is at the end of every swing, and which ticks it took for free; these are held against the truth.
-For the page of plots, one recording of a scenario is traced tick by tick.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.arrays import Ints, Mask
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.diagnose.change_classifier import KINDS
+from adaptive_contact.errors import BaselineError, SimulationDivergedError
+from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.leg_learner import ContactLearner
-from adaptive_contact.model.model_file import dump_baseline
-from adaptive_contact.score import Events
-from adaptive_contact.wire import ContactEvent, Status
-from adaptive_contact_sim.robots import ROBOTS
-from adaptive_contact_studies.cache import (
-    code_digest,
-    learner_sources,
-    name_of,
-    read_arrays,
-    sources_digest,
-    write_arrays,
-)
-from adaptive_contact_studies.evaluate import samples_of
-from adaptive_contact_studies.scenarios.learners import learner, reference_baseline
-from adaptive_contact_studies.scenarios.recording import Recording, key_of
-from adaptive_contact_studies.scenarios.spec import ReplaySpec, Variant
+from adaptive_contact.model import Baseline, shipped_baseline
+from adaptive_contact.score import Events, LegStream, TruthChanges, contacts_of, truth_changes
+from adaptive_contact.wire import ContactEvent, ContactTruth, Status
+from adaptive_contact_sim.arrays import Run, record_run
+from adaptive_contact_sim.robots import simulated_robot
+from adaptive_contact_sim.simulation import Simulation
+from adaptive_contact_studies.evaluate import NoRefits, leg_stream, samples_of
+from adaptive_contact_studies.scenarios.spec import RecordingSpec, ReplaySpec, Variant
+from adaptive_contact_studies.scenarios.staging import stagehand
+from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
-FORMAT: Final = 2
 STATUSES: Final[tuple[Status, ...]] = get_args(Status)
+HEXAPOD: Final = "hexapod"
+# The leg diagonally opposite: of the other side, and of the other end.
+OPPOSITE: Final = {"lf": "rr", "lm": "rm", "lr": "rf", "rf": "lr", "rm": "lm", "rr": "lf"}
 
 
 class SwingLog(NamedTuple):
@@ -46,29 +40,7 @@ class SwingLog(NamedTuple):
 
     t_ns: Ints  # of that sample
     status: Ints  # position in `STATUSES`
-    version: Ints  # of the model
-    level: Array  # drift level
     kind: Ints  # of the change that is reported, position in `KINDS`; -1 for none
-    residual_rad: Array  # root mean square of recent free residuals, mean over joints
-    # swings, ticks: in the buffer
-    swings: Ints
-    ticks: Ints
-    # promoted, refused, rolled_back: refits so far
-    promoted: Ints
-    refused: Ints
-    rolled_back: Ints
-
-
-class Trace(NamedTuple):
-    """Everything a plot needs of one learner."""
-
-    residual_rad: Array  # (n, J), NaN where nothing was predicted
-    score: Array  # (n,) statistic over threshold, NaN where the tick was not judged
-    # (n,) of a tick's squared distance, in the baseline's noise, NaN likewise: with level, tail and
-    # the model's own uncertainty in it
-    threshold: Array
-    coefficients: Array  # (s, p, J) after each swing, of the terms in `names`
-    names: NDArray[np.str_]  # (p,) terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,187 +50,143 @@ class LegReplay:
     events: Events  # in order
     log: SwingLog  # swing by swing
     confirmed: int  # ticks it took for free
-    touched_ns: Ints  # those of them on which the leg touched something
-    trace: Trace | None = None  # of the first leg of the traced recording
+    touched: int  # those of them on which the leg touched something
 
 
-Replayed = dict[str, dict[Variant, LegReplay]]
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """A recording through its learners."""
+
+    streams: dict[str, LegStream]  # by leg, as the scoring takes them
+    learners: dict[str, dict[Variant, LegReplay]]  # by leg
+
+
+@rests_on(*SIMULATOR, "adaptive_contact_studies.scenarios.staging")
+def recorded(_: Work, spec: RecordingSpec) -> tuple[Run, tuple[int, int] | None]:
+    """Simulate a recording; when the foot of its first leg was held, ns.
+
+    Raises:
+        SimulationDivergedError: the physics blew up.
+    """
+    sim = Simulation(spec.settings)
+    with stagehand(sim, spec.staging, spec.legs[0]) as hand:
+        run = record_run(sim, spec.seconds, legs=spec.legs, before_tick=hand.before_tick)
+    return run, hand.held_ns
+
+
+@rests_on(*SIMULATOR, *LEARNER, "adaptive_contact_studies.scenarios.staging")
+def replayed(work: Work, spec: ReplaySpec) -> Replayed | str:
+    """Replay a recording through the learners; why there is none where its physics blew up."""
+    try:
+        run, held_ns = work.one(recorded, spec.recording)
+    except SimulationDivergedError as error:
+        seed = spec.recording.settings.seed
+        return f"the run with seed {seed} has no recording: {error}"
+    robot = simulated_robot(spec.recording.settings.robot).description
+    streams = {leg: leg_stream(run, leg, robot) for leg in spec.recording.legs}
+    if held_ns is not None:
+        first = streams[spec.recording.legs[0]]
+        streams[first.leg] = replace(first, truth=hold(first.truth, *held_ns))
+    return Replayed(streams, replay(spec, run, streams))
+
+
+def replay(
+    spec: ReplaySpec, run: Run, streams: dict[str, LegStream]
+) -> dict[str, dict[Variant, LegReplay]]:
+    """Feed a recording to all learners, tick by tick."""
+    samples = {leg: samples_of(run, leg) for leg in streams}
+    watches = [_Watch(spec, leg, variant) for leg in streams for variant in spec.variants]
+    team = LegGroup([watch.learner for watch in watches])
+    for k in range(len(run.t_ns)):
+        decided = team.advance([samples[watch.leg][k] for watch in watches])
+        for watch, event in zip(watches, decided, strict=True):
+            if event is not None:
+                watch.events.append(event)
+            swing = streams[watch.leg].swing
+            if k and swing[k - 1] and not swing[k]:
+                watch.swing_over()
+    found: dict[str, dict[Variant, LegReplay]] = {leg: {} for leg in streams}
+    for watch in watches:
+        found[watch.leg][watch.variant] = watch.result(streams[watch.leg])
+    return found
+
+
+def hold(truth: TruthChanges, from_ns: int, to_ns: int) -> TruthChanges:
+    """Truth with a contact added that holds from one time to another.
+
+    Args:
+        truth: in order of time.
+        from_ns: when it begins; what the truth says from here on is lost.
+        to_ns: when it ends; what the truth last said by then holds afterwards.
+    """
+    inside = (truth.t_ns >= from_ns) & (truth.t_ns <= to_ns)
+    until = truth.t_ns <= to_ns
+    after = bool(truth.contact[until][-1]) if until.any() else False
+    ends = [(from_ns, True), (to_ns, after)]
+    added = truth_changes(
+        [ContactTruth(t_ns=t, contact=on, force=0.0, surface="soft") for t, on in ends]
+    )
+    rest = (column[~inside] for column in truth)
+    both = TruthChanges._make(map(np.concatenate, zip(rest, added, strict=True)))
+    order = np.argsort(both.t_ns, kind="stable")
+    return TruthChanges._make(column[order] for column in both)
+
+
+@functools.cache
+def reference_baseline(name: str = HEXAPOD) -> Baseline:
+    """The baseline that ships for a simulated robot.
+
+    Raises:
+        BaselineError: none ships.
+    """
+    found = shipped_baseline(simulated_robot(name).description.name)
+    if found is None:
+        raise BaselineError(
+            f"no baseline ships for '{name}'; make one with `adaptive-contact sim baseline "
+            f"--robot {name}`"
+        )
+    return found
 
 
 class _Watch:
     """Looks at one learner while it goes along."""
 
-    def __init__(
-        self, leg: str, variant: Variant, spec: ReplaySpec, ticks: int, *, traced: bool
-    ) -> None:
+    def __init__(self, spec: ReplaySpec, leg: str, variant: Variant) -> None:
         self.leg, self.variant = leg, variant
-        self.learner: ContactLearner = learner(
-            leg, spec.baseline, variant, spec.recording.settings.robot
+        name = spec.recording.settings.robot
+        baseline = None if spec.baseline == "none" else reference_baseline(name)
+        if baseline is not None and spec.baseline == "other_leg":
+            baseline = replace(baseline, legs={leg: baseline.legs[OPPOSITE[leg]]})
+        self.learner = ContactLearner(
+            simulated_robot(name).description,
+            leg,
+            baseline,
+            mode=LearnerMode.FROZEN if variant is Variant.FROZEN else LearnerMode.FULL,
+            refitter=NoRefits() if variant is Variant.RLS else None,
         )
         self.events: list[ContactEvent] = []
-        self.confirmed: list[int] = []
+        self._confirmed: list[int] = []
         self._rows: list[tuple[Any, ...]] = []
-        self._coefficients: list[Array] = []
-        self._names: tuple[str, ...] = ()
-        joints = len(self.learner.leg.joints)
-        self._residual = np.full((ticks, joints), np.nan) if traced else None
-        self._score = np.full(ticks, np.nan)
-        self._threshold = np.full(ticks, np.nan)
-
-    def tick(self, k: int) -> None:
-        """After the learner has taken a tick in, if it is traced."""
-        if self._residual is None or (judged := self.learner.judged()) is None:
-            return
-        self._residual[k] = judged.residual
-        self._score[k] = np.nanmax(judged.scores)
-        self._threshold[k] = judged.thresholds[0]
 
     def swing_over(self) -> None:
         """At the first sample after a swing."""
         status = self.learner.status
-        self.confirmed.extend(self.learner.drain_confirmed())
-        self._rows.append(
-            (
-                status.t_ns,
-                STATUSES.index(status.status),
-                status.model_version,
-                status.drift.level,
-                -1 if status.drift.kind is None else KINDS.index(status.drift.kind),
-                float(np.mean(status.residual_rms)),
-                status.buffer.swings,
-                status.buffer.lift_ticks + status.buffer.descent_ticks,
-                status.refits.promoted,
-                status.refits.refused,
-                status.refits.rolled_back,
-            )
-        )
-        model = self.learner.model
-        if self._residual is not None and model is not None:
-            # A learner that found its model on the way has no terms before; they count as zero.
-            self._names = model.library.names
-            self._coefficients.append(model.coefficients.copy())
+        self._confirmed.extend(self.learner.drain_confirmed())
+        kind = -1 if status.drift.kind is None else KINDS.index(status.drift.kind)
+        self._rows.append((status.t_ns, STATUSES.index(status.status), kind))
 
-    def result(self, touching: Mask, t_ns: Ints) -> LegReplay:
+    def result(self, stream: LegStream) -> LegReplay:
         """All that was seen."""
-        self.confirmed.extend(self.learner.drain_confirmed())
-        columns = list(zip(*self._rows, strict=True)) or [()] * len(SwingLog._fields)
-        log = SwingLog._make(
-            np.array(column, dtype=np.float64 if name in _FLOATS else np.int64)
-            for name, column in zip(SwingLog._fields, columns, strict=True)
-        )
-        confirmed = np.array(self.confirmed, dtype=np.int64)
-        touched = confirmed[touching[np.searchsorted(t_ns, confirmed)]]
-        trace = None
-        if self._residual is not None:
-            late = len(self._rows) - len(self._coefficients)
-            shape = self._coefficients[0].shape if self._coefficients else (0, 0)
-            known = [np.zeros(shape)] * late + self._coefficients
-            coefficients = np.stack(known) if known else np.zeros((0, 0, 0))
-            names = np.array(self._names)
-            trace = Trace(self._residual, self._score, self._threshold, coefficients, names)
-        return LegReplay(Events.of(self.events), log, len(confirmed), touched, trace)
+        self._confirmed.extend(self.learner.drain_confirmed())
+        log = np.array(self._rows, dtype=np.int64).reshape(-1, len(SwingLog._fields)).T
+        at = np.searchsorted(stream.t_ns, self._confirmed)
+        touched = int(np.count_nonzero(touching(stream)[at]))
+        return LegReplay(Events.of(self.events), SwingLog(*log), len(self._confirmed), touched)
 
 
-def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
-    """Feed a recording to new learners, all legs and variants of a tick at once.
-
-    Returns:
-        By leg and variant, what came of it.
-    """
-    legs = spec.recording.legs
-    ticks = len(recording.t_ns)
-    streams = [samples_of(recording, leg) for leg in legs]
-    swings = [recording.legs[leg].swing for leg in legs]
-    # The page shows one leg; to trace them all would take as long as the learners do.
-    watches = [
-        (i, _Watch(leg, variant, spec, ticks, traced=spec.trace and i == 0))
-        for i, leg in enumerate(legs)
-        for variant in spec.variants
-    ]
-    team = LegGroup([watch.learner for _, watch in watches])
-    for k, samples in enumerate(zip(*streams, strict=True)):
-        decided = team.advance([samples[i] for i, _ in watches])
-        over = [k > 0 and bool(s[k - 1]) and not s[k] for s in swings]
-        for (i, watch), event in zip(watches, decided, strict=True):
-            if event is not None:
-                watch.events.append(event)
-            if spec.trace:
-                watch.tick(k)
-            if over[i]:
-                watch.swing_over()
-    touching = [recording.touching(leg) for leg in legs]
-    result: Replayed = {leg: {} for leg in legs}
-    for i, watch in watches:
-        result[watch.leg][watch.variant] = watch.result(touching[i], recording.t_ns)
-    return result
-
-
-def save_replay(replayed: Replayed, path: Path) -> None:
-    """Write a replay, whole or not at all.
-
-    Raises:
-        ConfigurationError: it cannot be written there.
-    """
-    arrays: dict[str, NDArray[Any]] = {}
-    for leg, variants in replayed.items():
-        for variant, of in variants.items():
-            own = f"{leg}.{variant}."
-            arrays |= {f"{own}event.{n}": v for n, v in of.events._asdict().items()}
-            arrays |= {f"{own}log.{n}": v for n, v in of.log._asdict().items()}
-            arrays |= {f"{own}confirmed": np.array(of.confirmed), f"{own}touched": of.touched_ns}
-            if of.trace is not None:
-                arrays |= {f"{own}trace.{n}": _small(v) for n, v in of.trace._asdict().items()}
-    write_arrays(path, arrays)
-
-
-def load_replay(spec: ReplaySpec, path: Path) -> Replayed | None:
-    """Read a replay; None where there is none, or none that can be read."""
-    arrays = read_arrays(path)
-    if arrays is None:
-        return None
-    try:
-        return {
-            leg: {variant: _leg_replay(arrays, f"{leg}.{variant}.") for variant in spec.variants}
-            for leg in spec.recording.legs
-        }
-    except KeyError:
-        return None
-
-
-def replay_file(spec: ReplaySpec, folder: Path) -> Path:
-    """Where a replay lives: named by all that decides it, the learner's own source included."""
-    seen = (spec.baseline, spec.variants, spec.trace)
-    name = name_of(FORMAT, learner_fingerprint(), key_of(spec.recording), *seen)
-    return folder / f"{name}.npz"
-
-
-@functools.cache
-def learner_fingerprint() -> str:
-    """Hash of the learner's source, of this module's, and of the shipped baselines."""
-    digest = sources_digest(learner_sources())
-    own = Path(__file__).read_text(encoding="utf-8")
-    digest.update(code_digest(own, imports=False).encode())
-    for name in ROBOTS:
-        digest.update(dump_baseline(reference_baseline(name)).encode())
-    return digest.hexdigest()[:16]
-
-
-_FLOATS: Final = ("level", "residual_rad")
-
-
-def _small(values: NDArray[Any]) -> NDArray[Any]:
-    """Single precision is plenty for a plot."""
-    return values.astype(np.float32) if values.dtype == np.float64 else values
-
-
-def _leg_replay(arrays: Mapping[str, NDArray[Any]], own: str) -> LegReplay:
-    trace = None
-    if f"{own}trace.score" in arrays:
-        trace = Trace._make(arrays[f"{own}trace.{name}"] for name in Trace._fields)
-    return LegReplay(
-        events=Events._make(arrays[f"{own}event.{name}"] for name in Events._fields),
-        log=SwingLog._make(arrays[f"{own}log.{name}"] for name in SwingLog._fields),
-        confirmed=int(arrays[f"{own}confirmed"]),
-        touched_ns=arrays[f"{own}touched"],
-        trace=trace,
-    )
+def touching(stream: LegStream) -> Mask:
+    """(n,) whether the leg touched anything between the sample before and this one."""
+    contacts = contacts_of(stream.truth, int(stream.t_ns[0]))
+    before = np.concatenate((stream.t_ns[:1], stream.t_ns[:-1]))
+    begun = np.searchsorted(contacts.onset_ns, stream.t_ns, side="right")
+    return np.asarray(begun > np.searchsorted(contacts.release_ns, before, side="right"))

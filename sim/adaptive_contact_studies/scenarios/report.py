@@ -1,39 +1,50 @@
-"""Figures as people read them; a table on the terminal and one in the report say the same.
-
-``docs/adaptation.md``, written from the results: every number in it comes from the JSON.
-"""
+"""Writes ``docs/adaptation.md`` and its picture: every number comes from the results."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
-
-from rich.table import Table
 
 from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact_studies.scenarios.judge import NOTHING
 from adaptive_contact_studies.scenarios.registry import scenarios
-from adaptive_contact_studies.scenarios.runner import Folders
-from adaptive_contact_studies.scenarios.runs import FULL_SIZES, walks_without_change
+from adaptive_contact_studies.scenarios.results import ALARMS_PER_HOUR, RECOVERY_MEDIAN
+from adaptive_contact_studies.scenarios.runs import FULL_SIZES
 from adaptive_contact_studies.scenarios.spec import Variant
-from adaptive_contact_studies.show.numbers import general, interval, number, percent, share
-from adaptive_contact_studies.show.pages import render, write_page
+from adaptive_contact_studies.show.figures import BLUE, GREEN, GREY, INK, new_figure, save, styled
+from adaptive_contact_studies.show.pages import NONE, interval, number, percent, render, write_page
 
 Tree = dict[str, Any]
 
-# Stands where there is no number.
-_NONE: Final = "–"
-_HEADS: Final = (
-    *("leg-runs", "recall before", "after", "false alarms before", "after"),
-    *("recovery", "on the way", "lock-out", "contact learned %", "goals"),
-)
+_LEARNERS: Final = {
+    Variant.FROZEN: (GREY, 4, "frozen: the baseline, never updated"),
+    Variant.RLS: (GREEN, 4, "rls: recursion only"),
+    Variant.FULL: (BLUE, 6, "full: the product"),
+}
+_STYLE: Final = {"font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False}
+# Recall lies close to one: drawn as the share missed, on a log scale that ends where a figure of
+# some thousand touches ends, too.
+_LEAST_MISSED: Final = 0.1
+_LEAST_RATE: Final = 0.5
+# Where no swing at all stands on a log scale, and where no end of them does.
+_NO_SWING: Final = 0.5
+_NEVER: Final = 400.0
+# Between the learners of a scenario, so that none hides another.
+_SPREAD: Final = 0.2
 
 
-def alarms(count: int) -> str:
-    """So many false alarms."""
-    return f"{count} false alarm{'' if count == 1 else 's'}"
+def plain_number(value: float | None) -> str:
+    """With as many digits as it is worth; ``never`` for a count that was never reached."""
+    if value is None:
+        return "never"
+    return number(value, 0) if float(value).is_integer() else f"{value:.4g}"
+
+
+def rate(summary: Tree) -> str:
+    """False alarms per robot-hour, such as ``3.1``."""
+    return number(summary["per_robot_hour"], _digits(summary["per_robot_hour"]))
 
 
 def leg_runs(tree: Tree) -> str:
@@ -42,158 +53,110 @@ def leg_runs(tree: Tree) -> str:
     return str(there) if there == asked else f"{there} of {asked}; {asked - there} diverged"
 
 
-def plain_number(value: float | None) -> str:
-    """With as many digits as it is worth; ``never`` for a count that was never reached."""
-    if value is None:
-        return "never"
-    return number(value, 0) if float(value).is_integer() else general(value, 4)
+def table(results: Tree) -> str:
+    """Markdown of the full learner's figures, and of the goals that it misses."""
+    return render("adaptation-table.md", _FILTERS, results=results, missed=_goals(results)[1])
 
 
-def rate(summary: Tree) -> str:
-    """False alarms per robot-hour, such as ``3.1``."""
-    value = summary["per_robot_hour"]
-    return number(value, _rate_digits(value), _NONE)
-
-
-def _rate_digits(per_hour: float | None) -> int:
-    return 1 if per_hour is None or per_hour < 100 else 0
-
-
-def swings(recovery: Tree | None) -> str:
-    """Swings to recovery, median and 95th percentile, such as ``2 / 5``."""
-    if recovery is None:
-        return _NONE
-    median, p95 = recovery["swings_median"], recovery["swings_p95"]
-    return f"{plain_number(median)} / {plain_number(p95)}"
-
-
-def phases_around(tree: Tree, variant: str) -> tuple[Tree, Tree]:
-    """Figures of the first phase, and of those a scenario is judged by."""
-    own = tree["variants"][variant]
-    first = next(iter(tree["phases"]))
-    return own["phases"][first], own["judged"]
-
-
-def results_table(results: Tree) -> Table:
-    """All scenarios, the full learner against the frozen one."""
-    table = Table(
-        title="The full learner, and the frozen one in grey; recall in %, false alarms per "
-        "robot-hour",
-        title_justify="left",
-        caption="\n".join(_together(pool) for pool in results["pooled"].values()) or None,
-        caption_justify="left",
-        pad_edge=False,
-    )
-    table.add_column("scenario", no_wrap=True)
-    for head in _HEADS:
-        table.add_column(head, justify="right")
-    for name, tree in results["scenarios"].items():
-        full, frozen = tree["variants"]["full"], tree["variants"]["frozen"]
-        before, after = phases_around(tree, "full")
-        _, grey = phases_around(tree, "frozen")
-        recovery = next(iter(full["recovery"].values()), None)
-        met = [goal["met"] for goal in tree["goals"]]
-        verdict = f"{sum(met)}/{len(met)}"
-        table.add_row(
-            name,
-            leg_runs(tree),
-            share(before["recall"], none=_NONE),
-            f"{share(after['recall'], none=_NONE)} [dim]{share(grey['recall'], none=_NONE)}[/]",
-            rate(before),
-            f"{rate(after)} [dim]{rate(grey)}[/]",
-            swings(recovery),
-            _NONE if recovery is None else plain_number(recovery["alarms_median"]),
-            f"{full['longest_lock_out']} [dim]{frozen['longest_lock_out']}[/]",
-            share(full["touching_share"], 2, _NONE),
-            f"[green]{verdict}[/]" if all(met) else f"[red]{verdict}[/]",
-        )
-    return table
-
-
-def _together(pool: Tree) -> str:
-    """What several scenarios are held to together, in a line."""
-    met = all(goal["met"] for goal in pool["goals"])
-    return (
-        f"{' + '.join(pool['scenarios'])}: {alarms(pool['false_alarms'])} in "
-        f"{number(pool['robot_hours'], 1)} robot-hours, {rate(pool)} per hour: "
-        f"{'met' if met else 'not met'}"
-    )
-
-
-_ADVICE: Final = "give another folder with --docs"
-
-SUMMARY: Final = "summary"
-
-
-def write_report(results: Tree, folders: Folders, docs: Path) -> Path:
-    """Write the page, and put its pictures beside it.
+def write_report(results: Tree, docs: Path) -> Path:
+    """Write the page, and its picture beside it.
 
     Returns:
         The path of the page.
 
     Raises:
+        MissingExtraError: matplotlib is not installed.
         ConfigurationError: it cannot be written.
     """
-    path, shown = docs / "adaptation.md", set()
-    for name in (SUMMARY, *results["scenarios"]):
-        page = folders.pages / f"{name}.png"
-        if page.is_file():
-            beside = docs / "pictures" / f"adaptation-{name}.png"
-            write_page(beside, page.read_bytes(), _ADVICE)
-            shown.add(name)
-    write_page(path, report_text(results, shown), _ADVICE)
+    path, (goals, missed) = docs / "adaptation.md", _goals(results)
+    text = render(
+        "adaptation.md",
+        _FILTERS,
+        results=results,
+        lacking=_lacking(results),
+        goals=goals,
+        missed=missed,
+        kinds=KINDS,
+        kinds_rows=_kinds_rows(results["scenarios"]),
+        learners=[variant.value for variant in Variant],
+    )
+    write_page(path, text)
+    draw_summary(results, docs / "pictures" / "adaptation-summary.png")
     return path
 
 
-def report_text(results: Tree, pictures: set[str]) -> str:
-    """The page's text."""
+@styled(_STYLE, "the page's picture")
+def draw_summary(results: Tree, path: Path) -> None:
+    """Draw recall, false alarms and recovery of every learner in every scenario.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ConfigurationError: the picture cannot be written.
+    """
+    trees = results["scenarios"]
+    figure = new_figure(15.0, 1.9 + 0.27 * len(trees), dpi=84)
+    axes = figure.subplots(1, 3, sharey=True)
+    for row, tree in enumerate(trees.values()):
+        for variant, own in tree["variants"].items():
+            colour, size, label = _LEARNERS[Variant(variant)]
+            y = row + _SPREAD * (list(_LEARNERS).index(Variant(variant)) - 1)
+            missed, alarms = own["judged"]["recall"], own["judged"]["per_robot_hour"]
+            recovery: Tree = next(iter(own["recovery"].values()), {})
+            x = (
+                None if missed is None else max(100.0 * (1.0 - missed), _LEAST_MISSED),
+                None if alarms is None else max(alarms, _LEAST_RATE),
+                None if not recovery else _place(recovery["swings_median"]),
+            )
+            for ax, at in zip(axes, x, strict=True):
+                ax.plot([at], [y], "o", color=colour, ms=size, label=label)
+            if recovery:
+                ends = [x[2], _place(recovery["swings_p95"])]
+                axes[2].plot(ends, [y, y], "-", color=colour, lw=1.0)
+    titles = (
+        ("Touches missed, %", None),
+        ("False alarms per robot-hour (line: goal of the steady scenarios)", ALARMS_PER_HOUR),
+        ("Swings to recovery: median to p95 (line: goal of the median)", RECOVERY_MEDIAN),
+    )
+    for ax, (title, goal) in zip(axes, titles, strict=True):
+        ax.set(xscale="log", title=title)
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.grid(axis="y", color="#eeeeee")
+        if goal is not None:
+            ax.axvline(goal, color=INK, lw=0.8, ls="--")
+    axes[2].set_xticks([_NO_SWING, 1, 10, 100, _NEVER], ["0", "1", "10", "100", "never"])
+    axes[0].set_yticks(range(len(trees)), [f"{t['about']}: {name}" for name, t in trees.items()])
+    axes[0].set_ylim(len(trees) - 0.5, -0.5)
+    handles = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
+    figure.legend(handles.values(), handles.keys(), loc="outside lower left", ncols=3)
+    save(figure, path)
+
+
+def _place(swings: float | None) -> float:
+    return _NEVER if swings is None else max(swings, _NO_SWING)
+
+
+def _digits(per_hour: float | None) -> int:
+    return 1 if per_hour is None or per_hour < 100 else 0
+
+
+def _goals(results: Tree) -> tuple[list[tuple[str, Tree]], list[tuple[str, Tree]]]:
+    """All goals with what they are of, and those that are missed."""
     table = results["scenarios"]
     goals = [(_link(name), goal) for name in table for goal in table[name]["goals"]]
     for pool in results["pooled"].values():
-        names = " + ".join(_link(name) for name in pool["scenarios"])
-        goals += [(names, goal) for goal in pool["goals"]]
-    filters: dict[str, Callable[..., Any]] = {
-        "alarm_rate": _alarms,
-        "alarms": alarms,
-        "around": phases_around,
-        "leg_runs": leg_runs,
-        "link": _link,
-        "percent": partial(percent, none=_NONE),
-        "plain": plain_number,
-        "rate": rate,
-        "recall": _recall,
-        "share": partial(share, none=_NONE),
-        "swings": swings,
-    }
-    text = render(
-        "adaptation.md",
-        filters,
-        results=results,
-        pictures=pictures,
-        lacking=_lacking(results),
-        goals=goals,
-        missed=[(name, goal) for name, goal in goals if not goal["met"]],
-        kinds=KINDS,
-        kinds_rows=_kinds_rows(table),
-        learners=[variant.value for variant in Variant],
-    )
-    return text.rstrip() + "\n"
+        goals += [(" + ".join(map(_link, pool["scenarios"])), goal) for goal in pool["goals"]]
+    return goals, [(name, goal) for name, goal in goals if not goal["met"]]
 
 
-def _lacking(results: Tree) -> list[str]:
-    """What the full form would have besides, if these are figures of a part of it."""
-    wanted = FULL_SIZES.leg_runs
-    absent = [name for name in scenarios(FULL_SIZES) if name not in results["scenarios"]]
-    words = []
-    if results["size"] == "full" and results["leg_runs"] < wanted:
-        words.append(f"{results['leg_runs']} leg-runs of each scenario instead of {wanted}")
-    steady = results["scenarios"].get("steady-walk")
-    walks = walks_without_change(FULL_SIZES)
-    if results["size"] == "full" and steady is not None and steady["recordings"] < walks:
-        words.append(f"{steady['recordings']} walks without a change instead of {walks}")
-    if absent:
-        words.append(f"not run: {', '.join(absent)}")
-    return words
+def _lacking(results: Tree) -> str:
+    """What is other or less than in the whole, if anything is."""
+    words = [
+        f"{name} {results['sizes'][name]:g} instead of {usual:g}"
+        for name, usual in asdict(FULL_SIZES).items()
+        if results["sizes"][name] != usual
+    ]
+    absent = [name for name in scenarios() if name not in results["scenarios"]]
+    return "; ".join([*words, *([f"not run: {', '.join(absent)}"] if absent else [])])
 
 
 def _link(name: str) -> str:
@@ -213,13 +176,27 @@ def _kinds_rows(table: Tree) -> list[tuple[str, str, list[int]]]:
 
 def _recall(summary: Tree) -> str:
     if summary["recall"] is None:
-        return _NONE
+        return NONE
     return f"{percent(summary['recall'])} ({interval(summary['recall_interval'])})"
 
 
 def _alarms(summary: Tree) -> str:
     low, high = summary["per_robot_hour_interval"]
-    if high is None:
-        return _NONE
-    digits = _rate_digits(high)
-    return f"{rate(summary)} ({number(low, digits)}–{number(high, digits)})"
+    digits = _digits(high)
+    return NONE if high is None else f"{rate(summary)} ({low:.{digits}f}–{high:.{digits}f})"
+
+
+def _swings(recovery: Tree) -> str:
+    """Swings to recovery, median and 95th percentile, such as ``2 / 5``."""
+    return f"{plain_number(recovery['swings_median'])} / {plain_number(recovery['swings_p95'])}"
+
+
+_FILTERS: Final[dict[str, Callable[..., Any]]] = {
+    "alarm_rate": _alarms,
+    "leg_runs": leg_runs,
+    "link": _link,
+    "plain": plain_number,
+    "rate": rate,
+    "recall": _recall,
+    "swings": _swings,
+}

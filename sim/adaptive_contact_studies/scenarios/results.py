@@ -1,15 +1,11 @@
-"""What the full learner is held to, and whether it is met.
-
-The results file: figures and goals of every scenario that was run, and what they belong to.
-"""
+"""What the full learner is held to, and the results file: figures and goals of each scenario."""
 
 from __future__ import annotations
 
 import json
 import math
-import sys
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,14 +13,12 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score.summary import AlarmFigures
-from adaptive_contact_studies.scenarios.judge import LOCK_OUT_SWINGS, Judgement, figures
-from adaptive_contact_studies.scenarios.learners import HEXAPOD, reference_baseline
-from adaptive_contact_studies.scenarios.recording import simulator_fingerprint
+from adaptive_contact_studies.scenarios.judge import figures, judge_scenario
 from adaptive_contact_studies.scenarios.registry import scenarios
-from adaptive_contact_studies.scenarios.replay import learner_fingerprint
-from adaptive_contact_studies.scenarios.runner import FULL, RESULTS
+from adaptive_contact_studies.scenarios.replay import HEXAPOD, Replayed, replayed
 from adaptive_contact_studies.scenarios.runs import Sizes
-from adaptive_contact_studies.scenarios.spec import Expect, Scenario, Variant
+from adaptive_contact_studies.scenarios.spec import Expect, ReplaySpec, Scenario, Variant
+from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 
 Tree = dict[str, Any]
 
@@ -32,14 +26,16 @@ RECOVERY_MEDIAN: Final = 10.0
 RECOVERY_P95: Final = 20.0
 ALARMS_ON_THE_WAY: Final = 2.0
 RECALL_POINTS: Final = 1.0
+LOCK_OUT_SWINGS: Final = 5
 TOUCHING_SHARE: Final = 0.001
 VALID_SWINGS: Final = 60.0
 ALARMS_PER_HOUR: Final = 5.0
 CAUGHT_UNTOLD: Final = 0.1
+# What has to agree for figures to stand in one table.
+_BELONGS: Final = ("sizes", "learner", "simulator")
 
 
-@dataclass(frozen=True)
-class Goal:
+class Goal(NamedTuple):
     """A figure, and what it should be at most."""
 
     what: str  # of the full learner, with its unit
@@ -48,9 +44,10 @@ class Goal:
     measured: float | None
 
     @property
-    def met(self) -> bool:
-        """Whether it is."""
-        return self.measured is not None and self.measured <= self.limit
+    def tree(self) -> Tree:
+        """As a results file has it."""
+        met = self.measured is not None and self.measured <= self.limit
+        return self._asdict() | {"met": met}
 
 
 def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
@@ -98,14 +95,13 @@ def pooled(table: Mapping[str, Tree]) -> Tree:
         sum(one["false_alarms"] for one in judged), sum(one["judged_ticks"] for one in judged)
     )
     what = "false alarms per robot-hour, all that is steady"
-    goal = Goal(what, ALARMS_PER_HOUR, alarms.per_hour)
     steady = {
         "scenarios": names,
         "false_alarms": alarms.false_alarms,
         "robot_hours": alarms.judged_ticks / ROBOT_HOUR_TICKS,
         "per_robot_hour": alarms.per_hour,
         "per_robot_hour_interval": [v if math.isfinite(v) else None for v in alarms.interval],
-        "goals": [asdict(goal) | {"met": goal.met}],
+        "goals": [Goal(what, ALARMS_PER_HOUR, alarms.per_hour).tree],
     }
     return {"steady": steady}
 
@@ -134,144 +130,81 @@ def _start(start: Tree) -> list[Goal]:
     ]
 
 
-VERSION: Final = 3
-_SIZES: Final = (FULL, "brief", "quick")
+def measure(work: Work, chosen: Iterable[Scenario], sizes: Sizes) -> Tree:
+    """Record and replay what is not kept of some scenarios, and judge them.
 
+    Returns:
+        Figures and goals of each, as a tree.
 
-class Belongs(NamedTuple):
-    """What has to agree for figures to stand in one table."""
-
-    v: int
-    size: str
-    leg_runs: int
-    sizes: dict[str, float]
-    learner: str
-    simulator: str
-    baseline: str
-
-
-def belongs(sizes: Sizes, size: str) -> Belongs:
-    """What figures made now belong to."""
-    return Belongs(
-        VERSION,
-        size,
-        sizes.leg_runs,
-        asdict(sizes),
-        learner_fingerprint(),
-        simulator_fingerprint(),
-        reference_baseline().origin,
+    Raises:
+        ConfigurationError: no recording of one came about.
+    """
+    chosen = list(chosen)
+    wanted: dict[str, ReplaySpec] = {}
+    for scenario in chosen:
+        wanted |= {repr(spec): spec for spec in (*scenario.replays, *scenario.references)}
+    made: dict[str, Replayed | str] = dict(
+        zip(
+            wanted,
+            work.each("recording and replaying", replayed, [*wanted.values()], lambda s: s.work),
+            strict=True,
+        )
     )
-
-
-def form_of(size: str, sizes: Sizes, leg_runs: int | None) -> str:
-    """The name of a form: of its size, with the number of leg-runs where that is not the usual."""
-    return size if leg_runs in (None, sizes.leg_runs) else f"{size}-{leg_runs}"
-
-
-def best_form(out: Path) -> str:
-    """The form to publish of those that a folder has figures of: the full one before any other."""
-    before, after = RESULTS.split("{form}")
-    names = [path.name for path in out.glob(RESULTS.format(form="*"))]
-    forms = [name.removeprefix(before).removesuffix(after) for name in names]
-    ranked = [(rank, form) for form in forms if (rank := _rank(form)) is not None]
-    return min(ranked)[1] if ranked else FULL
-
-
-def results(
-    judgements: Sequence[Judgement], sizes: Sizes, *, size: str, problems: Sequence[str] = ()
-) -> Tree:
-    """The tree of some scenarios' figures."""
     table = {}
-    for judgement in judgements:
+    for scenario in chosen:
+        runs, twins = (
+            [made[repr(spec)] for spec in specs]
+            for specs in (scenario.replays, scenario.references)
+        )
+        judgement = judge_scenario(scenario, runs, twins)
+        if not judgement.recordings:
+            why = next(run for run in (*runs, *twins) if isinstance(run, str))
+            raise ConfigurationError(f"no leg-run of {scenario.name} came about: {why}")
         tree = figures(judgement)
-        made = goals(judgement.scenario, tree)
-        tree["goals"] = [asdict(goal) | {"met": goal.met} for goal in made]
-        table[judgement.scenario.name] = tree
+        table[scenario.name] = tree | {"goals": [goal.tree for goal in goals(scenario, tree)]}
     return {
-        **belongs(sizes, size)._asdict(),
-        "problems": list(problems),
+        "sizes": asdict(sizes),
+        "learner": digest(*LEARNER),
+        "simulator": digest(*SIMULATOR),
+        "problems": sorted({run for run in made.values() if isinstance(run, str)}),
         "pooled": pooled(table),
         "scenarios": table,
     }
 
 
-def merge(new: Tree, path: Path) -> Tree:
-    """New figures, with those of other scenarios that a file already has.
-
-    Raises:
-        ConfigurationError: what the file has is of another learner, simulator or size, and not
-            all of it was made again.
-    """
-    made = Belongs(**{name: new[name] for name in Belongs._fields})
-    refuse_to_lose(path, made, new["scenarios"])
-    try:
-        old = read_results(path)
-    except ConfigurationError:
-        return new
-    if _others(old, made):
-        return new
-    both = old["scenarios"] | new["scenarios"]
-    table = {name: both[name] for name in scenarios() if name in both}
-    problems = sorted({*old["problems"], *new["problems"]})
-    return new | {"problems": problems, "pooled": pooled(table), "scenarios": table}
-
-
-def refuse_to_lose(path: Path, made: Belongs, names: Collection[str]) -> None:
-    """Look whether new figures would push out old ones: one table, one learner.
-
-    Raises:
-        ConfigurationError: they would.
-    """
-    try:
-        old = read_results(path)
-    except ConfigurationError:
-        return
-    lost = [name for name in old["scenarios"] if name not in names]
-    other = _others(old, made)
-    if lost and other:
-        raise ConfigurationError(
-            f"{path}: holds {len(lost)} other scenarios ('{lost[0]}' first) of another "
-            f"{' and '.join(other)}, and one table is of one; run --all, or move that file away"
-        )
-
-
-def write_results(tree: Tree, path: Path) -> None:
-    """Write a results file, whole or not at all.
+def write_results(new: Tree, path: Path) -> Tree:
+    """Write figures, with those of other scenarios that the file has of the same learner and size.
 
     Raises:
         ConfigurationError: it cannot be written there.
     """
-    text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
+    try:
+        old = read_results(path)
+    except ConfigurationError:
+        old = {}
+    if all(old.get(name) == new[name] for name in _BELONGS):
+        both = old["scenarios"] | new["scenarios"]
+        table = {name: both[name] for name in scenarios() if name in both}
+        problems = sorted({*old["problems"], *new["problems"]})
+        new = new | {"problems": problems, "pooled": pooled(table), "scenarios": table}
+    text = json.dumps(new, indent=1, allow_nan=False) + "\n"
     write_file(path, text, advice="give another folder with --out")
+    return new
 
 
 def read_results(path: Path) -> Tree:
     """Read a results file.
 
     Raises:
-        ConfigurationError: there is none, or it is of another version.
+        ConfigurationError: there is none, or it holds something else.
     """
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigurationError(
-            f"{path}: no results there ({error}); run `adaptive-contact scenarios run --all`"
-        ) from error
-    if not isinstance(tree, dict) or tree.get("v") != VERSION:
-        raise ConfigurationError(
-            f"{path}: not results of this version; run `adaptive-contact scenarios run --all`"
-        )
-    return tree
-
-
-def _others(old: Tree, made: Belongs) -> list[str]:
-    """In what old figures differ from new ones."""
-    return [name for name, value in made._asdict().items() if old.get(name) != value]
-
-
-def _rank(form: str) -> tuple[int, int] | None:
-    """Where a form stands, the first being the best; None for what is no form."""
-    size, _, leg_runs = form.partition("-")
-    if size not in _SIZES or (leg_runs and not leg_runs.isdecimal()):
-        return None
-    return _SIZES.index(size), -int(leg_runs) if leg_runs else -sys.maxsize
+        tree: Tree = json.loads(path.read_text(encoding="utf-8"))
+        if {*_BELONGS, "problems", "pooled", "scenarios"} <= tree.keys():
+            return tree
+        error: object = "another version"
+    except (OSError, ValueError, AttributeError) as problem:
+        error = problem
+    raise ConfigurationError(
+        f"{path}: no results there ({error}); run `adaptive-contact scenarios run --all`"
+    )

@@ -63,22 +63,6 @@ class Sizes:
 
 
 FULL_SIZES: Final = Sizes()
-# Every scenario, small enough for half an hour on a busy machine.
-BRIEF_SIZES: Final = Sizes(
-    leg_runs=6,
-    before_s=8.0,
-    after_s=22.0,
-    walk_before_s=14.0,
-    walk_after_s=46.0,
-    slow_s=60.0,
-    slow_after_s=10.0,
-    pulse_s=15.0,
-    contact_swings=60,
-    turn_trials=25,
-    caught_s=8.0,
-    start_s=50.0,
-    steady_walks=0.3,
-)
 QUICK_SIZES: Final = Sizes(
     leg_runs=2,
     before_s=15.0,

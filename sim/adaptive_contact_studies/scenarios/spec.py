@@ -17,21 +17,19 @@ from adaptive_contact_sim.walk import WalkSettings
 
 
 class Variant(enum.StrEnum):
-    """How much of the learner is switched on; the values are those of ``LearnerMode``."""
+    """Learners that are compared."""
 
-    FROZEN = "frozen"
-    UNGATED = "ungated"
-    REFIT = "refit"
-    RLS = "rls"
-    FULL = "full"
+    FROZEN = "frozen"  # the baseline, never updated
+    RLS = "rls"  # the product without sparse refits
+    FULL = "full"  # the product
 
 
 ALL_VARIANTS: Final = tuple(Variant)
-# What goals are about, and what they are held against.
-GOALS_VARIANTS: Final = (Variant.FROZEN, Variant.FULL)
 
 # What the learners start from: the shipped baseline, none, or that of the leg diagonally opposite.
 BaselineChoice = Literal["shipped", "none", "other_leg"]
+# A learner's second against a simulated one.
+_LEARNER_SHARE: Final = 0.06
 
 
 class Expect(enum.StrEnum):
@@ -100,18 +98,12 @@ class ReplaySpec:
     recording: RecordingSpec  # what is replayed
     baseline: BaselineChoice = "shipped"  # what the learners start from
     variants: tuple[Variant, ...] = ALL_VARIANTS  # replayed side by side
-    # of the first leg keep residuals and scores of every tick, and the models' terms, for a plot
-    trace: bool = False
 
-
-class LegRun(NamedTuple):
-    """One leg of one recording, with what it is compared against."""
-
-    leg: str  # whose
-    replay: ReplaySpec  # the scenario's
-    # what its frozen learner makes of it is what can be had: the same recording without what the
-    # scenario does
-    reference: ReplaySpec
+    @property
+    def work(self) -> float:
+        """How long it takes, roughly: simulated seconds, and those that learners go through."""
+        learners = len(self.variants) * len(self.recording.legs)
+        return self.recording.seconds * (1.0 + _LEARNER_SHARE * learners)
 
 
 @dataclass(frozen=True)
@@ -148,28 +140,21 @@ class Scenario:
 
     @property
     def replays(self) -> tuple[ReplaySpec, ...]:
-        """One per recording; the first is traced for the page of plots."""
-        return tuple(
-            ReplaySpec(recording, self.baseline, self.variants, trace=i == 0)
-            for i, recording in enumerate(self.recordings)
-        )
+        """One per recording."""
+        return tuple(ReplaySpec(r, self.baseline, self.variants) for r in self.recordings)
 
     @property
     def references(self) -> tuple[ReplaySpec, ...]:
-        """What each replay is compared against, in the same order."""
+        """What each is compared against: the same recording without what the scenario does."""
         return tuple(
             replace(replay, recording=self.twin(replay.recording), baseline="shipped")
             for replay in self.replays
         )
 
     @property
-    def leg_runs(self) -> tuple[LegRun, ...]:
-        """Every leg of every recording."""
-        return tuple(
-            LegRun(leg, replay, reference)
-            for replay, reference in zip(self.replays, self.references, strict=True)
-            for leg in replay.recording.legs
-        )
+    def leg_runs(self) -> int:
+        """Legs of all recordings."""
+        return sum(len(recording.legs) for recording in self.recordings)
 
     @property
     def seconds(self) -> float:

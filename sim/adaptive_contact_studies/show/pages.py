@@ -1,44 +1,53 @@
-"""Pages of text, in Markdown or HTML, from templates."""
+"""Pages in Markdown from templates, and numbers as text: what all studies show has these forms."""
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.files import cannot_write, write_file
-from adaptive_contact_studies.show.numbers import FILTERS
 
 _TEMPLATES: Final = Path(__file__).with_name("templates")
-_PICTURE: Final = re.compile(r"!\[(.*)\]\((.*)\)")
+# Stands where there is no number.
+NONE: Final = "–"
 
 
-class Table(NamedTuple):
-    """A table of texts."""
+def number(value: float | str | None, digits: int = 2, form: str = "f") -> str:
+    """A number, or a dash where there is none; a text, such as of an infinite one, as it is."""
+    if value is None or isinstance(value, str):
+        return value or NONE
+    return f"{value:.{digits}{form}}"
 
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+
+def share(value: float | None, digits: int = 1) -> str:
+    """A share in per cent, without the unit."""
+    return number(None if value is None else 100 * value, digits)
 
 
-class Section(NamedTuple):
-    """A heading with its text (``**`` and backticks in it), tables, and pictures by caption."""
+def percent(value: float | None, digits: int = 1) -> str:
+    """A share in per cent."""
+    return NONE if value is None else f"{share(value, digits)} %"
 
-    title: str
-    text: str
-    tables: list[Table]
-    pictures: dict[str, Path]
+
+def interval(ends: Sequence[float | None]) -> str:
+    """Both ends of an interval of shares, in per cent."""
+    return NONE if None in ends else "–".join(map(share, ends))
+
+
+def per_joint(values: Sequence[float | str | None] | None, digits: int = 2, form: str = "f") -> str:
+    """Values side by side."""
+    return NONE if values is None else " ".join(number(v, digits, form) for v in values)
 
 
 def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **given: Any) -> str:
     """Fill a template; what it has no value for is a mistake of its own.
 
     Args:
-        template: its file, such as ``report.html``; in one of HTML texts are escaped.
-        filters: functions that it may use besides jinja's own.
+        template: its file, such as ``adaptation.md``.
+        filters: functions that it may use besides jinja's own and those of this module.
         given: its values.
 
     Raises:
@@ -48,96 +57,39 @@ def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **give
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
-        autoescape=template.endswith(".html"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {
-        **FILTERS,
-        "cell": _cell,
-        "inline": _inline,
-        "listed": _listed,
-        "one_line": _one_line,
-        "picture": _picture,
-        **filters,
-    }
+    own = (number, share, percent, interval, per_joint)
+    environment.filters |= {f.__name__: f for f in own} | {"one_line": _one_line} | dict(filters)
     return environment.get_template(template).render(given)
-
-
-def write_page(path: Path, text: str | bytes, advice: str) -> None:
-    """Write a page or its picture, whole or not at all, into a folder that is made if need be.
-
-    Raises:
-        ConfigurationError: it cannot be written there.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(cannot_write(path, error, advice)) from error
-    write_file(path, text, advice=advice)
 
 
 def unwrapped(text: str) -> str:
     """Markdown with every paragraph, and every row of a table, in a line of its own."""
     blocks = []
     for block in filter(None, map(str.strip, re.split(r"\n\s*\n", text))):
-        lines = [line.strip() for line in block.splitlines()]
-        if block.startswith("|"):
-            blocks.append(re.sub(r"(?<!\|)\n", " ", "\n".join(lines)))
-        else:
-            blocks.append(" ".join(lines))
+        lines = "\n".join(map(str.strip, block.splitlines()))
+        blocks.append(re.sub(r"(?<!\|)\n", " ", lines))
     return "\n\n".join(blocks)
 
 
-def read_sections(text: str) -> list[Section]:
-    """The sections of a document as :func:`unwrapped` leaves it."""
-    found: list[Section] = []
-    titled = ""
-    for block in text.split("\n\n"):
-        if block.startswith("#"):
-            found.append(Section(block.lstrip("# "), "", [], {}))
-        elif picture := _PICTURE.fullmatch(block):
-            found[-1].pictures[picture[1]] = Path(picture[2])
-        elif block.startswith("|"):
-            header, _, *rows = map(_cells, block.splitlines())
-            found[-1].tables.append(Table(titled, header, rows))
-        elif block.startswith("**") and block.endswith("**"):
-            titled = block[2:-2]
-        elif not block.startswith("*") or block.startswith("**"):
-            found[-1] = found[-1]._replace(text=f"{found[-1].text}\n\n{block}".strip())
-    return found
+def write_page(path: Path, text: str) -> None:
+    """Write a page, whole or not at all, into a folder that is made if need be.
 
-
-def _cells(row: str) -> list[str]:
-    """What the cells of a row hold."""
-    return [cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", row)[1:-1]]
+    Raises:
+        ConfigurationError: it cannot be written there.
+    """
+    advice = "give another folder"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(cannot_write(path, error, advice)) from error
+    write_file(path, text.rstrip() + "\n", advice=advice)
 
 
 def _one_line(text: str) -> str:
     """Without the breaks that keep a template readable."""
     return " ".join(filter(None, map(str.strip, text.splitlines())))
-
-
-def _listed(text: str) -> str:
-    """Lines as the items of a list in a sentence."""
-    return "; ".join(filter(None, map(str.strip, text.splitlines())))
-
-
-def _cell(text: object) -> str:
-    """A cell of a Markdown table."""
-    return str(text).replace("|", "\\|")
-
-
-def _inline(text: str) -> Any:
-    """Escaped for HTML, with ``**bold**`` and backticks."""
-    from markupsafe import Markup, escape
-
-    safe = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", str(escape(text)))
-    return Markup(re.sub(r"`(.+?)`", r"<code>\1</code>", safe))
-
-
-def _picture(path: Path) -> str:
-    """A PNG within the page that shows it."""
-    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"

@@ -6,17 +6,16 @@ import pytest
 
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim import ObstacleSettings, PoseSettings, SimulationSettings
-from adaptive_contact_studies.paper.data import Stream
+from adaptive_contact_studies.paper.data import Stream, load
 from adaptive_contact_studies.paper.plan import LegRun, Piece
-from adaptive_contact_studies.paper.recording import record_leg
+from adaptive_contact_studies.work import Work
 
 
 def simulated(seconds: float, seed: int, probability: float = 0.0) -> Stream:
     settings = SimulationSettings(
         motion=PoseSettings(obstacles=ObstacleSettings(probability=probability)), seed=seed
     )
-    piece = Piece(LegRun(0, "rf"), "train", "paper", seconds, settings)
-    return Stream(piece, record_leg(settings, "rf", seconds))
+    return load(Work(None), Piece(LegRun(0, "rf"), "train", "paper", seconds, settings))
 
 
 @pytest.fixture(scope="session")

@@ -214,7 +214,7 @@ def test_bad_problems_end_with_a_status(normalised: bool) -> None:
     assert not good.coefficients[3].any()
     emptied = paper_fit(factor(theta, target), 1e9, normalised=normalised)
     assert emptied.status is FitStatus.EMPTIED
-    assert emptied.terms == [0, 0]
+    assert not emptied.coefficients.any()
     few = paper_fit(factor(theta[:3], target[:3]), 0.0, normalised=normalised)
     assert few.status is FitStatus.TOO_FEW_ROWS
     nothing = paper_fit(factor(np.zeros((9, 5)), np.ones((9, 2))), 0.0, normalised=normalised)

@@ -1,21 +1,44 @@
-"""What the report says of figures, whatever they are."""
+"""What the page says of figures, and the run as a whole on as little as can be simulated."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
+import re
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import typer
+from typer.testing import CliRunner
 
-from adaptive_contact_studies.cache import plain
+from adaptive_contact.cli.paper import paper
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model import tail
+from adaptive_contact_studies.paper import identification
 from adaptive_contact_studies.paper.detection import rate_of
-from adaptive_contact_studies.paper.identification import (
-    SINGULAR,
-    shown_condition,
-    sparsest_of,
+from adaptive_contact_studies.paper.identification import sparsest_of
+from adaptive_contact_studies.paper.plan import QUICK
+from adaptive_contact_studies.paper.report import headline, write_document, write_report
+from adaptive_contact_studies.paper.run import STAGES, plain, run_paper
+from adaptive_contact_studies.work import Work
+
+TINY = dataclasses.replace(
+    QUICK,
+    legs=("rf", "lm"),
+    train_segments=120,
+    test_segments=60,
+    train_s={"descent": 20.0},
+    tune_s={"descent": 10.0},
+    train_hung_s={"descent": 20.0},
+    tune_hung_s={"descent": 15.0},
+    free_s={"descent": 10.0},
+    stand_s={"descent": 8.0},
+    touch_s={"hard": 20.0, "hard slow": 12.0},
+    tune_touch_s={"hard": 10.0},
+    collisions=2,
 )
-from adaptive_contact_studies.paper.tables import part
-from adaptive_contact_studies.paper.verdicts import headline
-from adaptive_contact_studies.show.numbers import per_joint
 
 
 def found(
@@ -27,122 +50,140 @@ def found(
     hours: float = 10.5,
     worst: tuple[float, ...] = (0.23, 0.25, 0.23),
 ) -> dict[str, Any]:
-    row = {
-        "recall": recall,
-        "touches": touches,
-        "interval": [0.99, 1.0],
-        "median_ms": median,
-        "p95_ms": p95,
-    }
+    row = {"recall": recall, "touches": touches, "interval": [0.99, 1.0]}
+    row |= {"median_ms": median, "p95_ms": p95}
     default = {
-        "summary": {"rows": {"headline": row}},
+        "rows": {"headline": row},
         "false_alarms": {"all": rate_of(alarms, round(hours * 540_000))},
     }
     tree = {
         "figures": {"default": default},
         "residual_deg": {"stand": {"servo": [0.22, 0.24, 0.23]}},
-        "worst_leg_run": {"stand": {"servo": {"leg_run": "2-lm", "rms_deg": worst}}},
+        "worst_leg_run": ("2-lm", worst),
     }
     return {"detection": plain(tree)}
 
 
-def verdicts(results: dict[str, Any]) -> list[bool | None]:
-    return [line.kept for line in headline(results)]
+YES, NO, OPEN = "yes", "**no**", "–"
 
 
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
-        ({}, [True, True, True, True, True]),
-        ({"recall": 0.98}, [False, True, True, True, True]),
+        ({}, [YES, YES, YES, YES, YES]),
+        ({"recall": 0.98}, [NO, YES, YES, YES, YES]),
         # Kept so far, but not on as many as were asked for: no verdict.
-        ({"touches": 999}, [None, None, True, True, True]),
-        ({"hours": 9.9}, [True, True, None, True, True]),
+        ({"touches": 999}, [OPEN, OPEN, YES, YES, YES]),
+        ({"hours": 9.9}, [YES, YES, OPEN, YES, YES]),
         # Broken is broken, on however few.
-        ({"touches": 999, "recall": 0.98, "median": 21.0}, [False, False, True, True, True]),
-        ({"hours": 0.1, "alarms": 1}, [True, True, False, True, True]),
-        ({"p95": 40.1}, [True, False, True, True, True]),
-        ({"alarms": 53}, [True, True, False, True, True]),
-        ({"median": None}, [True, None, True, True, True]),
+        ({"touches": 999, "recall": 0.98, "median": 21.0}, [NO, NO, YES, YES, YES]),
+        ({"hours": 0.1, "alarms": 1}, [YES, YES, NO, YES, YES]),
+        ({"p95": 40.1}, [YES, NO, YES, YES, YES]),
+        ({"alarms": 53}, [YES, YES, NO, YES, YES]),
         # All leg-runs pooled hide one that is worse.
-        ({"worst": (0.23, 0.26, 0.23)}, [True, True, True, True, False]),
+        ({"worst": (0.23, 0.26, 0.23)}, [YES, YES, YES, YES, NO]),
     ],
 )
-def test_verdicts(changed: dict[str, Any], expected: list[bool | None]) -> None:
-    assert verdicts(found(**changed)) == expected
+def test_verdicts(changed: dict[str, Any], expected: list[str]) -> None:
+    lines = headline(found(**changed))
+    assert [kept for *_, kept in lines] == expected
+    assert "the worst leg-run (2-lm)" in lines[4][0]
 
 
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
-        ({}, True),
-        ({"speed_up": 19.0}, False),
-        ({"difference": 2e-8}, False),
-        ({"same_support": False}, False),
-        ({"rows": 14_250}, None),
-        ({"rows": 14_250, "speed_up": 16.0}, None),
-        ({"rows": 14_250, "same_support": False}, False),
+        ({}, YES),
+        ({"speed_up": 19.0}, NO),
+        ({"difference": 2e-8}, NO),
+        ({"same_support": False}, NO),
     ],
 )
-def test_the_speed_has_a_verdict_on_5000_segments(
-    changed: dict[str, Any], expected: bool | None
-) -> None:
+def test_the_speed_has_a_verdict(changed: dict[str, Any], expected: str) -> None:
     row = {
-        "library": "servo",
-        "terms": 59,
-        "kept": [15, 21, 25],
-        "rows": 47_500,
-        "speed_up": 40.0,
-        "same_support": True,
-        "difference": 1e-12,
-    } | changed
-    assert verdicts({"compression": [row]}) == [expected]
+        "library": "servo", "terms": 59, "kept": [15, 21, 25], "rows": 47_500, "speed_up": 40.0,
+        "same_support": True, "difference": 1e-12,
+    } | changed  # fmt: skip
+    assert [kept for *_, kept in headline({"compression": [row]})] == [expected]
 
 
-def test_what_was_not_counted_has_no_rate() -> None:
-    assert plain(rate_of(-1, 540_000)) == {
-        "count": -1, "hours": 1.0, "per_hour": None, "interval": [None, None]
-    }  # fmt: skip
-    assert rate_of(0, 0)["per_hour"] is None
-
-
-def test_the_residual_is_labelled_as_what_it_is() -> None:
-    pooled, worst = headline(found())[3:]
-    assert "models as fitted" in pooled.what
-    assert "all leg-runs pooled" in pooled.what
-    assert "the worst leg-run (2-lm)" in worst.what
-    assert worst.measured == "1.36 1.48 1.36 ×"
-
-
-def test_no_alarm_in_few_hours_only_bounds_the_rate() -> None:
-    alarms = {"free": rate_of(10, 540_000 * 10), "stand": rate_of(0, 324_000)}
-    told = part("free", {"figures": {"default": {"false_alarms": plain(alarms)}}})
-    assert "10 and 0 false alarms" in told
-    # 95 % of nothing seen: 3.69 over 0.6 h.
-    assert "None in 0.60 h standing only bounds the rate: up to 6.1 per robot-hour" in told
-    assert "hung up only bounds" not in told
-
-
-def test_what_has_no_model_and_what_is_singular_are_no_dashes() -> None:
-    assert per_joint([1.234, SINGULAR, None], 1) == "1.2 infinite (singular) -"
-    assert shown_condition(float("inf")) == SINGULAR
-    assert shown_condition(12.0) == 12.0
-
-
-def test_every_joint_has_a_say_in_the_sparsest_model() -> None:
-    """A mean would pick 0.3: the first joint gains there what the second loses."""
+@pytest.mark.parametrize(
+    ("errors", "picked"),
+    [
+        ([[1.0, 1.0], [1.004, 1.0], [1.1, 1.0]], 1.0),
+        ([[1.0, 1.1], [1.1, 1.0]], 0.0),  # the joints' best lie apart: the smallest
+        ([None, None], None),
+    ],
+)
+def test_the_sparsest_near_the_best_of_every_joint_is_picked(
+    errors: list[list[float] | None], picked: float | None
+) -> None:
     points = [
-        {"status": "ok", "lambda": 0.1, "held_out_rms": [0.200, 0.200]},
-        {"status": "ok", "lambda": 0.3, "held_out_rms": [0.198, 0.203]},
-        {"status": "ok", "lambda": 1.0, "held_out_rms": [0.300, 0.300]},
+        {"status": "ok", "lambda": float(i), "held_out_rms": own} for i, own in enumerate(errors)
     ]
-    assert sparsest_of(points[:1] + points[2:]) == 0.1
-    assert sparsest_of([]) is None
-    # Their best lie apart: the smallest.
-    assert sparsest_of(points) == 0.1
-    near = [
-        *points[:1],
-        {"status": "ok", "lambda": 0.3, "held_out_rms": [0.2005, 0.2009]},
-        points[2],
-    ]
-    assert sparsest_of(near) == 0.3
+    assert sparsest_of(points) == picked
+
+
+def test_plain_trees_hold_no_not_a_number() -> None:
+    tree = {"a": np.array([1.0, np.inf]), "b": (np.int64(3), np.bool_(True))}
+    assert plain(tree) == {"a": [1.0, None], "b": [3, True]}
+
+
+def test_an_unknown_stage_is_one_line(tmp_path: Path) -> None:
+    app = typer.Typer()
+    app.command()(paper)
+    result = CliRunner().invoke(app, ["--out", str(tmp_path), "--stage", "nonsense"])
+    assert isinstance(result.exception, ConfigurationError)
+    assert "identification" in str(result.exception)
+
+
+@pytest.mark.parametrize("logs", [None, Path("nowhere")])
+def test_recordings_that_are_not_there_are_skipped_with_a_reason(
+    logs: Path | None, tmp_path: Path
+) -> None:
+    results = run_paper(Work(None), TINY, stages=("logs",), logs=logs)
+    assert "no recordings of real servos there" in results["logs"]["skipped_stage"]
+    write_report(results, tmp_path)
+    assert "Skipped: " in (tmp_path / "paper.md").read_text()
+
+
+def arm(path: Path) -> None:
+    """Six motions of two servos of limited speed."""
+    rng, t, arrays = np.random.default_rng(6), np.arange(300) * 0.02, {}
+    for i in range(6):
+        goal = np.sin(2.0 * np.pi * rng.uniform(0.2, 1.2, 2) * t[:, None])
+        position = np.zeros_like(goal)
+        for k in range(len(t) - 1):
+            error = np.clip((goal[k] - position[k]) / 0.16, -1.0, 1.0)
+            position[k + 1] = position[k] + 0.08 * error
+        noisy = position + rng.normal(scale=1e-3, size=position.shape)
+        arrays |= {f"m{i}/t": t, f"m{i}/goal": goal, f"m{i}/pos": noisy}
+    np.savez(path, **arrays)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_whole_run_is_made_again_from_what_is_kept_and_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tail, "MIN_EXCEEDANCES", 5)  # no threshold to be trusted, but it is one
+    monkeypatch.setattr(identification, "LAMBDAS", (0.01, 5.0))
+    monkeypatch.setattr(identification, "OUR_LAMBDAS", (0.0, 0.3))
+    monkeypatch.setattr(identification, "PAPER_WINDOW", identification._SHORT)
+    arm(tmp_path / "arm.npz")
+    first, again = (
+        run_paper(Work(tmp_path / "out"), TINY, logs=tmp_path / "arm.npz") for _ in range(2)
+    )
+    assert first == again
+    assert set(STAGES) <= set(first)
+    figures = first["detection"]["figures"]
+    assert figures["default"]["rows"]["headline"]["touches"] > 5
+    write_report(first, tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "results.json").read_text()) == first
+    document = tmp_path / "docs" / "paper.md"
+    write_document(first, document)
+    text = document.read_text()
+    pictures = re.findall(r"\]\((pictures/.+?)\)", text)
+    assert len(pictures) == 4
+    assert all((document.parent / name).stat().st_size > 5_000 for name in pictures)
+    assert "nan" not in text.lower().split()

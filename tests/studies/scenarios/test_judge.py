@@ -106,27 +106,31 @@ def tree(**changes: Any) -> dict[str, Any]:
 def test_goals_of_a_step_that_counts() -> None:
     made = goals(scenarios()["step-friction4"], tree())
     assert [g.limit for g in made] == [10.0, 20.0, 2.0, 1.0, 0.0]
-    assert all(g.met for g in made)
+    assert all(g.tree["met"] for g in made)
     never = {"swings_median": None, "swings_p95": None, "alarms_median": 90.0}
     worse = tree(recovery={"step": never}, recall_lost_points=1.5, harmful=True)
-    assert not any(g.met for g in goals(scenarios()["step-friction4"], worse))
+    assert not any(g.tree["met"] for g in goals(scenarios()["step-friction4"], worse))
 
 
 def test_a_caught_foot_is_to_be_told() -> None:
     made = goals(scenarios()["caught-30s"], tree(caught_swings=100, caught_told=80))
-    assert (made[-1].limit, made[-1].measured, made[-1].met) == (0.1, pytest.approx(0.2), False)
+    assert (made[-1].limit, made[-1].measured, made[-1].tree["met"]) == (
+        0.1,
+        pytest.approx(0.2),
+        False,
+    )
     made = goals(scenarios()["caught-30s"], tree(caught_swings=100, caught_told=95))
-    assert made[-1].met
+    assert made[-1].tree["met"]
 
 
 def test_goals_of_a_step_that_does_not() -> None:
     made = goals(scenarios()["step-mass50"], tree(counts=False, harmful=True))
-    assert [g.met for g in made] == [True, False]
+    assert [g.tree["met"] for g in made] == [True, False]
 
 
 def test_a_poisonous_scenario_is_held_to_what_is_learned() -> None:
     made = goals(scenarios()["contacts-level"], tree(touching_share=0.002))
-    assert [(g.what, g.met) for g in made] == [
+    assert [(g.what, g.tree["met"]) for g in made] == [
         ("recall lost, points", True),
         ("contact ticks learned, share", False),
     ]

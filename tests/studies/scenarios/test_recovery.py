@@ -11,22 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.robot import shipped_robot
 from adaptive_contact.score import Row, match, summarise
-from adaptive_contact_studies.evaluate import leg_stream
 from adaptive_contact_studies.scenarios.judge import (
+    NOTHING,
     Judgement,
     Recovery,
     judge_scenario,
     quantile,
     within,
 )
-from adaptive_contact_studies.scenarios.recording import record
 from adaptive_contact_studies.scenarios.registry import scenarios
-from adaptive_contact_studies.scenarios.replay import STATUSES, replay
-from adaptive_contact_studies.scenarios.runner import Folders, jobs, run
+from adaptive_contact_studies.scenarios.replay import STATUSES, Replayed, replayed
 from adaptive_contact_studies.scenarios.runs import POSE_SWING_S, QUICK_SIZES, Sizes, lone_runs
 from adaptive_contact_studies.scenarios.spec import ReplaySpec, Staging, Variant
+from adaptive_contact_studies.work import Work
 
 # Seeds of tests, apart from those that are tuned on or reported.
 SIZES = replace(
@@ -38,9 +36,12 @@ STEPS = ("step-friction4", "step-supply94", "step-compliance2", "step-joint6")
 
 def judged(name: str, folder: Path, sizes: Sizes = SIZES) -> Judgement:
     scenario = replace(scenarios(sizes)[name], variants=PAIR)
-    folders = Folders.of(folder)
-    assert run(jobs([scenario], folders), folders, processes=1) == []
-    return judge_scenario(scenario, folders)
+    work = Work(folder)
+    runs, twins = (
+        [work.one(replayed, spec) for spec in specs]
+        for specs in (scenario.replays, scenario.references)
+    )
+    return judge_scenario(scenario, runs, twins)
 
 
 def recoveries_of(judgement: Judgement) -> list[Recovery]:
@@ -92,7 +93,7 @@ def test_changes_are_taken_for_what_they_are(steps: dict[str, Judgement]) -> Non
         (each.kind, kinds.get(name, "friction"))
         for name, judgement in steps.items()
         for each in recoveries_of(judgement)
-        if each.kind is not None
+        if each.kind != NOTHING
     ]
     assert len(told) >= 16
     assert sum(kind == truth for kind, truth in told) >= 0.9 * len(told)
@@ -123,15 +124,15 @@ def test_a_foot_that_trails_too_much_is_ambiguous_and_the_leg_is_well_again_afte
     sizes = replace(SIZES, leg_runs=2)
     for spec in lone_runs(sizes, 60.0, Staging(caught_s=(8.0, 38.0), trails_n=6.0)):
         (leg,) = spec.legs
-        taken = record(spec)
-        frozen, full = replay(ReplaySpec(spec, variants=PAIR), taken)[leg].values()
+        found = replayed(Work(None), ReplaySpec(spec, variants=PAIR))
+        assert isinstance(found, Replayed)
+        frozen, full = found.learners[leg].values()
         t_s = full.log.t_ns / 1e9
         status = np.array(STATUSES)[full.log.status]
         late = (t_s > 8.0 + 25 * POSE_SWING_S) & (t_s < 38.0)
         assert np.mean(status[late] == "ambiguous") > 0.8
         assert np.mean(status[t_s > 44.0] == "valid") > 0.8
-        assert np.ptp(full.log.ticks[late]) == 0, "nothing of it is learned"
-        stream = leg_stream(taken, leg, shipped_robot())
+        stream = found.streams[leg]
         trailing = [within(match(stream, one.events), 8.0, 38.0) for one in (frozen, full)]
         alarms = [len(outcome.alarms_ns) for outcome in trailing]
         assert alarms[0] > 20, "worth telling of"

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.drift import KINDS
 from adaptive_contact_sim.robots import simulated_robot
-from adaptive_contact_studies.scenarios.recording import key_of
 from adaptive_contact_studies.scenarios.registry import named, scenarios
-from adaptive_contact_studies.scenarios.runs import FULL_SIZES, QUICK_SIZES
+from adaptive_contact_studies.scenarios.runs import QUICK_SIZES
 from adaptive_contact_studies.scenarios.spec import ALL_VARIANTS, Expect, Variant
 
 NAMES = [
@@ -77,7 +74,7 @@ def test_every_kind_of_drift_has_a_step() -> None:
 
 def test_every_figure_rests_on_twenty_leg_runs_with_reporting_seeds() -> None:
     for scenario in scenarios().values():
-        assert len(scenario.leg_runs) >= 20, scenario.name
+        assert scenario.leg_runs >= 20, scenario.name
         seeds = [recording.settings.seed for recording in scenario.recordings]
         assert len(set(seeds)) == len(seeds)
         assert min(seeds) >= 7000, scenario.name
@@ -93,13 +90,13 @@ def test_a_twin_differs_by_what_the_scenario_does_alone() -> None:
             assert twin.recording.settings.drift == ()
             assert twin.baseline == "shipped"
             if own.recording.settings.drift:
-                assert key_of(twin.recording) != key_of(own.recording)
+                assert twin.recording != own.recording
 
 
 def test_steps_share_their_twins() -> None:
     known = scenarios()
-    twins = {key_of(known[n].references[3].recording) for n in NAMES if n.startswith("step-f")}
-    twins |= {key_of(known["step-backlash1"].references[3].recording)}
+    twins = {repr(known[n].references[3].recording) for n in NAMES if n.startswith("step-f")}
+    twins |= {repr(known["step-backlash1"].references[3].recording)}
     assert len(twins) == 1
 
 
@@ -129,14 +126,6 @@ def test_robot_hours_without_change() -> None:
     )
     assert [s.name for s in quiet] == ["steady-pose", "steady-walk"]
     assert hours >= 10.0
-
-
-@pytest.mark.parametrize("walks", [1, 7, 29, 37, 49, 58, 60])
-@pytest.mark.parametrize("leg_runs", [3, 6, 20, 23])
-def test_as_many_walks_without_change_as_asked(walks: int, leg_runs: int) -> None:
-    sizes = replace(FULL_SIZES, leg_runs=leg_runs, steady_walks=walks / leg_runs)
-    assert len(scenarios(sizes)["steady-walk"].recordings) == walks
-    assert len(scenarios()["steady-walk"].recordings) == 60
 
 
 @pytest.mark.parametrize(

@@ -1,35 +1,22 @@
-"""Scenarios of the second robot: what shows whether anything here only fits the hexapod.
+"""Recordings of a robot of two-joint legs: what shows whether anything only fits the hexapod.
 
 Each leg makes trials of its own, as in ``sim pose``: an ascent and a descent of 14 ticks each
 between random foot points, then a hold of three ticks marked stance.  On a share of the descents
 a plate waits at a random height.  All through, the body is held on its stand.
-
-``python -m adaptive_contact_studies.quadruped_trials DIR`` learns the baseline and scores all
-scenarios into ``DIR/baseline.json`` and ``DIR/scores.md``.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.files import write_file
-from adaptive_contact.fit.recordings import LegGatherer
-from adaptive_contact.fit.train import Training, learn
-from adaptive_contact.model.model_file import save_baseline
-from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.score import Row, Score
 from adaptive_contact.wire import ContactTruth, Phase, ServoSample
 from adaptive_contact_sim.truth import TruthTracker
-from adaptive_contact_sim.virtual.compare import play
 from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
-from adaptive_contact_studies.show.numbers import number, percent, share
 
 _L1, _L2 = 0.07, 0.09
 _BODY_M: Final = 0.3
@@ -50,15 +37,6 @@ _ROBOT_SEED: Final = 0
 _KEPT_STEPS: Final = 200
 # A plate comes when the foot is this clear of it.
 _CLEAR_M: Final = 0.008
-_HEAD: Final = """# Scores of the quadruped
-
-Two-joint legs of XL330 on a stand; scenarios, rows and rules are those of
-`adaptive_contact_studies.quadruped_trials` and `docs/scoring.md`.  Four legs for 300 s each,
-from the shipped baseline, which was learned from 900 s of free swings.  Made with
-
-    python -m adaptive_contact_studies.quadruped_trials models/adaptive_contact_models/quadruped
-
-"""
 
 
 @dataclass(frozen=True)
@@ -87,7 +65,6 @@ SCENARIOS: Final = (
         "quadruped-battery", "Hard plates, 4.2 V, from the start", 35, 300.0, 0.5, None, 1.0, 4.2
     ),
 )
-_TRAINING: Final = Scenario("training", "Free swings the baseline is learned from", 1031, 900.0)
 
 
 class Recorded(NamedTuple):
@@ -209,18 +186,6 @@ def record(scenario: Scenario) -> Recorded:
     return recorded
 
 
-def learn_quadruped(robot: Robot) -> Training:
-    """Learn the baseline from free swings."""
-    gatherers = {leg: LegGatherer(robot.leg(leg), robot.period_s) for leg in LEGS}
-    for leg, sample in record(_TRAINING).samples:
-        gatherers[leg].take_sample(sample)
-    return learn(
-        robot,
-        {leg: gatherer.stretches(free=True) for leg, gatherer in gatherers.items()},
-        origin="adaptive_contact_studies.quadruped_trials, seed 1031, 900 s of free swings",
-    )
-
-
 def _serve_plate(
     plant: QuadrupedPlant, leg: int, trial: _Trial, scenario: Scenario, rng: np.random.Generator
 ) -> None:
@@ -251,46 +216,3 @@ def _joints(points_m: Array) -> Array:
     knee = -np.arccos(np.clip(cos_knee, -1.0, 1.0))
     hip = np.arctan2(z, x) - np.arctan2(_L2 * np.sin(knee), _L1 + _L2 * np.cos(knee))
     return np.stack([hip, knee], axis=1)
-
-
-def _table(scores: dict[str, Score]) -> str:
-    lines = [
-        "| scenario | row | touches | recall | 95 % | median, p95 ms | false alarms | judged h |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name, score in scores.items():
-        total = score.total
-        for row, figures in total.rows.items():
-            if not figures.touches and row is not Row.HEADLINE:
-                continue
-            recall = percent(figures.recall, none="")
-            low, high = figures.interval.low, figures.interval.high
-            times = figures.latency
-            latency = (
-                "" if times is None else f"{number(times.median_ms, 0)}, {number(times.p95_ms, 0)}"
-            )
-            lines.append(
-                f"| {name} | {row.value} | {figures.touches} | {recall} | "
-                f"{share(low)} to {share(high)} | {latency} | {total.false_alarms} | "
-                f"{number(total.robot_hours)} |"
-            )
-    return "\n".join(lines) + "\n"
-
-
-def main(directory: Path) -> None:
-    """Learn and score into a folder."""
-    robot = shipped_robot("quadruped")
-    training = learn_quadruped(robot)
-    save_baseline(training.baseline, directory / "baseline.json")
-    for leg, figures in training.figures.items():
-        rms = ", ".join(number(math.degrees(x), 3) for x in figures.held_out_rms)
-        print(f"{leg}: {figures.rows} ticks, held-out {rms} deg", flush=True)
-    scores = {}
-    for scenario in SCENARIOS:
-        scores[scenario.name] = play(*record(scenario), robot, training.baseline)
-        print(_table({scenario.name: scores[scenario.name]}), flush=True)
-    write_file(directory / "scores.md", _HEAD + _table(scores))
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

@@ -1,0 +1,336 @@
+"""What a run found, as a page with its pictures: ``docs/paper.md``.
+
+Templates (``show/templates/paper``) hold the words, ``results.json`` the figures; nothing here is a
+number of its own but the goals.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from adaptive_contact_studies.paper.detection import BOTH, SLOW_FAST
+from adaptive_contact_studies.paper.rows import noise_floor
+from adaptive_contact_studies.show.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    JOINT_COLOURS,
+    JOINTS,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    legend_below,
+    new_figure,
+    save,
+    styled,
+)
+from adaptive_contact_studies.show.pages import (
+    number,
+    per_joint,
+    percent,
+    render,
+    unwrapped,
+    write_page,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Shown at about the size they are drawn at: no smaller than 9 points.
+_STYLE: Final = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
+_LOOKS: Final = {
+    "default": ("black", "-", 2.2),
+    "servo ratio": (BLUE, "-", 1.8),
+    "servo rule": (SKY, "--", 1.4),
+    "paper ratio": (ORANGE, "-", 1.4),
+    "paper rule": (RED, "-", 1.8),
+    "tracking": (PURPLE, "-", 1.4),
+    "naive": (GREY, "-", 1.4),
+}
+_LIMITED: Final = ("default", "servo ratio", "paper rule", "tracking")
+# Of Figure 4: line and mark distinguish curves that lie on each other.
+_CURVES: Final = {
+    "all": ("black", "-", "o"),
+    "position": (BLUE, "--", "s"),
+    "velocity": (ORANGE, "-.", "^"),
+    "acceleration": (GREEN, ":", "v"),
+}
+# What the run is held to.
+_RECALL: Final = 0.99
+_TOUCHES: Final = 1000
+_MEDIAN_MS: Final = 20.0
+_P95_MS: Final = 40.0
+_PER_HOUR: Final = 5.0
+_HOURS: Final = 10.0
+_OVER_FLOOR: Final = 1.5
+_SPEED_UP: Final = 20.0
+_DIFFERENCE: Final = 1e-8
+
+
+def write_report(results: Mapping[str, Any], out: Path) -> None:
+    """Write ``results.json``, and the page with its pictures beside it.
+
+    Raises:
+        ConfigurationError: it cannot be written there.
+    """
+    text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
+    write_page(out / "results.json", text)
+    write_document(results, out / "paper.md")
+
+
+def write_document(results: Mapping[str, Any], document: Path) -> None:
+    """Write the page, its pictures in a folder ``pictures`` beside it.
+
+    Raises:
+        MissingExtraError: matplotlib or jinja2 is not installed.
+        ConfigurationError: it cannot be written there.
+    """
+    write_page(document, markdown("page.md", results=results, headline=headline(results)))
+    drawings: dict[str, tuple[Callable[[Any], Figure], str]] = {
+        "sweep": (_sweep, "identification"),
+        "collision": (_collision, "collisions"),
+        "roc": (_roc, "detection"),
+        "limits": (_limits, "detection"),
+    }
+    with styled(_STYLE, "the report"):
+        for name, (draw, stage) in drawings.items():
+            if stage in results:
+                file = document.parent / "pictures" / f"paper-{name}.png"
+                save(draw(results[stage]), file)
+
+
+def markdown(template: str, **given: Any) -> str:
+    """Fill a template of the paper's."""
+    filters: dict[str, Callable[..., Any]] = {"degrees": math.degrees, "span": span}
+    return unwrapped(render(f"paper/{template}", filters, BOTH=BOTH, SLOW_FAST=SLOW_FAST, **given))
+
+
+def span(part: Mapping[str, Any]) -> str:
+    """The range of speeds or forces that a part of the touches has."""
+    end = "and more" if part["high"] is None else f"to {part['high']:g}"
+    return f"{part['low']:g} {end}"
+
+
+def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """What was asked for and what was measured, of the stages that ran, and whether it is reached.
+
+    That is left open where no figure is against it, but less was measured than was asked for.
+    """
+    lines: list[tuple[str, str, str, str]] = []
+
+    def add(what: str, wanted: str, measured: str, *, kept: bool, enough: bool = True) -> None:
+        lines.append((what, wanted, measured, ("yes" if enough else "–") if kept else "**no**"))
+
+    def floor(where: str, over: Sequence[float]) -> None:
+        what, wanted = f"one-step RMS over the noise floor, {where}", f"≤ {_OVER_FLOOR} ×"
+        add(what, wanted, f"{per_joint(over)} ×", kept=max(over) <= _OVER_FLOOR)
+
+    if found := results.get("detection"):
+        row = found["figures"]["default"]["rows"]["headline"]
+        alarms = found["figures"]["default"]["false_alarms"]["all"]
+        low, high = row["interval"]
+        enough = row["touches"] >= _TOUCHES
+        add(
+            "recall, hard ground, ≥ 0.2 m/s, whole workspace (slow approaches: rows of their own)",
+            f"≥ {percent(_RECALL, 0)} of ≥ {_TOUCHES:,}",
+            f"{percent(row['recall'])} of {row['touches']} "
+            f"(95 % {percent(low)} to {percent(high)})",
+            kept=(row["recall"] or 0.0) >= _RECALL,
+            enough=enough,
+        )
+        median, p95 = row["median_ms"], row["p95_ms"]
+        add(
+            "latency of those",
+            f"median ≤ {_MEDIAN_MS:.0f} ms, p95 ≤ {_P95_MS:.0f} ms",
+            f"median {number(median, 1)} ms, p95 {number(p95, 1)} ms",
+            kept=median is not None and median <= _MEDIAN_MS and p95 <= _P95_MS,
+            enough=enough,
+        )
+        low, high = alarms["interval"]
+        add(
+            "false alarms per robot-hour",
+            f"≤ {_PER_HOUR:.0f} over ≥ {_HOURS:.0f} h",
+            f"{number(alarms['per_hour'])} (95 % {number(low)} to {number(high)}) "
+            f"over {number(alarms['hours'], 1)} h",
+            kept=alarms["per_hour"] is not None and alarms["per_hour"] <= _PER_HOUR,
+            enough=alarms["hours"] >= _HOURS,
+        )
+        what = "servo law's models as fitted (the default starts from such), standing, judged ticks"
+        run, worst = found["worst_leg_run"]
+        for where, rms in (
+            ("all leg-runs pooled", found["residual_deg"]["stand"]["servo"]),
+            (f"the worst leg-run ({run})", worst),
+        ):
+            floor(f"{what}, {where}", [v / math.degrees(noise_floor()) for v in rms])
+    if identified := results.get("identification"):
+        servo = identified["selection"][-1]
+        point = next(p for p in servo["points"] if p["lambda"] == (servo["picked"] or 0.0))
+        floor(
+            "model of the default's library, the paper's test segments", point["test"]["over_floor"]
+        )
+    for row in results.get("compression") or ():
+        add(
+            f"refit with the factor held, {row['library']} library, "
+            f"{sum(row['kept']) / len(row['kept']):.0f} of {row['terms']} terms kept, "
+            f"{row['rows']:,} rows",
+            f"≥ {_SPEED_UP:.0f} × PySINDy's own on 5,000 segments, same support",
+            f"{row['speed_up']:.0f} ×, {'same' if row['same_support'] else 'another'} support, "
+            f"largest difference {row['difference']:.1e}",
+            kept=row["same_support"]
+            and row["difference"] <= _DIFFERENCE
+            and row["speed_up"] >= _SPEED_UP,
+        )
+    return lines
+
+
+def _sweep(data: Any) -> Figure:
+    """Figure 4, and under it what R² does not show."""
+    sweeps = data["sweeps"]
+    figure = new_figure(2.75 * len(sweeps), 7.6)
+    grid = figure.subplots(3, len(sweeps), sharex="col", sharey="row", squeeze=False)
+    for (above, middle, below), sweep in zip(grid.T, sweeps, strict=True):
+        points = [p for p in sweep["points"] if p["lambda"] > 0 and p["status"] == "ok"]
+        lam = [p["lambda"] for p in points]
+        for name, (colour, style, mark) in _CURVES.items():
+            values = np.array([p["train"].get(name) for p in points], dtype=float)
+            above.semilogx(lam, values, color=colour, ls=style, marker=mark, ms=3.5, label=name)
+        window, norm = sweep["window"], ", normalised" if sweep["normalised"] else ""
+        above.set(ylim=(0.7, 1.02), title=f"{sweep['unit']}{norm}\nN={window['past_measured']}")
+        for joint, colour in enumerate(JOINT_COLOURS):
+            errors = [p["test"]["over_floor"][joint] for p in points]
+            middle.loglog(lam, errors, color=colour, label=JOINTS[joint])
+            below.loglog(lam, [p["terms"][joint] for p in points], color=colour)
+        middle.axhline(_OVER_FLOOR, color="black", lw=0.8, ls=":")
+        below.set_xlabel("λ")
+        for axes in (above, middle, below):
+            axes.axvline(5.0, color="black", lw=0.8, ls="--")
+            axes.set_xlim(1e-4, 20)
+            if sweep["picked"] is not None:
+                axes.axvline(sweep["picked"], color=PURPLE, lw=1.4)
+            if sweep["emptied_at"] is not None:
+                axes.axvspan(sweep["emptied_at"], 20.0, color="black", alpha=0.12, lw=0)
+    for axes, label in zip(
+        grid[:, 0], ("R², training", "RMS over floor, test", "terms"), strict=True
+    ):
+        axes.set_ylabel(label)
+    grid[0][0].legend(fontsize=8)
+    grid[1][0].legend(fontsize=8)
+    return figure
+
+
+def _collision(data: Any) -> Figure:
+    """Figure 5: one collision, from the position error to the detection."""
+    trace, row = data["trace"], data["table"][data["drawn"]]
+    figure = new_figure(8.6, 6.4)
+    axes = figure.subplots(3, 1, sharex=True)
+    ticks = np.array(trace["tick_ms"])
+    labels = {
+        "tracking_deg": "position error:\ncommand − reading\n(deg)",
+        "residual_deg": "predicted error:\nreading − predicted\n(deg)",
+        "difference_deg": "change of\n|predicted error|\n(deg)",
+    }
+    events = [
+        (trace["moves_ms"], "black", ":", "leg moves"),
+        (trace["onset_ms"], "black", "-", "touch"),
+        *((when, RED, "-", "paper's rule") for when in trace["paper_ms"]),
+        *((when, BLUE, "--", "default detector") for when in trace["default_ms"]),
+    ]
+    for ax, (name, label) in zip(axes, labels.items(), strict=True):
+        for values, colour, joint in zip(
+            np.array(trace[name], dtype=float).T, JOINT_COLOURS, JOINTS, strict=True
+        ):
+            ax.plot(ticks, values, ".-", color=colour, lw=1, label=joint)
+        for when, colour, style, what in events:
+            ax.axvline(when, color=colour, ls=style, label=what)
+        ax.set(ylabel=label, xlim=(ticks[0], ticks[-1]))
+    for limit, colour in zip(data["limit_deg"], JOINT_COLOURS, strict=True):
+        axes[2].axhline(limit, color=colour, lw=1.2, ls=":")
+    found = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
+    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=4)
+    axes[2].set_xlabel("time (ms)")
+    axes[0].set_title(f"{row['speed_m_s']:.2f} m/s, {row['force_n']:.1f} N")
+    return figure
+
+
+def _roc(data: Any) -> Figure:
+    """Headline recall against false alarms; whole, and from 90 % on."""
+    figure = new_figure(10.4, 6.0)
+    whole, upper = figure.subplots(1, 2)
+    hours = data["figures"]["default"]["false_alarms"]["all"]["hours"]
+    for axes in (whole, upper):
+        for name, title in data["detectors"].items():
+            _curve(axes, name, title, data["figures"][name])
+        axes.axvline(_PER_HOUR, color="black", lw=0.8, ls=":")
+        axes.axhline(100 * _RECALL, color="black", lw=0.8, ls=":")
+        axes.set(
+            xscale="log",
+            xlim=(0.25 / hours, None),
+            xlabel=f"false alarms per robot-hour (in {hours:.1f} h); threshold falls →",
+        )
+    whole.set(ylim=(-2, 102), ylabel="recall, headline touches (%)")
+    upper.set(ylim=(90, 100.2), title="the same from 90 % on")
+    legend_below(figure, whole, 2)
+    return figure
+
+
+def _curve(axes: Axes, name: str, title: str, figures: Any) -> None:
+    """A detector's curve, and the point at which it runs."""
+    colour, style, width = _LOOKS[name]
+    own = {"recall": figures["rows"]["headline"]["recall"], **figures["false_alarms"]["all"]}
+    points = [p for p in figures["roc"] if p["per_hour"] is not None]
+    # What was never seen is drawn where half an alarm would be.
+    x, y = (
+        [max(p["per_hour"], 0.5 / p["hours"]) for p in points],
+        [100 * (p["recall"] or 0.0) for p in points],
+    )
+    axes.plot(x, y, style, color=colour, lw=width, label=title)
+    if own["per_hour"] is not None:
+        at = max(own["per_hour"], 0.5 / own["hours"]), 100 * (own["recall"] or 0.0)
+        mark, size = ("*", 15) if name == "default" else ("o", 6)
+        axes.plot([at[0]], [at[1]], mark, color=colour, ms=size, mec="white", zorder=5)
+
+
+def _limits(data: Any) -> Figure:
+    """Recall against approach speed and contact force, with 95 % intervals."""
+    figure = new_figure(10.4, 6.0)
+    left, right = figure.subplots(1, 2, sharey=True)
+    for axes, field, label in (
+        (left, "by_speed", "speed at touch (m/s), hard ground"),
+        (right, "by_force", "force, mean over 20 ms (N)"),
+    ):
+        for offset, name in enumerate(_LIMITED):
+            bins = [b for b in data["figures"][name][field] if b["touches"]]
+            # The last bin of the forces has no upper end.
+            ends = np.array([(max(b["low"], 0.01), b["high"] or 2.5 * b["low"]) for b in bins])
+            recall = 100 * np.array([b["recall"] for b in bins])
+            spread = 100 * np.array([b["interval"] for b in bins])
+            colour, style, _ = _LOOKS[name]
+            axes.errorbar(
+                np.sqrt(ends.prod(axis=1)) * (1 + 0.03 * (offset - 2)),
+                recall,
+                yerr=np.abs(spread.T - recall),
+                color=colour,
+                ls=style,
+                marker="o",
+                ms=3.5,
+                label=data["detectors"][name],
+            )
+        axes.set(xscale="log", xlabel=label, ylim=(-2, 102))
+    limits = data["limits"]
+    steps, forces = list(limits["step_m"].values()), list(limits["step_n"].values())
+    for ticks, alpha in ((1, 0.28), (3, 0.14)):
+        slowest, fastest = (end / (ticks * limits["period_s"]) for end in (min(steps), max(steps)))
+        words = f"a servo step in {ticks} tick{'s' if ticks > 1 else ''} (tibia to coxa)"
+        left.axvspan(slowest, fastest, color=GREY, alpha=alpha, lw=0, label=words)
+    right.axvspan(min(forces), max(forces), color=GREY, alpha=0.28, lw=0)
+    left.set_ylabel("recall (%)")
+    legend_below(figure, left, 2)
+    return figure

@@ -1,0 +1,247 @@
+"""Work is kept, gone on with, the same however many do it, and void when its sources change."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact_studies import work as module
+from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest, rests_on
+
+LIMIT_S = 120.0
+# Work that a terminal's Ctrl-C, or a kill, ends in its midst; each item says when it was done.
+PROGRAM = """
+import os, signal, sys, time
+from pathlib import Path
+from adaptive_contact_studies.scenarios import staging  # a module of the package
+from adaptive_contact_studies.work import Work
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+def slow(work, number):
+    time.sleep(0.3 if number < 4 else int(sys.argv[2]))
+    os.write(1, f"{number}\\n".encode())
+    return number
+
+if __name__ == "__main__":
+    import program
+    try:
+        Work(Path(sys.argv[1]), 2).each("slow", program.slow, range(8))
+    except KeyboardInterrupt:
+        print("stopped")
+"""
+
+
+def square(_: Work, number: int) -> float:
+    if number < 0:
+        raise ValueError("no root")
+    return float(np.square(number))
+
+
+def of_square(work: Work, number: int) -> float:
+    return work.one(square, number) + 1.0
+
+
+def threads(_: Work, number: int) -> list[int]:
+    return [pool["num_threads"] for pool in threadpool_info()]
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Of :func:`square`, in order."""
+    seen: list[int] = []
+    plain = np.square
+    monkeypatch.setattr(np, "square", lambda number: seen.append(number) or plain(number))
+    return seen
+
+
+def test_what_was_made_is_kept_and_a_damaged_result_made_again(
+    tmp_path: Path, calls: list[int]
+) -> None:
+    work = Work(tmp_path)
+    assert work.each("squares", of_square, [3, 1, 2]) == [10.0, 2.0, 5.0]
+    assert work.each("squares", of_square, [2, 3, 4]) == [5.0, 10.0, 17.0]
+    assert calls == [3, 1, 2, 4]
+    for file in tmp_path.rglob("output.pkl"):
+        file.write_bytes(b"half")
+    assert work.one(square, 3) == 9.0
+    assert calls == [3, 1, 2, 4, 3]
+    assert Work(None).each("squares", of_square, [5]) == [26.0]  # keeps nothing
+
+
+def test_another_source_voids_results_and_another_word_does_not(
+    tmp_path: Path, calls: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "deciding.py"
+    monkeypatch.syspath_prepend(tmp_path)
+    marked = rests_on("deciding")(square)
+    for text, made in (
+        ('"""It is so."""\nTWO = 2\n', 1),
+        ('"""It was so."""\nTWO = 2  # surely\n', 1),
+        ("TWO = 3\n", 2),
+    ):
+        source.write_text(text)
+        digest.cache_clear()
+        assert Work(tmp_path).one(marked, 3) == 9.0
+        assert len(calls) == made
+    digest.cache_clear()
+
+
+def test_an_interrupted_run_goes_on(tmp_path: Path, calls: list[int]) -> None:
+    with pytest.raises(ValueError, match="no root"):
+        Work(tmp_path).each("squares", square, [1, 2, -1, 3])
+    assert Work(tmp_path).each("squares", square, [1, 2, 3]) == [1.0, 4.0, 9.0]
+    assert calls == [1, 2, 3]
+
+
+def test_processes_give_the_same_in_one_thread_each() -> None:
+    assert Work(None, 2).each("squares", square, [3, 1, 2]) == [9.0, 1.0, 4.0]
+    with threadpool_limits(2):
+        own = Work(None).each("threads", threads, [1])
+    found = [*own, *Work(None, 2).each("threads", threads, [1, 2])]
+    assert {count for of_item in found for count in of_item} == {1}
+
+
+def test_a_worker_of_another_source_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys = iter(("here", "there"))
+    monkeypatch.setattr(module, "_key", lambda *_: next(keys))
+    with pytest.raises(ConfigurationError, match="start the same command again"):
+        Work(tmp_path).each("squares", square, [1])
+
+
+def test_all_that_decides_what_a_learner_does_is_among_its_sources() -> None:
+    """Whatever the bank of learners imports, but messages, files and errors."""
+    code = """
+import sys
+import adaptive_contact.bank
+print("\\n".join(name for name in sys.modules if name.startswith("adaptive_contact.")))
+"""
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    imported = {".".join(name.split(".")[:2]) for name in done.stdout.split()}
+    others = imported - set(LEARNER)
+    assert others <= {f"adaptive_contact.{name}" for name in ("errors", "files", "wire")}
+    assert digest(*SIMULATOR) != digest(*LEARNER)
+
+
+def test_without_a_terminal_progress_is_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s = iter((0.0, 6.0, 60.0, 61.0, 180.0))
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: next(now_s)))
+    out = io.StringIO()
+    work = Work(None, console=Console(file=out, width=100))
+    work.each("counting", square, [0, 1, 2], lambda number: 0.5 + number // 2)
+    assert out.getvalue().splitlines() == [
+        "counting: 40 % in 1 min, about 2 to go",
+        "counting: 180 s",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("number", "longest", "last"),
+    [(signal.SIGINT, "600", b"stopped\n"), (signal.SIGKILL, "2", b"")],
+)
+def test_a_run_that_is_stopped_leaves_no_worker_and_keeps_what_was_done(
+    number: signal.Signals, longest: str, last: bytes, tmp_path: Path
+) -> None:
+    """Workers hold their parent's pipe: it is at its end when the last of them is gone.
+
+    After Ctrl-C none ends what it is at; after a kill of their parent each does, and then goes.
+    """
+    (tmp_path / "program.py").write_text(PROGRAM)
+    process = subprocess.Popen(
+        [sys.executable, "program.py", "out", longest],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    try:
+        for _ in range(4):
+            assert select.select([process.stdout], [], [], LIMIT_S)[0], "no worker came up"
+            process.stdout.readline()
+        if number is signal.SIGINT:  # as a terminal does: to the workers, too
+            os.killpg(process.pid, number)
+        else:
+            process.kill()
+        said, _ = process.communicate(timeout=LIMIT_S)
+    finally:
+        process.kill()
+    assert said.endswith(last)
+    kept = list((tmp_path / "out").rglob("output.pkl"))
+    assert len(kept) >= 3
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[str]:
+    """A cluster of Dask with one worker."""
+    pytest.importorskip("distributed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    dask = [sys.executable, "-m", "dask"]
+    port = address.rpartition(":")[2]
+    commands = (
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"],
+        [*dask, "worker", address, "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1"],
+    )
+    where = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    started = [
+        subprocess.Popen(command, cwd=tmp_path, env=where, stderr=subprocess.DEVNULL)
+        for command in commands
+    ]
+    yield address
+    for process in started:
+        process.terminate()
+        process.wait(30)
+
+
+@pytest.mark.e2e
+def test_what_a_cluster_makes_is_what_is_made_here(scheduler: str, tmp_path: Path) -> None:
+    from operator import attrgetter  # a function of a module that the workers have
+
+    from adaptive_contact_sim.simulation import SimulationSettings
+    from adaptive_contact_studies.training import PlannedRun, recorded
+
+    specs = [PlannedRun("walk", SimulationSettings(seed=seed), 1.0) for seed in (1, 2)]
+    far = None
+    until = time.monotonic() + LIMIT_S
+    while far is None and time.monotonic() < until:
+        with contextlib.suppress(ConfigurationError):  # it is not up yet
+            far = Work(tmp_path, scheduler=scheduler).each("recording", recorded, specs)
+    assert far is not None
+    here = Work(None).each("recording", recorded, specs)
+    for one, other in zip(far, here, strict=True):
+        np.testing.assert_array_equal(*map(attrgetter("position_m"), (one, other)))
+
+
+def test_a_cluster_that_cannot_be_used_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_CONNECT_S", 0.5)
+    nowhere = Work(None, scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(ConfigurationError, match="no scheduler of Dask answers there") as caught:
+        nowhere.each("squares", square, [1])
+    assert "\n" not in str(caught.value)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'adaptive-contact\[cluster\]'"):
+        nowhere.each("squares", square, [1])
