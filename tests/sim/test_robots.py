@@ -29,6 +29,7 @@ from adaptive_contact_sim.servo import STS3215, XM430_W210, ServoBank, ServoKind
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.training import TRAINING_RUNS, learn_shipped
+from adaptive_contact_studies.work import Work
 
 
 def quadruped(gait: str, ground: str, seconds: float) -> Run:
@@ -291,13 +292,13 @@ def test_shipped_baselines_are_of_the_runs_that_are_named() -> None:
 
 def test_a_robot_learns_its_own_runs() -> None:
     runs = tuple(run._replace(seconds=90.0) for run in TRAINING_RUNS["leg5"][:2])
-    training = learn_shipped("leg5", runs=runs, processes=1)
+    training = learn_shipped("leg5", Work(None), runs=runs)
     assert training.baseline.robot == "leg5"
     figures = training.figures["leg"]
     assert figures.swings > 200
     assert max(figures.held_out_rms) < 0.5 * min(figures.naive_rms)
     with pytest.raises(ConfigurationError, match="no robot 'cat' is simulated"):
-        learn_shipped("cat")
+        learn_shipped("cat", Work(None))
 
 
 def test_the_demo_takes_robots_that_walk() -> None:

@@ -205,9 +205,8 @@ def test_settings_are_checked() -> None:
 
 
 def test_speed_is_measured() -> None:
-    speed = real_time_factor(seconds=0.5, engine_seconds=0.2)
-    assert speed.engine > 1.0
-    assert speed.factor > 1.0  # 20 and more where nothing else runs; `make bench` holds it to that
+    # 20 and more where nothing else runs; `make bench` shows it.
+    assert real_time_factor(seconds=0.5) > 1.0
 
 
 def test_export_is_measured_in_every_format() -> None:

@@ -1,6 +1,5 @@
-"""Scenarios of change: recorded once, replayed through lesser and full learners, and judged.
+"""Scenarios of change: recorded once, replayed through the learner and lesser ones, and judged.
 
-``registry`` has them by name, ``runner`` makes what is missing of their recordings and replays,
-``figures`` and ``goals`` turn these into figures and verdicts, and pages of plots and
-``docs/adaptation.md`` come from them.
+``registry`` has them by name, ``replay`` makes recordings and what learners do with them, ``judge``
+and ``results`` turn these into figures and verdicts, ``report`` into ``docs/adaptation.md``.
 """
