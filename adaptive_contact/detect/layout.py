@@ -359,9 +359,7 @@ noise_of: Final = TICK.part(Noise, PLACES, SHARED)
 kept_of: Final = TICK.part(Kept, PLACES, SHARED)
 
 
-def vectors(
-    count: int, lengths: Mapping[str, int]
-) -> tuple[list[NDArray[Any]], NDArray[np.int64]]:
+def vectors(count: int, lengths: Mapping[str, int]) -> tuple[list[NDArray[Any]], NDArray[np.int64]]:
     """Make the vectors of legs that have seen nothing.
 
     Args:
