@@ -173,10 +173,13 @@ class LegGroup:
             else:
                 groups.append([learner])
         places = {id(learner): i for i, learner in enumerate(self.learners)}
-        self._batches = [
-            (LegBatch.of([learner.place for learner in group]), [places[id(o)] for o in group])
-            for group in groups
-        ]
+        self._batches = []
+        for group in groups:
+            batch = group[0].place.batch
+            if batch.count != len(group) or any(o.place.batch is not batch for o in group):
+                batch = LegBatch.of([learner.place for learner in group])
+            group.sort(key=lambda learner: learner.place.row)
+            self._batches.append((batch, [places[id(o)] for o in group]))
         self._homes = [learner.place.batch for learner in self.learners]
 
 

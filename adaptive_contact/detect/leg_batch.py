@@ -72,8 +72,8 @@ class LegBatch:
         coefficients: (p, J) of the model in force.
         whiten: (contexts, 3, J, J), 1/rad, of sums of one to three residuals.
         domain: (p, p) matrix whose product with regressors has the leverage as squared length.
-        index, per_scale, root: (J, p), (J, p) and (J, p, p), covariance of the coefficients while
-            it is inflated: terms of each joint, reciprocal scales, square root.
+        index, per_scale, root: (J, n), (J, n) and (J, n, n), covariance of the coefficients while
+            it is inflated: n terms of each joint, reciprocal scales, square root.
         rows, row_values: rows of the swing until it is resolved, as
             :class:`~adaptive_contact.model.labelled_swing.Rows` has them.
         free_ring: (256, J) rad, residuals of the newest free ticks.
@@ -143,8 +143,8 @@ class LegBatch:
         # What is known of free motion.
         self.xi0, self.coefficients = zeros(q, joints), zeros(p, joints)
         self.whiten = zeros(CONTEXTS, DEPTH, joints, joints)
-        self.index = zeros(joints, p, dtype=i)
-        self.per_scale, self.root = zeros(joints, p), zeros(joints, p, p)
+        self.index = zeros(joints, 0, dtype=i)
+        self.per_scale, self.root = zeros(joints, 0), zeros(joints, 0, 0)
         self.domain = zeros(p, p)
         # Labels.
         self.rows = records(np.zeros((rows, capacity), dtype=ROW))
@@ -231,13 +231,15 @@ class LegBatch:
         whole = self.alike(other)
         while self.rows.shape[1] < other.rows.shape[1]:
             self.grow()
+        if whole:
+            self.make_room(other.index.shape[2])
         for name, mine in vars(self).items():
             theirs = vars(other).get(name)
             if not isinstance(mine, np.ndarray) or name in _OF_NO_LEG or theirs is None:
                 continue
-            if name in _OF_ROWS:
+            if name in _OF_ROWS or name in _OF_TERMS:
                 if whole:
-                    mine[row, : theirs.shape[1]] = theirs[of]
+                    mine[(row, *map(slice, theirs.shape[1:]))] = theirs[of]
             elif mine.shape[1:] == theirs.shape[1:] and (whole or name not in _OF_MODEL):
                 mine[row] = theirs[of]
 
@@ -248,6 +250,15 @@ class LegBatch:
             grown = np.concatenate([kept, np.zeros_like(kept)], axis=1)
             setattr(self, name, records(grown) if name == "rows" else grown)
         self._gather()
+
+    def make_room(self, terms: int) -> None:
+        """Make room for the covariance of so many terms of each joint."""
+        more = terms - self.index.shape[2]
+        if more > 0:
+            for name in _OF_TERMS:
+                kept = getattr(self, name)
+                setattr(self, name, np.pad(kept, [(0, 0)] * 2 + [(0, more)] * (kept.ndim - 2)))
+            self._gather()
 
     def forget_past(self, row: int) -> None:
         """Forget a row's past under its last model, as another begins."""
@@ -265,6 +276,7 @@ class LegBatch:
 # What is made of the arrays, and belongs to no other process.
 _BOUND: Final = ("_judge", "_finish", "accepted", *PLACES)
 _OF_ROWS: Final = ("rows", "row_values")
+_OF_TERMS: Final = ("index", "per_scale", "root")
 # Scratch, what is of all legs, and what is adopted by other names.
 _OF_NO_LEG: Final = (*SHARED, "places", "accepted")
 # What belongs to a model and to the past under it.
@@ -379,6 +391,7 @@ class LegPlace:
         if free.covariance is not None:
             terms, per_scale, root = free.covariance
             n = leg.root_n = terms.shape[1]
+            batch.make_room(n)
             batch.index[row, :, :n], batch.per_scale[row, :, :n] = terms, per_scale
             batch.root[row, :, :n, :n] = root
         batch.coefficients[row] = free.coefficients

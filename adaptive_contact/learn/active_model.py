@@ -103,7 +103,7 @@ class ActiveModel:
 
     def __init__(self, start: LegBaseline) -> None:
         self.baseline = start.model
-        self._spread = start.spread
+        self._of_prior = start.spread is not None
         self._settings = None if start.spread is None else RlsSettings(bound=PRIOR_BOUND)
         self._noise = start.noise.rms
         self._per_noise, self._scale = 1.0 / start.noise.rms, np.array(start.scale)
@@ -114,8 +114,9 @@ class ActiveModel:
         self.most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
         self.as_made = start.model
         self._moved = False  # the recursion has, since it was made
-        _, self.recursion, self.inflated = self._start()
+        self._start = _Good(start.model.version, self._begun_with(start.spread), self._of_prior)
         self._good: _Good | None = None
+        self._go_on_from(self._start)
         self._better_baseline = 0  # lifts in a row
 
     @property
@@ -145,7 +146,7 @@ class ActiveModel:
     @property
     def from_prior(self) -> bool:
         """Whether the recursion goes on from a prior."""
-        return self.inflated and self._spread is not None
+        return self.inflated and self._of_prior
 
     def learn(self, values: Array, at: int) -> str | None:
         """Learn a row; a model that becomes implausible gives way to the last good one.
@@ -160,8 +161,7 @@ class ActiveModel:
         self._moved = True
         if self.recursion.learn(values, at):
             return None
-        good = self._good or self._start()
-        self.recursion, self.inflated = good.rls.copy(), good.inflated
+        self._go_on_from(self._good or self._start)
         return "the baseline" if self._good is None else "the last good model"
 
     def uncertainty(self, rows: Rows) -> float:
@@ -189,7 +189,7 @@ class ActiveModel:
         if good is None or good.version != self.version:
             return
         self._put(self.as_made.moved(good.rls.coefficients, good.version))
-        self.recursion, self.inflated = good.rls.copy(), good.inflated
+        self._go_on_from(good)
 
     def replace(self, model: LegModel) -> None:
         """Put another model in force; the recursion restarts from it."""
@@ -213,7 +213,7 @@ class ActiveModel:
 
     def revert_to_baseline(self) -> None:
         """Put the baseline, or the prior, in force again; the version goes on."""
-        _, self.recursion, self.inflated = self._start()
+        self._go_on_from(self._start)
         self._moved = True
 
     def snapshot(self) -> dict[str, Any]:
@@ -241,19 +241,22 @@ class ActiveModel:
             state.coefficients, state.support, self._scale, self._noise, self._settings,
             self.most_rad,
         )  # fmt: skip
-        rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
+        shape = (len(self._noise), -1, -1)
+        if not rls.restore(state.coefficients, array_of(factor, shape, "its covariance")):
+            raise ImplausibleError("its covariance is of other terms")
         self._put(self.as_made.moved(state.coefficients, state.version))
         self.recursion, self.inflated = rls, state.inflated
 
-    def _start(self) -> _Good:
-        """Return the baseline, with a recursion that begins at it and at its spread."""
-        model = self.baseline
-        if self._spread is None:
-            rls = self._recursion(model)
-        else:
-            rls = self._recursion(model, (self._spread != 0.0).any(axis=1).T)
-            rls.inflate(self._spread)
-        return _Good(model.version, rls, self._spread is not None)
+    def _begun_with(self, spread: Array | None) -> RecursiveLeastSquares:
+        """Return a recursion that begins at the baseline, and at the spread of a prior."""
+        if spread is None:
+            return self._recursion(self.baseline)
+        rls = self._recursion(self.baseline, (spread != 0.0).any(axis=1).T)
+        rls.inflate(spread)
+        return rls
+
+    def _go_on_from(self, good: _Good) -> None:
+        self.recursion, self.inflated = good.rls.copy(), good.inflated
 
     def _recursion(self, model: LegModel, more: Mask | None = None) -> RecursiveLeastSquares:
         """Return a recursion at a model, over its terms and (p, J) more of them."""

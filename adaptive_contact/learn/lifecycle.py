@@ -199,7 +199,8 @@ class Lifecycle:
     def _begin(self, start: LegBaseline, tails: tuple[Tail, ...]) -> None:
         """Detect and follow from here on."""
         robot = self._robot
-        self._start, self.note = start, None
+        # A prior's spread is megabytes of a leg of many joints, and only the adapter begins with it.
+        self._start, self.note = dataclasses.replace(start, spread=None), None
         start = ready_for_changes(start)
         aim = robot.detector.false_alarms_per_hour
         noise_tracker = NoiseTracker(start.noise, tails, aim)

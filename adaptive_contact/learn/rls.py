@@ -104,17 +104,6 @@ class RecursiveLeastSquares:
         return self.current.copy()
 
     @property
-    def covariance(self) -> Array:
-        """(J, q, q) covariance of the scaled coefficients of :attr:`terms`."""
-        factor = self.factor
-        return np.asarray(factor @ factor.transpose(0, 2, 1))
-
-    @property
-    def terms(self) -> Ints:
-        """(q,) rows of the coefficients that any joint may move."""
-        return np.unique(self._index[self._held])
-
-    @property
     def support(self) -> Mask:
         """(p, J) terms that may move, per joint."""
         full = np.zeros(self.current.shape, dtype=bool)
@@ -123,24 +112,27 @@ class RecursiveLeastSquares:
 
     @property
     def factor(self) -> Array:
-        """(J, q, q) square roots S of the covariance, zero rows for terms a joint may not move."""
-        terms = self.terms
-        full = np.zeros((len(self._s), len(terms), len(terms)))
-        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
-            n = int(held.sum())
-            full[joint, np.searchsorted(terms, index[held]), :n] = self._s[joint, :n, :n]
-        full *= self.noise[:, None, None]
-        return full
+        """(J, n, n) square roots S of the covariances, of each joint's own terms in their order."""
+        return np.asarray(self._s * self.noise[:, None, None])
 
-    def restore(self, coefficients: Array, factor: Array) -> None:
-        """Take over a saved state: (p, J) coefficients and (J, q, q) square roots."""
+    def restore(self, coefficients: Array, factor: Array) -> bool:
+        """Take over a saved state; False where its covariance has another shape.
+
+        Args:
+            coefficients: (p, J).
+            factor: as :attr:`factor`; or (J, q, q) of the q terms of all joints, as before 0.1.0.
+        """
         self.reseed(coefficients)
         self._s[:] = 0.0
-        terms = self.terms
+        terms = np.unique(self._index[self._held])
+        if factor.shape[1:] not in (self._s.shape[1:], (len(terms), len(terms))):
+            return False
         for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
-            root = factor[joint, np.searchsorted(terms, index[held])]
-            self._take_root(joint, root / self.noise[joint])
+            n = int(held.sum())
+            own = slice(n) if factor.shape == self._s.shape else np.searchsorted(terms, index[held])
+            self._take_root(joint, factor[joint, own] / self.noise[joint])
         self._bound()
+        return True
 
     def copy(self, into: RecursiveLeastSquares | None = None) -> RecursiveLeastSquares:
         """Return one that goes its own way from here; what is never written to is shared.
