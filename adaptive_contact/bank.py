@@ -18,6 +18,7 @@ import numpy as np
 
 from adaptive_contact.compiled import note_cached
 from adaptive_contact.detect.leg_batch import LegBatch
+from adaptive_contact.detect.stream import fault_of
 from adaptive_contact.detect.swing_labels import close_swing, copy_rows, let_go_row
 from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.diagnose.leg_ids import IdWatch
@@ -37,9 +38,12 @@ T = TypeVar("T")
 
 # Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
-# A leg that is not described is one too many from here on, against a publisher that invents names.
-# A described one never is.
+# Against a publisher that invents names, legs that are not described are bounded; described ones
+# never are.  Bounded are their number, and the sum of the squares of their joints: the arrays of a
+# leg grow faster than that, to 14 MB for 16 joints.
 MAX_LEGS: Final = 32
+MAX_SQUARES: Final = 1024
+MAX_JOINTS: Final = 16
 
 
 class LegGroup:
@@ -235,19 +239,31 @@ class LearnerBank:
         Returns:
             The learner, or None for an unusable id, and for one leg too many.
         """
-        known = self._learners.get(leg)
-        if known is not None:
-            return known
-        if not is_leg_id(leg):
-            return None
+        if leg not in self._learners:
+            described = leg in self.robot.leg_ids
+            if not is_leg_id(leg) or not (described or self.has_room([joints or 0])):
+                return None
+            self.add(self.make(leg, joints or 0))
+        return self._learners[leg]
+
+    def has_room(self, joints: Sequence[int]) -> bool:
+        """Return whether more legs that the description lacks, of so many joints, get learners."""
+        others = [o.leg for o in self._learners.values() if o.leg.id not in self.robot.leg_ids]
+        every = [*(len(leg.joints) for leg in others), *joints]
+        return (
+            all(1 <= n <= MAX_JOINTS for n in joints)
+            and len(self._learners) + len(joints) <= MAX_LEGS
+            and sum(n * n for n in every) <= MAX_SQUARES
+        )
+
+    def make(self, leg: str, joints: int) -> ContactLearner:
+        """Make a leg's learner, to be added; on any thread if the description lacks the leg."""
         robot, baseline = self.robot, self.baseline
         if leg not in robot.leg_ids:
-            if len(self._learners) >= MAX_LEGS or joints is None or not 1 <= joints <= 16:
-                return None
             stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
             baseline = None  # one of that name there would be of another leg
-        self._learners[leg] = ContactLearner(
+        return ContactLearner(
             robot,
             leg,
             baseline,
@@ -256,9 +272,12 @@ class LearnerBank:
             ids=self._ids,
             when_ambiguous=self._when_ambiguous,
         )
+
+    def add(self, learner: ContactLearner) -> None:
+        """Have a learner judged with the others from now on."""
+        self._learners[learner.leg.id] = learner
         self._group.finish()
         self._group = LegGroup(tuple(self._learners.values()), on_fault=self._on_fault)
-        return self._learners[leg]
 
     def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
         """Take in at most one sample per leg.
@@ -289,8 +308,9 @@ class LearnerBank:
             The events they decide, in the order of ``samples``.
         """
         for leg, sample in samples.items():
-            if leg not in self._learners:
-                self.learner(leg, len(sample.measured))
+            joints = len(sample.measured)
+            if leg not in self._learners and not fault_of(sample, joints):
+                self.learner(leg, joints)
         events = self._group.judge([samples.get(leg) for leg in self._learners])
         if not any(events):  # as in nearly every tick
             return []

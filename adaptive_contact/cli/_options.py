@@ -243,6 +243,14 @@ MaxSessionsOption = Annotated[
         panel=_NETWORK,
     ),
 ]
+DescribedOnlyOption = Annotated[
+    bool,
+    option(
+        "--described-only",
+        "Take no samples of legs that the robot's description lacks; beyond loopback, always.",
+        panel=_NETWORK,
+    ),
+]
 JsonPayloadOption = Annotated[bool, option("--json", "Publish JSON payloads instead of msgpack.")]
 JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
 EquationsOption = Annotated[bool, option("--equations", "Print every leg's equations, too.")]

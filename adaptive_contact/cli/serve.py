@@ -44,6 +44,7 @@ def serve(
     network: opt.Network,
     insecure: opt.InsecureOption = False,
     max_sessions: opt.MaxSessionsOption = None,
+    described_only: opt.DescribedOnlyOption = False,
     realtime: opt.RealtimeOption = False,
     when_ambiguous: opt.AmbiguousOption = WhenAmbiguous.WITHHOLD,
     json: opt.JsonPayloadOption = False,
@@ -112,6 +113,7 @@ def serve(
                 now_ns=time.monotonic_ns(),
                 keeper=keeper,
                 sweeper=sweeper,
+                described_only=described_only,
             )
             sweeper.start(time.monotonic_ns())
             say(_ready_line(link, robot, origin))

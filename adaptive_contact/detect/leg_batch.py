@@ -239,7 +239,7 @@ class LegBatch:
                 continue
             if name in _OF_ROWS or name in _OF_TERMS:
                 if whole:
-                    mine[(row, *map(slice, theirs.shape[1:]))] = theirs[of]
+                    mine[row][tuple(slice(n) for n in theirs.shape[1:])] = theirs[of]
             elif mine.shape[1:] == theirs.shape[1:] and (whole or name not in _OF_MODEL):
                 mine[row] = theirs[of]
 

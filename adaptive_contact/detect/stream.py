@@ -163,7 +163,7 @@ class StreamGuard:
             How it connects to the stream, or why it is refused; a refusal changes nothing that
             later samples are judged by, but for the detection of a source that counts again.
         """
-        fault = self._form(sample)
+        fault = fault_of(sample, self.joints)
         if fault is not None:
             return fault
         last = self._last
@@ -271,30 +271,32 @@ class StreamGuard:
             return self._restart(sample)
         return why
 
-    def _form(self, sample: ServoSample) -> Reject | None:
-        j, measured, desired = self.joints, sample.measured, sample.desired
-        if len(measured) != j or len(desired) != j:
-            return Reject.WRONG_JOINTS
-        if sample.valid is not None and len(sample.valid) != j:
-            return Reject.WRONG_JOINTS
-        values = measured + desired
-        if sample.preview is not None:
-            if len(sample.preview) > MAX_PREVIEW_TICKS:
-                return Reject.OUT_OF_RANGE
-            for row in sample.preview:
-                if len(row) != j:
-                    return Reject.WRONG_JOINTS
-                values += row
-        if not math.hypot(*values) <= MAX_ANGLE_RAD:  # false for NaN, too; else each is in range
-            for value in values:
-                if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:
-                    return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
-        if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
+
+def fault_of(sample: ServoSample, joints: int) -> Reject | None:
+    """Return what is wrong with a sample by itself, of a leg of so many joints."""
+    measured, desired = sample.measured, sample.desired
+    if len(measured) != joints or len(desired) != joints:
+        return Reject.WRONG_JOINTS
+    if sample.valid is not None and len(sample.valid) != joints:
+        return Reject.WRONG_JOINTS
+    values = measured + desired
+    if sample.preview is not None:
+        if len(sample.preview) > MAX_PREVIEW_TICKS:
             return Reject.OUT_OF_RANGE
-        # JSON holds integers of any size; what is kept on disk holds 64 bits.
-        if sample.run is not None and not _is_run(sample.run):
-            return Reject.OUT_OF_RANGE
-        return None
+        for row in sample.preview:
+            if len(row) != joints:
+                return Reject.WRONG_JOINTS
+            values += row
+    if not math.hypot(*values) <= MAX_ANGLE_RAD:  # false for NaN, too; else each is in range
+        for value in values:
+            if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:
+                return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
+    if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
+        return Reject.OUT_OF_RANGE
+    # JSON holds integers of any size; what is kept on disk holds 64 bits.
+    if sample.run is not None and not _is_run(sample.run):
+        return Reject.OUT_OF_RANGE
+    return None
 
 
 def _follows(sample: ServoSample, last: ServoSample) -> bool:

@@ -199,7 +199,7 @@ class Lifecycle:
     def _begin(self, start: LegBaseline, tails: tuple[Tail, ...]) -> None:
         """Detect and follow from here on."""
         robot = self._robot
-        # A prior's spread is megabytes of a leg of many joints, and only the adapter begins with it.
+        # A prior's spread is megabytes of a leg of many joints, and only the adapter needs it.
         self._start, self.note = dataclasses.replace(start, spread=None), None
         start = ready_for_changes(start)
         aim = robot.detector.false_alarms_per_hour

@@ -30,7 +30,7 @@ from typing import Any, Final
 import numpy as np
 import scipy.linalg
 
-from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.compiled import Handover, compiled
 from adaptive_contact.model.free_motion import Covariance
 

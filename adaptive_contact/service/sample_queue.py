@@ -27,8 +27,8 @@ from adaptive_contact.wire import (
 # samples are worth less than new ones.
 QUEUE_SAMPLES: Final = 64
 
-# Ids that get a queue.  A robot has six or eight legs; a publisher of more ids is not a robot.
-MAX_LEGS: Final = 64
+# The queue of all legs that have none: no leg's id, it is counted under that name.
+NO_QUEUE: Final = "(without a learner)"
 
 # Queries waiting for the worker; an asker beyond them is refused at once.
 _MAX_REQUESTS: Final = 64
@@ -49,11 +49,15 @@ class Raw:
     size: int
 
 
+_Queue = deque[tuple[str, Raw]]
+
+
 @dataclass(slots=True)
 class Batch(Generic[R]):
     """What the worker takes in one go."""
 
-    samples: dict[str, Raw] = field(default_factory=dict)  # at most one payload per leg, the oldest
+    # at most one payload per leg, the oldest; and one of all legs without a queue
+    samples: dict[str, Raw] = field(default_factory=dict)
     # payloads dropped since the last round, per leg
     overflow: Counter[str] = field(default_factory=Counter)
     strangers: int = 0  # payloads on keys that name no usable leg, since the last round
@@ -67,10 +71,11 @@ class Batch(Generic[R]):
 class SampleQueue(Generic[R]):
     """Bounded queues, filled on Zenoh's threads and emptied by one worker.
 
+    Payloads of legs that have no queue wait in one, whatever they call themselves.
+
     Args:
-        legs: ids that have a queue from the start, so that no made-up id can take their place.
-        queue_samples: payloads held per leg.
-        max_legs: ids that get a queue; samples of others are strangers.
+        legs: ids that have a queue from the start.
+        queue_samples: payloads held per leg, and of all legs without a queue.
     """
 
     def __init__(
@@ -78,11 +83,10 @@ class SampleQueue(Generic[R]):
         legs: Iterable[str] = (),
         *,
         queue_samples: int = QUEUE_SAMPLES,
-        max_legs: int = MAX_LEGS,
     ) -> None:
         self._queue_samples = queue_samples
-        self._max_legs = max_legs
-        self._queues: dict[str, deque[Raw]] = {leg: deque() for leg in legs}
+        self._queues: dict[str, _Queue] = {leg: deque() for leg in (*legs, NO_QUEUE)}
+        self._held: dict[str, _Queue] = {}  # of legs whose learners are being made
         self._overflow: Counter[str] = Counter()
         self._strangers = 0
         self._stranger: str | None = None
@@ -101,16 +105,25 @@ class SampleQueue(Generic[R]):
             size,
         )
         with self._awake:
-            queue = self._queue(leg)
-            if queue is None or leg is None:
+            if leg is None:
                 self._strangers += 1
                 self._stranger = received.key
             else:
-                if len(queue) >= self._queue_samples:
-                    queue.popleft()
-                    self._overflow[leg] += 1
-                queue.append(raw)
+                self._enqueue(leg, raw)
             self._awake.notify()
+
+    def hold(self, leg: str, first: Raw) -> None:
+        """Hold a leg's payloads from now on, the first one taken already, until :meth:`open`."""
+        with self._awake:
+            self._held.setdefault(leg, deque()).append((leg, first))
+            others, self._queues[NO_QUEUE] = self._queues[NO_QUEUE], deque()
+            for name, raw in others:
+                self._enqueue(name, raw)
+
+    def open(self, leg: str) -> None:
+        """Give out what is held of a leg."""
+        with self._awake:
+            self._queues[leg] = self._held.pop(leg)
 
     def ask(self, request: R) -> bool:
         """Take a query in; False where too many wait already."""
@@ -135,7 +148,7 @@ class SampleQueue(Generic[R]):
             if timeout_s > 0 and not self._waiting(query):
                 self._awake.wait(timeout_s)
             round_: Batch[R] = Batch(
-                {leg: queue.popleft() for leg, queue in self._queues.items() if queue},
+                dict(queue.popleft() for queue in self._queues.values() if queue),
                 self._overflow,
                 self._strangers,
                 self._stranger,
@@ -147,13 +160,14 @@ class SampleQueue(Generic[R]):
             self._stranger = None
         return round_
 
-    def _queue(self, leg: str | None) -> deque[Raw] | None:
-        if leg is None:
-            return None
-        queue = self._queues.get(leg)
-        if queue is None and len(self._queues) < self._max_legs:
-            queue = self._queues[leg] = deque()
-        return queue
+    def _enqueue(self, leg: str, raw: Raw) -> None:
+        queue, name = self._queues.get(leg, self._held.get(leg)), leg
+        if queue is None:
+            queue, name = self._queues[NO_QUEUE], NO_QUEUE
+        if len(queue) >= self._queue_samples:
+            queue.popleft()
+            self._overflow[name] += 1
+        queue.append((leg, raw))
 
     def _waiting(self, query: bool) -> bool:
         asked = query and self._requests

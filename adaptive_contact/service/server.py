@@ -17,11 +17,13 @@ import itertools
 import threading
 import time
 from collections import Counter, deque
+from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import metadata
 from typing import TYPE_CHECKING, Final
 
 import structlog
 
+from adaptive_contact.detect.stream import fault_of
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.leg_endpoint import LegEndpoint
@@ -45,11 +47,13 @@ from adaptive_contact.wire import (
     decode,
     encode,
     model_key,
+    servo_key,
     trace_key,
 )
 
 if TYPE_CHECKING:
     from adaptive_contact.bank import LearnerBank
+    from adaptive_contact.leg_learner import ContactLearner
 
 _log = structlog.get_logger()
 
@@ -90,7 +94,10 @@ class Sweeper:
 _LOOK_NS: Final = 100_000_000
 _SERVICE_STATUS_NS: Final = 1_000_000_000
 _LATENCY_LOG_NS: Final = 60_000_000_000
-# A link that was dropped stays in the status's note for so long.
+# At most ten learners a second are made of legs that are not described: some 50 ms of a core for
+# 16 joints, and the samples of the sixth leg wait in its queue.
+_MAKING_S: Final = 0.1
+# A link that was dropped stays in the status's note for so long, and a leg without room.
 _REPORTED_NS: Final = 30_000_000_000
 # The worker waits so long for other legs' samples before it learns: they come one right after the
 # other, and the events' way out needs a core more than learning does.
@@ -114,6 +121,7 @@ class Service:
         now_ns: monotonic.
         keeper: restores and saves the learners; closed at the end of :meth:`run`.
         sweeper: collects garbage between ticks, where that is not left to Python.
+        described_only: legs that the robot lacks get no learner; their samples are not received.
     """
 
     def __init__(
@@ -126,6 +134,7 @@ class Service:
         now_ns: int,
         keeper: StateKeeper | None = None,
         sweeper: Sweeper | None = None,
+        described_only: bool = False,
     ) -> None:
         self._link = link
         self._bank = bank
@@ -149,6 +158,11 @@ class Service:
         self._keeper = keeper
         self._sweeper = sweeper
         self._to_save: deque[tuple[int, LegEndpoint]] = deque()
+        # Learners that are being made, in their order, and the joints of their legs.
+        self._maker = ThreadPoolExecutor(1, "learners")
+        self._made: deque[tuple[str, Future[LegEndpoint]]] = deque()
+        self._making: dict[str, int] = {}
+        self._full_ns: int | None = None  # when a leg was refused for which there is no room
         self._publisher = EventPublisher(link.held_ns)
         self._beats = 0
         self._watchdog = Watchdog(
@@ -166,11 +180,15 @@ class Service:
         self._latency_ns = now_ns + _LATENCY_LOG_NS
         self._visited = 0
         for leg in robot.legs:
-            self._endpoint(leg.id, now_ns, len(leg.joints))
+            joints, learner = len(leg.joints), bank.make(leg.id, len(leg.joints))
+            bank.add(learner)
+            self._endpoints[leg.id] = self._endpoint(leg.id, learner, joints, now_ns)
+            self._facts[leg.id] = LegFacts.of(robot, leg.id)
         # What the first sample would wait for: a codec's first of a process takes half a ms.
         bank.finish()
         decode(encode(ServoSample(t_ns=0, seq=0, measured=[0.0], desired=[0.0])), ServoSample)
-        link.subscribe(ALL_SERVO, self._queue.offer)
+        for key in map(servo_key, robot.leg_ids) if described_only else (ALL_SERVO,):
+            link.subscribe(key, self._queue.offer)
         link.queryable(model_key("*"), self._ask)
         link.queryable(trace_key("*"), self._ask_trace)
         link.token(SERVICE_TOKEN)
@@ -205,6 +223,7 @@ class Service:
                     self._sweeper.sweep(time.monotonic_ns(), pause=bool(batch))
             self._end(time.monotonic_ns())
         finally:
+            self._maker.shutdown(wait=False, cancel_futures=True)
             self._watchdog.close()
             self._publisher.close()
             if self._keeper is not None:
@@ -220,16 +239,20 @@ class Service:
         samples: dict[str, ServoSample] = {}
         self._refused.clear()
         for leg, raw in batch.samples.items():
-            sample = self._sample(leg, raw, now_ns)
+            endpoint = self._endpoints.get(leg)
+            sample = None if endpoint is None else self._sample(endpoint, raw, now_ns)
             if sample is not None:
                 samples[leg] = sample
         if samples:
             self._update(samples, batch.samples)
+        for leg in batch.samples.keys() - self._endpoints.keys():
+            self._newcomer(leg, batch.samples[leg], now_ns)
         self._asked += batch.requests
 
     def finish(self) -> None:
         """Learn from what was worked on, once its events are on their way, and answer queries."""
-        self._bank.finish()
+        if self._unfinished:
+            self._bank.finish()
         if self._untraced:
             self._trace()
         for request in self._asked:
@@ -261,6 +284,7 @@ class Service:
             self._visited = (self._visited + 1) % len(self._endpoints)
         self._look_ns = max(self._look_ns, now_ns)
         self._network.look(now_ns)
+        self._welcome()
         if now_ns >= self._note_ns:
             self._note_ns = now_ns + _LOOK_NS
             beats = {leg: one.heartbeat(now_ns) for leg, one in self._endpoints.items()}
@@ -319,7 +343,15 @@ class Service:
         )
         error = None if self._keeper is None else self._keeper.facts.error
         failing = None if error is None else f"state: {error}"
-        return self._network.note, self._publisher.held_up(now_ns), dropped, failing
+        full = None
+        if self._full_ns is not None and now_ns - self._full_ns < _REPORTED_NS:
+            others = len(self._endpoints) - len(self._robot.legs)
+            full = (
+                f"no room for another leg that is not described ({others} have learners): describe "
+                "it, and give serve --described-only against names that are made up"
+            )
+        held = self._publisher.held_up(now_ns)
+        return self._network.note, held, dropped, failing, full
 
     def log_figures(self) -> None:
         """Log what was done and how fast."""
@@ -332,34 +364,37 @@ class Service:
 
     # -- one round ------------------------------------------------------------------------
 
-    def _sample(self, leg: str, raw: Raw, now_ns: int) -> ServoSample | None:
+    def _sample(self, endpoint: LegEndpoint, raw: Raw, now_ns: int) -> ServoSample | None:
         self._samples += 1
-        read_ = read(raw)
-        endpoint = self._endpoints.get(leg)
+        read_, leg = read(raw), endpoint.leg
         if isinstance(read_, Rejected):
-            if endpoint is None:
-                # A leg is made by its first good sample, not by noise on a key.
-                self._refuse(read_.reason, now_ns, leg=leg, detail=read_.detail)
-            else:
-                endpoint.refused(read_, now_ns)
-                self._warn("payload refused", read_.reason, now_ns, leg=leg, detail=read_.detail)
+            endpoint.refused(read_, now_ns)
+            self._warn("payload refused", read_.reason, now_ns, leg=leg, detail=read_.detail)
             return None
-        if endpoint is None:
-            endpoint = self._endpoint(leg, now_ns, len(read_.measured))
-            if endpoint is None:
-                self._refuse(
-                    Reject.UNKNOWN_LEG, now_ns, leg=leg, detail="no room for another learner"
-                )
-                return None
-            _log.info("new leg", leg=leg, joints=len(read_.measured))
-        if leg not in self._facts:
-            joints = [f"joint {i + 1}" for i in range(len(read_.measured))]
-            self._facts[leg] = LegFacts(joints=joints, described=False)
         refused = endpoint.note_sample(read_, now_ns)
         if refused is not None:
             self._refused.add(leg)
             self._warn("payload refused", refused, now_ns, leg=leg)
         return read_
+
+    def _newcomer(self, leg: str, raw: Raw, now_ns: int) -> None:
+        """Have a learner made of a leg that is not described, by its first good sample alone."""
+        read_, detail = read(raw), ""
+        if isinstance(read_, Rejected):
+            reason, detail = read_.reason, read_.detail
+        else:
+            joints = len(read_.measured)
+            fault = fault_of(read_, joints)
+            if fault is None and self._bank.has_room([*self._making.values(), joints]):
+                self._queue.hold(leg, raw)
+                self._making[leg] = joints
+                self._made.append((leg, self._maker.submit(self._make, leg, joints, now_ns)))
+                return
+            if fault is None:
+                detail, self._full_ns = "no room for another learner", now_ns
+            reason = fault or Reject.UNKNOWN_LEG
+        self._samples += 1
+        self._refuse(reason, now_ns, key=servo_key(leg), detail=detail)
 
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
         for event in self._bank.judge(samples):
@@ -418,22 +453,34 @@ class Service:
 
     # -- what belongs to no round ---------------------------------------------------------
 
-    def _endpoint(self, leg: str, now_ns: int, joints: int) -> LegEndpoint | None:
-        learner = self._bank.learner(leg, joints)
-        if learner is None:
-            return None
+    def _make(self, leg: str, joints: int, now_ns: int) -> LegEndpoint:
+        """Make what a new leg needs; not on the worker, which has no time for it."""
+        time.sleep(_MAKING_S)
+        return self._endpoint(leg, self._bank.make(leg, joints), joints, now_ns)
+
+    def _endpoint(self, leg: str, learner: ContactLearner, joints: int, now_ns: int) -> LegEndpoint:
         resumes = None
         if self._keeper is not None:
             report = learner.model_report
             library = "none" if report is None else report.library or "unnamed"
             resumes = self._keeper.restore(leg, learner, library, now_ns)
         learner.request_release()
-        endpoint = self._endpoints[leg] = LegEndpoint(
-            self._link, leg, learner, joints, now_ns, resumes
-        )
-        if leg in self._robot.leg_ids:
-            self._facts[leg] = LegFacts.of(self._robot, leg)
-        return endpoint
+        return LegEndpoint(self._link, leg, learner, joints, now_ns, resumes)
+
+    def _welcome(self) -> None:
+        """Follow the legs whose learners are made."""
+        while self._made and self._made[0][1].done():
+            leg, made = self._made.popleft()
+            if made.exception() is not None:  # its place stays taken, or it would be tried for ever
+                _log.error("leg cannot be followed", leg=leg, exc_info=made.exception())
+                continue
+            endpoint, joints = made.result(), self._making.pop(leg)
+            _log.info("new leg", leg=leg, joints=joints)
+            names = [f"joint {i + 1}" for i in range(joints)]
+            self._facts[leg] = LegFacts(joints=names, described=False)
+            self._bank.add(endpoint.learner)
+            self._endpoints[leg] = endpoint
+            self._queue.open(leg)
 
     def _look_at(self, at: int, now_ns: int) -> None:
         endpoint = next(itertools.islice(self._endpoints.values(), at, None))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 import types
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import replace
@@ -144,19 +144,23 @@ class FakeLearner:
 
 class FakeBank:
     def __init__(self, robot: Robot, baseline: object = None, **_: object) -> None:
-        self._joints = {leg.id: len(leg.joints) for leg in robot.legs}
         self._learners: dict[str, FakeLearner] = {}
 
     @property
     def legs(self) -> tuple[str, ...]:
         return tuple(self._learners)
 
-    def learner(self, leg: str, joints: int | None = None) -> FakeLearner | None:
-        if leg not in self._learners:
-            if len(self._learners) >= MAX_LEGS:
-                return None
-            self._learners[leg] = FakeLearner(leg, self._joints.get(leg, joints or 3))
-        return self._learners[leg]
+    def learner(self, leg: str) -> FakeLearner | None:
+        return self._learners.get(leg)
+
+    def has_room(self, joints: Sequence[int]) -> bool:
+        return len(self._learners) + len(joints) <= MAX_LEGS
+
+    def make(self, leg: str, joints: int) -> FakeLearner:
+        return FakeLearner(leg, joints)
+
+    def add(self, learner: FakeLearner) -> None:
+        self._learners[learner.leg] = learner
 
     def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
         events = [self._learners[leg].update(sample) for leg, sample in samples.items()]

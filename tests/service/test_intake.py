@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.sample_queue import Raw, SampleQueue, read
+from adaptive_contact.service.sample_queue import NO_QUEUE, Raw, SampleQueue, read
 from adaptive_contact.wire import (
     JSON,
     MAX_SAMPLE_BYTES,
@@ -37,7 +37,7 @@ def drain(intake: SampleQueue[object]) -> list[dict[str, Raw]]:
 
 
 def test_a_round_holds_at_most_one_sample_per_leg_in_order() -> None:
-    intake: SampleQueue[object] = SampleQueue()
+    intake: SampleQueue[object] = SampleQueue(["lf", "rf"])
     for n, leg in enumerate(["lf", "rf", "lf", "lf", "rf"]):
         intake.offer(received(leg, n=n))
     rounds = drain(intake)
@@ -49,7 +49,7 @@ def test_a_round_holds_at_most_one_sample_per_leg_in_order() -> None:
 
 
 def test_a_flood_costs_the_others_nothing_and_is_counted() -> None:
-    intake: SampleQueue[object] = SampleQueue(queue_samples=8)
+    intake: SampleQueue[object] = SampleQueue(["bad", "good"], queue_samples=8)
     for n in range(1000):
         intake.offer(received("bad", n=n))
     intake.offer(received("good", n=5000))
@@ -70,14 +70,29 @@ def test_keys_that_name_no_leg_are_counted_together() -> None:
     assert not intake.take(0.0)
 
 
-def test_made_up_legs_cannot_take_the_place_of_real_ones() -> None:
-    intake: SampleQueue[object] = SampleQueue(["real"], max_legs=4)
-    for n in range(100):
-        intake.offer(received(f"fake{n}"))
-    intake.offer(received("real"))
-    round_ = intake.take(0.0)
-    assert set(round_.samples) == {"real", "fake0", "fake1", "fake2"}
-    assert round_.strangers == 97
+def test_legs_without_a_queue_share_one() -> None:
+    intake: SampleQueue[object] = SampleQueue(["real"], queue_samples=4)
+    for n in range(10):
+        intake.offer(received(f"fake{n}", n=n))
+        intake.offer(received("real", n=n))
+    first = intake.take(0.0)
+    assert {leg: raw.arrival_ns for leg, raw in first.samples.items()} == {"real": 6, "fake6": 6}
+    assert first.overflow == {"real": 6, NO_QUEUE: 6}
+    assert [set(samples) for samples in drain(intake)] == [
+        {"real", "fake7"}, {"real", "fake8"}, {"real", "fake9"},
+    ]  # fmt: skip
+
+
+def test_what_is_held_comes_in_order_once_the_leg_is_there() -> None:
+    intake: SampleQueue[object] = SampleQueue()
+    for n, leg in enumerate(["new", "other", "new"]):
+        intake.offer(received(leg, n=n))
+    intake.hold("new", intake.take(0.0).samples["new"])
+    intake.offer(received("new", n=3))
+    assert [set(samples) for samples in drain(intake)] == [{"other"}]
+    intake.open("new")
+    intake.offer(received("new", n=4))
+    assert [samples["new"].arrival_ns for samples in drain(intake)] == [0, 2, 3, 4]
 
 
 def test_questions_are_bounded() -> None:
@@ -129,8 +144,8 @@ def test_waiting_ends() -> None:
 
 
 def test_offers_from_many_threads_lose_nothing_uncounted() -> None:
-    intake: SampleQueue[object] = SampleQueue(queue_samples=16)
     legs = ["a", "b", "c", "d"]
+    intake: SampleQueue[object] = SampleQueue(legs, queue_samples=16)
 
     def pump(leg: str) -> None:
         for n in range(2000):
