@@ -133,6 +133,7 @@ class ContactLearner:
         self._ids = None if ids is None else ids.track(self.leg, self.place)
         self._misread = False  # the leg's angles are not counted as described
         self._faulty = False  # samples say nothing of the leg
+        self._contested = False  # two publishers take turns
         self._sample: ServoSample | None = None  # of the tick in hand
         self._swing = SwingJudge(self.leg, self.place)
         self._labels = SwingLabels(self.place, self._swing)
@@ -279,6 +280,9 @@ class ContactLearner:
         if self._frame is not None:
             sample = self._frame.sample(sample)
         result = self._guard.admit(sample)
+        if self._guard.contested is not self._contested:
+            self._contested = self._guard.contested
+            self.report.publish_withholding()
         if result is not NEXT and isinstance(result, Reject):
             self.count(result)
             return False

@@ -209,7 +209,9 @@ class LegReport:
         cause = SOURCE_CAUSES[int(self._place.leg.cause)]
         if cause is not None:
             return cause
-        return "angles" if self.misread else self._learning.doubt
+        if self.misread:
+            return "angles"
+        return "publishers" if self._guard.contested else self._learning.doubt
 
     def collect_counts(self) -> None:
         """Take over what ticks have counted since the last call."""
@@ -244,7 +246,7 @@ class LegReport:
 
     @property
     def _status(self) -> Status:
-        return "ambiguous" if self._void else self._learning.status
+        return "ambiguous" if self._void or self._guard.contested else self._learning.status
 
     def _note(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""

@@ -7,6 +7,7 @@ next one, the next one after a gap, the first one of a restart, and the rejected
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any, Final, NamedTuple
 
 from adaptive_contact.model.bounds import is_count
@@ -45,6 +46,14 @@ TAKE_BACK_SAMPLES: Final = 25
 TAKE_BACK_NS: Final = 450_000_000
 # Publishers remembered as superseded; a bound on memory, not a tuning knob.
 MAX_OLD_RUNS: Final = 32
+# Two publishers take turns where a refused stream goes on so often after samples of the one in
+# force: once may be what a link still held of a source that started again.  It holds for so many
+# more accepted samples (1 s at 50 Hz), so that bursts of up to a second are turns, too.
+TURNS: Final = 2
+CONTESTED_SAMPLES: Final = 50
+# Refused streams that may yet take turns, and accepted samples remembered; bounds on memory.
+MAX_RIVALS: Final = 4
+MAX_RECENT: Final = 64
 # A source that restarts so often has no start: its every sample has another `run`, or it is
 # restarted in a loop.  A window needs a tenth of that to fill.
 SHORT_RUN_SAMPLES: Final = 50
@@ -67,6 +76,14 @@ class _Newcomer(NamedTuple):
     newest: ServoSample  # sample of it
     in_a_row: int  # samples of it that follow each other
     accepted: int  # samples of others accepted by then
+
+
+class _Rival(NamedTuple):
+    """Holds a stream that is not in force."""
+
+    newest: ServoSample  # sample of it
+    accepted: int  # samples of others accepted by then
+    turns: int  # times that it went on after those
 
 
 class _Jump(NamedTuple):
@@ -109,6 +126,9 @@ class StreamGuard:
         self._runs: list[int | None] = []
         self._other_count = 0
         self._other: tuple[int | None, int] | None = None  # who it is, and since when, t_ns
+        self._recent: deque[ServoSample] = deque(maxlen=MAX_RECENT)  # accepted
+        self._rivals: list[_Rival] = []
+        self._contested_until = -1  # samples accepted
         self._begun = False  # a publisher is in force, if only by a snapshot's word
         self._start_at = -SHORT_RUN_SAMPLES  # samples accepted when the source started
         self._short_runs = 0  # in a row
@@ -119,8 +139,19 @@ class StreamGuard:
         return tuple(self._runs[: self._runs.index(self.run)]) if self._begun else ()
 
     @property
+    def contested(self) -> bool:
+        """Whether two publishers take turns: the leg may be another one's."""
+        return self._accepted <= self._contested_until
+
+    @property
     def note(self) -> str | None:
-        """One line for a person while the source restarts again and again."""
+        """One line for a person while two publish, or the source restarts again and again."""
+        if self.contested and self._rivals and self._last is not None:
+            used, other = self._last, max(self._rivals, key=lambda rival: rival.turns).newest
+            who = f"{_named(used)} (used) and {_named(other)}"
+            if used.run == other.run:
+                who = f"both {_named(used)}, at seq {used.seq} (used) and {other.seq}"
+            return f"two programs publish this leg, {who}: contacts are withheld; stop one of them"
         if self._short_runs >= SHORT_RUNS:
             return (
                 "the source restarts every few samples: nothing can be judged; `run` is to be "
@@ -166,6 +197,17 @@ class StreamGuard:
         fault = fault_of(sample, self.joints)
         if fault is not None:
             return fault
+        before = self._last
+        answer = self._connect(sample)
+        if answer is NEXT:
+            return answer
+        if isinstance(answer, Reject):
+            self._follow_rival(sample, sample)
+        elif before is not None and (answer.restart or answer.missed > SHORT_GAP):
+            self._follow_rival(sample, before)
+        return answer
+
+    def _connect(self, sample: ServoSample) -> Accepted | Reject:
         last = self._last
         if sample.run != self.run and self._begun:
             # The run that was seen first is the older publisher; the newer start wins, also when
@@ -176,7 +218,6 @@ class StreamGuard:
             return self._restart(sample)
         if last is None:
             return self._restart(sample)
-        self._other_count = 0
         missed = sample.seq - last.seq - 1
         if missed == 0 and sample.t_ns > last.t_ns:  # what nearly every sample is
             return self._accept(sample, 0)
@@ -192,7 +233,9 @@ class StreamGuard:
 
     def _accept(self, sample: ServoSample, missed: int) -> Accepted:
         self._last, self._late, self._late_count = sample, None, 0
+        self._recent.append(sample)
         self._accepted += 1
+        self._other_count = 0
         since_start = self._accepted - self._start_at
         if since_start == SHORT_RUN_SAMPLES:
             self._short_runs = 0
@@ -248,8 +291,39 @@ class StreamGuard:
         self._short_runs = self._short_runs + 1 if short else 0
         self._short_lived = min(self._short_lived + short, MOST_SHORT_LIVED)
         self._start_at = self._accepted
+        self._recent.clear()
+        self._recent.append(sample)
         self._accepted += 1
         return Accepted(missed=0, restart=True)
+
+    def _follow_rival(self, sample: ServoSample, left: ServoSample) -> None:
+        """Follow the streams that are not in force.
+
+        Args:
+            sample: refused, or the first of another stream that is accepted.
+            left: the newest of a stream that is not in force: the refused one, or the one before.
+        """
+        if left is sample and self._was_there(sample):
+            return
+        known = next((r for r in self._rivals if _goes_on(sample, r.newest)), None)
+        turns = 0
+        if known is not None:
+            self._rivals.remove(known)
+            since = self._accepted - known.accepted
+            turns = known.turns + (since > 0) if since <= CONTESTED_SAMPLES else 0
+        self._rivals = [*self._rivals, _Rival(left, self._accepted, turns)][-MAX_RIVALS:]
+        if turns >= TURNS:
+            self._contested_until = self._accepted + CONTESTED_SAMPLES
+
+    def _was_there(self, sample: ServoSample) -> bool:
+        """Whether a refused sample is a copy of an accepted one, or only came too late."""
+        if not self._recent:  # a restored one
+            return False
+        first, last = self._recent[0], self._recent[-1]
+        if sample.run != last.run or not first.seq <= sample.seq <= last.seq:
+            return False
+        same = next((one for one in self._recent if one.seq == sample.seq), None)
+        return first.t_ns < sample.t_ns < last.t_ns if same is None else sample == same
 
     @property
     def _settled_since_jump(self) -> bool:
@@ -297,6 +371,15 @@ def fault_of(sample: ServoSample, joints: int) -> Reject | None:
     if sample.run is not None and not _is_run(sample.run):
         return Reject.OUT_OF_RANGE
     return None
+
+
+def _goes_on(sample: ServoSample, last: ServoSample) -> bool:
+    """Whether a sample is the next one of the same publisher's stream."""
+    return sample.run == last.run and _follows(sample, last)
+
+
+def _named(sample: ServoSample) -> str:
+    return "without run" if sample.run is None else f"with run {sample.run}"
 
 
 def _follows(sample: ServoSample, last: ServoSample) -> bool:

@@ -57,6 +57,9 @@ def about_learner(
             yield Fault.of("echo", note, key="some")
     elif status.doubt == "phase":
         yield Fault.of("phase-swapped", key="swapped")
+    elif status.doubt == "publishers":
+        if Cause.TWO_PUBLISHERS not in causes:
+            yield Fault.of("two_publishers", note, publishers=2)
     elif status.status == "ambiguous":
         yield Fault.of("ambiguous", status.note)
     elif status.note is not None:

@@ -305,6 +305,30 @@ def ambiguous_from(
     return events + play(learner, stream[end:])
 
 
+def test_a_leg_of_two_publishers_is_ambiguous_and_reports_no_contact(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """The newer one wins, and whose leg it is remains open until one of them ends."""
+    stream = touching(40, range(40))
+    learner = learner_of(robot, baseline)
+    begin, end = 25 * PERIOD + 20, 30 * PERIOD  # while the leg touches
+    before = play(learner, stream[:begin])
+    assert before[-1].contact
+    within: list[ContactEvent] = []
+    for sample in stream[begin:end]:
+        other = msgspec.structs.replace(sample, run=7, t_ns=sample.t_ns + 10**15)
+        within += play(learner, [other, sample])
+        if sample.seq >= begin + 10:
+            assert (learner.status.status, learner.status.doubt) == ("ambiguous", "publishers")
+    assert "with run 7 (used) and without run" in str(learner.status.note)
+    assert not any(event.contact for event in within[1:])
+    assert any(event.withheld and event.score > 1.0 for event in within)
+    assert not learner.contact
+    after = play(learner, stream[end:])
+    assert learner.status.status == "valid"
+    assert {e.seq // PERIOD for e in after if e.contact} >= set(range(34, 40))
+
+
 def test_contacts_of_an_ambiguous_leg_are_withheld(robot: Robot, baseline: Baseline) -> None:
     stream = touching(40, range(20, 40))
     learner = learner_of(robot, baseline)

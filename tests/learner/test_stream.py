@@ -390,3 +390,45 @@ def test_accepted_samples_are_in_order_whatever_comes(stream: list[ServoSample])
             assert s.seq == last.seq + 1 + result.missed
             assert s.run == last.run
         last = s
+
+
+@pytest.mark.parametrize("runs", [(None, None), (7, 7), (7, 9), (None, 7), (7, None)])
+@pytest.mark.parametrize("manner", ["ticks", "bursts", "fast", "slow"])
+@pytest.mark.parametrize("ahead", [3, 10**15])
+def test_two_publishers_are_named_within_a_second_and_until_one_ends(
+    runs: tuple[int | None, int | None], manner: str, ahead: int
+) -> None:
+    """Ahead is by how much the second one's clock is, ns: the same to a few, or another."""
+    every = {"fast": STEP // 20, "slow": 10 * STEP}.get(manner, STEP)
+    burst = 15 if manner == "bursts" else 1  # samples that come at once
+    sent = []
+    for run, step, first_ns in ((runs[0], STEP, 0), (runs[1], every, ahead)):
+        first = 7000 if first_ns > 3 else 500
+        for k in range(200 * STEP // step):
+            made = sample(first + k, run=run, t_ns=first_ns + k * step)
+            sent.append((k // burst * burst * step, made))
+    guard, at = StreamGuard(2), 0
+    for at, made in sorted(sent, key=lambda pair: pair[0]):  # noqa: B007
+        guard.admit(made)
+        if guard.contested:
+            break
+    assert guard.contested
+    assert at <= 50 * STEP
+    assert all(("without run" if run is None else f"run {run}") in str(guard.note) for run in runs)
+    alone = [sample(10_000 + k, run=guard.run, t_ns=10**17 + k * STEP) for k in range(100)]
+    feed(guard, *alone)
+    assert not guard.contested
+    assert guard.note is None or "two programs" not in guard.note
+
+
+@pytest.mark.parametrize("delay", [1, 3, 40])
+@pytest.mark.parametrize("copies", [True, False])
+def test_copies_and_samples_out_of_order_are_no_second_publisher(delay: int, copies: bool) -> None:
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k) for k in range(50, 100)))
+    for k in range(100, 400):
+        if copies or k % 5:
+            guard.admit(sample(k))
+        if copies or k % 5 == delay % 5:
+            guard.admit(sample(k - delay))
+        assert not guard.contested
