@@ -70,7 +70,8 @@ def test_the_learner_does_what_is_told_of_each_sample(
         if refused is None:
             assert (after.ticks, after.rejects) == (before.ticks + 1, before.rejects)
             assert admission.position is not None
-            assert admission.position[:2] == (one.run, one.seq)
+            # A long gap over the restart counts, and moves the position, with its third sample.
+            assert admission.resuming or admission.position[:2] == (one.run, one.seq)
         else:
             reason = str(refused)
             assert after.ticks == before.ticks
