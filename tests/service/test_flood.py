@@ -231,7 +231,9 @@ def late(listener: Any, walker: Walker, after: float, before: float) -> list[flo
     return sorted(
         at - walker.sent_at[event.seq]
         for at, event in listener.events
-        if event.leg in walker.publishers and after < walker.sent_at[event.seq] <= before
+        if event.leg in walker.publishers
+        and event.status != "silent"
+        and after < walker.sent_at[event.seq] <= before
     )
 
 
