@@ -31,7 +31,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun golden golden-constants same same-faults pico prior strangers
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun golden golden-constants same same-faults pico prior strangers second
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -81,6 +81,9 @@ prior: env  ## what is known of any leg, from drawn legs, as it ships
 
 strangers: env  ## legs without a baseline: swings to the first touch, touches found, false alarms
 	$(BIN)/python -m adaptive_contact_studies.family try out/strangers
+
+second: env  ## robots of another physics engine, against an ideal observer of the free path (hours, resumable)
+	$(BIN)/python -m adaptive_contact_studies.second out/second
 
 unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments that they have not seen
 	$(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)

@@ -47,6 +47,7 @@ from adaptive_contact.model.labelled_swing import LabelledSwing
 from adaptive_contact.model.leg_model import LegModel, report_of
 from adaptive_contact.model.library import ChangeLibrary
 from adaptive_contact.model.model_file import Baseline
+from adaptive_contact.model.noise import DESCENT, SPEEDS
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import ContactEvent, LearnerStatus, ModelReport, Reject, ServoSample
 
@@ -225,7 +226,7 @@ class ContactLearner:
         unit = self.place.batch.unit[self.place.row]
         whiten = recent.whiten[leg.context] / np.sqrt(unit)
         found = statistic(self.place.residuals, self.place.increments, whiten, np.array(usable))
-        thresholds = recent.thresholds
+        thresholds = recent.thresholds[leg.context // SPEEDS]
         residual = self.place.residuals[0].copy()
         return JudgedTick(residual, found.value / thresholds, thresholds * float(unit.mean()))
 
@@ -248,7 +249,7 @@ class ContactLearner:
         adapter, recent = self._adapter, self.lifecycle.noise_tracker
         if adapter is None or recent is None:
             return None
-        threshold = float(recent.thresholds[0])
+        threshold = float(recent.thresholds[DESCENT, 0])
         return report_of(self.leg, adapter.model, threshold, self.lifecycle.origin)
 
     def snapshot(self) -> dict[str, Any]:

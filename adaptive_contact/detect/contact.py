@@ -30,9 +30,15 @@ from adaptive_contact.detect.layout import (
     WEIGHED,
 )
 from adaptive_contact.detect.swing import LEAST_WAY_M, height_gradient
-from adaptive_contact.model.noise import SPEED_EDGES_QUANTA, UNFIT_LEVEL
+from adaptive_contact.model.noise import (
+    AFTER,
+    DESCENT,
+    LIFT,
+    SPEED_EDGES_QUANTA,
+    SPEEDS,
+    UNFIT_LEVEL,
+)
 
-SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
 # A tick is calm when its distance from the free model is below this share of the threshold: one
 # free tick in a thousand is not, while a foot let go of is at several times the threshold.
 CALM_SCORE: Final = 0.5
@@ -57,11 +63,23 @@ def context_of(leg, command, before):
     for j in range(len(command)):
         speed = max(speed, abs(command[j] - before[j]))
     speed /= leg.quantum
-    at = SPEEDS if leg.descent else 0
+    at = SPEEDS * direction_of(leg, 1)
     for edge in SPEED_EDGES_QUANTA:
         if speed >= edge:
             at += 1
     return at
+
+
+@compiled
+def direction_of(leg, width):
+    """Return whose noise a window of so many ticks has: of lift, descent, or after the turn.
+
+    A window that reaches back over the turn to stance is of the swing, which was judged before.
+    So is the first residual after the turn: it is of the way to that sample.
+    """
+    if width < leg.after:
+        return AFTER
+    return DESCENT if leg.descent else LIFT
 
 
 @compiled
@@ -82,9 +100,7 @@ def statistic(leg, noise, history, gradient, against):
 
     A foot about to stand has arrived, and what it is predicted to do says nothing of where the
     ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
-    the foot's height.  A window that lies after the turn to stance has the thresholds ``awaited``:
-    one that reaches back into the swing would apply them to motion judged before.  The first
-    residual after the turn is of the swing, too: it is of the way to that sample.
+    the foot's height.
 
     Returns:
         The squared distance of the last residual from zero, whitened.
@@ -112,8 +128,7 @@ def statistic(leg, noise, history, gradient, against):
         if width + 1 > leg.usable:
             scores[width] = np.nan
         else:
-            late = width + 1 < leg.after
-            limit = noise.limits_awaited[width] if late else noise.limits[width]
+            limit = noise.limits[direction_of(leg, width + 1), width]
             scores[width] = square / limit if product < 0.0 else 0.0
     return distance
 
@@ -249,8 +264,7 @@ def keep_touch(leg, past, noise, touch):
                 touch[at] = whiten[leg.context, width, r, c] / math.sqrt(unit[c])
                 at += 1
     for width in range(depth):
-        late = width + 1 < leg.after
-        touch[at] = noise.limits_awaited[width] if late else noise.limits[width]
+        touch[at] = noise.limits[direction_of(leg, width + 1), width]
         at += 1
     touch[at] = known
     leg.touch_n += 1

@@ -16,6 +16,7 @@ from adaptive_contact.detect.contact import (
     begin_labels,
     break_off,
     context_of,
+    direction_of,
     enter_row,
     keep_touch,
     let_go,
@@ -83,6 +84,7 @@ from adaptive_contact.detect.swing import (
     height_gradient,
     place_foot,
 )
+from adaptive_contact.model.noise import DESCENT, LIFT
 
 
 @compiled
@@ -304,7 +306,8 @@ def decide(leg, swing, past, model, noise, kept):
     loaded = leg.loaded
     score, onset_ns = leg_score(leg, past_lift, past, model, noise)
     topped = not leg.broken and (leg.topped or not leg.learning)
-    swing_tick(leg, score, leg.squared / noise.limits[0], onset_ns, past_lift and topped)
+    calm = DESCENT if leg.descent else LIFT
+    swing_tick(leg, score, leg.squared / noise.limits[calm, 0], onset_ns, past_lift and topped)
     if leg.found & TOUCHED:
         note_contact(leg)
     was_free = not (loaded or leg.contact)
@@ -328,7 +331,7 @@ def hold_back(leg, swing, past, noise, kept, was_free, past_lift):
     if leg.touching:
         keep_touch(leg, past, noise, kept.touch)
     if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
-        value = noise.scores[0] * noise.limits[0]
+        value = noise.scores[0] * noise.limits[direction_of(leg, 1), 0]
         enter_row(leg, swing, past, noise, kept, value, was_free, past_lift)
         if leg.topped and not leg.broken and not leg.top_seen:
             leg.top_seen = True

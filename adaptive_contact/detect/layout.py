@@ -76,8 +76,6 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "values": VALUES + 1,  # refused, rad
         "sigma": "J",  # rad, deviation of residuals at the start
         "unit": "J",  # variance of this tick's residuals over the baseline's
-        "limits": DEPTH,  # thresholds in a swing, and after the turn to stance
-        "limits_awaited": DEPTH,
         "scores": DEPTH,  # test ratios of this tick
         "touch": "t",  # the first ticks of a contact, each as a `Touch` has it
         "reading": "J",  # rad, of this tick, repaired
@@ -313,7 +311,7 @@ TICK: Final = Handover(
     preview_in=(f8, 3), ring=(i8, 3), kept_angles=(f8, 3), kept_stamps=(i8, 3),
     echo_commands=(f8, 3), echo_runs=(f8, 4), parts=(f8, 3), links=(f8, 3), path=(f8, 3),
     history=(f8, 4), thetas=(f8, 3), xi0=(f8, 3), coefficients=(f8, 3), whiten=(f8, 5),
-    index=(i8, 3), per_scale=(f8, 3), root=(f8, 4), domain=(f8, 3), rows=(ROW, 2),
+    limits=(f8, 3), index=(i8, 3), per_scale=(f8, 3), root=(f8, 4), domain=(f8, 3), rows=(ROW, 2),
     row_values=(f8, 3), free_ring=(f8, 3), **_SHARED,
 )  # fmt: skip
 receive_tick: Final = TICK.receive
@@ -339,7 +337,7 @@ Past = namedtuple(
 Model = namedtuple("Model", "kind first entry weight knee law xi0 coefficients domain depths forms")
 Noise = namedtuple(
     "Noise",
-    "sigma unit whiten index per_scale root limits limits_awaited scores shrink sums",
+    "sigma unit whiten index per_scale root limits scores shrink sums",
 )
 Kept = namedtuple("Kept", "rows row_values touch target free_ring")
 

@@ -36,7 +36,7 @@ from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
 from adaptive_contact.model.labelled_swing import ROW, Touch
 from adaptive_contact.model.library import ChangeLibrary, Library
-from adaptive_contact.model.noise import CONTEXTS
+from adaptive_contact.model.noise import CONTEXTS, DIRECTIONS
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import ServoSample
 
@@ -99,8 +99,6 @@ class LegBatch:
     began_window: Array
     sigma: Array
     unit: Array
-    limits: Array
-    limits_awaited: Array
     scores: Array
     touch: Array
 
@@ -143,6 +141,7 @@ class LegBatch:
         # What is known of free motion.
         self.xi0, self.coefficients = zeros(q, joints), zeros(p, joints)
         self.whiten = zeros(CONTEXTS, DEPTH, joints, joints)
+        self.limits = zeros(DIRECTIONS, DEPTH)  # thresholds
         self.index = zeros(joints, 0, dtype=i)
         self.per_scale, self.root = zeros(joints, 0), zeros(joints, 0, 0)
         self.domain = zeros(p, p)
@@ -381,7 +380,7 @@ class LegPlace:
         if before is None or free.whiten is not before.whiten:
             batch.whiten[row] = free.whiten
         if before is None or free.thresholds is not before.thresholds:
-            batch.limits[row], batch.limits_awaited[row] = free.thresholds, free.awaited
+            batch.limits[row] = free.thresholds
         if before is None or free.domain is not before.domain:
             leg.has_domain = free.domain is not None
             if free.domain is not None:

@@ -14,15 +14,17 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.detect.swing import AFTER_TICKS
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.outliers import inliers, untouched
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
-from adaptive_contact.model.glr import stream_statistic
+from adaptive_contact.model.glr import stream_statistic, whitened
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName, leg_library
 from adaptive_contact.model.model_file import Baseline, LegBaseline
-from adaptive_contact.model.noise import MIN_TICKS, WINDOWS, context, fit_noise, lagged
+from adaptive_contact.model.noise import AFTER, MIN_TICKS, WINDOWS, context, fit_noise, lagged
+from adaptive_contact.model.peaks import Peaks
 from adaptive_contact.model.tail import fit_tail, tail_ticks
 from adaptive_contact.model.window import Window, stack
 from adaptive_contact.robot import Leg, Robot
@@ -101,7 +103,8 @@ class Rows:
     where: Ints  # (n,) context
     swing: Ints  # (n,) number, from 1 over all stretches
     position: Ints  # (n,) tick, with gaps of at least 3 between swings
-    judged: Mask  # (n,) what a detector would judge: not the first ticks of a swing
+    judged: Mask  # (n,) what a detector would judge in a swing: not its first ticks
+    after: Mask  # (n,) after the turn to stance
     swings: int
     outliers: int = 0  # left out, and in how many swings the foot touched
     touched: int = 0
@@ -219,6 +222,7 @@ def gather_rows(
         swing=rows.swing[keep],
         position=rows.position[keep],
         judged=rows.judged[keep],
+        after=rows.after[keep],
         outliers=int(np.count_nonzero(~keep)),
         touched=touched,
     )
@@ -265,12 +269,17 @@ def learn_leg(
     model = LegModel(library, fit.coefficients)
 
     # Noise and statistic from the ticks, and the windows, that a detector would judge.
-    residual = best.certain[rows.judged]
-    position, where = rows.position[rows.judged], rows.where[rows.judged]
+    judged = rows.judged | rows.after
+    residual = best.certain[judged]
+    position, where, after = rows.position[judged], rows.where[judged], rows.after[judged]
     histories = _histories(residual, position)
     noise = fit_noise(histories, where, quantum_rad)
-    motion = _histories(rows.target[rows.judged] - residual, position)
-    values = stream_statistic(histories, motion, where, rows.usable, noise)
+    motion = _histories(rows.target[judged] - residual, position)
+    usable = np.isfinite(histories).all(axis=2).sum(axis=1)
+    values = stream_statistic(histories, motion, where, usable, noise)
+    # After the turn a residual counts whatever it opposes: what moves there is told by no command.
+    square = whitened(np.stack([histories[after], motion[after]]), noise.whiten[where[after]])[0]
+    values[after] = np.where(np.isfinite(values[after]), square, np.nan)
     figures = LegFigures(
         rows=len(rows.target),
         outliers=rows.outliers,
@@ -289,7 +298,8 @@ def learn_leg(
     )
     scale = held.whole.scale()
     known = LegBaseline(model, noise, scale, len(rows.target), manner.domain(held.whole))
-    return known, figures, values
+    peaks = Peaks.of(values[after], len(leg.joints))
+    return dataclasses.replace(known, peaks=peaks), figures, values[~after]
 
 
 def _check_enough(leg: Leg, library: Library, rows: Rows) -> None:
@@ -309,12 +319,15 @@ def _check_enough(leg: Leg, library: Library, rows: Rows) -> None:
 
 
 def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> Rows:
-    theta, target, where, swing, position, judged = [], [], [], [], [], []
+    theta, target, where, swing, position, judged, later = [], [], [], [], [], [], []
     swings = 0
     offset = 0
     for stretch in stretches:
         cut = stack(stretch.measured, stretch.desired, library.window)
-        use = stretch.swing & stretch.free & stretch.sound
+        turned = swing_ticks(~stretch.swing)  # ticks after the turn
+        # What a leg does after the turn is learned where it is known to touch nothing there.
+        after = stretch.certain & (turned > 0) & (turned <= AFTER_TICKS)
+        use = (stretch.swing | after) & stretch.free & stretch.sound
         sound = np.ones(len(cut.tick), dtype=bool)
         for lag in range(library.window.length):
             sound &= stretch.sound[cut.tick - lag]
@@ -324,19 +337,21 @@ def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad:
         heading = directions(stretch.desired, leg)
         tick = cut.tick[rows]
         before = stretch.desired[np.maximum(tick - 1, 0)]
+        # The row of tick k predicts tick k + 1, which is what would be judged.
+        heading = np.where(turned[tick + 1] > 1, AFTER, heading[tick])
         theta.append(library.evaluate(cut.measured[rows], cut.desired[rows], cut.preview[rows]))
         target.append(cut.increment[rows])
-        where.append(context(stretch.desired[tick], before, heading[tick], quantum_rad))
+        where.append(context(stretch.desired[tick], before, heading, quantum_rad))
         swing.append(number[tick])
         position.append(offset + tick)
-        # The row of tick k predicts tick k + 1, which is what would be judged.
         judged.append(swing_ticks(stretch.swing)[tick + 1] > LIFT_OFF_TICKS)
+        later.append(turned[tick + 1] > 1)
         offset += len(stretch.measured) + len(WINDOWS)
     joints = len(leg.joints)
     if not theta:
         theta, target = [np.empty((0, library.size))], [np.empty((0, joints))]
         where = swing = position = [np.empty(0, dtype=np.int64)]
-        judged = [np.empty(0, dtype=bool)]
+        judged = later = [np.empty(0, dtype=bool)]
     return Rows(
         np.concatenate(theta),
         np.concatenate(target),
@@ -344,6 +359,7 @@ def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad:
         np.concatenate(swing),
         np.concatenate(position),
         np.concatenate(judged),
+        np.concatenate(later),
         swings,
     )
 

@@ -196,7 +196,6 @@ class Adapter:
             self.status == "valid" and not changed,
             noise.whiten,
             noise.thresholds,
-            noise.awaited,
             self.candidate.domain,
         )
 

@@ -203,7 +203,7 @@ class Lifecycle:
         self._start, self.note = dataclasses.replace(start, spread=None), None
         start = ready_for_changes(start)
         aim = robot.detector.false_alarms_per_hour
-        noise_tracker = NoiseTracker(start.noise, tails, aim)
+        noise_tracker = NoiseTracker(start.noise, tails, aim, start.peaks)
         self.noise_tracker, self.begun = noise_tracker, self.begun + 1
         self.adapter = Adapter(self._leg.id, start, noise_tracker, self._mode, self._refitter)
 

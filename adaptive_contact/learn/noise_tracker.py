@@ -28,6 +28,7 @@ from adaptive_contact.compiled import compiled
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.model_file import thresholds_of
 from adaptive_contact.model.noise import NoiseModel
+from adaptive_contact.model.peaks import Peaks
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
 
@@ -59,12 +60,12 @@ class NoiseTracker:
     Args:
         noise: of the baseline.
         tails: (windows,) of the baseline's statistic.
+        peaks: of its ticks after the turn, where those are known.
         false_alarms_per_hour: target rate.
 
     Attributes:
         whiten: (contexts, windows, J, J).
-        thresholds: (windows,) of the statistic.
-        awaited: the same for ticks after the turn to stance, in which a touch is expected.
+        thresholds: (directions, windows) of the statistic.
     """
 
     def __init__(
@@ -72,15 +73,15 @@ class NoiseTracker:
         noise: NoiseModel,
         tails: tuple[Tail, ...],
         false_alarms_per_hour: float,
+        peaks: Peaks | None = None,
     ) -> None:
         self._of_baseline = np.array(noise.whiten, order="C")
         self._tails = tails
         self._target_rate = false_alarms_per_hour
-        self._least = thresholds_of(tails, false_alarms_per_hour)
+        self._peaks = peaks
+        self._least = self._thresholds(tails)
         self.whiten: Array = noise.whiten
         self.thresholds: Array = self._least
-        self._least_awaited = thresholds_of(tails, AWAITED * false_alarms_per_hour)
-        self.awaited: Array = self._least_awaited
         self._factors = (1.0, 1.0)  # on the tails, by which the thresholds were computed
         self._next: Array | None = None  # whitening to come
         self._due = 0  # ticks until then
@@ -158,10 +159,17 @@ class NoiseTracker:
                 dataclasses.replace(t, rate=min(often * t.rate, 0.5), scale=wide * t.scale)
                 for t in self._tails
             )
-            self.thresholds = np.maximum(self._least, thresholds_of(tails, self._target_rate))
-            awaited = thresholds_of(tails, AWAITED * self._target_rate)
-            self.awaited = np.maximum(self._least_awaited, awaited)
+            self.thresholds = np.maximum(self._least, self._thresholds(tails))
         return True
+
+    def _thresholds(self, tails: tuple[Tail, ...]) -> Array:
+        """(directions, windows) of tails; after the turn of the leg's own peaks, widened alike."""
+        swing = thresholds_of(tails, self._target_rate)
+        awaited = thresholds_of(tails, AWAITED * self._target_rate)
+        if self._peaks is not None:
+            least = thresholds_of(self._tails, AWAITED * self._target_rate)
+            awaited = self._peaks.thresholds(AWAITED * self._target_rate) * (awaited / least)
+        return np.array([swing, swing, awaited])
 
     @property
     def tail_factors(self) -> tuple[float, float]:

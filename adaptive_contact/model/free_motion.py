@@ -32,6 +32,5 @@ class FreeMotion(NamedTuple):
     changed: bool
     sure: bool  # the leg is as its model says: not changed, and valid by its status
     whiten: Array  # (contexts, windows, J, J) of sums of residuals
-    thresholds: Array  # (windows,) of the statistic
-    awaited: Array  # the same for ticks after the turn to stance, in which a touch is expected
+    thresholds: Array  # (directions, windows) of the statistic
     domain: Domain | None  # where the model has been; None if that is not known

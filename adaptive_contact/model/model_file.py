@@ -23,7 +23,8 @@ from adaptive_contact.files import cannot_write, read_file, write_file
 from adaptive_contact.model import bounds
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName
-from adaptive_contact.model.noise import CONTEXTS, WINDOWS, NoiseModel
+from adaptive_contact.model.noise import CONTEXTS, SPEEDS, WINDOWS, NoiseModel
+from adaptive_contact.model.peaks import LEAST_TICKS, Peaks
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.model.window import Window
@@ -50,6 +51,8 @@ class LegBaseline:
     # (J, d, p) of a prior, standard deviations of the coefficients along d directions, in raw
     # units; None of what was fitted to a leg
     spread: Array | None = None
+    # of its free ticks after the turn to stance; None where there were too few
+    peaks: Peaks | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,6 +115,9 @@ class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     covariance: list[list[list[list[bounds.Variance]]]]
     ticks: list[bounds.Weight]
     domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
+    # Largest statistics after the turn to stance, and of how many free ticks.
+    peaks: list[bounds.Peak] | None = None
+    peak_ticks: bounds.PeakTicks = LEAST_TICKS
     # Of terms of how the leg moves.
     inflation: bounds.Inflation | msgspec.UnsetType = msgspec.field(
         default=msgspec.UNSET, name="doubt"
@@ -285,6 +291,8 @@ def _leg_file(known: LegBaseline) -> _LegFile:
         scale=dict(zip(library.names, known.scale.tolist(), strict=True)),
         covariance=known.noise.covariance.tolist(),
         ticks=known.noise.ticks.tolist(),
+        peaks=None if known.peaks is None else known.peaks.largest.tolist(),
+        peak_ticks=LEAST_TICKS if known.peaks is None else known.peaks.ticks,
         domain=None if known.domain is None else _rows_of(known.domain.triangle),
         inflation=msgspec.UNSET if inflation is None else float(inflation.max()),
     )
@@ -336,9 +344,13 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
                 )
             coefficients[row[term], j] = value
     joints = len(library.joints)
+    covariances, counts = entry.covariance, entry.ticks
+    if len(covariances) == len(counts) == CONTEXTS - SPEEDS:
+        # Of before there was a noise after the turn: that is as of the descent.
+        covariances, counts = [*covariances, *covariances[-SPEEDS:]], [*counts, *[0.0] * SPEEDS]
     shape = (CONTEXTS, len(WINDOWS), joints, joints)
-    covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
-    ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
+    covariance = _array(covariances, shape, f"leg '{leg}': covariance")
+    ticks = _array(counts, (CONTEXTS,), f"leg '{leg}': ticks")
     if not ticks.sum() > 0:
         raise IdentificationError(f"leg '{leg}': ticks are none; fit a new one")
     scale = np.array([entry.scale.get(name, np.nan) for name in library.names])
@@ -347,7 +359,12 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
     model, noise = LegModel(library, coefficients), NoiseModel(covariance, ticks)
     if not np.abs(noise.whiten).max() <= bounds.MOST_WHITEN:
         raise IdentificationError(f"leg '{leg}': covariance is too small; fit a new one")
-    return LegBaseline(model, noise, scale, entry.rows, _domain(entry, library, scale))
+    peaks = None
+    if entry.peaks is not None:
+        largest = _array(entry.peaks, (len(WINDOWS),), f"leg '{leg}': peaks")
+        peaks = Peaks(largest, entry.peak_ticks, joints)
+    domain = _domain(entry, library, scale)
+    return LegBaseline(model, noise, scale, entry.rows, domain, peaks=peaks)
 
 
 def _array(values: object, shape: tuple[int, ...], what: str) -> Array:

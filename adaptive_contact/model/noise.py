@@ -3,7 +3,8 @@ r"""Estimates the covariance of residuals on free ticks, per context of the moti
 Residuals of a good leg model are nearly white, but not equally large everywhere: fast motion
 carries model error, slow motion sticks and slips.  Contexts are formed from the command alone
 (direction of the foot, commanded speed), which a contact cannot change, and each context has its
-own covariance, shrunk towards that of its direction where it saw few ticks.
+own covariance, shrunk towards that of its direction where it saw few ticks.  A direction is lift,
+descent, or after the turn to stance, where the command stops or goes another way.
 
 For every window of w = 1, 2, 3 ticks the covariance of the *sum* of residuals is estimated
 directly, so that what autocorrelation is left is in it.
@@ -23,7 +24,11 @@ WINDOWS: Final = (1, 2, 3)
 # Edges of the commanded speed, in position quanta per tick (largest joint): below one step per
 # tick a leg sticks and slips, above a dozen it moves as fast as such servos can.
 SPEED_EDGES_QUANTA: Final = (1.0, 4.0, 12.0)
-CONTEXTS: Final = 2 * (len(SPEED_EDGES_QUANTA) + 1)
+SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
+# Directions: of a lift, a descent, and after the turn to stance.
+LIFT, DESCENT, AFTER = range(3)
+DIRECTIONS: Final = 3
+CONTEXTS: Final = DIRECTIONS * SPEEDS
 # A context's covariance weighs like this many ticks of its direction's.
 SHRINK_TICKS: Final = 200.0
 # A leg whose normalised innovation squared is above this, five times the noise, does not move as
@@ -39,17 +44,14 @@ def context(desired: Array, before: Array, direction: Ints, quantum_rad: float) 
     Args:
         desired: (..., J) rad.
         before: (..., J) rad, the command of the previous tick.
-        direction: (...,) 0 for a lift, 1 for a descent.
+        direction: (...,) one of ``LIFT``, ``DESCENT`` and ``AFTER``.
         quantum_rad: position step of the servos.
 
     Returns:
         (...,) index in ``0 .. CONTEXTS - 1``.
     """
     speed = np.abs(desired - before).max(axis=-1) / quantum_rad
-    return np.asarray(
-        direction * (len(SPEED_EDGES_QUANTA) + 1)
-        + np.searchsorted(SPEED_EDGES_QUANTA, speed, side="right")
-    )
+    return np.asarray(direction * SPEEDS + np.searchsorted(SPEED_EDGES_QUANTA, speed, side="right"))
 
 
 def lagged(values: Array, depth: int) -> Array:
@@ -115,18 +117,20 @@ def fit_noise(
         )
     joints = residual.shape[-1]
     floor = np.eye(joints) * quantum_rad**2 / 12.0
-    per_direction = CONTEXTS // 2
     covariance = np.empty((CONTEXTS, len(WINDOWS), joints, joints))
     ticks = np.bincount(where, minlength=CONTEXTS).astype(np.float64)
     for column, width in enumerate(WINDOWS):
         total = residual[:, :width].sum(axis=1)
         whole = total.T @ total / len(total)
-        for direction in range(2):
-            inside = where // per_direction == direction
+        for direction in range(DIRECTIONS):
+            inside = where // SPEEDS == direction
+            if direction == AFTER and not inside.any():  # as of the descent before
+                covariance[-SPEEDS:, column] = covariance[-2 * SPEEDS : -SPEEDS, column]
+                continue
             part = total[inside]
             prior = (part.T @ part + SHRINK_TICKS * whole) / (len(part) + SHRINK_TICKS)
-            for speed in range(per_direction):
-                index = direction * per_direction + speed
+            for speed in range(SPEEDS):
+                index = direction * SPEEDS + speed
                 own = total[where == index]
                 estimate = (own.T @ own + SHRINK_TICKS * prior) / (len(own) + SHRINK_TICKS)
                 covariance[index, column] = estimate + width * floor * 1e-3

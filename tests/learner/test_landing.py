@@ -13,6 +13,7 @@ from adaptive_contact.detect.swing_judge import LANDINGS, Landings
 from adaptive_contact.learn.noise_tracker import AWAITED
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
+from adaptive_contact.model.noise import AFTER, DESCENT
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
 
@@ -91,6 +92,7 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
     leg, recent = learner.place.record, learner.lifecycle.noise_tracker
     assert recent is not None
     told = {True: 0, False: 0}
+    leg["descent"] = True
     leg["context"], leg["usable"] = context_of(leg, np.zeros(3), np.full(3, 0.02)), 3
     noise = arrays_of(learner.place).noise
     noise.shrink[:], scores = 1.0, noise.scores
@@ -103,7 +105,7 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
             whiten = recent.whiten[int(leg["context"])][w - 1]
             z = whiten @ residual[:w].sum(axis=0)
             up = float(z @ whiten @ gradient) > 0.0
-            limit = (recent.awaited if w < after else recent.thresholds)[w - 1]
+            limit = recent.thresholds[AFTER if w < after else DESCENT, w - 1]
             expected = float(z @ z) / limit if up else 0.0
             assert scores[w - 1] == pytest.approx(expected, rel=1e-9)
             told[up] += 1
@@ -115,9 +117,9 @@ def test_awaited_touches_have_thresholds_of_their_own_aim(robot: Robot, baseline
     recent = learner.lifecycle.noise_tracker
     assert recent is not None
     aim = robot.detector.false_alarms_per_hour
-    assert recent.thresholds == pytest.approx(baseline.thresholds(aim))
-    assert recent.awaited == pytest.approx(baseline.thresholds(AWAITED * aim))
-    assert (recent.awaited < recent.thresholds).all()
+    assert recent.thresholds[DESCENT] == pytest.approx(baseline.thresholds(aim))
+    assert recent.thresholds[AFTER] == pytest.approx(baseline.thresholds(AWAITED * aim))
+    assert (recent.thresholds[AFTER] < recent.thresholds[DESCENT]).all()
 
 
 class TestLandings:

@@ -14,7 +14,7 @@ from adaptive_contact.learn.noise_tracker import (
 from adaptive_contact.model import Domain
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_prior import prior_tails
-from adaptive_contact.model.noise import CONTEXTS, WINDOWS, NoiseModel
+from adaptive_contact.model.noise import CONTEXTS, DESCENT, WINDOWS, NoiseModel
 from adaptive_contact.model.tail import Tail
 
 from .ticks import Tick, rows_of
@@ -84,9 +84,9 @@ def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: Noise
     assert (heavy.thresholds > 1.5 * least).all()
     # Rate: at the calm leg's threshold the heavy one would raise alarms that its own prevents.
     value = rng.chisquare(J, 10**6) * np.where(rng.random(10**6) < 0.03, 4, 1)
-    at_least = (value > least[0]).sum()
+    at_least = (value > least[DESCENT, 0]).sum()
     assert at_least > 50
-    assert (value > heavy.thresholds[0]).sum() < at_least / 10
+    assert (value > heavy.thresholds[DESCENT, 0]).sum() < at_least / 10
 
 
 def test_nan_counts_as_a_tick_that_shows_nothing(noise: NoiseModel) -> None:

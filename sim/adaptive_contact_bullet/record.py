@@ -1,0 +1,268 @@
+"""Records runs, with a twin at each touch: the same leg, state and commands without its ground.
+
+What an ideal observer of the free path sees of a touch is the difference between a leg's readings
+and those of its twin.  It is the bound that recall is held against: a touch that this observer does
+not find within the window, at the same rate of false alarms, is beyond any detector.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact_bullet.gait import Gait, Walker
+from adaptive_contact_bullet.plant import STEP_S, Ground, Plant, State
+from adaptive_contact_bullet.robots import SHAPES, Shape
+from adaptive_contact_sim.arrays import LegArrays, Onset, Run, contact_at
+
+# As `adaptive_contact_sim.truth`: a contact begins above the one, held for 20 ms, after 60 ms below
+# the other.
+_TOUCH_N: Final = 0.5
+_AIR_N: Final = 0.1
+_MEAN_STEPS: Final = round(0.020 / STEP_S)
+_AIR_STEPS: Final = round(0.060 / STEP_S)
+_TWIN_S: Final = 0.14  # a detection's window on hard ground, and a tick
+_SETTLE_S: Final = 1.5
+_EPOCH_NS: Final = 1_700_000_000_000_000_000
+# 540,000 judged ticks are a robot-hour.
+_PER_HOUR: Final = 540_000
+
+Drift = Literal["friction", "joint", "supply", "play", "mass"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What is recorded."""
+
+    robot: str
+    gait: Gait
+    ground: Ground
+    seconds: float
+    seed: int  # of the ground, the motion and the readings
+    robot_seed: int = 1  # of what differs between robots of one make
+    plates: float = 0.0  # share of an arm's descents onto one
+    drift: tuple[Drift, float] | None = None  # which, and after how many seconds
+    twins: bool = False
+
+
+class Observed(NamedTuple):
+    """What the ideal observer sees of a touch."""
+
+    leg: str
+    onset_ns: int
+    # largest over the ticks of the window: the squared distance over the limit at one false alarm
+    # per hour
+    ratio: float
+
+
+class Recorded(NamedTuple):
+    """A run, and what its twins show."""
+
+    shape: Shape
+    run: Run
+    observed: tuple[Observed, ...]
+
+
+@dataclasses.dataclass(eq=False)
+class _Twin:
+    leg: int
+    tick: int
+    onset_step: int
+    state: State
+
+
+def record(plan: Plan) -> Recorded:
+    """Record a run as fast as possible.
+
+    Raises:
+        RuntimeError: the physics diverged.
+    """
+    return _Recorder(plan).record()
+
+
+class _Recorder:
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        shape = self._shape = SHAPES[plan.robot]
+        self._rng = np.random.default_rng([plan.seed, 0xB011E7])
+        fixed = len(shape.legs) == 1
+        self._plant = Plant(shape, plan.ground, self._rng, robot_seed=plan.robot_seed, fixed=fixed)
+        self._walker = Walker(shape, plan.gait, self._rng)
+        self._substeps = round(shape.period_s / STEP_S)
+        n = self._n = round(plan.seconds / shape.period_s)
+        legs, joints = len(shape.legs), shape.joints
+        self._measured, self._desired, self._angle = (
+            np.zeros((n, legs * joints)) for _ in range(3)
+        )
+        self._swing = np.zeros((n, legs), dtype=bool)
+        self._forces = np.zeros((n * self._substeps, legs))
+        self._position, self._rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
+        self._air = np.zeros(legs, dtype=np.int64)  # steps in the air
+        self._twins: list[_Twin] = []
+        self._observed: list[Observed] = []
+
+    def record(self) -> Recorded:
+        plan, shape, plant = self._plan, self._shape, self._plant
+        for _ in range(round(_SETTLE_S / shape.period_s)):  # stand before walking
+            plant.drives.command(plant.drives.goal)
+            plant.advance(self._substeps)
+        touching: Mask = plant.touching
+        for k in range(self._n):
+            if plan.drift and k == round(plan.drift[1] / shape.period_s):
+                self._change(plan.drift[0])
+            state = plant.state if plan.twins else None
+            self._angle[k] = plant.angles
+            self._position[k], self._rotation[k] = plant.pose
+            self._measured[k] = plant.drives.read(plant.angles)
+            self._desired[k] = self._walker.tick(touching)
+            self._swing[k] = self._walker.swing
+            if plan.plates:
+                self._serve_plates()
+            plant.drives.command(self._desired[k])
+            steps = slice(k * self._substeps, (k + 1) * self._substeps)
+            forces = self._forces[steps] = plant.advance(self._substeps)
+            touching = np.asarray((forces > _TOUCH_N).any(axis=0))
+            for leg, step in self._touched(forces):
+                if state is not None and self._swing[k, leg]:
+                    self._twins.append(_Twin(leg, k, k * self._substeps + step, state))
+            self._go_through_twins(k)
+        plant.close()
+        return Recorded(shape, self._run(), tuple(self._observed))
+
+    def _change(self, drift: Drift) -> None:
+        drives, joints = self._plant.drives, self._shape.joints
+        constants = drives.constants
+        match drift:
+            case "friction":
+                constants[5:7] *= 2.5
+            case "joint":  # one joint of each leg rubs
+                constants[5:7, 1::joints] *= 4.0
+            case "supply":
+                drives.supply = 0.78
+            case "play":
+                constants[9] += math.radians(0.9)
+            case "mass":
+                for leg, built in enumerate(self._shape.legs):
+                    self._plant.load(leg, 0.6 * built.masses_kg[-1])
+
+    def _serve_plates(self) -> None:
+        for leg in np.flatnonzero(self._walker.began).tolist():
+            at = None
+            if self._rng.random() < self._plan.plates:
+                at = self._walker.targets_m[leg].copy()
+                at[2] += self._rng.uniform(0.0, 0.035) - self._shape.sole_m
+            self._waiting = at
+        for leg in np.flatnonzero(self._walker.swing).tolist():
+            # Under the descent only: the lift is free.
+            self._plant.place_plate(leg, self._waiting if self._walker.down[leg] else None)
+
+    def _touched(self, forces: Array) -> list[tuple[int, int]]:
+        """Legs that touch after 60 ms in the air, and the step of the tick."""
+        found = []
+        for leg in range(forces.shape[1]):
+            for step in range(len(forces)):
+                if forces[step, leg] > _TOUCH_N:
+                    if self._air[leg] >= _AIR_STEPS:
+                        found.append((leg, step))
+                    self._air[leg] = 0
+                elif forces[step, leg] < _AIR_N:
+                    self._air[leg] += 1
+        return found
+
+    def _go_through_twins(self, k: int) -> None:
+        """Simulate the twins whose window is over."""
+        ticks = math.ceil(_TWIN_S / self._shape.period_s)
+        due = [twin for twin in self._twins if k - twin.tick >= ticks]
+        if due:
+            kept = self._plant.keep()
+            for twin in due:
+                self._observe(twin, ticks)
+            self._plant.go_on(kept)
+            self._twins = [twin for twin in self._twins if twin not in due]
+
+    def _observe(self, twin: _Twin, ticks: int) -> None:
+        plant, joints, leg = self._plant, self._shape.joints, twin.leg
+        plant.resume(twin.state)
+        plant.let_through(leg, through=True)
+        own = slice(leg * joints, (leg + 1) * joints)
+        free = np.zeros((ticks, joints))
+        for i in range(ticks):
+            plant.drives.command(self._desired[twin.tick + i])
+            plant.advance(self._substeps)
+            free[i] = plant.angles[own]
+        plant.let_through(leg, through=False)
+        off = self._measured[twin.tick + 1 : twin.tick + 1 + ticks, own] - free
+        squares = (off / plant.drives.reading_sd_rad) ** 2
+        total = np.cumsum(squares.sum(axis=1))
+        limit = chi2.isf(1.0 / _PER_HOUR / ticks, joints * np.arange(1, ticks + 1))
+        onset_ns = self._ns(twin.onset_step)
+        name = self._shape.legs[leg].id
+        self._observed.append(Observed(name, onset_ns, float((total / limit).max())))
+
+    def _ns(self, step: int) -> int:
+        return _EPOCH_NS + round((step + 1) * STEP_S * 1e9)
+
+    def _run(self) -> Run:
+        shape, period_ns = self._shape, round(self._shape.period_s * 1e9)
+        t_ns = _EPOCH_NS + np.arange(self._n, dtype=np.int64) * period_ns
+        legs, joints = {}, shape.joints
+        robot = shape.description
+        soft = self._plan.ground.kind == "soft"
+        for i, leg in enumerate(shape.legs):
+            own = slice(i * joints, (i + 1) * joints)
+            chain = robot.leg(leg.id).chain
+            assert chain is not None
+            feet = chain.foot(self._angle[:, own])
+            cos, sin = math.cos(leg.yaw_rad), math.sin(leg.yaw_rad)
+            world = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            feet = feet @ world.T + np.array(leg.mount_m)
+            feet = np.einsum("nij,nj->ni", self._rotation, feet) + self._position
+            speed = np.zeros_like(feet)
+            speed[1:] = np.diff(feet, axis=0) / shape.period_s
+            onsets, releases = self._truth(self._forces[:, i], speed, soft=soft)
+            legs[leg.id] = LegArrays(
+                measured=self._measured[:, own],
+                desired=self._desired[:, own],
+                valid=np.ones((self._n, joints), dtype=bool),
+                swing=self._swing[:, i],
+                contact=contact_at(t_ns, onsets, releases),
+                force_n=self._forces[:, i].reshape(self._n, -1).mean(axis=1),
+                angle=self._angle[:, own],
+                onsets=tuple(onsets),
+                releases_ns=tuple(releases),
+            )
+        return Run(t_ns, legs, self._position, self._rotation)
+
+    def _truth(self, force: Array, speed: Array, *, soft: bool) -> tuple[list[Onset], list[int]]:
+        total = np.concatenate([[0.0], np.cumsum(force, dtype=np.float64)])
+        mean = (total[_MEAN_STEPS:] - total[:-_MEAN_STEPS]) / _MEAN_STEPS
+        begins = (force[: len(mean)] > _TOUCH_N) & (mean > _TOUCH_N)
+        quiet = np.concatenate([[0], np.cumsum(force < _AIR_N)])
+        onsets: list[Onset] = []
+        releases: list[int] = []
+        contact, step = bool(begins[0]), 0
+        if not contact:
+            releases.append(self._ns(-1))
+        starts: Ints = np.flatnonzero(begins)
+        gone: Ints = np.flatnonzero(quiet[_AIR_STEPS:] - quiet[:-_AIR_STEPS] == _AIR_STEPS)
+        while True:
+            ahead = gone if contact else starts
+            at = np.searchsorted(ahead, step)
+            if at == len(ahead):
+                return onsets, releases
+            step = int(ahead[at])
+            if contact:
+                releases.append(self._ns(step))
+            else:
+                tick = step // self._substeps
+                down, along = -speed[tick, 2], float(np.hypot(*speed[tick, :2]))
+                grazing = bool(along > 5.0 * max(down, 1e-9))
+                down, surface = float(max(down, 0.0)), "soft" if soft else "hard"
+                force_n = float(mean[step])
+                onsets.append(Onset(self._ns(step), tick, force_n, down, "foot", surface, grazing))
+            contact = not contact

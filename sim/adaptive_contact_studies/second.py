@@ -1,0 +1,268 @@
+"""The product on robots of a second physics engine, against an ideal observer of the free path.
+
+Nothing of the product was tuned to these robots, servos and gaits
+(:mod:`adaptive_contact_bullet`).  Each walks from nothing, and with baselines fitted to one and to
+four minutes of free swings; two change after a while; all hang from nothing, too.
+
+``python -m adaptive_contact_studies.second FOLDER [SECONDS]``; what each run gave is kept in
+FOLDER.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from adaptive_contact.bank import LegGroup
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.fit.train import learn
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
+from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
+from adaptive_contact.wire import ContactEvent
+from adaptive_contact_bullet.gait import GAITS
+from adaptive_contact_bullet.plant import Ground, Kind
+from adaptive_contact_bullet.record import Drift, Plan, Recorded, record
+from adaptive_contact_studies.evaluate import samples_of, score_run
+from adaptive_contact_studies.training import stretch_of
+from adaptive_contact_studies.work import LEARNER, Work, rests_on
+
+_ENGINE: Final = "adaptive_contact_bullet"
+_SECONDS: Final = 900.0
+_PARTS: Final = 3  # of a run, whose recalls are compared
+_FITS_S: Final = (0.0, 60.0, 240.0)  # free swings before; 0 for nothing
+_WALKS: Final[tuple[tuple[str, str, Kind], ...]] = (
+    ("hexapod", "tripod", "hard"),
+    ("hexapod", "tripod-fast", "rough"),
+    ("hexapod", "tripod-planned", "hard"),
+    ("geared", "tripod", "hard"),
+    ("geared", "ripple", "soft"),
+    ("geared", "tripod", "tilted"),
+    ("quadruped", "trot", "hard"),
+    ("quadruped", "trot-planned", "rough"),
+    ("arm", "steps", "none"),
+)
+_PLATES: Final = 0.6
+_DRIFTS: Final[tuple[Drift, ...]] = ("friction", "joint", "supply", "play", "mass")
+_DRIFT_AFTER: Final = 1.0 / 3.0  # of the run
+_FREE_SEED: Final = 1000  # further on: baselines are fitted to other runs
+_HUNG_SWINGS: Final = 60  # after which a leg that hangs has to be silent
+# Truth of a walk and of its twin tell one touch when they are no further apart.
+_SAME_NS: Final = 30_000_000
+_DRAIN_TICKS: Final = 50
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """One robot on one ground, from one start."""
+
+    robot: str
+    gait: str
+    ground: Kind
+    seconds: float
+    seed: int  # of the robot, and of its motion
+    fitted_s: float = 0.0
+    drift: Drift | None = None
+
+    @property
+    def hangs(self) -> bool:
+        """Whether nothing is touched."""
+        return self.ground == "none" and self.robot != "arm"
+
+    @property
+    def plan(self) -> Plan:
+        """What is recorded for it."""
+        return Plan(
+            self.robot, GAITS[self.gait], Ground(self.ground), self.seconds, self.seed,
+            self.seed % _FREE_SEED,
+            plates=_PLATES if self.robot == "arm" else 0.0,
+            drift=None if self.drift is None else (self.drift, self.seconds * _DRIFT_AFTER),
+            twins=not self.hangs,
+        )  # fmt: skip
+
+
+class Found(NamedTuple):
+    """What the product did in a trial; counts of all legs."""
+
+    touches: tuple[int, ...]  # by parts of the run
+    found: tuple[int, ...]
+    seen: int  # touches with a twin that the observer finds
+    seen_found: int  # of those, that the product found
+    twins: int
+    alarms: int  # false ones
+    judged: int  # ticks
+    learned: int  # ticks
+    learned_touching: int
+    free: int  # ticks of swings that touch nothing
+    hung_alarms: int  # after the first swings
+    valid_alarms: int  # of those, by a leg that was `valid`
+
+
+def trials(seconds: float = _SECONDS, seed: int = 1) -> list[Trial]:
+    """List what is tried."""
+    walks = [
+        Trial(*walk, seconds, seed + number, fitted)
+        for number, walk in enumerate(_WALKS)
+        for fitted in _FITS_S
+    ]
+    drifts = [
+        Trial(robot, "tripod", "hard", seconds, seed + 50 + number, _FITS_S[1], drift)
+        for robot in ("hexapod", "geared")
+        for number, drift in enumerate(_DRIFTS)
+    ]
+    hung = [
+        Trial(robot, gait, "none", seconds, seed + 90, fitted)
+        for robot, gait in (("hexapod", "tripod"), ("geared", "ripple"), ("quadruped", "trot"))
+        for fitted in _FITS_S
+    ]
+    return walks + drifts + hung
+
+
+@rests_on(_ENGINE)
+def recorded(work: Work, plan: Plan) -> Recorded:
+    """Record a plan."""
+    return record(plan)
+
+
+@rests_on(_ENGINE, *LEARNER)
+def baseline(work: Work, free: Plan) -> Baseline | None:
+    """Fit a baseline to free swings; None where they do not suffice."""
+    made = work.one(recorded, free)
+    robot = made.shape.description
+    streams = {leg: [stretch_of(made.run, leg, robot.period_s)] for leg in robot.leg_ids}
+    try:
+        return learn(robot, streams, origin="free swings").baseline
+    except IdentificationError:
+        return None
+
+
+@rests_on(_ENGINE, "adaptive_contact_studies.evaluate", *LEARNER)
+def tried(work: Work, trial: Trial) -> Found | None:
+    """Try the product; None where no baseline could be fitted."""
+    known = None
+    if trial.fitted_s:
+        free = Trial(trial.robot, trial.gait, "none", trial.fitted_s, trial.seed + _FREE_SEED)
+        known = work.one(baseline, dataclasses.replace(free.plan, plates=0.0, twins=False))
+        if known is None:
+            return None
+    made = work.one(recorded, trial.plan)
+    run, robot = made.run, made.shape.description
+    learners = [ContactLearner(robot, leg, known) for leg in robot.leg_ids]
+    group = LegGroup(learners)
+    streams = [samples_of(run, leg) for leg in robot.leg_ids]
+    events: dict[str, list[ContactEvent]] = {leg: [] for leg in robot.leg_ids}
+    learned: dict[str, list[int]] = {leg: [] for leg in robot.leg_ids}
+    for k, samples in enumerate(zip(*streams, strict=True)):
+        for leg, event in zip(robot.leg_ids, group.advance(samples), strict=True):
+            if event is not None:
+                events[leg].append(event)
+        if k % _DRAIN_TICKS == 0:
+            for learner in learners:
+                learned[learner.leg.id] += learner.drain_confirmed()
+    outcomes = score_run(run, robot, events)
+    touches, found = np.zeros(_PARTS, int), np.zeros(_PARTS, int)
+    seen = seen_found = alarms = judged = count = touching = free_ticks = hung = valid = 0
+    span = run.t_ns[-1] - run.t_ns[0] + 1
+    for outcome in outcomes:
+        own, arrays = outcome.touches, run.legs[outcome.leg]
+        part = ((own.onset_ns - run.t_ns[0]) * _PARTS // span)[own.counted]
+        touches += np.bincount(part, minlength=_PARTS)
+        found += np.bincount(part, own.found[own.counted], minlength=_PARTS).astype(int)
+        twins = np.array(
+            [o.onset_ns for o in made.observed if o.leg == outcome.leg and o.ratio > 1.0]
+        )
+        for onset_ns, counted, hit in zip(own.onset_ns, own.counted, own.found, strict=True):
+            if counted and len(twins) and np.abs(twins - onset_ns).min() <= _SAME_NS:
+                seen, seen_found = seen + 1, seen_found + int(hit)
+        alarms += len(outcome.alarms_ns) + len(outcome.after_ns)
+        judged += int(outcome.swings.judged.sum() + outcome.swings.judged_after.sum())
+        at = np.searchsorted(run.t_ns, learned[outcome.leg])
+        count, touching = count + len(at), touching + int(arrays.contact[at].sum())
+        free_ticks += int((arrays.swing & ~arrays.contact).sum())
+        late = np.concatenate([outcome.alarm_swing, outcome.after_swing]) >= _HUNG_SWINGS
+        hung += int(late.sum())
+        begun = outcome.swings.start_ns[min(_HUNG_SWINGS, len(outcome.swings.start_ns) - 1)]
+        valid += sum(
+            e.contact and e.status == "valid" and e.t_ns >= begun for e in events[outcome.leg]
+        )
+    return Found(
+        tuple(touches.tolist()), tuple(found.tolist()), seen, seen_found, len(made.observed),
+        alarms, judged, count, touching, free_ticks, hung, valid,
+    )  # fmt: skip
+
+
+def table(made: Sequence[tuple[Trial, Found | None]]) -> str:
+    """Write what was found as Markdown: walks and drifts, then what hangs."""
+    head = [
+        "| robot, gait, ground | start | touches | observer | found of the observer's (95 %) "
+        "| recall by thirds | false alarms per robot-hour | ticks learned that touch "
+        "| free ticks learned |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    rows = [_row(trial, found) for trial, found in made if not trial.hangs]
+    hung = [
+        "",
+        f"| hangs | start | contacts after {_HUNG_SWINGS} swings, per robot-hour "
+        "| of them `valid` |",
+        "|---|---|---|---|",
+        *(_hung(trial, found) for trial, found in made if trial.hangs),
+    ]  # fmt: skip
+    return "\n".join(head + rows + hung)
+
+
+def _start(trial: Trial) -> str:
+    start = f"fit of {trial.fitted_s / 60:g} min" if trial.fitted_s else "nothing"
+    return start if trial.drift is None else f"{start}; {trial.drift} after a third"
+
+
+def _row(trial: Trial, found: Found | None) -> str:
+    name = f"{trial.robot}, {trial.gait}, {'plates' if trial.robot == 'arm' else trial.ground}"
+    if found is None:
+        return f"| {name} | {_start(trial)} | no baseline could be fitted" + " | |" * 3 + " |"
+    thirds = ", ".join(
+        f"{100 * hit / all_:.0f}" if all_ else "–"
+        for hit, all_ in zip(found.found, found.touches, strict=True)
+    )
+    of_seen = "–"
+    if found.seen:
+        low, high = (100 * end for end in clopper_pearson(found.seen_found, found.seen))
+        of_seen = f"{100 * found.seen_found / found.seen:.1f} % ({low:.1f} to {high:.1f})"
+    per_hour = AlarmFigures.of(found.alarms, max(found.judged, 1))
+    cells = [
+        name, _start(trial), str(sum(found.touches)), f"{found.seen} of {sum(found.touches)}",
+        of_seen, f"{thirds} %",
+        f"{per_hour.per_hour:.0f} ({per_hour.interval.low:.0f} to {per_hour.interval.high:.0f})",
+        f"{100 * found.learned_touching / max(found.learned, 1):.2f} %",
+        f"{100 * (found.learned - found.learned_touching) / max(found.free, 1):.0f} %",
+    ]  # fmt: skip
+    return "| " + " | ".join(cells) + " |"
+
+
+def _hung(trial: Trial, found: Found | None) -> str:
+    name = f"| {trial.robot}, {trial.gait} | {_start(trial)} |"
+    if found is None:
+        return f"{name} no baseline could be fitted | |"
+    per_hour = AlarmFigures.of(found.hung_alarms, max(found.judged, 1))
+    return f"{name} {per_hour.per_hour:.0f} ({found.hung_alarms}) | {found.valid_alarms} |"
+
+
+def main(arguments: list[str]) -> int:
+    """Do what is asked for."""
+    if not 1 <= len(arguments) <= 2:
+        print("expected FOLDER, and perhaps the SECONDS of each run", file=sys.stderr)
+        return 2
+    work = Work(Path(arguments[0]), 2, console=Console(stderr=True))
+    wanted = trials(float(arguments[1]) if arguments[1:] else _SECONDS)
+    made = work.each("trials", tried, wanted, weight=lambda trial: trial.seconds)
+    print(table(list(zip(wanted, made, strict=True))))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

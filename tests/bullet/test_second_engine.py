@@ -1,0 +1,127 @@
+"""The second physics: its servos against closed forms, its twins, its truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip(
+    "pybullet", reason="pybullet is not installed: it has wheels for Python 3.11 on x86-64 only"
+)
+
+from adaptive_contact.score import contacts_of
+from adaptive_contact_bullet.gait import GAITS, Inverse, Walker
+from adaptive_contact_bullet.plant import Ground, Plant
+from adaptive_contact_bullet.record import Plan, record
+from adaptive_contact_bullet.robots import SHAPES
+from adaptive_contact_bullet.servo import Drives
+
+
+def _one(**changes: float) -> Drives:
+    ideal = dataclasses.replace(
+        SHAPES["hexapod"].servo, coulomb_nm=0.0, stribeck_nm=0.0, load_friction=0.0, noise_rad=0.0,
+        latency_ticks=0, **changes,
+    )  # fmt: skip
+    return Drives(ideal, np.zeros(1), np.random.default_rng(1), 0.001)
+
+
+def test_a_held_output_gets_the_torque_of_its_error() -> None:
+    drives = _one()
+    drives.command(np.array([0.05]))
+    torque = 0.0
+    for _ in range(2000):
+        torque = float(drives.torques(np.zeros(1), np.zeros(1))[0])
+    assert torque == pytest.approx(drives.constants[0, 0] * drives.servo.gain * 0.05, rel=1e-3)
+
+
+def test_nothing_passes_through_the_play() -> None:
+    drives = _one(play_rad=0.02)
+    half = float(drives.constants[9, 0]) / 2.0
+    assert drives.torques(np.array([0.9 * half]), np.zeros(1))[0] == 0.0
+    assert drives.torques(np.array([1.5 * half]), np.zeros(1))[0] < 0.0
+
+
+def test_friction_holds_a_motor_that_is_pushed_less_than_it() -> None:
+    rubbing = dataclasses.replace(SHAPES["hexapod"].servo, coulomb_nm=0.5, latency_ticks=0)
+    drives = Drives(rubbing, np.zeros(1), np.random.default_rng(1), 0.001)
+    drives.command(np.array([0.02]))
+    for _ in range(300):
+        drives.torques(np.zeros(1), np.zeros(1))
+    assert drives.motor[0, 0] == 0.0
+
+
+@pytest.mark.parametrize("name", sorted(SHAPES))
+def test_the_inverse_reaches_the_feet_of_the_description(name: str) -> None:
+    shape = SHAPES[name]
+    robot = shape.description
+    for leg in shape.legs:
+        chain = robot.leg(leg.id).chain
+        assert chain is not None
+        target = chain.foot(np.array(leg.rest_rad)) + np.array([0.01, -0.01, 0.015])
+        inverse = Inverse(chain, np.array(leg.rest_rad))
+        for _ in range(5):
+            angles = inverse.to(target)
+        assert chain.foot(angles) == pytest.approx(target, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", sorted(SHAPES))
+def test_the_engine_and_the_description_agree_on_feet(name: str) -> None:
+    """The URDF and robot.toml are two descriptions of one robot."""
+    shape = SHAPES[name]
+    plant = Plant(shape, Ground("none"), np.random.default_rng(1))
+    feet = plant.feet_m
+    robot = shape.description
+    for i, leg in enumerate(shape.legs):
+        chain = robot.leg(leg.id).chain
+        assert chain is not None
+        x, y, z = chain.foot(np.array(leg.rest_rad))
+        cos, sin = math.cos(leg.yaw_rad), math.sin(leg.yaw_rad)
+        mount = leg.mount_m
+        expected = (mount[0] + cos * x - sin * y, mount[1] + sin * x + cos * y, mount[2] + z + 1.0)
+        assert feet[i] == pytest.approx(expected, abs=1e-4)
+    plant.close()
+
+
+@pytest.mark.parametrize(("robot", "gait"), [("hexapod", "tripod"), ("quadruped", "trot")])
+def test_a_walk_touches_once_a_swing_and_its_twins_see_it(robot: str, gait: str) -> None:
+    made = record(Plan(robot, GAITS[gait], Ground("hard"), 5.0, 3, twins=True))
+    run = made.run
+    assert run.rotation[:, 2, 2].min() > math.cos(0.3)  # it does not fall
+    for leg in run.legs.values():
+        swings = np.flatnonzero(np.diff(leg.swing.astype(int)) == 1)
+        contacts = contacts_of(leg.truth, int(run.t_ns[0]))
+        touched = sum(
+            bool(((run.t_ns[a] < contacts.onset_ns) & (contacts.onset_ns <= run.t_ns[b])).any())
+            for a, b in itertools.pairwise(swings)
+        )
+        assert touched == len(swings) - 1
+    assert len(made.observed) > 3
+    assert np.mean([o.ratio > 1.0 for o in made.observed]) > 0.8
+
+
+def test_a_twin_that_touches_as_well_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a twin shows is the ground, and not the way that it is simulated."""
+    monkeypatch.setattr(Plant, "let_through", lambda *_, **__: None)
+    made = record(Plan("hexapod", GAITS["tripod"], Ground("hard"), 4.0, 3, twins=True))
+    assert len(made.observed) > 3
+    assert max(o.ratio for o in made.observed) < 1.0
+
+
+def test_the_same_seed_walks_the_same_way() -> None:
+    plan = Plan("geared", GAITS["tripod-fast"], Ground("rough"), 2.0, 5)
+    first, second = record(plan).run, record(plan).run
+    for leg in first.legs:
+        np.testing.assert_array_equal(first.legs[leg].measured, second.legs[leg].measured)
+
+
+def test_a_planned_descent_is_not_stopped_by_a_touch() -> None:
+    shape = SHAPES["hexapod"]
+    walker = Walker(shape, GAITS["tripod-planned"], np.random.default_rng(0))
+    free = Walker(shape, GAITS["tripod-planned"], np.random.default_rng(0))
+    touching, air = np.ones(6, dtype=bool), np.zeros(6, dtype=bool)
+    for _ in range(120):
+        np.testing.assert_array_equal(walker.tick(touching), free.tick(air))
