@@ -17,6 +17,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from adaptive_contact.fit.train import Stretch, cautious, learn
+from adaptive_contact.model import save_baseline
 from adaptive_contact.robot import parse_robot
 from adaptive_contact_sim import EncoderSettings, SimulationSettings
 from adaptive_contact_studies.scenarios.spec import Staging
@@ -78,6 +80,10 @@ MOTIONS: Final[dict[str, tuple[str, Callable[[], list[Round]]]]] = {
     "drift": ("hexapod", lambda: _pose(5402, 30.0, drift=change("friction", 4.0, 8.0))),
     "caught": ("hexapod", lambda: _pose(5403, 24.0, staging=Staging(caught_s=(6.0, 14.0)))),
     "post": ("hexapod", lambda: _pose(5404, 20.0, obstacles=0.9, approach="forward")),
+    "free": (
+        "hexapod",
+        lambda: _pose(5408, 60.0, obstacles=0.06, drift=change("supply", 10.0, 4.0)),
+    ),
     "tripod": ("hexapod", lambda: tripod(5405, 20.0, EncoderSettings()).rounds),
     "walk": ("hexapod", lambda: hexapod_walk(5406, "rough", seconds=20.0).rounds),
     "quadruped12": ("quadruped12", lambda: _of_robot("quadruped12", "walk", 10.0)),
@@ -173,6 +179,47 @@ def _parts() -> list[Recording]:
     return [_cut(motion("pose"), ticks, at) for ticks, at in ((450, 0), (400, 450), (500, 900))]
 
 
+def _late_descents(recording: Recording) -> Recording:
+    """Whose foot waits for two ticks on its way down, which no lift shows, mostly near its top."""
+    read = [samples["rf"]["measured"] for samples in recording.rounds]
+    ticks = swings = 0
+    for number, samples in enumerate(recording.rounds):
+        ticks = ticks + 1 if samples["rf"]["phase"] == "swing" else 0
+        swings += ticks == 1
+        if ticks > (13, 15, 16, 17, 13, 15, 16)[swings % 7]:
+            samples["rf"]["measured"] = read[number - 2]
+    return recording
+
+
+def _newcomers(recording: Recording) -> Recording:
+    """Starts of the source that do not last, then sources beside it that say to be newer."""
+    rounds: list[Round] = []
+    for number, samples in enumerate(recording.rounds):
+        sample = samples["rf"]
+        sample["run"] = 100 + number // 6 if 100 <= number < 160 else 99 if number < 100 else 200
+        rounds.append(samples)
+        begun, pace = divmod(number - 300, 300)
+        every = (3, 6, 4, 9)[begun % 4]
+        if 0 <= begun < 9 and pace % every == 0:
+            rounds.append({"rf": {**sample, "run": 300 + begun, "seq": pace // every}})
+    recording.rounds = rounds
+    return recording
+
+
+def _fitted(recording: Recording, of: Recording) -> Recording:
+    """A baseline that is learned here, of swings that touch now and then."""
+    robot = parse_robot(recording.robot, source="golden")
+    samples = [samples["rf"] for samples in of.rounds]
+    measured, desired = (np.array([s[name] for s in samples]) for name in ("measured", "desired"))
+    swing = np.array([s["phase"] == "swing" for s in samples])
+    stretch = Stretch(measured, desired, swing, cautious(swing), swing | True, certain=False)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "baseline.json"
+        save_baseline(learn(robot, {"rf": [stretch] * 8}, origin="golden").baseline, path)
+        recording.baseline = path.read_bytes()
+    return recording
+
+
 RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
     "drift": lambda: motion("drift"),
     "cold-start": lambda: cold(motion("pose")),
@@ -189,6 +236,10 @@ RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
     "restarts": lambda: restarted(_parts(), run=True),
     "publishers": lambda: two_publishers(motion("drift"), _cut(motion("pose"), 1500)),
     "service": lambda: service_restart(_cut(motion("pose"), 1800)),
+    "few-touches": lambda: cold(motion("free")),
+    "early-touches": lambda: _late_descents(_cut(motion("free"), 1200)),
+    "newcomers": lambda: _newcomers(motion("pose")),
+    "fitted": lambda: _fitted(motion("post"), motion("free")),
     "signs": lambda: wrong_signs(_cut(motion("pose"), 1500)),
 }
 
