@@ -180,13 +180,12 @@ def tried(work: Work, trial: Trial) -> Found | None:
         for onset_ns, counted, hit in zip(own.onset_ns, own.counted, own.found, strict=True):
             if counted and len(twins) and np.abs(twins - onset_ns).min() <= _SAME_NS:
                 seen, seen_found = seen + 1, seen_found + int(hit)
-        alarms += len(outcome.alarms_ns) + len(outcome.after_ns)
+        alarms += len(outcome.alarms_ns)
         judged += int(outcome.swings.judged.sum() + outcome.swings.judged_after.sum())
         at = np.searchsorted(run.t_ns, learned[outcome.leg])
         count, touching = count + len(at), touching + int(arrays.contact[at].sum())
         free_ticks += int((arrays.swing & ~arrays.contact).sum())
-        late = np.concatenate([outcome.alarm_swing, outcome.after_swing]) >= _HUNG_SWINGS
-        hung += int(late.sum())
+        hung += int((outcome.alarm_swing >= _HUNG_SWINGS).sum())
         begun = outcome.swings.start_ns[min(_HUNG_SWINGS, len(outcome.swings.start_ns) - 1)]
         valid += sum(
             e.contact and e.status == "valid" and e.t_ns >= begun for e in events[outcome.leg]

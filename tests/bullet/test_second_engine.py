@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from adaptive_contact_bullet.plant import Ground, Plant
 from adaptive_contact_bullet.record import Plan, record
 from adaptive_contact_bullet.robots import SHAPES
 from adaptive_contact_bullet.servo import Drives
+from adaptive_contact_studies.second import Trial, table, tried
+from adaptive_contact_studies.work import Work
 
 
 def _one(**changes: float) -> Drives:
@@ -116,6 +119,24 @@ def test_the_same_seed_walks_the_same_way() -> None:
     first, second = record(plan).run, record(plan).run
     for leg in first.legs:
         np.testing.assert_array_equal(first.legs[leg].measured, second.legs[leg].measured)
+
+
+def test_a_trial_of_the_study_has_a_row(tmp_path: Path) -> None:
+    """From nothing, in seconds: too short to be judged by, but whole."""
+    trials = [
+        Trial("hexapod", "tripod", "hard", 8.0, 1),
+        Trial("geared", "tripod", "none", 8.0, 1, fitted_s=3.0),
+    ]
+    work = Work(tmp_path)
+    made = work.each("trials", tried, trials)
+    walked = made[0]
+    assert walked is not None
+    assert sum(walked.touches) >= walked.seen >= walked.seen_found > 0
+    assert walked.twins >= walked.seen > 20
+    assert made[1] is None  # three seconds are too little for a baseline
+    page = table(list(zip(trials, made, strict=True)))
+    assert "| hexapod, tripod, hard | nothing |" in page
+    assert "| geared, tripod | fit of 0.05 min | no baseline could be fitted" in page
 
 
 def test_a_planned_descent_is_not_stopped_by_a_touch() -> None:
