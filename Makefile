@@ -100,10 +100,10 @@ golden: env  ## what golden recordings are to give, made again: in a commit of i
 	PYTHONPATH=tests $(BIN)/python -m same --golden $(ONLY)
 
 golden-constants: env  ## 30 constants of detection and learning, doubled and halved: do golden recordings notice? (an hour)
-	PYTHONPATH=tests $(BIN)/python -m same.constants 30 $(SEED)
+	PYTHONPATH=tests $(BIN)/python -m same.mutants constants seed=$(SEED)
 
-same-faults: env  ## faults of one line that `make same` must find, planted one after another
-	PYTHONPATH=tests $(BIN)/python -m same --faults
+same-faults: env  ## faults of one line that golden recordings must notice, planted one after another
+	PYTHONPATH=tests $(BIN)/python -m same.mutants faults
 
 bench: env  ## the design's figures and speeds, in out/bench (half an hour or so)
 	$(BIN)/python -m adaptive_contact bench --out out/bench

@@ -1,4 +1,4 @@
-"""Compares two revisions, or finds planted faults; ``make same`` and ``make same-faults``."""
+"""Compares two revisions, ``make same``, or makes golden files again, ``make golden``."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ import msgspec
 from rich.console import Console
 
 from .compare import Flip, compare, known_fields
-from .faults import FAULTS, Fault, find, planted
 from .golden import RECORDINGS, remake
 from .recordings import RECIPES, kept
-from .report import MOST_FLIPS, print_faults, print_report, write_json
+from .report import MOST_FLIPS, print_report, write_json
 from .trees import ROOT, Tree, missing, of_revision, playing, tidy, working
 
 OUT: Final = ROOT / "out" / "same"
@@ -39,8 +38,6 @@ def main() -> int:
     files = kept(OUT / "recordings", recordings)
     folder = Path(tempfile.mkdtemp(prefix="same-"))
     try:
-        if options.faults is not None:
-            return _find_faults(console, files, folder, options.faults)
         return _compare(console, files, folder, options)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -120,18 +117,6 @@ def _judged(
     ]
 
 
-def _find_faults(console: Console, files: dict[str, Path], folder: Path, wanted: list[str]) -> int:
-    sound = working(folder)
-    faults: list[Fault] = [f for f in FAULTS if not wanted or f.name in wanted]
-    found = {}
-    for fault in faults:
-        with planted(fault, sound, folder) as tree:
-            found[fault.name] = find(fault, sound, tree, files, OUT / "outcomes")
-        console.print(f"{fault.name}: {found[fault.name] or 'NOT FOUND'}", highlight=False)
-    print_faults(console, faults, found)
-    return int(not all(found.values()))
-
-
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="same", description=__doc__)
     parser.add_argument("--rev", default="HEAD", help="the first revision")
@@ -142,7 +127,6 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--only", **names, help="recordings to compare")
     parser.add_argument("--ignore", **names, help="fields that may differ, such as status.note")
     parser.add_argument("--fresh", action="store_true", help="replay what was replayed before")
-    parser.add_argument("--faults", nargs="*", help="find planted faults; all where none is named")
     parser.add_argument("--golden", nargs="*", help="make golden files again; all, or those named")
     options = parser.parse_args([part for part in sys.argv[1:] if part])
     unknown = sorted({*options.expect, *options.only} - set(RECIPES))

@@ -55,7 +55,7 @@ from .simulated import (
     simulated,
 )
 
-__all__ = ["RECIPES", "Recording", "kept", "quick"]
+__all__ = ["RECIPES", "Recording", "kept"]
 
 
 def kept(folder: Path, names: Sequence[str], *, processes: int = 2) -> dict[str, Path]:
@@ -79,12 +79,6 @@ def kept(folder: Path, names: Sequence[str], *, processes: int = 2) -> dict[str,
     with concurrent.futures.ProcessPoolExecutor(max(1, min(processes, len(missing)))) as pool:
         list(pool.map(_make, missing, [files[name] for name in missing]))
     return files
-
-
-def quick() -> Recording:
-    """A leg in pose that changes, touches and loses readings, all within 20 s: for fast tests."""
-    drift = change("friction", 4.0, 8.0)
-    return hexapod_pose(5101, seconds=20.0, drift=drift, encoder=EncoderSettings(dropped=0.01))
 
 
 def write(recording: Recording, path: Path) -> None:

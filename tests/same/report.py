@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Final
@@ -13,9 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from .compare import KINDS, Comparison
-from .faults import Fault
 
-__all__ = ["MOST_FLIPS", "print_faults", "print_report", "write_json"]
+__all__ = ["MOST_FLIPS", "print_report", "write_json"]
 
 # Shown of each recording; the file has all.
 MOST_FLIPS: Final = 12
@@ -82,21 +81,6 @@ def _print_details(console: Console, name: str, of: Comparison) -> None:
 
 def _score(score: float | None) -> str:
     return "none" if score is None else f"score {score:.6g}"
-
-
-def print_faults(
-    console: Console, faults: Sequence[Fault], found: Mapping[str, str | None]
-) -> None:
-    """Print a row per planted fault: what it is, and what found it."""
-    table = Table(title="planted faults", title_justify="left")
-    for name in ("fault", "in", "found by"):
-        table.add_column(name)
-    for fault in faults:
-        by = found[fault.name]
-        table.add_row(fault.name, fault.file, by or "NOT FOUND", style=None if by else "red")
-    console.print(table)
-    missed = sum(not found[fault.name] for fault in faults)
-    console.print(f"{len(faults) - missed} of {len(faults)} found", highlight=False)
 
 
 def write_json(
