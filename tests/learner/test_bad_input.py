@@ -7,14 +7,11 @@ import dataclasses
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.detect.swing import RECENT_TICKS
 from adaptive_contact.model import Baseline, LegModel, Window, leg_library
 from adaptive_contact.robot import Robot
-from adaptive_contact.wire import Reject
 
 from .conftest import PERIOD, FakeLeg, outcomes, play, samples
 
@@ -133,55 +130,6 @@ def test_a_stream_that_stops_in_a_swing_teaches_nothing_of_it(
     play(learner, resumed[28:])
     assert learner.drain_confirmed()
     assert learner.status.status == "valid"
-
-
-bad_values = st.sampled_from([float("nan"), float("inf"), -float("inf"), 1e9, 0.0, -3.14])
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 119), bad_values), max_size=25))
-def test_bad_samples_are_counted_and_change_nothing_else(
-    robot: Robot, baseline: Baseline, plan: list[tuple[int, int, float]]
-) -> None:
-    """A stream with junk between its samples gives the events of the stream without."""
-    stream = samples(*FakeLeg(seed=15).run(5, touch=lambda n: 16 if n % 2 else None)[:3])
-    clean = play(ContactLearner(robot, "rf", baseline), stream)
-    learner = ContactLearner(robot, "rf", baseline)
-    events = []
-    for k, sample in enumerate(stream):
-        for kind, where, value in plan:
-            if where == k:
-                events += play(learner, [_junk(kind, sample, value)])
-        events += play(learner, [sample])
-    assert [(e.seq, e.contact) for e in events] == [(e.seq, e.contact) for e in clean]
-    assert learner.status.ticks == len(stream)
-
-
-def _junk(kind: int, sample: ServoSample, value: float) -> ServoSample:
-    replace = msgspec.structs.replace
-    if kind == 0:
-        return replace(sample, measured=[float("nan"), value, 0.0])
-    if kind == 1:
-        return replace(sample, measured=[0.0] * 2)
-    if kind == 2:
-        return replace(sample, desired=[0.0, float("inf"), value])
-    if kind == 3:
-        return replace(sample, t_ns=-1)
-    if kind == 4:
-        return replace(sample, preview=[[0.0]])
-    if kind == 5:
-        return replace(sample, valid=[True])
-    return replace(sample, desired=[1e9, 0.0, 0.0])
-
-
-def test_rejects_are_told_by_reason(robot: Robot, baseline: Baseline) -> None:
-    learner = ContactLearner(robot, "rf", baseline)
-    stream = samples(*FakeLeg(seed=16).run(2)[:3])
-    play(learner, stream)
-    learner.count(Reject.MALFORMED, 3)
-    learner.update(stream[5])
-    learner.update(msgspec.structs.replace(stream[-1], t_ns=2**62, seq=2**40, measured=[0.0]))
-    assert learner.status.rejects == {"malformed": 3, "time_backwards": 1, "wrong_joints": 1}
 
 
 def test_a_preview_that_lacks_is_told_of_while_it_does(robot: Robot, baseline: Baseline) -> None:

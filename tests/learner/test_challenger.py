@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
 from adaptive_contact.fit import FitStatus
-from adaptive_contact.fit.refit_job import InlineRefitter, RefitResult
+from adaptive_contact.fit.refit_job import RefitResult
 from adaptive_contact.learn.candidate import (
     DOMAIN_ROWS,
-    MOST_CONTACTS,
     PRIOR_ROWS,
     PROBATION_ROWS,
-    REFIT_EVERY_S,
-    REFIT_EVERY_SWINGS,
     Candidate,
-    StoredContacts,
-    first_refit_after,
 )
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Baseline, Domain, Factor, LegModel
@@ -91,31 +84,6 @@ def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
     assert trial.counts.refused == 1
 
 
-def test_in_line_one_job_of_a_leg_waits() -> None:
-    """The newest one, whose result is there once."""
-
-    class Numbered(NamedTuple):
-        leg: str
-        number: int
-
-        def run(self) -> tuple[str, int]:
-            return self.leg, self.number
-
-    refitter = InlineRefitter()
-    for job in (*(Numbered("rf", number) for number in range(5)), Numbered("lf", 0)):
-        refitter.submit(job)  # type: ignore[arg-type]
-    assert [refitter.collect("rf", number) for number in range(4)] == [None] * 4
-    assert refitter.collect("rf", 4) == ("rf", 4)
-    assert refitter.collect("rf", 4) is None
-    assert refitter.collect("lf", 0) == ("lf", 0)
-
-
-def test_a_candidate_that_fits_no_better_is_refused(model: LegModel) -> None:
-    trial, after = tried(model, model.coefficients * 0.8, contacts=0)
-    assert after is model
-    assert trial.counts.refused == 1
-
-
 def test_an_alarm_that_came_too_early_does_not_refuse_the_model_that_knows_better(
     model: LegModel,
 ) -> None:
@@ -153,84 +121,6 @@ def test_a_promoted_model_that_does_worse_is_rolled_back(model: LegModel, restar
     assert trial.counts.rolled_back == 1
     assert "rolled back: the model before is" in (trial.counts.last_reason or "")
     assert not trial.trying
-
-
-def test_a_promoted_model_that_goes_on_well_stays(model: LegModel) -> None:
-    trial, promoted = tried(model, model.coefficients * 1.2, contacts=20)
-    assert promoted.version == 1
-    rng = np.random.default_rng(1)
-    for _ in range(PROBATION_ROWS):
-        assert compared(trial, row(rng, model.library.size, truth=0.06), promoted) is None
-    assert trial.counts.rolled_back == 0
-    assert not trial.trying
-
-
-def test_only_swings_of_which_something_was_learned_count(model: LegModel) -> None:
-    given = Given(model.coefficients)
-    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
-    buffer = ReplayBuffer()
-    fill(buffer, np.random.default_rng(0), model.library.size)
-    for _ in range(3 * REFIT_EVERY_SWINGS):
-        swing_done(trial, model, buffer, learned=False)
-    assert given.asked == 0
-
-
-def test_a_refit_that_waits_for_rows_says_so(model: LegModel) -> None:
-    given = Given(model.coefficients)
-    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
-    ask(trial, model, ReplayBuffer())
-    assert given.asked == 0
-    assert trial.counts.last_reason == (
-        f"waiting: 0 free ticks of the leg as it is to fit to, {4 * model.library.size} are needed"
-    )
-
-
-def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
-    model: LegModel,
-) -> None:
-    given = Given(model.coefficients, FitStatus.TOO_FEW_ROWS)  # so that nothing is tried
-    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
-    rng = np.random.default_rng(0)
-    p = model.library.size
-    few, enough = ReplayBuffer(), ReplayBuffer()
-    for buffer, segments in ((few, 3), (enough, 60)):
-        fill(buffer, rng, p, segments)
-
-    def swing(buffer: ReplayBuffer, ticks: int) -> int:
-        for _ in range(ticks):
-            trial.tick()
-        before = given.asked
-        swing_done(trial, model, buffer)
-        if given.asked > before:
-            answer(trial)
-        return given.asked
-
-    first, _ = first_refit_after("rf")
-    assert [swing(enough, 20) for _ in range(first)][-2:] == [0, 1]
-    assert [swing(enough, 20) for _ in range(REFIT_EVERY_SWINGS)][-2:] == [1, 2]
-    slow = round(REFIT_EVERY_S / model.library.period_s / 4) + 1
-    assert [swing(enough, slow) for _ in range(4)] == [2, 2, 2, 3]
-    trial.withdraw()
-    assert swing(few, 20) == 3, "there is too little of the changed leg"
-    assert swing(enough, 20) == 4, "as soon as there is enough"
-    assert swing(enough, 20) == 4
-
-
-def test_a_change_of_the_leg_forgets_its_contacts(model: LegModel) -> None:
-    trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
-    trial.contacts.add(stopped(model))
-    trial.withdraw()
-    assert len(trial.contacts) == 0
-
-
-def test_the_newest_contacts_are_kept(model: LegModel) -> None:
-    stored = StoredContacts()
-    assert stored.found(model.coefficients).shape == (0,)
-    for _ in range(MOST_CONTACTS + 5):
-        stored.add(stopped(model))
-    assert len(stored) == MOST_CONTACTS
-    assert stored.found(model.coefficients).all()
-    assert not stored.found(np.zeros_like(model.coefficients)).any(), "who expects no motion"
 
 
 def test_what_a_refit_holds_on_to_does_not_shift_its_threshold(

@@ -7,7 +7,6 @@ import numpy as np
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import RefitJob, RefitResult
 from adaptive_contact.learn.candidate import (
-    LOOK_AGAIN_ROWS,
     REFIT_DUE_TICKS,
     TRIAL_ROWS,
     Candidate,
@@ -117,16 +116,3 @@ def compared(trial: Candidate, new: Row, model: LegModel, *, valid: bool = True)
     """A row of the trial, as the adapter lets it be tried."""
     off = (new.target - new.theta @ model.coefficients) / NOISE
     return trial.compare(new, off.tolist(), model, valid=valid)
-
-
-def looked_at(
-    trial: Candidate, model: LegModel, *, valid: bool = True, truth: float = 0.06
-) -> LegModel | None:
-    """The rows within which a candidate that waits is looked at again; what came of it."""
-    rng = np.random.default_rng(2)
-    for _ in range(LOOK_AGAIN_ROWS):
-        new = row(rng, model.library.size, truth=truth)
-        won = compared(trial, new, model, valid=valid)
-        if won is not None or not trial.trying:
-            return won
-    return None
