@@ -255,6 +255,9 @@ JsonPayloadOption = Annotated[bool, option("--json", "Publish JSON payloads inst
 JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
 EquationsOption = Annotated[bool, option("--equations", "Print every leg's equations, too.")]
 ForceOption = Annotated[bool, option("--force", "Replace files that are there already.")]
+AnywayOption = Annotated[
+    bool, option("--anyway", "Go on where samples seem not to be this robot's, or of no use.")
+]
 SeedOption = Annotated[int, option("--seed", "Of what is random.", min=0)]
 ProcessesOption = Annotated[int, option("--processes", "Runs worked on at a time.", min=1, max=64)]
 BaselineOutOption = Annotated[

@@ -84,6 +84,7 @@ def learn(
     seed: opt.SeedOption = 0,
     force: opt.ForceOption = False,
     realtime: opt.RealtimeOption = False,
+    anyway: opt.AnywayOption = False,
     network: opt.Network,
     equations: opt.EquationsOption = False,
     json: opt.JsonOption = False,
@@ -116,7 +117,7 @@ def learn(
                 f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; "
                 "measure its links and fill them in"
             )
-    gathered = gather(more or [], robot)
+    gathered = gather(more or [], robot, refuse=not anyway)
     if live:
         from adaptive_contact.cli._robot_check import collect_live
 
@@ -150,8 +151,8 @@ def learn(
     for name, rows in samples.items():
         for sample in rows:
             gathered[name].take_sample(sample)
-    check_streams(robot, samples, {})
-    check_conventions(robot, gathered, bridge=not live)
+    check_streams(robot, samples, {}, gathered.limits, refuse=not anyway)
+    check_conventions(robot, gathered, bridge=not live, refuse=not anyway)
     say_note("fitting the legs' models to what was read")
     try:
         training = fit_samples(robot, gathered, f"adaptive-contact robot learn ({out.name})")
@@ -162,7 +163,7 @@ def learn(
             error.have,
             error.needed,
         ) from error
-    refuse_useless(robot, training)
+    refuse_useless(robot, training, refuse=not anyway)
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json, equations=equations)
     for line in verdict(robot, training):

@@ -53,6 +53,7 @@ def fit(
     ] = None,
     equations: opt.EquationsOption = False,
     force: opt.ForceOption = False,
+    anyway: opt.AnywayOption = False,
     json: opt.JsonOption = False,
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""
@@ -64,8 +65,8 @@ def fit(
     from adaptive_contact.model.model_file import save_baseline
 
     robot = opt.recorded_robot(config, recordings)
-    gathered = gather(recordings, robot)
-    check_conventions(robot, gathered)
+    gathered = gather(recordings, robot, refuse=not anyway)
+    check_conventions(robot, gathered, refuse=not anyway)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
         training = learn(
             robot,
@@ -92,7 +93,7 @@ def fit(
             f"the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
             "they are cautious, and soft contacts will be missed; record more swings"
         )
-    refuse_useless(robot, training)
+    refuse_useless(robot, training, refuse=not anyway)
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json, equations=equations)
     for line in verdict(robot, training):
@@ -114,7 +115,19 @@ def undetermined(leg: str, known: LegFigures) -> str:
     return line + ": record more motions, at every speed that the leg will have"
 
 
-def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict[str, LegGatherer]:
+class Gathered(dict[str, "LegGatherer"]):
+    """What was gathered, by leg.
+
+    Attributes:
+        limits: what was found of joints beyond their limits; a leg's signs may explain it.
+    """
+
+    def __init__(self, legs: Mapping[str, LegGatherer]) -> None:
+        super().__init__(legs)
+        self.limits: list[Finding] = []
+
+
+def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> Gathered:
     """Every leg's samples and truth of several recordings, one after the other.
 
     What is wrong with a recording's streams is said, as ``doctor`` says it of live ones.
@@ -128,7 +141,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
-    legs = {leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs}
+    legs = Gathered({leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs})
     strangers: set[str] = set()
     causes: dict[str, set[str]] = {}
     for number, path in enumerate(recordings):
@@ -160,7 +173,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
         for line in robots.trouble(None):
             say_note(f"{path}: {line}")
         of = f"{path}: " if len(recordings) > 1 else ""
-        for finding in check_streams(robot, samples, refused, of=of, refuse=refuse):
+        for finding in check_streams(robot, samples, refused, legs.limits, of=of, refuse=refuse):
             for name in finding.legs:
                 causes.setdefault(name, set()).add(finding.cause)
     if strangers:
@@ -203,6 +216,7 @@ def check_streams(
     robot: Robot,
     samples: Mapping[str, Sequence[ServoSample]],
     refused: Mapping[str, Sequence[Rejected]],
+    limits: list[Finding],
     *,
     of: str = "",
     refuse: bool = True,
@@ -213,33 +227,44 @@ def check_streams(
         robot: that they are taken for.
         samples: by leg.
         refused: payloads that could not be read.
+        limits: takes what is not said yet, see :class:`Gathered`.
         of: what comes before each line.
         refuse: end the command where nothing can be learned; else it is only said.
 
     Raises:
         ConfigurationError: something is wrong with every tick, so that there is nothing to learn.
     """
-    from adaptive_contact.service.findings import SPOILS, of_legs
+    from adaptive_contact.service.findings import SPOILS, Cause, of_legs
     from adaptive_contact.service.legcheck import check_recording
 
     spoilt: dict[str, None] = {}
     found = check_recording(robot, samples, refused)
     for finding in found:
-        legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
-        line = f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}"
-        say_note(line)
+        if finding.cause == Cause.LIMITS:
+            limits.append(finding)
+            continue
+        say_finding(finding, of)
         if finding.level == "error" and finding.cause in SPOILS:
             spoilt.update(dict.fromkeys(finding.legs))
     if spoilt and refuse:
         raise ConfigurationError(
             f"{of_legs(spoilt)}: the readings are not those of the robot '{robot.name}' (above); "
-            "nothing is learned from them: correct the source or robot.toml, and record again"
+            "nothing is learned from them: correct the source or robot.toml and record again, or "
+            "give --anyway"
         )
     return found
 
 
+def say_finding(finding: Finding, of: str = "") -> None:
+    """Say one thing that is wrong, after what it is of."""
+    from adaptive_contact.service.findings import of_legs
+
+    legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
+    say_note(f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}")
+
+
 def check_conventions(
-    robot: Robot, gathered: Mapping[str, LegGatherer], *, bridge: bool = False
+    robot: Robot, gathered: Gathered, *, bridge: bool = False, refuse: bool = True
 ) -> None:
     """Refuse to learn legs whose angles are not counted as their description says.
 
@@ -248,6 +273,7 @@ def check_conventions(
         gathered: by leg.
         bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``, and whose
             robot hangs free.
+        refuse: end the command where there is such a leg; else it is only said.
 
     Raises:
         ConfigurationError: there is such a leg; a wrong yaw alone, or a zero that is little off, is
@@ -260,31 +286,34 @@ def check_conventions(
         robot, {leg: one.last_run() for leg, one in gathered.items()}
     ).items():
         say_note(f"leg '{leg}': {line}")
-    grave = []
+    grave, found = [], set()
     for finding in judge_conventions(robot, gathered, hangs=bridge).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
         say_note(line)
+        found.add(finding.leg)
         if finding.grave:
             grave.append(finding.leg)
-    if grave:
+    for entry in gathered.limits:
+        if found.isdisjoint(entry.legs):
+            say_finding(entry)
+    if grave and refuse:
         raise ConfigurationError(
             f"leg {', '.join(grave)}: angles are not counted as robot.toml says (above); nothing "
-            "is learned from them: correct robot.toml and run this again"
+            "is learned from them: correct robot.toml and run this again, or give --anyway"
         )
 
 
-def refuse_useless(robot: Robot, training: Training) -> None:
-    """End the command with code 1 where what was learned is no model of a leg; one line a cause."""
+def refuse_useless(robot: Robot, training: Training, *, refuse: bool = True) -> None:
+    """Say why what was learned is no model of a leg, one line a cause, and end with code 1."""
     from adaptive_contact.fit.verdict import refusals
 
     refused = refusals(robot, training)
-    if not refused:
-        return
     for line in refused:
         say_note(line)
-    say_note("no baseline was written")
-    raise typer.Exit(1)
+    if refused and refuse:
+        say_note("no baseline was written; --anyway writes it all the same")
+        raise typer.Exit(1)
 
 
 def print_training(training: Training, robot: Robot, *, json: bool, equations: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from adaptive_contact.bank import LearnerBank
     from adaptive_contact.model.model_file import Baseline
     from adaptive_contact.robot import Robot
+    from adaptive_contact.service.findings import Fault
     from adaptive_contact.service.link import LinkSettings
     from adaptive_contact.service.recording import Recording
     from adaptive_contact.service.replay import Counts
@@ -68,6 +69,7 @@ def replay(
     baseline: opt.BaselineOption = None,
     config: opt.ConfigOption = None,
     when_ambiguous: opt.AmbiguousOption = WhenAmbiguous.WITHHOLD,
+    anyway: opt.AnywayOption = False,
     everything: Annotated[
         bool, option("--all", "Also publish recorded events, status and COMMANDS.")
     ] = False,
@@ -82,7 +84,12 @@ def replay(
 
     on_wire = {"--speed": speed, "--all": everything, "--keep-run": keep_run, **network.given}
     published = when_ambiguous is not WhenAmbiguous.WITHHOLD
-    through_learners = {"--baseline": baseline, "--config": config, "--when-ambiguous": published}
+    through_learners = {
+        "--baseline": baseline,
+        "--config": config,
+        "--when-ambiguous": published,
+        "--anyway": anyway,
+    }
     if events is not None or plot is not None:
         _refuse(on_wire, "--events and --plot use no network; leave {} out")
         read = (file, config, baseline)
@@ -92,7 +99,7 @@ def replay(
         robot = opt.recorded_robot(config, [file])
         recording = read_recording(file, robot)
         learned, _ = opt.learned_of(robot, config, baseline)
-        _to_events(recording, robot, events, plot, learned, when_ambiguous)
+        _to_events(recording, robot, events, plot, learned, when_ambiguous, anyway=anyway)
     else:
         bag = is_bag(file)
         if bag:
@@ -118,6 +125,8 @@ def _to_events(
     plot: Path | None,
     learned: Baseline | None,
     when_ambiguous: WhenAmbiguous,
+    *,
+    anyway: bool,
 ) -> None:
     from threadpoolctl import threadpool_limits
 
@@ -159,14 +168,16 @@ def _to_events(
         err=True,
     )
     _warn(recording, counts)
-    _tell_legs(bank)
-    for line in robots.trouble(robot):
+    signs = _tell_legs(bank, robots.faults(robot))
+    for line in robots.trouble(robot, signs):
         say_note(f"{recording.path}: {line}")
     if counts.samples == 0:
         usable = "usable " if counts.rejects else ""
         raise RecordingError(f"{recording.path}: no {usable}servo sample (robot/leg/*/servo) in it")
-    if not written and robots.spoilt(robot, by_rate=True):
-        raise RecordingError(f"{recording.path}: nothing can be judged by its samples (see above)")
+    if not written and robots.spoilt(robot, by_rate=True) and not anyway:
+        raise RecordingError(
+            f"{recording.path}: nothing can be judged by its samples (see above); --anyway goes on"
+        )
     known = [bank.learner(leg) for leg in robot.leg_ids]
     if not any(learner is not None and learner.status.ticks for learner in known):
         if set(bank.legs) & set(robot.leg_ids) & robots.legs:
@@ -179,8 +190,21 @@ def _to_events(
         write_plot(plot, traces.traces(traced), f"Replay of {recording.path.name}")
 
 
-def _tell_legs(bank: LearnerBank) -> None:
-    """One line for each leg that lost or refused samples, or has something to say."""
+def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[str]:
+    """One line for each leg that lost or refused samples, or has something to say.
+
+    Args:
+        bank: of the legs.
+        faults: of their samples; what they explain is not said.
+
+    Returns:
+        Legs that say that their angles are counted otherwise.
+    """
+    from adaptive_contact.conventions.judge import speaks_of_angles
+    from adaptive_contact.service.findings import Cause, explained
+
+    known = {leg for leg, fault in faults if Cause.LEG_NOTE in explained(fault)}
+    signs = []
     for leg in bank.legs:
         learner = bank.learner(leg)
         if learner is None:
@@ -191,10 +215,13 @@ def _tell_legs(bank: LearnerBank) -> None:
             words.append(f"{status.missed} samples missing")
         if status.withheld:
             words.append(f"{status.withheld} contacts withheld while it was ambiguous")
-        if status.note:
+        if speaks_of_angles(status.note or ""):
+            signs.append(leg)
+        if status.note and (leg in signs or leg not in known):
             words.append(status.note)
         if words:
             say_note(f"leg '{leg}': {', '.join(words)}")
+    return signs
 
 
 def _to_wire(

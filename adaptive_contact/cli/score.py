@@ -38,6 +38,7 @@ def score(
     config: opt.ConfigOption = None,
     from_s: Annotated[float, seconds_option("--from", "Judge swings from here on.")] = 0.0,
     to_s: Annotated[float | None, seconds_option("--to", "And up to here.")] = None,
+    anyway: opt.AnywayOption = False,
 ) -> None:
     """Print recall, latency, precision and false alarms per robot-hour of a recording."""
     from adaptive_contact.score import score_messages
@@ -55,14 +56,14 @@ def score(
     try:
         result = score_messages(robots, robot, given, from_s=from_s, to_s=end_s)
     except RecordingError as error:
-        if robots.spoilt(robot):
+        if robots.spoilt(robot) and not anyway:
             raise _nothing_judged(recording) from error
         cut = f" ({source.damage})" if source.damage is not None else ""
         raise RecordingError(f"{recording}: {error}{cut}") from error
     finally:
         for line in (*robots.trouble(robot), *source.notes):
             say_note(f"{recording}: {line}")
-    if robots.spoilt(robot):
+    if robots.spoilt(robot) and not anyway:
         raise _nothing_judged(recording)
     if source.damage is not None:
         say_note(f"{recording}: {source.damage}")
@@ -76,7 +77,9 @@ def score(
 
 
 def _nothing_judged(recording: Path) -> RecordingError:
-    return RecordingError(f"{recording}: nothing can be judged by its samples (see above)")
+    return RecordingError(
+        f"{recording}: nothing can be judged by its samples (see above); --anyway goes on"
+    )
 
 
 def _read_events(path: Path) -> list[ContactEvent]:

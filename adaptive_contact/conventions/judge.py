@@ -148,6 +148,8 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         by_leg = choose(straight, robot.period_s) if straight else {}
         chosen = {leg: Chosen(pattern) for leg, pattern in by_leg.items()}
         chosen |= choose_signs(bent, robot.period_s)
+        if not _carried(legs, chosen, robot.period_s):
+            chosen = {leg: choice for leg, choice in chosen.items() if choice.pattern == 0}
     findings, fits = [], []
     for leg in legs:
         choice = chosen.get(leg.leg.id)
@@ -194,6 +196,16 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
             signs = [-1 if lifts else 1 for lifts in choices.lifts]
             findings.append(_sign_finding(leg, signs, _PULLED))
     return Verdict(tuple(findings), tuple(fits))
+
+
+def _carried(legs: Sequence[LegChoices], chosen: Mapping[str, Chosen], period_s: float) -> bool:
+    """Whether half of the feet carry where they stand; of a robot that hangs nothing shows."""
+    lag = max(round(LAG_S / period_s), 1)
+    patterns = [chosen[leg.leg.id].pattern if leg.leg.id in chosen else 0 for leg in legs]
+    if not any(patterns):
+        return True
+    carry = [leg.carries(k, lag) for leg, k in zip(legs, patterns, strict=True)]
+    return 2 * sum(carry) >= len(carry)
 
 
 def _finding(leg: LegChoices, choice: Chosen) -> ConventionFinding:

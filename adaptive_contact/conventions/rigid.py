@@ -46,6 +46,11 @@ GLANCED: Final = 60
 BELOW_SHARE: Final = 0.8
 # rho of feet that stand: 0.03 to 0.08 where the description is right.
 RIGID: Final = 0.1
+# A foot that carries is above its command by these shares of the leg's reach.  Three to six of six
+# simulated legs that walk are by 0.001 to 0.012; of a real robot that hangs, feet are by 0.0002 at
+# most, or, where a joint does not follow, by 0.01 to 0.2.
+CARRIED: Final = 0.001
+LIMP: Final = 0.03
 # How many times better (in squares) the right reading must be than any other.
 BETTER: Final = 4.0
 # Below this rho nothing but rounding and slip is left: what is below is as good.
@@ -134,6 +139,18 @@ def standing(stream: Stream, height: Array, lag: int, period_s: float) -> Mask:
     steady[:settle] = False
     steady[lag:] &= stream.grid[lag:] - stream.grid[:-lag] == lag
     return np.asarray(steady)
+
+
+def pushed_up(reach_m: float, commanded: Array, read: Array) -> bool:
+    """Whether a foot that stands is above its command, as the ground holds it up.
+
+    Args:
+        reach_m: of the leg.
+        commanded: (m,) m, its height in the ticks in which it stands.
+        read: (m,) m, by the readings of these ticks.
+    """
+    up = float(np.median(read - commanded)) if len(read) else 0.0
+    return CARRIED * reach_m < up < LIMP * reach_m
 
 
 def rigidity(p: Array, q: Array) -> float:

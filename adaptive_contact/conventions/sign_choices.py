@@ -14,7 +14,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.conventions.motion import LegMotion
-from adaptive_contact.conventions.rigid import Reading, Stream, standing
+from adaptive_contact.conventions.rigid import Reading, Stream, pushed_up, standing
 from adaptive_contact.robot.description import Leg
 
 # A leg's foot counts as above its axis, or below, in this share of its ticks.
@@ -214,6 +214,12 @@ class LegChoices:
         turned = self.motion.desired * self.flips[pattern]
         inside = (turned >= limits.lower_rad) & (turned <= limits.upper_rad)
         return bool(inside.all(axis=1).mean() >= SURE_SHARE)
+
+    def carries(self, pattern: int, lag: int) -> bool:
+        """Whether the ground pushes the foot up where it stands."""
+        at = np.flatnonzero(self.stands(pattern, lag))
+        read = self.chain.foot(self.readings[pattern].angles(self.motion.measured[at]))
+        return pushed_up(self.chain.reach_m, self.height(pattern)[at], read[:, 2])
 
     # -- with others -----------------------------------------------------------------------------
 

@@ -39,6 +39,8 @@ NOTED_SAMPLES: Final = 500
 # themselves, mean that the source counts again: its clock was set back, it was restarted without
 # a new `run`, or one wild time or number was taken for true.
 RESET_SAMPLES: Final = 10
+# Where counters of 8, 16 and 32 bits begin again; others show by the second time.
+COUNTERS: Final = (2**8, 2**16, 2**32)
 # So many samples in a row from a superseded publisher over so long, by its own clock, with none
 # from the newer one between them, mean that the newer one is gone.  One that floods sends as many
 # between two samples of the newer.
@@ -130,6 +132,8 @@ class StreamGuard:
         self._rivals: list[_Rival] = []
         self._contested_until = -1  # samples accepted
         self._begun = False  # a publisher is in force, if only by a snapshot's word
+        self._wraps_at = 0  # what `seq` would wrap at by the last restart without a new `run`
+        self._wrapped_at = -NOTED_SAMPLES - 1  # samples accepted when it last did
         self._start_at = -SHORT_RUN_SAMPLES  # samples accepted when the source started
         self._short_runs = 0  # in a row
 
@@ -152,6 +156,11 @@ class StreamGuard:
             if used.run == other.run:
                 who = f"both {_named(used)}, at seq {used.seq} (used) and {other.seq}"
             return f"two programs publish this leg, {who}: contacts are withheld; stop one of them"
+        if self._accepted - self._wrapped_at <= NOTED_SAMPLES:
+            return (
+                f"seq wraps at {self._wraps_at}: samples count as repeated until the leg starts "
+                "again; count seq in 64 bits"
+            )
         if self._short_runs >= SHORT_RUNS:
             return (
                 "the source restarts every few samples: nothing can be judged; `run` is to be "
@@ -341,9 +350,14 @@ class StreamGuard:
                 self._jump = _Jump(last, self.missed, sample)
             self._jump_at = self._accepted
             return self._accept(sample, sample.seq - last.seq - 1)
-        if self._late_count >= RESET_SAMPLES:
-            return self._restart(sample)
-        return why
+        if self._late_count < RESET_SAMPLES:
+            return why
+        if why is Reject.DUPLICATE_SEQ and last is not None:
+            # Ticks went on: a counter of few bits is more likely than a start at this very number.
+            before, self._wraps_at = self._wraps_at, last.seq + RESET_SAMPLES - sample.seq
+            if self._wraps_at in (before, *COUNTERS):
+                self._wrapped_at = self._accepted
+        return self._restart(sample)
 
 
 def fault_of(sample: ServoSample, joints: int) -> Reject | None:

@@ -15,7 +15,14 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.conventions.rigid import LEAST_ROWS, RIGID, SETTLE_S, on_body, rigidity
+from adaptive_contact.conventions.rigid import (
+    LEAST_ROWS,
+    RIGID,
+    SETTLE_S,
+    on_body,
+    pushed_up,
+    rigidity,
+)
 from adaptive_contact.robot import Leg
 from adaptive_contact.robot.gait_phase import infer_phase
 
@@ -83,7 +90,8 @@ class StandingFeet:
         """
         own = tuple(range(len(self._legs)))
         known = [cost for cost in self.costs(own) if math.isfinite(cost)]
-        if not known or (not self.rigid(own) and max(known) < LOOSE**2):
+        loose = bool(known) and (self.rigid(own) or max(known) >= LOOSE**2)
+        if not loose or 2 * sum(map(self._carries, own)) < len(own):
             return []
         orders = [order for order in itertools.permutations(own) if self.rigid(order)]
         return sorted(orders, key=lambda order: sum(i != k for i, k in enumerate(order)))
@@ -111,6 +119,13 @@ class StandingFeet:
     def rigid(self, order: Sequence[int], turned: Sequence[bool] | None = None) -> bool:
         """Whether every leg keeps its distances from the others."""
         return all(cost < RIGID**2 for cost in self.costs(order, turned))
+
+    def _carries(self, leg: int) -> bool:
+        """Whether the ground pushes a foot up where it stands; of one that hangs nothing shows."""
+        chain, rows, at = self._legs[leg].chain, self._rows[leg], self._at[leg]
+        assert chain is not None
+        angles = (rows.desired[at], rows.measured[at])
+        return pushed_up(chain.reach_m, *(chain.foot(of)[:, 2] for of in angles))
 
     def _pair(self, one: _Seat, other: _Seat) -> tuple[float, float]:
         key = (min(one, other), max(one, other))

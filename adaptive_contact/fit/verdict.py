@@ -90,6 +90,7 @@ def _residuals(robot: Robot, training: Training) -> Iterator[str]:
     small = [
         f"{leg} {joint} {error:.1g}"
         for leg, figures in training.figures.items()
+        if robot.knows_step(leg)
         for joint, error, moved in zip(
             robot.leg(leg).joints, figures.held_out_rms, figures.naive_rms, strict=True
         )

@@ -99,6 +99,11 @@ _WORDS: Final[dict[Vector, AxisWord]] = {
     AXES["yaw"]: "yaw",
 }
 
+# Position step where none is described, of float readings or unknown servos.  Of Dyna 1's floats
+# 28 % of touches are found by it, and 61 % of contacts are touches; by 1e-4 rad 21 and 48 %, as
+# true readings count as impossible, by 3e-3 33 and 58 %.  Of AX-12A (5.1e-3) 94 in place of 97 %.
+ASSUMED_STEP_RAD: Final = 1e-3
+
 # One robot-hour is 540,000 judged swing leg-ticks: six legs at 50 Hz, half of the time in swing.
 ROBOT_HOUR_TICKS: Final = 540_000
 
@@ -263,6 +268,7 @@ class Robot(msgspec.Struct, frozen=True):
     detector: DetectorSettings = DetectorSettings()
     ports: dict[str, Port] = {}
     ros2: Ros2 | None = None
+    steps_known: bool = True  # `quantum_rad` is described, not assumed
 
     @property
     def leg_ids(self) -> tuple[str, ...]:
@@ -283,6 +289,10 @@ class Robot(msgspec.Struct, frozen=True):
         )
 
     def quantum(self, leg_id: str) -> float:
-        """Position step of a leg's servos, rad."""
+        """Position step of a leg's servos, rad; what is assumed where none is described."""
         own = self.leg(leg_id).quantum_rad
         return self.quantum_rad if own is None else own
+
+    def knows_step(self, leg_id: str) -> bool:
+        """Whether the position step of a leg's servos is described."""
+        return self.steps_known or self.leg(leg_id).quantum_rad is not None

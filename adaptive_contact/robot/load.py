@@ -1,7 +1,6 @@
 """Robots read from TOML, with errors that say what is wrong where and what is expected there.
 
-Only ``name``, ``period_s``, ``quantum_rad`` and the legs' ids and joints are needed; all else is
-optional.
+Only ``name``, ``period_s`` and the legs' ids and joints are needed; all else is optional.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ import msgspec
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import parse_toml, read_toml
 from adaptive_contact.robot.description import (
+    ASSUMED_STEP_RAD,
     Angles,
     AxisWord,
     DetectorSettings,
@@ -297,7 +297,7 @@ def _check_topic(topic: str | None, where: str, fail: _Fail, *, leg: str) -> Non
 class _Head(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
     period_s: float
-    quantum_rad: float
+    quantum_rad: float | None = None
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -375,15 +375,17 @@ def _robot_of(table: dict[str, Any], source: str) -> Robot:
         file = msgspec.convert(table, _File, strict=True)
     except msgspec.ValidationError as error:
         raise ConfigurationError(f"{source}: {_explain(str(error))}") from error
+    step_rad = file.robot.quantum_rad
     robot = Robot(
         name=file.robot.name,
         period_s=file.robot.period_s,
-        quantum_rad=file.robot.quantum_rad,
+        quantum_rad=ASSUMED_STEP_RAD if step_rad is None else step_rad,
         legs=file.leg,
         servo=file.servo,
         detector=file.detector,
         ports=file.port,
         ros2=file.ros2,
+        steps_known=step_rad is not None,
     )
     check(robot, source)
     return robot
@@ -437,7 +439,6 @@ _EXAMPLES: Final = {
     "joints": 'such as joints = ["coxa", "femur", "tibia"]',
     "name": 'such as name = "mybot"',
     "period_s": "such as period_s = 0.02",
-    "quantum_rad": "such as quantum_rad = 0.00511",
 }
 
 _CHOICES: Final = {

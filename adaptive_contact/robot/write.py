@@ -15,7 +15,8 @@ def write_robot(robot: Robot) -> str:
     say.line("[robot]")
     say.line(f"name = {_text(robot.name)}")
     say.line(f"period_s = {robot.period_s:g}", "control tick; 0.02 is 50 Hz")
-    say.line(f"quantum_rad = {robot.quantum_rad:g}", "position step of the servos")
+    if robot.steps_known:
+        say.line(f"quantum_rad = {robot.quantum_rad:g}", "position step of the servos")
     say.line("")
     say.line("[servo]")
     say.line(

@@ -14,7 +14,14 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.service.findings import EXPLAINS, Cause, Fault, Finding, Level, entries
+from adaptive_contact.service.findings import (
+    EXPLAINS,
+    Cause,
+    Fault,
+    Finding,
+    Level,
+    entries,
+)
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.learnercheck import about_learner, all_lost
 from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
@@ -215,7 +222,9 @@ def _faults(
         if not any(Cause.NOT_THIS_ROBOT in EXPLAINS.get(cause, ()) for cause in causes):
             unexplained.append(leg)
         if leg in seen.learners:
-            of_leg += about_learner(*seen.learners[leg], service, causes)
+            count = len(seen.samples.get(leg, ())) + len(seen.refused.get(leg, ()))
+            noted = {fault.cause for fault in of_leg}
+            of_leg += about_learner(*seen.learners[leg], service, noted, count)
         elif service is not None:
             of_leg.append(Fault.of("unreported", seconds=seconds))
         for fault in of_leg:
@@ -245,9 +254,12 @@ def _about_service(seen: Examination, alive: bool) -> Iterator[Fault]:
         yield Fault.of("service_quiet")
         return
     before, service = seen.service
+    taken = service.samples - before.samples
     for reason, times in service.rejects.items():
-        level = _still(times, before.rejects.get(reason, 0))
-        yield Fault.of("strange_leg", key=reason, level=level, times=times, reason=reason)
+        known = before.rejects.get(reason, 0)
+        level = _still(times, known)
+        fault = Fault.of("strange_leg", key=reason, level=level, times=times, reason=reason)
+        yield fault._replace(size=times - known, total=taken)
     if service.note is not None:
         yield Fault.of("service-note", key="note", note=service.note)
     for line in [] if service.state is None else service.state.refused:
@@ -298,5 +310,5 @@ def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
 
 
 def _still(now: int, before: int) -> Level:
-    """What was refused long ago is a note; what is being refused is a fault."""
+    """What happened long ago is a note; what is happening is a fault."""
     return "warning" if now > before else "note"

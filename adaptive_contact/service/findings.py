@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 import functools
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import resources
 from typing import Any, Final, Literal, NamedTuple, Self
 
@@ -20,6 +20,15 @@ Level = Literal["error", "warning", "note"]
 _RANKS: Final[dict[Level, int]] = {"error": 0, "warning": 1, "note": 2}
 # Details of one entry that are printed; the others are counted.
 _DETAILS: Final = 2
+# What happens to so few samples, or to such a share of them, is a note: a real bus drops or spoils
+# one reading in about 3,000, and one of a few hundred shows no share.
+FEW: Final = 2
+FEW_SHARE: Final = 2e-3
+
+
+def many(count: float, total: int) -> bool:
+    """Whether so many samples of all are more than what any bus has."""
+    return count > max(FEW, FEW_SHARE * total)
 
 
 class Cause(enum.StrEnum):
@@ -59,6 +68,7 @@ class Cause(enum.StrEnum):
     NOT_FINITE = "not_finite"
     UNITS = "units"
     ECHO = "echo"
+    NEAR_ECHO = "near_echo"
     TWINS = "twins"
     FROZEN = "frozen"
     HELD = "held"
@@ -118,6 +128,7 @@ class Fault(NamedTuple):
     detail: str | None = None  # this leg's figures, None where `what` has them all
     size: float = 0.0  # how bad it is against others of this cause: the largest are shown
     key: str = ""  # parts entries of one cause that need different remedies
+    total: int = 0  # samples that ``size`` counts some of; few of them make the entry a note
 
     @classmethod
     def of(
@@ -129,13 +140,19 @@ class Fault(NamedTuple):
         key: str = "",
         *,
         level: Level | None = None,
+        total: int = 0,
         **figures: object,
     ) -> Self:
         """Make one in the words that ``faults.toml`` has under a name, with figures filled in."""
         words = said()[name]
         what, remedy = (words[part].format(**figures) for part in ("what", "remedy"))
         cause = Cause(name.partition("-")[0])
-        return cls(level or words["level"], cause, what, remedy, detail, size, key)
+        return cls(level or words["level"], cause, what, remedy, detail, size, key, total)
+
+
+def explained(fault: Fault) -> frozenset[Cause]:
+    """Causes that a fault explains in its leg."""
+    return frozenset() if fault.level == "note" else EXPLAINS.get(fault.cause, frozenset())
 
 
 class Finding(NamedTuple):
@@ -164,7 +181,7 @@ def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
     Returns:
         What is left when consequences are left out and legs are put together.
     """
-    found = list(faults)
+    found = list(_weighed(list(faults)))
     causes: dict[str | None, set[Cause]] = {}
     for leg, fault in found:
         if fault.level != "note":
@@ -186,6 +203,20 @@ def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
         made,
         key=lambda finding: (_RANKS[finding.level], bool(finding.legs), -len(finding.legs)),
     )
+
+
+def _weighed(
+    faults: Sequence[tuple[str | None, Fault]],
+) -> Iterator[tuple[str | None, Fault]]:
+    """Faults; those of a few samples of all legs together as notes."""
+    alike: dict[tuple[Cause, str], list[Fault]] = {}
+    for _, fault in faults:
+        alike.setdefault((fault.cause, fault.key), []).append(fault)
+    for leg, fault in faults:
+        of = alike[fault.cause, fault.key]
+        total = sum(one.total for one in of)
+        few = total and not many(sum(one.size for one in of), total)
+        yield leg, fault._replace(level="note") if few else fault
 
 
 def _entry(faults: Sequence[tuple[str | None, Fault]]) -> Finding:

@@ -20,6 +20,7 @@ _NOTED: Final = {
     "ms apart, robot.toml says": Cause.PERIOD,
     "t_ns jitters": Cause.JITTER,
     "restarts every few samples": Cause.RUN,
+    "seq wraps at": Cause.SEQ,
     "carry no phase": Cause.PHASE,
     "answered": Cause.INVALID,
     "payload refused": Cause.UNREADABLE,
@@ -28,9 +29,13 @@ _NOTES: Final = "docs/operating.md says what each note asks for"
 
 
 def about_learner(
-    before: LearnerStatus, status: LearnerStatus, service: ServiceStatus | None, causes: set[Cause]
+    before: LearnerStatus,
+    status: LearnerStatus,
+    service: ServiceStatus | None,
+    causes: set[Cause],
+    samples: int = 0,
 ) -> Iterator[Fault]:
-    """What a leg's own status says, but for what is known of its stream already."""
+    """What a leg's own status says, but for what is known of its stream of so many samples."""
     note = status.note or ""
     if speaks_of_angles(note):
         causes = causes | {Cause.SIGNS}
@@ -40,9 +45,9 @@ def about_learner(
     }
     if refused:
         listed = ", ".join(f"{reason} {times}" for reason, times in sorted(refused.items()))
-        grown = any(times > before.rejects.get(reason, 0) for reason, times in refused.items())
+        grown = sum(times - before.rejects.get(reason, 0) for reason, times in refused.items())
         how: Level = "warning" if grown else "note"
-        yield Fault.of("refused", listed, sum(refused.values()), level=how)
+        yield Fault.of("refused", listed, grown, level=how, total=samples)
     if SWAPPED in note:
         yield Fault.of("leg_swap", note)
     elif speaks_of_angles(note):

@@ -15,7 +15,8 @@ import numpy as np
 
 from adaptive_contact.detect.source_watch import NOTED_JITTER
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.findings import Cause, Fault, Finding, entries, of_legs
+from adaptive_contact.robot.description import ASSUMED_STEP_RAD
+from adaptive_contact.service.findings import Cause, Fault, Finding, entries, many, of_legs
 from adaptive_contact.service.position_step import position_step
 from adaptive_contact.service.readings import check_fields, check_readings
 from adaptive_contact.service.status import LegFacts
@@ -39,7 +40,8 @@ _LONG_SWING: Final = 100
 _WALKING_RAD: Final = 0.3
 _MANY_CYCLES: Final = 4
 _INVALID_SHARE: Final = 0.05
-_LOSS_SHARE: Final = 0.002
+# Ticks that may be lost where seq begins again at 0.
+_WRAP_TICKS: Final = 3
 _FEWEST: Final = 10
 # Readings that two legs have in common among those of ticks in which a joint moves this far, rad.
 # Of legs that walk alike, on servos of 0.3 degrees, less than one in a hundred is.
@@ -75,12 +77,13 @@ def check_leg(
     Returns:
         Faults; empty where all is well.
     """
+    refusals = list(_refusals(refused, len(samples) + len(refused)))
     if not samples:
         key = "" if facts is None or facts.described else leg
-        return list(_refusals(refused)) or [Fault.of("silent", key=key, seconds=seconds)]
+        return refusals or [Fault.of("silent", key=key, seconds=seconds)]
     joints = Counter(len(sample.measured) for sample in samples).most_common(1)[0][0]
     found = [
-        *_refusals(refused),
+        *refusals,
         *_shape(samples, joints, facts),
         *_publishers(samples),
         *_order(samples, period_s),
@@ -92,11 +95,17 @@ def check_leg(
         found.append(_coarse(quantum))
         quantum = None
     if len(usable) >= _FEWEST:
-        names = facts.joints if facts is not None and len(facts.joints) == joints else None
+        known = facts if facts is not None and len(facts.joints) == joints else None
+        names = [f"joint {i + 1}" for i in range(joints)] if known is None else known.joints
         named = {fault.cause for fault in found}
         if facts is None and not named & {Cause.TIME_UNIT, Cause.SEQ, Cause.TIME_BACKWARDS}:
             found += _undeclared(samples, usable)
-        found += check_readings(usable, names or [f"joint {i + 1}" for i in range(joints)], quantum)
+        elif known is not None and known.described and known.quantum_rad is None:
+            step_rad = max(_grids(usable), default=0.0)
+            if step_rad > ASSUMED_STEP_RAD:
+                found.append(Fault.of("undeclared-step", f"of {step_rad:.3g} rad", step_rad))
+        limits = None if known is None else known.limits_rad
+        found += check_readings(usable, names, quantum, limits)
     return found
 
 
@@ -169,10 +178,13 @@ def check_ids(published: Sequence[str], described: Sequence[str], robot: str) ->
         )
 
 
-def _refusals(refused: Sequence[Rejected]) -> Iterator[Fault]:
+def _refusals(refused: Sequence[Rejected], total: int) -> Iterator[Fault]:
+    """What could not be read, of so many payloads."""
     times = [item for item in refused if "$.t_ns" in item.detail]
     if times:
-        yield Fault.of("time_type", f"{len(times)} refused ({times[0].detail})", len(times))
+        yield Fault.of(
+            "time_type", f"{len(times)} refused ({times[0].detail})", len(times), total=total
+        )
     rest = [item for item in refused if "$.t_ns" not in item.detail]
     if rest:
         reason, number = Counter(item.reason for item in rest).most_common(1)[0]
@@ -183,6 +195,7 @@ def _refusals(refused: Sequence[Rejected]) -> Iterator[Fault]:
             f"{len(rest)} refused; {reason} {number} times: {detail}",
             len(rest),
             reason,
+            total=total,
         )
 
 
@@ -194,7 +207,8 @@ def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) 
         yield Fault.of("joints", joints=joints, count=len(facts.joints), names=names)
     odd = sum(len(s.measured) != joints or len(s.desired) != joints for s in samples)
     if odd:
-        yield Fault.of("joints-odd", f"{odd} of {len(samples)}", odd, "odd")
+        count = f"{odd} of {len(samples)}"
+        yield Fault.of("joints-odd", count, odd, "odd", total=len(samples))
     if facts is not None and not facts.lengths and all(s.phase is None for s in samples):
         yield Fault.of("phase")
     yield from _phases(samples)
@@ -243,23 +257,29 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
     # Within one run only: after a restart the source may count from 0.
     if not (pairs := [(a, b) for a, b in pairwise(samples) if a.run == b.run]):
         return
+    total = len(pairs)
     backwards = sum(b.t_ns <= a.t_ns and b.seq > a.seq for a, b in pairs)
     repeated = sum(b.seq == a.seq for a, b in pairs)
-    back = [(a.seq, b.seq) for a, b in pairs if b.seq < a.seq]
+    back = [(a, b) for a, b in pairs if b.seq < a.seq]
     usual = _usual_step(pairs)
     lost = sum(max(0, round((b.seq - a.seq) / usual) - 1) for a, b in pairs)
     if backwards:
-        yield Fault.of("time_backwards", f"in {backwards} of {len(pairs)} samples", backwards)
+        count = f"in {backwards} of {total} samples"
+        yield Fault.of("time_backwards", count, backwards, total=total)
     if repeated:
-        yield Fault.of("seq", f"{repeated} of {len(pairs)}", repeated)
+        yield Fault.of("seq", f"{repeated} of {total}", repeated, total=total)
     if usual > 1:
-        yield Fault.of("seq-step", size=len(pairs), key="step", step=usual, lost=usual - 1)
-    if back:
-        times = f"{len(back)} times, such as {back[-1][0]} to {back[-1][1]}"
-        yield Fault.of("seq-back", times, len(back), "back")
-    if lost > _LOSS_SHARE * len(samples):
-        yield Fault.of("loss", f"{lost} ({lost / (lost + len(samples)):.1%})", lost)
+        yield Fault.of("seq-step", size=total, key="step", step=usual, lost=usual - 1)
     steps = _steps_s(pairs, usual)
+    if back:
+        times = f"{len(back)} times, such as {back[-1][0].seq} to {back[-1][1].seq}"
+        wraps = None if steps is None else _wraps_at(back, usual, steps[1])
+        if wraps is not None:
+            yield Fault.of("seq-wrap", times, len(back), "wrap", wraps=wraps)
+        else:
+            yield Fault.of("seq-back", times, len(back), "back", total=total)
+    if many(lost, len(samples)):
+        yield Fault.of("loss", f"{lost} ({lost / (lost + len(samples)):.1%})", lost)
     if steps is None:
         return
     mean_s, middle_s = steps
@@ -272,6 +292,17 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
         yield _rate(middle_s, period_s)
     elif not backwards and not back and usual == 1:
         yield from _jitter(samples, mean_s if period_s is None else period_s)
+
+
+def _wraps_at(
+    back: Sequence[tuple[ServoSample, ServoSample]], usual: int, period_s: float
+) -> int | None:
+    """The number at which seq begins again while time goes on; None where it does not so."""
+    ends = set()
+    for a, b in back:
+        ticks = round((b.t_ns - a.t_ns) / (1e9 * period_s))
+        ends.add(a.seq + ticks * usual - b.seq if 1 <= ticks <= _WRAP_TICKS else None)
+    return ends.pop() if len(ends) == 1 else None
 
 
 def _usual_step(pairs: Sequence[tuple[ServoSample, ServoSample]]) -> int:
@@ -298,17 +329,22 @@ def _steps_s(
 def _undeclared(samples: Sequence[ServoSample], usable: Sequence[ServoSample]) -> Iterator[Fault]:
     """What the samples themselves say of rate and steps, for a robot.toml yet to be written."""
     steps_s = _steps_s([(a, b) for a, b in pairwise(samples) if a.run == b.run])
-    measured = np.array([s.measured for s in usable], dtype=np.float64)
-    if steps_s is None or not np.isfinite(measured).all():
+    if steps_s is None:
         return
-    found = [position_step(column) for column in measured.T]
-    grids = sorted(step for step in found if step is not None)
+    grids = _grids(usable)
     words = f"samples come every {steps_s[1] * 1e3:.1f} ms ({1 / steps_s[1]:.1f} Hz)"
     if grids and grids[-1] > MOST_QUANTUM_RAD:
         yield _coarse(grids[-1], "readings step by")
     elif grids:
         words += f", readings step by {grids[len(grids) // 2]:.3g} rad"
     yield Fault.of("undeclared", words)
+
+
+def _grids(usable: Sequence[ServoSample]) -> list[float]:
+    """Position steps that joints come in, of those that show one, the least first."""
+    measured = np.array([s.measured for s in usable], dtype=np.float64)
+    found = [position_step(column[np.isfinite(column)]) for column in measured.T]
+    return sorted(step for step in found if step is not None)
 
 
 def _off(step_s: float, period_s: float) -> float:

@@ -9,7 +9,7 @@ and where the foot went by the description.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Final
 
 import msgspec
@@ -36,9 +36,6 @@ _REST_S: Final = 0.3
 # share of the one that moved most has only given way.
 _MOVED_RAD: Final = 0.12
 _GAVE_WAY: Final = 0.3
-# Beyond its limits by this, rad, in this share of the samples, is no overshoot.
-_BEYOND_RAD: Final = 0.05
-_BEYOND_SHARE: Final = 0.2
 # A plane is laid through the feet of so many legs.
 _LEAST_FEET: Final = 4
 
@@ -263,8 +260,8 @@ class _LegCheck:
             left_m=float(body[1]) if known else None,
         )
 
-    def faults(self, seconds: float) -> Iterator[Fault]:
-        yield from check_leg(
+    def faults(self, seconds: float) -> list[Fault]:
+        return check_leg(
             self.leg.id,
             list(self.samples),
             list(self.refused),
@@ -272,21 +269,6 @@ class _LegCheck:
             period_s=self._period_s,
             facts=self._facts,
         )
-        limits = self.leg.limits
-        if limits is None or not self.turned:
-            return
-        measured = np.array([sample.measured for sample in self.turned])
-        below = measured < np.array(limits.lower_rad) - _BEYOND_RAD
-        above = measured > np.array(limits.upper_rad) + _BEYOND_RAD
-        share = (below | above).mean(axis=0)
-        for j in np.flatnonzero(share > _BEYOND_SHARE):
-            low, high = np.degrees([limits.lower_rad[j], limits.upper_rad[j]])
-            yield Fault.of(
-                "limits",
-                f"{self.leg.joints[j]} in {share[j]:.0%} of the samples, at "
-                f"{np.degrees(np.median(measured[:, j])):+.0f}° of {low:.0f}..{high:.0f}°",
-                float(share[j]),
-            )
 
     def _rate_hz(self) -> float | None:
         rows = [row for row in self.turned if row.run == self.turned[-1].run]

@@ -8,11 +8,11 @@ samples cannot be used is found as ``doctor`` finds it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.findings import Cause, Fault, entries, of_legs
+from adaptive_contact.service.findings import EXPLAINS, Cause, Fault, entries, of_legs
 from adaptive_contact.service.legcheck import check_leg
 from adaptive_contact.service.recording import Record
 from adaptive_contact.service.status import LegFacts
@@ -23,10 +23,11 @@ _KEPT: Final = 1000
 _STRAYS: Final = 100  # keys of which each is counted
 _SHOWN: Final = 3
 
-# Faults of what was sent, not of how the robot moves: sure, and the reason why samples are refused.
-_OF_FORM: Final = frozenset(
+# Faults of what was sent, not of how the robot moves: sure, and the reason why samples are refused;
+# and readings that are not those of their joints.
+_NAMED: Final = frozenset(
     {Cause.UNREADABLE, Cause.TIME_TYPE, Cause.TIME_UNIT, Cause.TIME_BACKWARDS, Cause.JOINTS}
-    | {Cause.NOT_FINITE, Cause.UNITS, Cause.PERIOD, Cause.SEQ}
+    | {Cause.NOT_FINITE, Cause.UNITS, Cause.PERIOD, Cause.SEQ, Cause.ORDER, Cause.LIMITS}
 )
 # Of these, the ones that leave no tick to judge an event by.
 _SPOILS: Final = frozenset({Cause.UNITS, Cause.TIME_UNIT, Cause.TIME_TYPE, Cause.TIME_BACKWARDS})
@@ -47,6 +48,7 @@ class OneRobot:
         self._strays: Counter[str] = Counter()
         self._samples: dict[str, list[ServoSample]] = {}
         self._refused: dict[str, list[Rejected]] = {}
+        self._faults: list[tuple[str, Fault]] | None = None
 
     def __iter__(self) -> Iterator[Record]:
         for record in self._records:
@@ -95,11 +97,12 @@ class OneRobot:
         """Legs with servo messages, of those that have been passed."""
         return frozenset(self._samples)
 
-    def trouble(self, robot: Robot | None) -> list[str]:
+    def trouble(self, robot: Robot | None, signs: Collection[str] = ()) -> list[str]:
         """What is wrong with keys and samples, one line each; after the pass.
 
         Args:
             robot: whose legs were recorded; None to look at keys only.
+            signs: legs that are known to count their angles otherwise.
         """
         lines = [
             f"{count} messages under '{name}' not used: the recording is read as that of one robot "
@@ -111,7 +114,11 @@ class OneRobot:
             lines.append(f"{count} messages on {key} not used: did you mean {meant_key(key)}?")
         if len(self._strays) > _SHOWN:
             lines.append(f"and {len(self._strays) - _SHOWN} more such keys")
-        for finding in () if robot is None else entries(self._faults(robot)):
+        faults = [] if robot is None else self.faults(robot)
+        explains = EXPLAINS[Cause.SIGNS]
+        for finding in entries(
+            (leg, fault) for leg, fault in faults if leg not in signs or fault.cause not in explains
+        ):
             legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
             lines.append(f"{legs}{finding.what}; {finding.remedy}")
         return lines
@@ -127,12 +134,18 @@ class OneRobot:
         legs = [leg for leg in self._samples if leg in robot.leg_ids]
         spoilt = {
             leg
-            for leg, fault in self._faults(robot)
+            for leg, fault in self.faults(robot)
             if fault.cause in causes and (fault.cause not in _COUNTED or self._in_many(leg, fault))
         }
         return bool(legs) and spoilt.issuperset(legs)
 
-    def _faults(self, robot: Robot) -> Iterator[tuple[str | None, Fault]]:
+    def faults(self, robot: Robot) -> list[tuple[str, Fault]]:
+        """What is wrong with the samples, each fault with its leg; after the pass."""
+        if self._faults is None:
+            self._faults = list(self._check(robot))
+        return self._faults
+
+    def _check(self, robot: Robot) -> Iterator[tuple[str, Fault]]:
         for leg, samples in self._samples.items():
             facts = LegFacts.of(robot, leg) if leg in robot.leg_ids else None
             faults = check_leg(
@@ -145,10 +158,9 @@ class OneRobot:
             )
             for fault in faults:
                 # A number that is there twice, once, is not why a recording cannot be used.
-                if fault.cause in _OF_FORM and (
-                    fault.cause is not Cause.SEQ or self._in_many(leg, fault)
-                ):
+                once = fault.cause is Cause.SEQ and fault.key != "wrap"
+                if fault.cause in _NAMED and (not once or self._in_many(leg, fault)):
                     yield leg, fault
 
-    def _in_many(self, leg: str | None, fault: Fault) -> bool:
-        return fault.size > _MANY * len(self._samples[leg or ""])
+    def _in_many(self, leg: str, fault: Fault) -> bool:
+        return fault.size > _MANY * len(self._samples[leg])

@@ -11,9 +11,12 @@ from adaptive_contact.arrays import Array
 
 # Steps are found from so many different readings, and lie between these, rad.
 _STEP_READINGS: Final = 24
-_LEAST_STEP_RAD: Final = 4e-4
+LEAST_STEP_RAD: Final = 4e-4
 _MOST_STEP_RAD: Final = 0.1
 _STEP_SHARE: Final = 0.85  # of readings on one grid; of a grid at random it is below 0.5
+# A grid shows by so many of its lines.  Some places in which a joint without steps rests are on one
+# of 1,000 grids: each is near a line by chance in a case of five, ten more than two in one of 10^7.
+_LEAST_LINES: Final = 12
 STEP_TOLERANCE: Final = 0.05
 # What is finer than robot.toml says has to fit nearly all: readings between the lines of a grid
 # (carried to their tick's moment, interpolated) are near lines a half, a third or a sixth as far
@@ -25,9 +28,13 @@ _FINER_SHARE: Final = 0.95
 _STEP_CHANCE: Final = 1e-2
 # A grid is found in so many of a joint's different readings as well as in those of an hour.
 _MOST_VALUES: Final = 400
-# Densities of lines that are looked at together, eight to a peak's half width.
-_BLOCK: Final = 256
+# Readings are counted in bins of an eighth of the least step, by which the finest grid's mean is
+# 0.974 of what it is; densities are an eighth of a peak's half width apart, or less.
+_BIN_RAD: Final = LEAST_STEP_RAD / 8.0
+_BINNED: Final = 0.97
 _PEAK: Final = 16
+# Readings that are looked at are within so much, rad: two turns.
+_WIDEST_RAD: Final = 4.0 * math.pi
 _GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -52,22 +59,26 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
     again = values[times > 1]
     if len(again) >= _STEP_READINGS:
         values = again
+    # A place in which a joint without steps rests counts no more than one it passes.
+    values = values[values < values[:1] + _WIDEST_RAD]
+    cells = np.floor(values / (LEAST_STEP_RAD / 2.0))
+    values = values[np.unique(cells, return_index=True)[1]]
     if len(values) > _MOST_VALUES:
         # At irregular places: every second reading of a grid lies on one twice as coarse.
         places = np.arange(_MOST_VALUES) * _GOLDEN % 1.0 * len(values)
         values = values[np.unique(places.astype(int))]
-    span = float(values[-1] - values[0])
-    if len(values) < _STEP_READINGS or span <= 0.0:
+    if len(values) < _STEP_READINGS:
         return None
-    coarse, fine = 1.0 / _MOST_STEP_RAD, 1.0 / _LEAST_STEP_RAD
-    if expected_rad is None or expected_rad <= (1.0 + STEP_TOLERANCE) * _LEAST_STEP_RAD:
-        found = _on_grid(values, coarse, fine, span, _STEP_SHARE)
+    span = float(values[-1] - values[0])
+    coarse, fine = 1.0 / _MOST_STEP_RAD, 1.0 / LEAST_STEP_RAD
+    if expected_rad is None or expected_rad <= (1.0 + STEP_TOLERANCE) * LEAST_STEP_RAD:
+        found = _on_grid(values, coarse, fine, _STEP_SHARE)
         return None if found is None else _multiple(values, found, span, None)
     until = (1.0 + STEP_TOLERANCE) / expected_rad
-    found = _on_grid(values, coarse, until, span, _STEP_SHARE)
+    found = _on_grid(values, coarse, until, _STEP_SHARE)
     if found is not None:
         return found
-    found = _on_grid(values, until, fine, span, _FINER_SHARE)
+    found = _on_grid(values, until, fine, _FINER_SHARE)
     return None if found is None else _multiple(values, found, span, expected_rad)
 
 
@@ -77,7 +88,8 @@ def _multiple(values: Array, step_rad: float, span: float, expected_rad: float |
     The step itself where every multiple holds as many values as it would by chance.
     """
     if expected_rad is None:
-        multiples = list(range(int(_MOST_STEP_RAD / step_rad), 1, -1))
+        most = min(_MOST_STEP_RAD, span / (_LEAST_LINES - 1))
+        multiples = list(range(int(most / step_rad), 1, -1))
     else:
         k = round(expected_rad / step_rad)
         near = k > 1 and abs(k * step_rad / expected_rad - 1.0) <= STEP_TOLERANCE
@@ -94,20 +106,33 @@ def _multiple(values: Array, step_rad: float, span: float, expected_rad: float |
     return step_rad
 
 
-def _on_grid(values: Array, least: float, most: float, span: float, share: float) -> float | None:
+def _on_grid(values: Array, least: float, most: float, share: float) -> float | None:
     """The first grid, of ``least`` to ``most`` steps per rad, that so many of the values lie on."""
-    centred = values - values.mean()
-    step = 1.0 / (8.0 * span)
-    count = math.ceil((most - least) / step)
-    # Phases of a block of densities are those of its first, turned on by the same steps.
-    turns = np.exp(2j * math.pi * np.outer(np.arange(_BLOCK) * step, centred))
-    # Each block goes on a peak's width into the next, so that no peak is cut.
-    for begin in range(0, count, _BLOCK - _PEAK):
-        first = least + begin * step
-        length = np.abs(turns @ np.exp(2j * math.pi * first * centred)) / len(values)
-        above = np.flatnonzero(length[: min(_BLOCK - _PEAK, count - begin)] > share)
-        if len(above):
-            k = int(above[0])
-            peak = k + int(np.argmax(length[k : k + _PEAK]))
-            return 1.0 / (first + peak * step)
+    bins = np.bincount(((values - values[0]) / _BIN_RAD).astype(int))
+    count = 1 << (8 * len(bins)).bit_length()
+    length = np.abs(np.fft.rfft(bins, count)) / len(values)
+    per_index = 1.0 / (count * _BIN_RAD)
+    begin, end = math.ceil(least / per_index), math.ceil(most / per_index)
+    tried = 0
+    for k in np.flatnonzero(length[begin:end] > _BINNED * share) + begin:
+        peak = int(k + np.argmax(length[k : k + _PEAK]))
+        if peak > tried and _by_lines(peak * per_index * values) > share:
+            return 1.0 / (peak * per_index)
+        tried = peak
     return None
+
+
+def _by_lines(turns: Array) -> float:
+    """Length of the mean of readings' phases, every line counted once; 0 of too few lines.
+
+    Args:
+        turns: (n,) readings in steps of the grid.
+    """
+    vectors = np.exp(2j * math.pi * turns)
+    at = np.rint(turns - np.angle(vectors.mean()) / math.tau)
+    _, line = np.unique(at, return_inverse=True)
+    counts = np.bincount(line)
+    if len(counts) < _LEAST_LINES:
+        return 0.0
+    means = [np.bincount(line, part) / counts for part in (vectors.real, vectors.imag)]
+    return float(np.hypot(*(mean.mean() for mean in means)))

@@ -13,12 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Ints
-from adaptive_contact.detect.source_watch import EchoWatch
+from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.detect.source_watch import EQUAL_RAD, EchoWatch
 from adaptive_contact.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
 from adaptive_contact.service.findings import Fault
-from adaptive_contact.service.position_step import STEP_TOLERANCE, position_step
+from adaptive_contact.service.position_step import LEAST_STEP_RAD, STEP_TOLERANCE, position_step
 from adaptive_contact.wire import ServoSample
 from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
 
@@ -40,13 +40,11 @@ _FAR_RAD: Final = 0.4
 _BEYOND_RAD: Final = 2 * math.pi + 0.1
 _BEYOND_TURNS_RAD: Final = 8 * math.pi
 _BACKWARDS_CORRELATION: Final = -0.7
-# Copies of the command of up to so many ticks before, with noise or rounded: this share of readings
-# is within so many steps of the command's path, of at least so many ticks in which it moves, at
-# speeds that differ by so many steps a tick.  A rounded copy is within 0.5 steps.  By joint of 26
-# motions of an SO-101 arm, 16 runs of an XL-330 and a simulated walk, the highest share is 0.45.
+# Copies of the command of up to so many ticks before: of the ticks in which it moves, at speeds
+# that differ by so many steps a tick, this share is within one step, which is what rounding leaves.
+# A servo that follows within a step for whole swings is outside in one tick of ten and more.
 _COPY_LAGS: Final = 12
-_COPY_SHARE: Final = 0.9
-_COPY_STEPS: Final = 0.6
+_COPY_SHARE: Final = 0.98
 _COPY_SPEEDS: Final = 3.0
 _FEWEST_MOVING: Final = 50  # also of all that compares a joint's motion with its command's
 # Readings that are held: of the ticks in which a joint goes a step a tick and more, over so many
@@ -61,6 +59,9 @@ _ORDER_RAD: Final = 0.2
 _LAG_TICKS: Final = 6
 _MOST_ORDERED: Final = 4  # joints whose orders are all tried
 _TURN_SLACK_RAD: Final = 0.5
+# Beyond its limits by this, rad, in most samples, is no overshoot.
+_LIMIT_SLACK_RAD: Final = 0.05
+_LIMIT_SHARE: Final = 0.5
 _DEGREE_RAD: Final = math.pi / 180.0
 
 
@@ -86,11 +87,17 @@ def check_fields(samples: Sequence[ServoSample], joints: int) -> Iterator[Fault]
         wrong = [s for s in samples if not is_right(s, joints)]
         if wrong:
             count = f"{len(wrong)} of {len(samples)}"
-            yield Fault.of("field", count, len(wrong), name, name=name, expected=expected)
+            total = len(samples)
+            yield Fault.of(
+                "field", count, len(wrong), name, total=total, name=name, expected=expected
+            )
 
 
 def check_readings(
-    samples: Sequence[ServoSample], names: Sequence[str], quantum_rad: float | None
+    samples: Sequence[ServoSample],
+    names: Sequence[str],
+    quantum_rad: float | None,
+    limits_rad: Sequence[tuple[float, float]] | None = None,
 ) -> Iterator[Fault]:
     """Judge one leg's readings and commands.
 
@@ -98,33 +105,41 @@ def check_readings(
         samples: all with as many joints.
         names: of the joints.
         quantum_rad: position step that they should have, None where it is unknown.
+        limits_rad: lower and upper one of each joint, in the samples' angles, where they are known.
     """
     measured = np.array([s.measured for s in samples], dtype=np.float64)
     desired = np.array([s.desired for s in samples], dtype=np.float64)
     finite = np.isfinite(np.hstack([measured, desired])).all(axis=1)
     if not finite.all():
         count = int((~finite).sum())
-        yield Fault.of("not_finite", f"{count} of {finite.size}", float(count))
+        yield Fault.of("not_finite", f"{count} of {finite.size}", count, total=finite.size)
     answered = np.array([s.valid is None or all(s.valid) for s in samples])
-    seq = np.array([s.seq for s in samples])[finite & answered]
-    measured, desired = measured[finite & answered], desired[finite & answered]
+    kept = finite & answered
+    seq = np.array([s.seq for s in samples])[kept]
+    swings = np.array([s.phase != "stance" for s in samples])[kept]
+    measured, desired = measured[kept], desired[kept]
     if len(measured) < _FEWEST:
         return
-    units = _units(measured, desired, names)
+    whole = bool((measured == np.round(measured)).all()) and float(np.ptp(measured)) > 2.0
+    measured, jumps = _without_turns(measured)
+    desired, told_jumps = _without_turns(desired)
+    units = _units(measured, desired, names, "register steps" if whole else "degrees")
     if units is not None:
         yield units
         return
-    echoing = _echoing(samples, len(names), quantum_rad)
-    if quantum_rad is not None:
-        joints = zip(measured.T, desired.T, strict=True)
-        echoing |= {j for j, joint in enumerate(joints) if _copies(*joint, seq, quantum_rad)}
-    if echoing:
-        every = len(echoing) == len(names)
-        which = None if every else ", ".join(names[j] for j in sorted(echoing))
-        yield Fault.of("echo", which, key="" if every else "some")
-        return
-    measured, jumps = _without_turns(measured)
-    desired, told_jumps = _without_turns(desired)
+    joints = list(zip(measured.T, desired.T, strict=True))
+    copied = [_copied(*joint, seq, swings, quantum_rad) for joint in joints]
+    near = _echoing(samples, len(names), quantum_rad)
+    for name, found in (
+        ("echo", {j for j, sure in enumerate(copied) if sure}),
+        ("near_echo", {j for j, sure in enumerate(copied) if sure is False} | near),
+    ):
+        if found:
+            every = len(found) == len(names)
+            which = None if every else ", ".join(names[j] for j in sorted(found))
+            yield Fault.of(name, which, key="" if every else "some")
+            if name == "echo":
+                return
     for j, name in enumerate(names):
         turns = round(float(np.median(measured[:, j] - desired[:, j])) / math.tau)
         if turns:
@@ -147,18 +162,32 @@ def check_readings(
         yield from _joint(measured[:, j], desired[:, j], name, begun)
         if quantum_rad is not None:
             yield from _steps(measured[:, j], name, quantum_rad)
+    if limits_rad is not None:
+        yield from _beyond_limits(measured, names, limits_rad)
 
 
-def _units(measured: Array, desired: Array, names: Sequence[str]) -> Fault | None:
+def _beyond_limits(
+    measured: Array, names: Sequence[str], limits_rad: Sequence[tuple[float, float]]
+) -> Iterator[Fault]:
+    """Name joints whose readings, (n, J) rad, are beyond their limits and not for a moment only."""
+    lower, upper = np.array(limits_rad).T
+    beyond = np.maximum(lower - measured, measured - upper)
+    for name, by in zip(names, beyond.T, strict=True):
+        out = by > _LIMIT_SLACK_RAD
+        share = float(out.mean())
+        if share > _LIMIT_SHARE:
+            far = math.degrees(float(np.median(by[out])))
+            yield Fault.of("limits", f"{name} in {share:.0%} of the samples, by {far:.0f}°", share)
+
+
+def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> Fault | None:
     largest = np.maximum(_far_out(measured), _far_out(desired))
     j = int(np.argmax(largest))
-    whole = bool((measured == np.round(measured)).all()) and float(np.ptp(measured)) > 2.0
     # An encoder that counts turns may be a few off, both of readings and of commands.
-    turns = largest[j] <= _BEYOND_TURNS_RAD and np.ptp(measured[:, j]) < math.pi and not whole
-    if largest[j] <= _BEYOND_RAD or turns:
+    turns = largest[j] <= _BEYOND_TURNS_RAD and np.ptp(measured[:, j]) < math.pi
+    if largest[j] <= _BEYOND_RAD or (turns and like == "degrees"):
         return None
     reaches = f"{names[j]} reaches {largest[j]:.4g}"
-    like = "register steps" if whole else "degrees"
     return Fault.of("units", reaches, float(largest[j]), like=like)
 
 
@@ -190,28 +219,41 @@ def _echoing(samples: Sequence[ServoSample], joints: int, quantum_rad: float | N
     return found
 
 
-def _copies(measured: Array, desired: Array, seq: Ticks, step_rad: float) -> bool:
-    """Whether a joint's readings are commands of some ticks before, with noise or rounded."""
-    if not _on_path(measured, desired, seq, step_rad):
-        return False
-    # With finer steps than was said, a servo that follows well is that near, too.
-    found = position_step(measured, step_rad)
-    return found is None or _on_path(measured, desired, seq, found)
+def _copied(
+    measured: Array, desired: Array, seq: Ticks, swings: Mask, step_rad: float | None
+) -> bool | None:
+    """Whether a joint's readings are commands of some ticks before, exact or rounded.
+
+    Returns:
+        False where they are as near as that only by the step that was said, and their own is finer
+        or none: a servo may follow so closely; None where they are not.
+    """
+    if step_rad is not None and not _within(measured, desired, seq, swings, step_rad):
+        return None
+    fine = step_rad is not None and step_rad < LEAST_STEP_RAD  # no finer one can be found
+    own_rad = position_step(measured, step_rad) or (step_rad if fine else None) or 2.0 * EQUAL_RAD
+    return _within(measured, desired, seq, swings, own_rad) or (None if step_rad is None else False)
 
 
-def _on_path(measured: Array, desired: Array, seq: Ticks, step_rad: float) -> bool:
-    for lag in range(min(_COPY_LAGS, len(seq) - 2) + 1):
+def _within(measured: Array, desired: Array, seq: Ticks, swings: Mask, step_rad: float) -> bool:
+    """Whether readings are within one step of the commands of some ticks before.
+
+    In all ticks, or in those of swings.
+    """
+    lags = range(min(_COPY_LAGS, len(seq) - 2) + 1)
+    for lag, looked_at in itertools.product(lags, (np.ones_like(swings), swings)):
         # Rows whose command ``lag`` ticks before is known, and had moved.
         k = np.arange(lag + 1, len(seq))
         speeds = np.abs(desired[k - lag] - desired[k - lag - 1]) / step_rad
-        known = (seq[k] - seq[k - lag - 1] == lag + 1) & (speeds > 0.5)
+        known = (seq[k] - seq[k - lag - 1] == lag + 1) & (speeds > 0.5) & looked_at[k]
         k, speeds = k[known], speeds[known]
         if len(k) < _FEWEST_MOVING:
             continue
         slow, fast = np.quantile(speeds, (0.05, 0.95))
-        off = measured[k] - desired[k - lag]
-        near = np.abs(off - np.median(off)) <= _COPY_STEPS * step_rad
-        if fast - slow > _COPY_SPEEDS and near.mean() > _COPY_SHARE:
+        off = np.sort(measured[k] - desired[k - lag])
+        inside = math.ceil(_COPY_SHARE * len(k))
+        width = (off[inside - 1 :] - off[: len(k) - inside + 1]).min()
+        if fast - slow > _COPY_SPEEDS and width <= step_rad:
             return True
     return False
 
@@ -249,11 +291,10 @@ def _held_share(measured: Array, desired: Array, seq: Ticks, step_rad: float) ->
 
 
 def _without_turns(angles: Array) -> tuple[Array, Ints]:
-    """Angles with jumps of a full turn taken out, and how many there were of each joint."""
+    """Angles with jumps of whole turns taken out, and how many there were of each joint."""
     steps = np.diff(angles, axis=0)
-    turns = np.where(
-        np.abs(np.abs(steps) - math.tau) < _TURN_SLACK_RAD, np.round(steps / math.tau), 0
-    )
+    turns = np.round(steps / math.tau)
+    turns[np.abs(steps - math.tau * turns) >= _TURN_SLACK_RAD] = 0.0
     whole = angles.copy()
     whole[1:] -= math.tau * np.cumsum(turns, axis=0)
     return whole, np.count_nonzero(turns, axis=0)
@@ -320,7 +361,8 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
     glitches, to = _glitches(measured)
     if glitches:
         where = "" if to is None else f", to {to:.3f} rad"
-        yield Fault.of("glitches", f"{name} {glitches} of {len(measured)}{where}", float(glitches))
+        count = f"{name} {glitches} of {len(measured)}{where}"
+        yield Fault.of("glitches", count, glitches, total=len(measured))
 
 
 def _glitches(measured: Array) -> tuple[int, float | None]:

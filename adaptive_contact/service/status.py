@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.robot import Robot
+from adaptive_contact.robot import AngleFrame, Robot
 from adaptive_contact.service.state.keeper import StateFacts
 from adaptive_contact.wire import Message
 
@@ -64,17 +64,23 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
     joints: list[str]
     lengths: bool = False  # whether robot.toml has its `lengths_m`
     described: bool = True  # whether robot.toml has the leg
-    # position step of its servos by robot.toml, None for a leg that it lacks
+    # position step of its servos by robot.toml, None where it does not say
     quantum_rad: float | None = None
+    # lower and upper one of each joint by robot.toml, in the angles of the samples
+    limits_rad: list[tuple[float, float]] | None = None
 
     @classmethod
     def of(cls, robot: Robot, leg: str) -> LegFacts:
         """What a robot's description says of one of its legs."""
         described = robot.leg(leg)
+        limits, frame = described.limits, AngleFrame(described)
+        ends = () if limits is None else (limits.lower_rad, limits.upper_rad)
+        wire = zip(*(frame.wire(list(end)) for end in ends), strict=True)
         return cls(
             joints=list(described.joints),
             lengths=described.chain is not None,
-            quantum_rad=robot.quantum(leg),
+            quantum_rad=robot.quantum(leg) if robot.knows_step(leg) else None,
+            limits_rad=[(min(pair), max(pair)) for pair in wire] or None,
         )
 
 

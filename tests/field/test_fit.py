@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import subprocess
@@ -15,7 +16,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact.cli.fit import check_conventions, gather
-from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, RecordingError
 from adaptive_contact.fit.train import LegFigures, Training, learn
 from adaptive_contact.fit.verdict import refusals
 from adaptive_contact.model.model_file import shipped_baseline
@@ -87,7 +88,14 @@ def said_of(
         check_conventions(robot, gather([made], robot))
     except AdaptiveContactError as error:
         refusal = error
-    return capsys.readouterr().err.splitlines(), refusal
+    lines = capsys.readouterr().err.splitlines()
+    # A heuristic stops the command with a way past it, which its line names.
+    if isinstance(refusal, ConfigurationError):
+        assert "--anyway" in str(refusal)
+        with contextlib.suppress(RecordingError):  # of which no sample can be used
+            check_conventions(robot, gather([made], robot, refuse=False), refuse=False)
+        assert capsys.readouterr().err.splitlines()[: len(lines)] == lines
+    return lines, refusal
 
 
 def test_of_a_good_recording_nothing_is_said(
@@ -264,6 +272,45 @@ def test_a_recording_of_other_legs_is_named(walk: Path, tmp_path: Path) -> None:
     done = run("fit", made, "-o", tmp_path / "legs.json")
     assert "no --config: taken for the shipped robot 'hexapod-ax12a'" in done.stderr
     assert "not used: leg LF, which robot 'hexapod-ax12a' lacks; it has leg lf" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["replay", "score"])
+def test_what_seems_of_no_use_is_judged_on_request(
+    sent: list[m.Sent], tmp_path: Path, command: str
+) -> None:
+    made = m.write(tmp_path / "made.mcap", list(m.milliseconds(sent, np.random.default_rng(1))))
+    more = ["--events", tmp_path / "events.jsonl", "--force"] if command == "replay" else []
+    done = run(command, made, *more)
+    assert done.returncode == 2
+    assert done.stderr.endswith(
+        "nothing can be judged by its samples (see above); --anyway goes on\n"
+    )
+    assert "--anyway" not in run(command, made, *more, "--anyway").stderr
+
+
+@pytest.mark.parametrize(
+    ("mistake", "seconds", "words", "lines"),
+    [
+        (m.swapped_readings, 20.0, "measured has its joints in another order than desired", 1),
+        (m.swapped, 3.5, "joints are beyond their limits", 1),
+        (m.swapped, 20.0, "the joints do not come in the order of robot.toml", 6),
+    ],
+    ids=["readings", "both, not yet judged by the feet", "both"],
+)
+def test_exchanged_joints_are_one_cause_in_a_replay(
+    sent: list[m.Sent],
+    tmp_path: Path,
+    mistake: m.Mistake,
+    seconds: float,
+    words: str,
+    lines: int,
+) -> None:
+    part = [one for one in sent if one.at_ns <= sent[0].at_ns + seconds * 1e9]
+    made = m.write(tmp_path / "made.mcap", list(mistake(part, np.random.default_rng(1))))
+    done = run("replay", made, "--events", tmp_path / "events.jsonl")
+    _, _, *told = done.stderr.splitlines()
+    assert sum(words in line for line in told) == lines
+    assert not [line for line in told if words not in line and ("foot" in line or ";" in line)]
 
 
 @pytest.mark.parametrize("command", ["fit", "replay", "score"])

@@ -141,6 +141,22 @@ def test_another_order_of_joints_is_found(order: tuple[int, ...], phase: bool) -
     assert found[0].servo_advice(robot(mounts=True).legs[0]) == f"write [leg.servos] ids = {wired}"
 
 
+@pytest.mark.parametrize(
+    "turn", [lambda q: q[:, [0, 2, 1]], lambda q: q - [0.0, 0.3, -0.6]], ids=["order", "zeros"]
+)
+@pytest.mark.parametrize(("femur_rad", "judged"), [(0.02, True), (0.0, False), (-0.02, False)])
+def test_angles_are_judged_by_feet_that_carry(turn: Turn, femur_rad: float, judged: bool) -> None:
+    run = walk("tripod", "rough", 901)
+    motions = {}
+    for name, leg in run.legs.items():
+        read = leg.desired + np.array([0.0, femur_rad, 0.0])  # pushed up, or hanging below
+        t_ns = np.asarray(run.t_ns)
+        motions[name] = LegMotion(t_ns, turn(read), turn(leg.desired), leg.swing.copy())
+    found = judge_motion(robot(mounts=True), motions).findings
+    by_feet = [one.leg for one in found if "feet that stand" in one.message]
+    assert by_feet == (list(LEGS) if judged else [])
+
+
 def test_another_order_of_one_leg_is_found_and_no_other_accused() -> None:
     run = walk("tripod", "rough", 901)
     (found,) = verdict_of(run, {"lm": lambda q: q[:, ::-1]}, phase=True, mounts=True).findings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import msgspec
@@ -52,7 +53,8 @@ def commands_of(robot: Robot, seed: int) -> dict[str, LegRows]:
             rows.append(angles.copy())
         desired = np.array(rows)
         standing = np.zeros(TICKS, dtype=bool)
-        found[leg.id] = LegRows(np.arange(TICKS), desired, desired, standing)
+        lifted = desired + np.array([0.0, 0.02, 0.0])  # the ground holds the foot up
+        found[leg.id] = LegRows(np.arange(TICKS), lifted, desired, standing)
     return found
 
 
@@ -90,6 +92,8 @@ def test_nothing_is_said_without_mounts_or_of_legs_that_hang() -> None:
     bare = tuple(msgspec.structs.replace(leg, mount=Mount()) for leg in robot.legs)
     assert judge_ids(msgspec.structs.replace(robot, legs=bare), None, swapped) == {}
     rng = np.random.default_rng(3)
+    hung = {leg: dataclasses.replace(of, measured=of.desired) for leg, of in swapped.items()}
+    assert judge_ids(robot, None, hung) == {}
     for leg in rows:  # each to and fro by itself
         wild = np.cumsum(rng.normal(0.0, 0.01, (TICKS, 3)), axis=0)
         rows[leg] = LegRows(np.arange(TICKS), wild, wild, np.zeros(TICKS, dtype=bool))
@@ -113,12 +117,12 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
     said = []
     for k in range(1100):
         for number, name in enumerate(tracks):
-            angles = swapped[name].desired[k % TICKS].tolist()
+            row = swapped[name]
             sample = ServoSample(
                 t_ns=round(k * 2e7),
                 seq=k + number * ahead,  # legs may count by themselves
-                measured=angles,
-                desired=angles,
+                measured=row.measured[k % TICKS].tolist(),
+                desired=row.desired[k % TICKS].tolist(),
                 phase="stance",
             )
             places[name].take(sample, 0, k == 0)

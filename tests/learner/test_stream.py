@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from adaptive_contact.detect.stream import (
     CONFIRM_SAMPLES,
     LONGEST_GAP,
+    NOTED_SAMPLES,
     RESET_SAMPLES,
     SHORT_GAP,
     SHORT_RUN_SAMPLES,
@@ -33,6 +34,20 @@ def sample(k: int, *, run: int | None = 1, t0: int = 0, **other: object) -> Serv
 
 def feed(guard: StreamGuard, *stream: ServoSample) -> list[Accepted | Reject]:
     return [guard.admit(s) for s in stream]
+
+
+@pytest.mark.parametrize(("wraps_at", "rounds"), [(2**8, 1), (2**16, 1), (2**32, 1), (100, 2)])
+def test_a_counter_of_few_bits_is_named(wraps_at: int, rounds: int) -> None:
+    guard = StreamGuard(2)
+    first, told = wraps_at - 60, rounds * wraps_at + RESET_SAMPLES - 1
+    feed(guard, *(sample(k, seq=k % wraps_at) for k in range(first, told)))
+    assert guard.note is None
+    feed(guard, sample(told, seq=told % wraps_at))
+    assert (guard.note or "").startswith(f"seq wraps at {wraps_at}: ")
+    # A source that starts again without a new `run` counts from anywhere.
+    feed(guard, *(sample(10**6 + k, t0=10**12) for k in range(NOTED_SAMPLES + 9)))
+    feed(guard, *(sample(k, t0=10**15) for k in range(RESET_SAMPLES)))
+    assert guard.note is None
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,8 @@ import pytest
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import load_robot, parse_robot, shipped_robot
 from adaptive_contact.robot.load import is_shipped, recorded_as
+from adaptive_contact.robot.write import write_robot
+from adaptive_contact.service.status import LegFacts
 
 GOOD = """
 [robot]
@@ -27,6 +29,16 @@ def test_the_shortest_file_is_enough() -> None:
     assert robot.leg_ids == ("rf",)
     assert robot.leg("rf").joint_axes == ("yaw", "pitch", "pitch")
     assert robot.quantum("rf") == 0.00511
+
+
+@pytest.mark.parametrize(("own", "known"), [("", False), ("quantum_rad = 0.003\n", True)])
+def test_a_step_may_be_left_out(own: str, known: bool) -> None:
+    text = GOOD.replace("quantum_rad = 0.00511\n", "") + own
+    robot = parse_robot(text, source="x")
+    assert (robot.quantum("rf"), robot.knows_step("rf")) == (0.003 if known else 0.001, known)
+    assert LegFacts.of(robot, "rf").quantum_rad == (0.003 if known else None)
+    again = parse_robot(write_robot(robot), source="x")
+    assert (again.quantum("rf"), again.steps_known) == (robot.quantum("rf"), False)
 
 
 def test_a_robot_has_as_many_legs_as_a_service_can_follow() -> None:

@@ -254,7 +254,7 @@ def test_what_the_wire_itself_shows() -> None:
     beyond = report(still({**poses, "lf": (0.0, 0.6, 1.8)}))
     (limits,) = beyond.findings
     assert (limits.cause, limits.leg) == ("limits", "lf")
-    assert "tibia in 100% of the samples, at +103° of -125..45°" in limits.what
+    assert "tibia in 100% of the samples, by 58°" in limits.what
     degrees = report(turned(walk(), lambda q: np.degrees(q)))
     assert [finding.cause for finding in degrees.findings] == ["units"]
     named = report([(leg.upper(), one) for leg, one in still(poses)])

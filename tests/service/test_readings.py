@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from adaptive_contact.service.findings import Cause
+from adaptive_contact.service.findings import Cause, Fault, entries
 from adaptive_contact.service.position_step import position_step
 from adaptive_contact.service.readings import check_readings
 from adaptive_contact.wire import ServoSample
@@ -52,14 +52,123 @@ def test_nobody_needs_to_know_the_step(between: float) -> None:
         assert not off(position_step(swung(rng, 600, step, between)), step)
 
 
-def causes(measured: Array, desired: Array) -> list[Cause]:
+@pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("places", [1, 2, 5, 8])
+def test_readings_without_steps_that_rest_in_few_places_have_none(
+    places: int, noise: float
+) -> None:
+    rng = np.random.default_rng(places)
+    found = []
+    for _ in range(2):
+        at = rng.uniform(-1.0, 1.0, places)
+        goals = np.repeat(at[rng.integers(0, places, 60)], 20)
+        ramp = np.convolve(goals, np.ones(8) / 8, "valid")
+        readings = ramp + rng.normal(0.0, noise, len(ramp))
+        found += [position_step(readings, said) for said in (None, 1e-4, AX)]
+    assert found == [None] * 6
+
+
+def faults(measured: Array, desired: Array, quantum_rad: float | None = AX) -> list[Fault]:
     rows = zip(measured.tolist(), desired.tolist(), strict=True)
     samples = [
         ServoSample(t_ns=20_000_000 * k, seq=k, measured=read, desired=told)
         for k, (read, told) in enumerate(rows)
     ]
     names = [f"j{j}" for j in range(measured.shape[1])]
-    return [fault.cause for fault in check_readings(samples, names, AX)]
+    return list(check_readings(samples, names, quantum_rad, [(-3.0, 3.0)] * len(names)))
+
+
+def causes(measured: Array, desired: Array, quantum_rad: float | None = AX) -> list[Cause]:
+    return [fault.cause for fault in faults(measured, desired, quantum_rad)]
+
+
+def swings(rng: np.random.Generator, ticks: int = 600) -> Array:
+    """(ticks, 2) commands of swings with rests between them."""
+    goals, rows = np.zeros(2), []
+    while len(rows) < ticks:
+        to, n = rng.uniform(-0.7, 0.7, 2), int(rng.integers(12, 30))
+        share = np.arange(1, n + 1)[:, None] / n
+        rows += list(goals + (3 * share**2 - 2 * share**3) * (to - goals)) + [to] * 10
+        goals = to
+    return np.array(rows[:ticks])
+
+
+def late(commands: Array, ticks: int) -> Array:
+    return commands[np.maximum(np.arange(len(commands)) - ticks, 0)]
+
+
+def followed(rng: np.random.Generator, commands: Array, delay: int, rad_s: float) -> Array:
+    """What a critically damped servo makes of its commands, so many ticks of 20 ms late."""
+    at, speed, rows = commands[0].copy(), np.zeros(2), []
+    for goal in late(commands, delay):
+        rows.append(at + rng.normal(0.0, 2e-4, 2))
+        for _ in range(20):
+            speed += 1e-3 * (rad_s**2 * (goal - at) - 2 * rad_s * speed)
+            at = at + 1e-3 * speed
+    return np.array(rows)
+
+
+STEPS = [AX, math.tau / 4096, 1e-4, None]
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("rad_s", [40.0, 100.0, 400.0])
+def test_a_servo_that_follows_closely_is_no_copy(rad_s: float, step: float | None) -> None:
+    for delay in range(5):
+        rng = np.random.default_rng(delay)
+        told = swings(rng)
+        read = followed(rng, told, delay, rad_s)
+        for grid in (step, None):  # readings in the steps that are said, and floats
+            shown = read if grid is None else np.round(read / grid) * grid
+            found = [fault for fault in faults(shown, told, step) if fault.level == "error"]
+            assert not found, (delay, grid)
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("rounds", [np.round, np.floor, None])
+def test_a_copy_is_one_by_any_delay_and_rounding(rounds: object, step: float | None) -> None:
+    told = swings(np.random.default_rng(7))
+    grid = step or math.tau / 4096
+    for delay in range(13):
+        copy = late(told, delay)
+        if rounds is not None:
+            copy = rounds(copy / grid) * grid  # type: ignore[operator]
+        assert causes(copy, told, step) == [Cause.ECHO], delay
+
+
+@pytest.mark.parametrize("turns", [1, -2])
+@pytest.mark.parametrize("from_the_start", [False, True])
+def test_turns_that_come_and_go_are_no_degrees(turns: int, from_the_start: bool) -> None:
+    rng = np.random.default_rng(5)
+    told = swings(rng)
+    read = followed(rng, told, 1, 40.0)
+    away = (np.arange(len(told)) // 90 % 2 == 0) == from_the_start
+    read[away, 0] += turns * math.tau
+    assert Cause.TURN in causes(read, told, None)
+    assert not {Cause.UNITS, Cause.LIMITS} & set(causes(read, told, None))
+    assert causes(np.degrees(read), np.degrees(told), None) == [Cause.UNITS]
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.1, False), (0.6, True)])
+def test_joints_beyond_their_limits_are_named_where_they_are_so_for_long(
+    share: float, named: bool
+) -> None:
+    rng = np.random.default_rng(6)
+    told = swings(rng) + np.where(np.arange(600) < share * 600, 3.9, 0.0)[:, None]
+    read = followed(rng, told, 1, 40.0)
+    found = [fault for fault in faults(read, told, None) if fault.cause is Cause.LIMITS]
+    assert len(found) == (2 if named else 0)
+    assert all(f"in {share:.0%} of the samples" in (fault.detail or "") for fault in found)
+
+
+@pytest.mark.parametrize(("times", "level"), [(1, "note"), (2, "note"), (9, "warning")])
+def test_what_befalls_a_few_readings_is_a_note(times: int, level: str) -> None:
+    rng = np.random.default_rng(8)
+    told = swings(rng)
+    read = followed(rng, told, 1, 40.0)
+    read[50 : 50 + 40 * times : 40, 0] += 0.5
+    (entry,) = entries(("lf", fault) for fault in faults(read, told, None))
+    assert (entry.cause, entry.level) == ("glitches", level)
 
 
 def commanded(still: int, moving: int) -> Array:

@@ -1,0 +1,51 @@
+"""A real robot that hangs: its float readings make a baseline, and its angles are not accused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adaptive_contact.cli.fit import gather
+from adaptive_contact.conventions.judge import judge_motion
+from adaptive_contact.robot import Robot, load_robot
+from adaptive_contact.service.status import LegFacts
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "dyna1"
+pytestmark = pytest.mark.skipif(
+    not DATA.exists(),
+    reason="no ../shared/data/dyna1: logs of github.com/udesa-ai/dyna1-quadruped, not part of "
+    "the project",
+)
+S = 1_000_000_000
+
+
+@pytest.fixture(scope="module", params=["described", "assumed"])
+def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    """The robot, with the step of its readings and without."""
+    text = (DATA / "hung.toml").read_text()
+    if request.param == "assumed":
+        text = text.replace("quantum_rad = 0.0001\n", "")
+    path = tmp_path_factory.mktemp("robot") / "robot.toml"
+    path.write_text(text)
+    return load_robot(path)
+
+
+@pytest.mark.parametrize("name", ["hung", "fr_raw"])
+def test_float_readings_are_gathered(
+    robot: Robot, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert LegFacts.of(robot, "fr").quantum_rad in (None, 1e-4)
+    gathered = gather([DATA / f"{name}.mcap"], robot)
+    assert "step" not in capsys.readouterr().err
+    assert sum(leg.samples for leg in gathered.values()) > 2000
+
+
+def test_feet_that_hang_accuse_no_angles(robot: Robot) -> None:
+    gathered = gather([DATA / "hung.mcap"], robot)
+    motions = {leg: one.motion() for leg, one in gathered.items()}
+    first, last = (int(motions["fr"].t_ns[k]) for k in (0, -1))
+    for begin in range(first, last, 11 * S):
+        part = {leg: one.between(begin, begin + 6 * S) for leg, one in motions.items()}
+        if all(len(one.t_ns) > 100 for one in part.values()):
+            assert judge_motion(robot, part).findings == (), begin
