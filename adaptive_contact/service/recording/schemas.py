@@ -76,7 +76,10 @@ def parts_of(annotation: Any) -> tuple[Any, tuple[Any, ...], bool]:
         origin, arguments, _ = parts_of(others[0])
         return origin, arguments, True
     origin = get_origin(annotation)
-    return (annotation, (), False) if origin is None else (origin, get_args(annotation), False)
+    if origin is None:
+        return annotation, (), False
+    # A pair is a list in every schema.
+    return list if origin is tuple else origin, get_args(annotation), False
 
 
 # -- JSON Schema -----------------------------------------------------------------------------------
