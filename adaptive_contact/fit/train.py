@@ -115,6 +115,11 @@ class Rows:
         histories = _histories(self.target[self.judged], self.position[self.judged])
         return np.asarray(np.isfinite(histories).all(axis=2).sum(axis=1))
 
+    def where_true(self, keep: Mask) -> Rows:
+        """Select rows by an (n,) mask."""
+        names = ("theta", "target", "where", "swing", "position", "judged", "after")
+        return dataclasses.replace(self, **{name: getattr(self, name)[keep] for name in names})
+
 
 def learn(
     robot: Robot,
@@ -214,18 +219,8 @@ def gather_rows(
         keep[keep], touched = untouched(
             rows.theta[keep], rows.target[keep], rows.position[keep], quantum_rad, tail=True
         )
-    rows = dataclasses.replace(
-        rows,
-        theta=rows.theta[keep],
-        target=rows.target[keep],
-        where=rows.where[keep],
-        swing=rows.swing[keep],
-        position=rows.position[keep],
-        judged=rows.judged[keep],
-        after=rows.after[keep],
-        outliers=int(np.count_nonzero(~keep)),
-        touched=touched,
-    )
+    outliers = int(np.count_nonzero(~keep))
+    rows = dataclasses.replace(rows.where_true(keep), outliers=outliers, touched=touched)
     _check_enough(leg, library, rows)
     return rows
 
@@ -248,8 +243,11 @@ def learn_leg(
     Raises:
         IdentificationError: they cannot be learned from.
     """
-    held = HeldOut(rows.theta, rows.target, _folds(rows))
-    naive = _rms(rows.target)
+    # After the turn the drive comes to rest, which says little of how it moves: those ticks have a
+    # noise, and the coefficients are of the swings alone.
+    swinging = rows.where_true(~rows.after)
+    held = HeldOut(swinging.theta, swinging.target, _folds(swinging))
+    naive = _rms(swinging.target)
     still: Mask = naive < quantum_rad  # the readings of such joints may be constant
     rounding = quantum_rad / 12**0.5
     plain = _checked(leg, fit_sparse(held.whole, FitSettings()), still)
@@ -270,7 +268,9 @@ def learn_leg(
 
     # Noise and statistic from the ticks, and the windows, that a detector would judge.
     judged = rows.judged | rows.after
-    residual = best.certain[judged]
+    residual = rows.target - rows.theta @ fit.coefficients
+    residual[~rows.after] = best.certain
+    residual = residual[judged]
     position, where, after = rows.position[judged], rows.where[judged], rows.after[judged]
     histories = _histories(residual, position)
     noise = fit_noise(histories, where, quantum_rad)
@@ -281,7 +281,7 @@ def learn_leg(
     square = whitened(np.stack([histories[after], motion[after]]), noise.whiten[where[after]])[0]
     values[after] = np.where(np.isfinite(values[after]), square, np.nan)
     figures = LegFigures(
-        rows=len(rows.target),
+        rows=len(swinging.target),
         outliers=rows.outliers,
         swings=rows.swings,
         touched=rows.touched,
@@ -294,10 +294,10 @@ def learn_leg(
         condition=fit.condition,
         strength=manner.strength,
         lone=best.lone,
-        spans=_spans(best.residual, rows),
+        spans=_spans(best.residual, swinging),
     )
     scale = held.whole.scale()
-    known = LegBaseline(model, noise, scale, len(rows.target), manner.domain(held.whole))
+    known = LegBaseline(model, noise, scale, len(swinging.target), manner.domain(held.whole))
     peaks = Peaks.of(values[after], len(leg.joints))
     return dataclasses.replace(known, peaks=peaks), figures, values[~after]
 
@@ -306,7 +306,7 @@ def _check_enough(leg: Leg, library: Library, rows: Rows) -> None:
     """Refuse what is too little for the terms, or for the noise."""
     whole = int(np.count_nonzero(rows.usable == len(WINDOWS)))
     for ticks, least, what in (
-        (len(rows.target), 4 * library.size, f"{library.size} terms"),
+        (int(np.count_nonzero(~rows.after)), 4 * library.size, f"{library.size} terms"),
         (whole, MIN_TICKS, f"the noise of sums over {len(WINDOWS)} ticks"),
     ):
         if ticks < least:

@@ -116,8 +116,8 @@ class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     ticks: list[bounds.Weight]
     domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
     # Largest statistics after the turn to stance, and of how many free ticks.
-    peaks: list[bounds.Peak] | None = None
-    peak_ticks: bounds.PeakTicks = LEAST_TICKS
+    peaks: list[bounds.Peak] | msgspec.UnsetType = msgspec.UNSET
+    peak_ticks: bounds.PeakTicks | msgspec.UnsetType = msgspec.UNSET
     # Of terms of how the leg moves.
     inflation: bounds.Inflation | msgspec.UnsetType = msgspec.field(
         default=msgspec.UNSET, name="doubt"
@@ -283,16 +283,20 @@ def leg_library_of(
 def _leg_file(known: LegBaseline) -> _LegFile:
     library = known.model.library
     inflation = None if known.domain is None else known.domain.inflation
+    covariance, ticks = known.noise.covariance, known.noise.ticks
+    if known.peaks is None and not ticks[-SPEEDS:].any():
+        # Written as before there was a noise after the turn: states saved then belong to it.
+        covariance, ticks = covariance[:-SPEEDS], ticks[:-SPEEDS]
     return _LegFile(
         joints=library.joints,
         axes=library.axes,
         rows=known.rows,
         terms={name: dict(known.model.terms(j)) for j, name in enumerate(library.joints)},
         scale=dict(zip(library.names, known.scale.tolist(), strict=True)),
-        covariance=known.noise.covariance.tolist(),
-        ticks=known.noise.ticks.tolist(),
-        peaks=None if known.peaks is None else known.peaks.largest.tolist(),
-        peak_ticks=LEAST_TICKS if known.peaks is None else known.peaks.ticks,
+        covariance=covariance.tolist(),
+        ticks=ticks.tolist(),
+        peaks=msgspec.UNSET if known.peaks is None else known.peaks.largest.tolist(),
+        peak_ticks=msgspec.UNSET if known.peaks is None else known.peaks.ticks,
         domain=None if known.domain is None else _rows_of(known.domain.triangle),
         inflation=msgspec.UNSET if inflation is None else float(inflation.max()),
     )
@@ -345,9 +349,11 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
             coefficients[row[term], j] = value
     joints = len(library.joints)
     covariances, counts = entry.covariance, entry.ticks
-    if len(covariances) == len(counts) == CONTEXTS - SPEEDS:
-        # Of before there was a noise after the turn: that is as of the descent.
-        covariances, counts = [*covariances, *covariances[-SPEEDS:]], [*counts, *[0.0] * SPEEDS]
+    # Without a noise after the turn, that is as of the descent.
+    if len(covariances) == CONTEXTS - SPEEDS:
+        covariances = [*covariances, *covariances[-SPEEDS:]]
+    if len(counts) == CONTEXTS - SPEEDS:
+        counts = [*counts, *[0.0] * SPEEDS]
     shape = (CONTEXTS, len(WINDOWS), joints, joints)
     covariance = _array(covariances, shape, f"leg '{leg}': covariance")
     ticks = _array(counts, (CONTEXTS,), f"leg '{leg}': ticks")
@@ -360,9 +366,10 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
     if not np.abs(noise.whiten).max() <= bounds.MOST_WHITEN:
         raise IdentificationError(f"leg '{leg}': covariance is too small; fit a new one")
     peaks = None
-    if entry.peaks is not None:
+    if entry.peaks is not msgspec.UNSET:
         largest = _array(entry.peaks, (len(WINDOWS),), f"leg '{leg}': peaks")
-        peaks = Peaks(largest, entry.peak_ticks, joints)
+        seen = LEAST_TICKS if entry.peak_ticks is msgspec.UNSET else entry.peak_ticks
+        peaks = Peaks(largest, seen, joints)
     domain = _domain(entry, library, scale)
     return LegBaseline(model, noise, scale, entry.rows, domain, peaks=peaks)
 

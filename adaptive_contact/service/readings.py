@@ -97,7 +97,7 @@ def check_readings(
     samples: Sequence[ServoSample],
     names: Sequence[str],
     quantum_rad: float | None,
-    limits_rad: Sequence[tuple[float, float]] | None = None,
+    limits_rad: Sequence[Sequence[float]] | None = None,
 ) -> Iterator[Fault]:
     """Judge one leg's readings and commands.
 
@@ -167,7 +167,7 @@ def check_readings(
 
 
 def _beyond_limits(
-    measured: Array, names: Sequence[str], limits_rad: Sequence[tuple[float, float]]
+    measured: Array, names: Sequence[str], limits_rad: Sequence[Sequence[float]]
 ) -> Iterator[Fault]:
     """Name joints whose readings, (n, J) rad, are beyond their limits and not for a moment only."""
     lower, upper = np.array(limits_rad).T

@@ -67,7 +67,7 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
     # position step of its servos by robot.toml, None where it does not say
     quantum_rad: float | None = None
     # lower and upper one of each joint by robot.toml, in the angles of the samples
-    limits_rad: list[tuple[float, float]] | None = None
+    limits_rad: list[list[float]] | None = None
 
     @classmethod
     def of(cls, robot: Robot, leg: str) -> LegFacts:
@@ -80,7 +80,7 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
             joints=list(described.joints),
             lengths=described.chain is not None,
             quantum_rad=robot.quantum(leg) if robot.knows_step(leg) else None,
-            limits_rad=[(min(pair), max(pair)) for pair in wire] or None,
+            limits_rad=[[min(pair), max(pair)] for pair in wire] or None,
         )
 
 

@@ -141,11 +141,11 @@ def test_another_order_of_joints_is_found(order: tuple[int, ...], phase: bool) -
     assert found[0].servo_advice(robot(mounts=True).legs[0]) == f"write [leg.servos] ids = {wired}"
 
 
-@pytest.mark.parametrize(
-    "turn", [lambda q: q[:, [0, 2, 1]], lambda q: q - [0.0, 0.3, -0.6]], ids=["order", "zeros"]
-)
 @pytest.mark.parametrize(("femur_rad", "judged"), [(0.02, True), (0.0, False), (-0.02, False)])
-def test_angles_are_judged_by_feet_that_carry(turn: Turn, femur_rad: float, judged: bool) -> None:
+def test_angles_are_judged_by_feet_that_carry(femur_rad: float, judged: bool) -> None:
+    def turn(q: np.ndarray) -> np.ndarray:
+        return q[:, [0, 2, 1]]
+
     run = walk("tripod", "rough", 901)
     motions = {}
     for name, leg in run.legs.items():
