@@ -23,7 +23,7 @@ from adaptive_contact.detect.swing_labels import close_swing, copy_rows, let_go_
 from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
-from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.learn.mode import LearnerMode, WhenAmbiguous
 from adaptive_contact.learn.noise_tracker import turned_by
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most, squared_errors
@@ -197,6 +197,7 @@ class LearnerBank:
         on_fault: called with a fault in one leg's learning, after which that leg is reset;
             without it, faults are raised.
         when_ambiguous: whether contacts are reported while a leg is ambiguous.
+        mode: what its learners may do to follow their legs.
 
     Raises:
         BaselineError: the baseline belongs to another robot.
@@ -210,6 +211,7 @@ class LearnerBank:
         refitter: Refitter | None = None,
         on_fault: OnFault | None = None,
         when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
+        mode: LearnerMode = LearnerMode.FULL,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -220,7 +222,7 @@ class LearnerBank:
         self._ids = IdWatch(robot, baseline, self._refitter)
         self._learners: dict[str, ContactLearner] = {}
         self._on_fault = on_fault
-        self._when_ambiguous = when_ambiguous
+        self._when_ambiguous, self._mode = when_ambiguous, mode
         self._group = LegGroup(())
 
     @property
@@ -271,6 +273,7 @@ class LearnerBank:
             conventions=self._conventions,
             ids=self._ids,
             when_ambiguous=self._when_ambiguous,
+            mode=self._mode,
         )
 
     def add(self, learner: ContactLearner) -> None:

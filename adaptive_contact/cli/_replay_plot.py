@@ -50,15 +50,23 @@ def check_plot(path: Path) -> None:
         needs_matplotlib("--plot FILE.png", "plot")
 
 
-def write_plot(path: Path, traces: Sequence[LegTrace], title: str) -> None:
+def write_plot(
+    path: Path, traces: Sequence[LegTrace], title: str, *, mark_s: float | None = None
+) -> None:
     """Draw what was detected, missed and why.
+
+    Args:
+        path: of the file, ``.html`` or ``.png``.
+        traces: of the legs.
+        title: of the picture.
+        mark_s: a moment that a PNG marks.
 
     Raises:
         RecordingError: it cannot be written, or there is no leg.
     """
     if not traces:
         raise RecordingError(f"{path}: not written; no leg of the recording could be replayed")
-    data = _html(traces, title) if path.suffix.lower() == ".html" else _png(traces, title)
+    data = _html(traces, title) if path.suffix.lower() == ".html" else _png(traces, title, mark_s)
     write_file(path, data, error=RecordingError)
     counts = {
         kind: sum(t.kind == kind for trace in traces for t in trace.touches) for kind in _ORDER
@@ -125,7 +133,7 @@ def _merged(spans: Spans, room: int) -> list[list[int]]:
 # -- PNG -------------------------------------------------------------------------------------------
 
 
-def _png(traces: Sequence[LegTrace], title: str) -> bytes:
+def _png(traces: Sequence[LegTrace], title: str, mark_s: float | None) -> bytes:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -150,6 +158,8 @@ def _png(traces: Sequence[LegTrace], title: str) -> bytes:
         axis.set_ylabel(trace.leg, rotation=0, ha="right", va="center", fontweight="bold")
         axis.spines[["top", "right"]].set_visible(False)
         axis.margins(x=0.005)
+        if mark_s is not None:
+            axis.axvline(mark_s, color="#34495e", lw=1.6)
     axes[-1].set_xlabel("time since the first sample, s")
     keys: list[Any] = [Patch(color=colour, label=name) for name, colour in _STRIPS]
     keys.append(Line2D([], [], color="#34495e", lw=1, label="test ratio (1 = threshold)"))
@@ -161,6 +171,9 @@ def _png(traces: Sequence[LegTrace], title: str) -> bytes:
     figure.legend(handles=keys, loc="lower center", ncols=len(keys), fontsize=8, frameon=False)
     width, height = figure.get_size_inches()
     figure.subplots_adjust(
-        left=0.8 / width, right=1 - 0.2 / width, top=1 - 0.5 / height, bottom=0.85 / height
+        left=1.0 / width,
+        right=1 - 0.2 / width,
+        top=1 - (0.5 + 0.2 * title.count("\n")) / height,
+        bottom=0.85 / height,
     )
     return png(figure)

@@ -41,36 +41,36 @@ def test_it_writes_what_it_shows(start: Callable[..., Any], tmp_path: Path) -> N
     pids = [
         int(line.split("process ")[1].split(",")[0]) for line in demo.lines if "process " in line
     ]
-    assert len(pids) == 4, "service, simulator and two injections"
+    assert len(pids) == 2, "service and simulator"
     assert all(gone(pid) for pid in pids)
     out = tmp_path / "here" / "demo"
     assert {path.name for path in out.iterdir()} == {"demo.mcap", "report.png", "summary.json"}
 
     summary = json.loads((out / "summary.json").read_text("utf-8"))
-    assert summary["settings"]["seed"] == 3
-    assert summary["settings"]["drift"]["holds"].keys() == {"friction", "mass"}
-    assert 5 < summary["settings"]["drift"]["after_s"] < 20
-    before = summary["service"]["before"]
+    assert (summary["seed"], summary["robot"]) == (3, "hexapod-ax12a")
+    assert summary["drift"]["values"].keys() == {"friction", "mass"}
+    assert 5 < summary["drift"]["at_s"] < 20
+    before = summary["before"]
     assert before["counted"]["touches"] >= 12
     assert before["counted"]["recall"] >= 0.9
     assert 0 < before["counted"]["latency_median_ms"] < 40
     assert before["false_alarms"] <= 1
-    assert len(before["counted"]["recall_interval"]) == 2
     assert set(before["legs"]) == {"lf", "lm", "lr", "rf", "rm", "rr"}
     # A leg with four times the friction is another leg: a model that stays the same cannot do.
-    frozen = summary["frozen"]["after"]["legs"]["rf"]
-    learned = summary["service"]["after"]["legs"]["rf"]
+    frozen = summary["frozen_after"]["legs"]["rf"]
+    learned = summary["after"]["legs"]["rf"]
     assert frozen["swings_with_errors"] >= 4
     assert learned["swings_with_errors"] <= frozen["swings_with_errors"] / 2
-    assert summary["frozen"]["before"]["counted"]["touches"] == before["counted"]["touches"]
-    assert any(line.startswith(summary["result"][0][:40]) for line in demo.lines)
+    assert summary["frozen_after"]["counted"]["touches"] == summary["after"]["counted"]["touches"]
+    assert any(line == summary["result"][2] for line in demo.lines)
 
     head = (out / "report.png").read_bytes()[:24]
     assert head[:8] == b"\x89PNG\r\n\x1a\n"
-    assert struct.unpack(">II", head[16:]) == (1400, 940)
-    assert (out / "report.png").stat().st_size < 400_000
+    width, height = struct.unpack(">II", head[16:])
+    assert width >= 1200
+    assert height >= 1000
     kinds = {record.key.rpartition("/")[2] for record in read_recording(out / "demo.mcap")}
-    assert {"servo", "truth", "contact", "learner", "drift", "status"} <= kinds
+    assert {"servo", "truth", "contact", "learner", "status"} <= kinds
 
 
 def _processes(demo: Any) -> tuple[int, int]:
@@ -95,7 +95,7 @@ def test_the_failure_of_a_process_is_one_line(
 ) -> None:
     demo = start("demo", "--seconds", "60", "--out", "out")
     service, simulator = _processes(demo)
-    demo.wait_line(r"^ +0 s", WAIT_S)
+    demo.wait_line(r"^ +0 of", WAIT_S)
     os.kill(service if which == "the service" else simulator, signal.SIGKILL)
     assert demo.wait(WAIT_S) == 2
     assert gone(service)
@@ -110,6 +110,7 @@ def test_the_failure_of_a_process_is_one_line(
     [
         (["--seconds", "nan"], "'nan' is no duration; expected seconds"),
         (["--out", "file"], "cannot be used"),
+        (["--robot", "leg5"], "does not walk; expected hexapod or quadruped12"),
     ],
 )
 def test_what_cannot_be_is_one_line(

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
@@ -299,15 +298,6 @@ def test_a_robot_learns_its_own_runs() -> None:
     assert max(figures.held_out_rms) < 0.5 * min(figures.naive_rms)
     with pytest.raises(ConfigurationError, match="no robot 'cat' is simulated"):
         learn_shipped("cat", Work(None))
-
-
-def test_the_demo_takes_robots_that_walk() -> None:
-    assert DemoSettings().leg == "rf"
-    assert DemoSettings(robot="quadruped12").leg == "fr"
-    with pytest.raises(ConfigurationError, match="does not walk; expected hexapod or quadruped12"):
-        DemoSettings(robot="leg5")
-    with pytest.raises(ConfigurationError, match="no leg 'rf'; legs are fl fr rl rr"):
-        DemoSettings(robot="quadruped12", leg="rf")
 
 
 def test_every_description_names_what_the_layout_does() -> None:

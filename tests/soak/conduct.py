@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from adaptive_contact.cli.demo.child import Child
+from adaptive_contact.cli._child import Child
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.interfaces import Received

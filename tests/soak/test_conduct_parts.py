@@ -15,7 +15,7 @@ from adaptive_contact.errors import ConfigurationError
 
 pytest.importorskip("mujoco")
 
-from adaptive_contact.cli.demo.child import Child
+from adaptive_contact.cli._child import Child
 from adaptive_contact_sim.scenario import parse_drift
 
 from .conduct import born, children_of, crash_service, resident_mb

@@ -1,7 +1,4 @@
-"""A command of this project in a process of its own, ended by its id whatever happens.
-
-A recorder at work on a thread of this process, while something else goes on.
-"""
+"""A command of this project in a process of its own, ended by its id whatever happens."""
 
 from __future__ import annotations
 
@@ -14,11 +11,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Final, Self
 
 from adaptive_contact.errors import AdaptiveContactError
-from adaptive_contact.service.recording.recorder import Recorder
 
 # Lines kept of what it says; enough to find the last one that means something.
 _KEPT: Final = 200
@@ -109,20 +104,6 @@ class Child:
             f"{self.name} was not ready within {timeout_s:g} s; {self._last_words()}"
         )
 
-    def wait(self, timeout_s: float) -> None:
-        """Wait until it has ended well.
-
-        Raises:
-            AdaptiveContactError: it has not, or not in time.
-        """
-        try:
-            self._process.wait(timeout_s)
-        except subprocess.TimeoutExpired as error:
-            raise AdaptiveContactError(
-                f"{self.name} did not end within {timeout_s:g} s; {self._last_words()}"
-            ) from error
-        self.check()
-
     def check(self) -> None:
         """Raise if it has ended with a failure.
 
@@ -171,42 +152,3 @@ class Child:
     def _last_words(self) -> str:
         lines = self.lines
         return f"its last words: {lines[-1]}" if lines else "it said nothing"
-
-
-class Listening:
-    """Records on a thread from the beginning of ``with`` to :meth:`end`, or to its end.
-
-    Args:
-        recorder: subscribed; its writer is used by the thread until the end.
-    """
-
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
-        self._stop = threading.Event()
-        self._pool = ThreadPoolExecutor(1, "record")
-
-    def __enter__(self) -> Self:
-        self._work = self._pool.submit(self._recorder.run, self._stop)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._pool.shutdown()
-
-    def check(self) -> None:
-        """Raise what stopped it before its time, if anything did.
-
-        Raises:
-            RecordingError: the recording cannot be written.
-        """
-        if self._work.done():
-            self._work.result()
-
-    def end(self) -> None:
-        """Stop; everything received so far is written then.
-
-        Raises:
-            RecordingError: it is not.
-        """
-        self._stop.set()
-        self._work.result()

@@ -1,0 +1,317 @@
+"""``adaptive-contact demo``: the whole thing in a minute.
+
+``serve``, ``record`` and ``sim walk`` run as processes of their own; half way through, one leg of
+the robot drifts.  What was recorded is then judged by the rules of ``score``, drawn as ``replay
+--plot`` draws it, and replayed by the model as it was at the start.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from adaptive_contact.cli._options import (
+    ForceOption,
+    flatten,
+    option,
+    refuse_to_replace,
+    seconds_option,
+)
+from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli._signals import on_signals
+from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.cli._web import WEB_PANEL, Page, live_page
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
+
+if TYPE_CHECKING:
+    from adaptive_contact.robot import Robot
+    from adaptive_contact.score import Score, Summary
+    from adaptive_contact.web import LivePage
+    from adaptive_contact_sim.robots import SimulatedRobot
+
+__all__ = ["demo"]
+
+_STOPPED: Final = 130  # what a shell calls "ended by Ctrl-C"
+_OUT: Final = Path("out/demo")
+_MADE: Final = ("demo.mcap", "summary.json", "report.png")
+# Swings take 1.3 s a leg: fewer seconds leave too few of them on either side of the drift.
+_SHORTEST_S: Final = 8.0
+# A little before half time: what comes after the drift is what the demo is about.
+_DRIFT_SHARE: Final = 0.42
+_DRIFTS: Final = (("friction", 4.0), ("mass", 0.06))
+_DRIFT_WORDS: Final = "friction × 4 and 60 g of mud"
+# A start imports numpy, scipy and the models: a second and a half here, more on a small board.
+_START_S: Final = 60.0
+_SLOWEST: Final = 3.0  # times real time
+_REFRESH_S: Final = 0.25
+_SETTLE_S: Final = 2.0  # what is on its way when the walk ends is worked off and written by then
+
+
+@flatten
+def demo(
+    *,
+    out: Annotated[Path, option("--out", "Where report and figures go.", "FOLDER")] = _OUT,
+    seconds: Annotated[
+        float,
+        seconds_option("--seconds", "Of walking, in real time.", least=_SHORTEST_S, most=3600.0),
+    ] = 60.0,
+    seed: Annotated[int, option("--seed", "Of the walk.", min=0)] = 0,
+    robot: Annotated[
+        str, option("--robot", "Which walks: hexapod, quadruped12.", "NAME")
+    ] = "hexapod",
+    web: Annotated[
+        bool, option("--web", "Show it as a page in the browser, too.", panel=WEB_PANEL)
+    ] = False,
+    force: ForceOption = False,
+    page: Page,
+) -> None:
+    """Watch a simulated robot walk, one leg drift, and what becomes of its contacts.
+
+    Starts `serve`, `record` and `sim walk` as processes, and writes a picture, the figures and
+    the recording.  Those in out/demo are replaced; in another folder only with --force.
+    """
+    stop = threading.Event()
+    on_signals(lambda *_: _on_signal(stop))
+    with needs_simulator():
+        from adaptive_contact_sim.robots import simulated_robot
+    from adaptive_contact_studies.show.figures import needs_matplotlib
+
+    walker = simulated_robot(robot)
+    if walker.walk is None:
+        raise ConfigurationError(
+            f"robot '{robot}' ({walker.about}) does not walk; expected hexapod or quadruped12"
+        )
+    needs_matplotlib("the demo's report", "plot")
+    refuse_to_replace([out / name for name in _MADE], "--out", force=force or out == _OUT)
+    page_settings = page.settings(web)
+    run = _Demo(out, seconds, seed, walker, stop)
+    try:
+        with ExitStack() as stack:
+            live = None
+            if page_settings is not None:
+                live = stack.enter_context(live_page(page_settings, browse=not page.no_browser))
+                live.waits_for(
+                    "service and simulator are starting",
+                    "The first start on a computer compiles the arithmetic, up to a minute.",
+                    "note",
+                )
+            run.conduct(live)
+            run.judge()
+            if live is not None:
+                live.close(f"The demo is over; {out / 'report.png'} has what was found.")
+    except (KeyboardInterrupt, AdaptiveContactError):
+        # Ctrl-C in a terminal reaches every process at once; who ends first is chance.
+        if not stop.is_set():
+            raise
+        say_note("stopped; nothing was judged")
+        raise typer.Exit(_STOPPED) from None
+
+
+def _on_signal(stop: threading.Event) -> None:
+    """The first signal asks for an orderly end; the second breaks in, and still ends the others."""
+    if stop.is_set():
+        raise KeyboardInterrupt
+    stop.set()
+
+
+class _Demo:
+    """A run of the demo.
+
+    Args:
+        out: folder of what it writes; made where it is not there.
+        seconds: of walking, in real time.
+        seed: of the walk.
+        walker: the robot that walks.
+        stop: ends it early when set.
+    """
+
+    def __init__(
+        self, out: Path, seconds: float, seed: int, walker: SimulatedRobot, stop: threading.Event
+    ) -> None:
+        self._recording, self._summary, self._report = (out / name for name in _MADE)
+        self._seconds, self._seed, self._walker, self._stop = seconds, seed, walker, stop
+        self._leg = "rf" if "rf" in walker.layout.legs else "fr"
+        self._drift_s = round(_DRIFT_SHARE * seconds, 1)
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            for name in _MADE:
+                (out / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"{out}: cannot be used ({error.strerror}); give --out a folder that can be written"
+            ) from error
+
+    def conduct(self, page: LivePage | None) -> None:
+        """Run the processes to the end of the walk.
+
+        Raises:
+            AdaptiveContactError: one failed, in one line, with its last words; or it was stopped.
+        """
+        from adaptive_contact.cli._child import Child
+        from adaptive_contact.cli._compiling import compile_tick
+        from adaptive_contact.service.link import Link, client_settings
+        from adaptive_contact.service.watch import Feed
+
+        # Here and not in the service, whose start has a time limit.
+        compile_tick(self._stop)
+        name, listen = self._walker.name, ("--listen", "tcp/127.0.0.1:0", "--log-level", "warning")
+        # Without state: a demo begins with the shipped models, and leaves none of its own behind.
+        serve = ("serve", "--config", name, "--no-state", *listen)
+        with ExitStack() as stack:
+            service = stack.enter_context(Child("the service", serve))
+            found = service.wait_line(re.compile(r"listening on (\S+?)[;,]"), _START_S)
+            join = ("--connect", found.group(1))
+            say(f"service     process {service.pid}, listening on {join[1]}")
+            record = ("record", str(self._recording), *join)
+            recorder = stack.enter_context(Child("the recorder", record))
+            recorder.wait_line(re.compile("recording"), _START_S)
+            settings = client_settings([join[1]], wait=False)
+            feed = Feed(stack.enter_context(Link.open(settings)))
+            if page is not None:
+                page.follow(stack.enter_context(Link.open(settings)))
+                stack.callback(page.leave)
+            simulator = stack.enter_context(Child("the simulator", (*self._walk(), *join)))
+            say(f"simulator   process {simulator.pid}, seed {self._seed}")
+            simulator.wait_line(re.compile("publishing"), _START_S)
+            began_s = time.monotonic()
+            show = stack.enter_context(_Table(self._words))
+            while simulator.running:
+                if self._stop.wait(_REFRESH_S):
+                    break
+                for other in (service, recorder):  # they should go on until they are stopped
+                    if not other.running:
+                        raise other.failure()
+                walked_s = time.monotonic() - began_s
+                show.look(feed.view(time.monotonic_ns()), walked_s)
+                if walked_s > _START_S + _SLOWEST * self._seconds:
+                    raise AdaptiveContactError("this machine is too slow for a walk in real time")
+            if self._stop.is_set() or self._stop.wait(_SETTLE_S):
+                raise AdaptiveContactError("stopped")
+            simulator.check()
+
+    def judge(self) -> None:
+        """Score, replay and draw the recording."""
+        import msgspec
+
+        from adaptive_contact.cli._replay_plot import write_plot
+        from adaptive_contact.files import write_file
+        from adaptive_contact.learn.mode import LearnerMode
+        from adaptive_contact.score.tables import as_json
+
+        robot = self._walker.description
+        followed, _ = self._replayed(robot, LearnerMode.FULL)
+        frozen, events = self._replayed(robot, LearnerMode.FROZEN)
+        before = self._score(robot, to_s=self._drift_s)
+        after = self._score(robot, from_s=self._drift_s)
+        old = self._score(robot, events, from_s=self._drift_s)
+        lines = (
+            f"Before the drift: {_tally(before.total)}.",
+            f"After it ({_DRIFT_WORDS} on leg {self._leg}): {_tally(after.total)}; "
+            f"{self._leg} alone: {_tally(after.legs[self._leg])}.",
+            f"The model of the start, frozen: {_tally(old.total)}; "
+            f"{self._leg} alone: {_tally(old.legs[self._leg])}.",
+        )
+        drift = {"leg": self._leg, "at_s": self._drift_s, "values": dict(_DRIFTS)}
+        tree: dict[str, Any] = {
+            "v": 2,
+            "result": lines,
+            "robot": robot.name,
+            "seconds": self._seconds,
+            "seed": self._seed,
+            "drift": drift,
+            "before": as_json(before),
+            "after": as_json(after),
+            "frozen_after": as_json(old),
+        }
+        write_file(self._summary, msgspec.json.format(msgspec.json.encode(tree), indent=2) + b"\n")
+        own = next(trace for trace in frozen if trace.leg == self._leg)
+        traces = [*followed, dataclasses.replace(own, leg=f"{self._leg}\nfrozen")]
+        write_plot(self._report, traces, "\n".join(lines), mark_s=self._drift_s)
+        for line in (*lines, f"wrote {self._report}, {_MADE[1]} and {_MADE[0]}"):
+            say(line)
+
+    def _walk(self) -> tuple[str, ...]:
+        drifts = (
+            f"{kind}:leg={self._leg},value={value:g}@{self._drift_s}s" for kind, value in _DRIFTS
+        )
+        return (
+            *("sim", "walk", "--robot", self._walker.name, "--terrain", "rough"),
+            *("--stop-on", "truth", "--seconds", f"{self._seconds:g}", "--seed", str(self._seed)),
+            *(word for drift in drifts for word in ("--drift", drift)),
+        )
+
+    def _words(self, walked_s: float) -> str:
+        drifted = "since" if walked_s >= self._drift_s else "at"
+        return (
+            f"{walked_s:4.0f} of {self._seconds:.0f} s   leg {self._leg}: {_DRIFT_WORDS} "
+            f"{drifted} {self._drift_s:.0f} s"
+        )
+
+    def _score(self, robot: Robot, events: Any = None, **within: float) -> Score:
+        from adaptive_contact.score import score_messages
+        from adaptive_contact.service.recording import read_recording
+
+        return score_messages(read_recording(self._recording), robot, events, **within)
+
+    def _replayed(self, robot: Robot, mode: Any) -> tuple[Any, Any]:
+        """Traces of every leg, and events."""
+        from adaptive_contact.bank import LearnerBank
+        from adaptive_contact.model import shipped_baseline
+        from adaptive_contact.service.recording import read_recording
+        from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events
+
+        bank = TraceBank(LearnerBank(robot, shipped_baseline(robot.name), mode=mode))
+        records = TracedRecords(read_recording(self._recording), robot)
+        events = list(replay_events(records, bank, Counts()))
+        return bank.traces(records), events
+
+
+class _Table:
+    """Shows what goes on: the table of ``watch``; without a terminal a line every few seconds."""
+
+    _EVERY_S: Final = 5.0
+
+    def __init__(self, words: Any) -> None:
+        from rich.live import Live
+
+        from adaptive_contact.cli._console import table_console
+
+        self._words, self._console, self._next_s = words, table_console(), 0.0
+        self._live = Live(console=self._console, auto_refresh=False)
+
+    def __enter__(self) -> _Table:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def look(self, view: Any, walked_s: float) -> None:
+        """Redraw the table, or print a line if one is due."""
+        from rich.console import Group
+
+        from adaptive_contact.service.watch_table import table
+
+        words = self._words(walked_s)
+        if self._live.is_started:
+            below = table(view, self._console.width, self._console.height - 2)
+            self._live.update(Group(words, below), refresh=True)
+        elif walked_s >= self._next_s:
+            self._next_s += self._EVERY_S
+            say(
+                words
+                + "".join(f"  {leg.leg} {leg.seen or 0}/{leg.touches or 0}" for leg in view.legs)
+            )
+
+
+def _tally(summary: Summary) -> str:
+    counted, false = summary.counted, summary.false_alarms
+    return f"{counted.found} of {counted.touches} touches found, {false} false"
