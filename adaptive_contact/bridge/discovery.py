@@ -21,7 +21,7 @@ from adaptive_contact.bridge.handshake import (
     scan,
     scan_again,
 )
-from adaptive_contact.bridge.modes import read_slope
+from adaptive_contact.bridge.modes import followed, read_slope
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError, ConfigurationError
@@ -46,6 +46,7 @@ class Found:
     # ids that answer at another baud rate and protocol, by these
     elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
     done: tuple[str, ...] = ()  # what was written
+    follows: dict[int, int] = dataclasses.field(default_factory=dict)  # by secondary id: whom
 
 
 class Wanted(NamedTuple):
@@ -166,6 +167,7 @@ def _configured(found: Found, ids: Sequence[int]) -> Found:
         slopes_rad=found.slopes_rad | now.slopes_rad,
         mute=tuple(s for s in found.mute if s not in pongs or s in now.mute),
         done=tuple(done),
+        follows=found.follows | now.follows,
     )
 
 
@@ -244,11 +246,11 @@ def group(
 
 
 def _dealt(found: Sequence[Found], joints: int) -> list[tuple[Found, tuple[int, ...]]]:
-    """All servos in the order of their ids, so many a leg."""
+    """All servos that follow no other in the order of their ids, so many a leg."""
     parts: list[tuple[Found, tuple[int, ...]]] = []
     for one in found:
-        _models(one, sorted(one.servos))
-        ids = sorted(one.servos)
+        ids = sorted(one.servos.keys() - one.follows.keys())
+        _models(one, ids)
         if len(ids) % joints:
             raise BusError(
                 f"port {one.name}: {len(ids)} servos do not make legs of {joints} joints "
@@ -336,6 +338,11 @@ def describe(found: Iterable[Found]) -> list[str]:
             f"{one.port.protocol}"
         )
         lines += [f"port {one.name}: {line}" for line in one.done]
+        lines += [
+            f"port {one.name}: servo {servo} follows servo {first} by its secondary id, and makes no "
+            "joint of its own; where it is one, set that to 255 with DYNAMIXEL Wizard"
+            for servo, first in one.follows.items()
+        ]
         for (baud, protocol), ids in one.elsewhere.items():
             does = "answers" if len(ids) == 1 else "answer"
             lines.append(
@@ -369,6 +376,11 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
         {servo: named(pong) for servo, pong in pongs.items()},
         {servo: slope for servo, slope in slopes.items() if slope is not None},
         tuple(servo for servo, pong in pongs.items() if not pong.reads),
+        follows={
+            servo: first
+            for servo, model in models.items()
+            if pongs[servo].reads and (first := followed(bus, servo, model)) is not None
+        },
     )
 
 

@@ -15,7 +15,7 @@ import msgspec
 
 from adaptive_contact.bridge.bus import MODEL_NUMBER, MOST_PATIENT_MS, Bus, Pong
 from adaptive_contact.bridge.drive import remedy, standing
-from adaptive_contact.bridge.modes import setting
+from adaptive_contact.bridge.modes import followed, setting
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import latency_advice
@@ -383,8 +383,11 @@ class _Handshake:
                 "them one by one and give each an id of its own"
             )
         if joint is None:
+            model = model_of_number(pong.model_number)
+            first = followed(self._bus, servo, model) if pong.reads else None
+            role = "" if first is None else f", which follows servo {first} by its secondary id"
             return (
-                f"unexpected servo {servo} ({named(pong)}); add it to a leg, or "
+                f"unexpected servo {servo} ({named(pong)}){role}; add it to a leg, or "
                 f"disconnect it, or, if it is no leg's, write ignore = {aside} in "
                 f"[port.{self._plan.name}]"
             )

@@ -76,6 +76,13 @@ class Setting(NamedTuple):
     ends: tuple[int, int] | None = None
 
 
+def followed(bus: Bus, servo: int, model: ServoModel | None) -> int | None:
+    """The servo whose goals another one takes as well, by its secondary id; None for none."""
+    register = None if model is None else model.registers.get("secondary_id")
+    second = None if register is None else bus.get(servo, register)
+    return second if second is not None and second <= MAX_ID and second != servo else None
+
+
 def setting(model: ServoModel, data: Sequence[bytes]) -> Setting:
     """Judge a servo's registers."""
     values = {
@@ -137,10 +144,11 @@ def _by_mode(model: ServoModel, values: dict[str, int]) -> Setting:
         )
     second = values["secondary_id"]
     if second <= MAX_ID:
-        full = full._replace(
-            undriven=f"has secondary id {second}, expected 255 (none): it would follow what is "
+        why = (
+            f"has secondary id {second}, expected 255 (none): it would follow what is "
             f"written to servo {second} as well; set it {_WIZARD}"
         )
+        full = full._replace(undriven=why, advice=why)
     if mode != _POSITION and mode not in _MULTI_TURN:
         name = _MODES.get(mode, "unknown")
         return full._replace(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import msgspec
 import pytest
 from described import Serve, command, init, robot
 from typer.testing import CliRunner
@@ -31,6 +32,21 @@ def test_legs_of_any_ids_and_the_rest_ignored(bus: Serve) -> None:
     assert found.leg_ids == ("right", "left")
     assert found.ports["main"].ignore == (1, 3, 5, 7, 9, 11, 13, 14)
     assert check_ports(plan_ports(found), full=False).errors == []
+
+
+def test_a_servo_that_follows_another_is_named_and_no_joint(bus: Serve) -> None:
+    device, servos = bus("1-4:XL430-W250")
+    servos[3].store("secondary_id", 2)
+    said, found = init(device)
+    assert "servo 4 follows servo 2 by its secondary id" in said
+    assert [leg.servos.ids for leg in found.legs] == [(1, 2, 3)]
+    assert found.ports["main"].ignore == (4,)
+    told = msgspec.structs.replace(found.ports["main"], ignore=())
+    (line,) = check_ports(plan_ports(msgspec.structs.replace(found, ports={"main": told}))).errors
+    assert "unexpected servo 4 (XL430-W250), which follows servo 2 by its secondary id; " in line
+    servos[2].store("secondary_id", 2)  # of a joint
+    (line,) = check_ports(plan_ports(found), full=False).advice
+    assert "servo 3 has secondary id 2, expected 255 (none): it would follow" in line
 
 
 def test_legs_of_several_sizes(bus: Serve) -> None:
