@@ -339,8 +339,8 @@ def describe(found: Iterable[Found]) -> list[str]:
         )
         lines += [f"port {one.name}: {line}" for line in one.done]
         lines += [
-            f"port {one.name}: servo {servo} follows servo {first} by its secondary id, and makes no "
-            "joint of its own; where it is one, set that to 255 with DYNAMIXEL Wizard"
+            f"port {one.name}: servo {servo} follows servo {first} by its secondary id, and makes "
+            "no joint of its own; where it is one, set that to 255 with DYNAMIXEL Wizard"
             for servo, first in one.follows.items()
         ]
         for (baud, protocol), ids in one.elsewhere.items():
