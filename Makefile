@@ -31,7 +31,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun golden golden-constants same same-faults pico prior strangers second
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -124,22 +124,6 @@ soak: env  ## MINUTES of walking with drifts, refits, two router kills, one serv
 
 fuzz: env  ## ten million broken payloads through the codec and the sample checks
 	$(BIN)/python tests/service/fuzz.py 10000000 $(SEED)
-
-rerun: env  ## an export through rerun's command line, and examples/show_in_rerun.py; rerun goes into out/rerun
-	$(PYTHON) -m venv out/rerun/venv
-	out/rerun/venv/bin/python -m pip install --quiet rerun-sdk
-	$(BIN)/python -m adaptive_contact sim walk --offline --speed max --seconds 10 --force --record out/rerun/walk.mcap
-	$(BIN)/python -m adaptive_contact export out/rerun/walk.mcap --to protobuf --force -o out/rerun/protobuf.mcap
-	out/rerun/venv/bin/rerun mcap check out/rerun/protobuf.mcap
-	out/rerun/venv/bin/rerun mcap convert -d protobuf --disable-raw-fallback out/rerun/protobuf.mcap -o out/rerun/walk.rrd
-	out/rerun/venv/bin/rerun rrd print out/rerun/walk.rrd > out/rerun/walk.txt
-	grep -q 'adaptive_contact.ServoSample:message' out/rerun/walk.txt
-	grep -q 'adaptive_contact.ContactTruth:message' out/rerun/walk.txt
-	PYTHONPATH=.:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_paths()["purelib"])') \
-	  out/rerun/venv/bin/python examples/show_in_rerun.py out/rerun/walk.mcap --save out/rerun/script.rrd
-	out/rerun/venv/bin/rerun rrd print out/rerun/script.rrd > out/rerun/script.txt
-	grep -q '/rf/measured' out/rerun/script.txt
-	grep -q '/rf/truth' out/rerun/script.txt
 
 # The tests skip without these; here their lack is an error.
 pico: env  ## examples/contacts.c compiled and run; needs cc, pkg-config, zenoh-pico 1.x (PICO=its install prefix)

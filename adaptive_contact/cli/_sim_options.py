@@ -16,7 +16,7 @@ from adaptive_contact.cli._options import (
     seconds_option,
     speed_of,
 )
-from adaptive_contact.cli._output import say, say_note, say_waiting
+from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, needs
 
 if TYPE_CHECKING:
@@ -230,8 +230,6 @@ def execute(plan: RunPlan, stop: threading.Event) -> None:
     for path in (plan.record, plan.render):
         if path is not None:
             say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
-    if report.note is not None:
-        say_note(report.note)
 
 
 def _start(line: str) -> None:

@@ -57,12 +57,7 @@ def bench(
         from adaptive_contact_studies.headline import HEADLINE_RUNS, run_headline
         from adaptive_contact_studies.paper.compression import compare_all
         from adaptive_contact_studies.paper.plan import FULL
-        from adaptive_contact_studies.speed import (
-            export_speed,
-            real_time_factor,
-            restore_speed,
-            tick_speed,
-        )
+        from adaptive_contact_studies.speed import tick_speed
         from adaptive_contact_studies.work import Work
 
     from adaptive_contact.cli._console import table_console
@@ -87,17 +82,11 @@ def bench(
     )
     run = record_arrays(settings, max(120.0 * part, 10.0))
     tick = tick_speed(run, robot, known)
-    restore = restore_speed(run, robot, known)
-    simulator = real_time_factor(seconds=20.0 * part)
-    exports = export_speed(settings, 60.0 * part)
     out.mkdir(parents=True, exist_ok=True)
     result = {
         "rows": {name: summary_json(summary) for name, summary in rows.items()},
         "six_leg_tick": tick,
-        "restore": restore,
         "compressed_fit": fits,
-        "simulator": simulator,
-        "export": exports,
         "baseline": known.origin,
     }
     text = msgspec.json.format(msgspec.json.encode(result), indent=2)
@@ -115,10 +104,6 @@ def bench(
         f"{tick.ticks} ticks during which a refit was under way",
     )
     speeds.add_row("learners", f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core")
-    speeds.add_row(
-        "restore after a restart",
-        f"{restore.legs} legs in {restore.seconds:.3f} s at most ({restore.kilobytes:.0f} kB)",
-    )
     for fit in fits:
         kept = sum(fit.kept) / len(fit.kept)
         speeds.add_row(
@@ -129,11 +114,6 @@ def bench(
             f"{'same' if fit.same_support else 'ANOTHER'} support, coefficients within "
             f"{fit.difference:.0e})",
         )
-    speeds.add_row("simulator", f"{simulator:.1f} x real time on one core")
-    speeds.add_row(
-        "export of a recording",
-        ", ".join(f"{form} {ratio:.0f} x" for form, ratio in exports.items()) + " real time",
-    )
     table_console().print(speeds)
     console.print(f"figures in {out / 'bench.json'}")
 

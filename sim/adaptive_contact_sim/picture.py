@@ -2,18 +2,16 @@
 
 A run keeps moments, which is cheap, and they are painted when it is over: painting a frame takes
 longer than a control tick, and a run in real time must not wait for it.  The engine's renderer on
-EGL paints; where EGL does not work, :func:`painter` falls back to a stick figure in the same view,
-in parallel projection, which needs pillow only.
+EGL paints.
 """
 
 from __future__ import annotations
 
 import importlib
 import io
-import math
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import mujoco
 import numpy as np
@@ -23,11 +21,7 @@ from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.files import write_file
 from adaptive_contact_sim.elements import Elements
-from adaptive_contact_sim.scene import OBSTACLES, PARKED_M
 from adaptive_contact_sim.simulation import Simulation
-
-if TYPE_CHECKING:  # an extra, which a film asks for by name
-    from PIL import ImageDraw
 
 
 class Moment(NamedTuple):
@@ -97,153 +91,15 @@ class Stage:
 
 Pixels = NDArray[np.uint8]
 
-_AZIMUTH_RAD: Final = math.radians(128.0)
-_ELEVATION_RAD: Final = math.radians(24.0)
-_SPAN_M: Final = 0.95  # of the world across the picture
-_GRID_M: Final = 0.1
-_GRID_HALF: Final = 8
-_SKY: Final = (236, 241, 247)
-_LINE: Final = (188, 184, 174)
-_BODY: Final = ((58, 64, 74), (38, 42, 50))
-_NEAR_LEG: Final = (66, 74, 88)
-_FAR_LEG: Final = (132, 140, 152)
-_TOUCHING: Final = (237, 41, 36)
-_FREE: Final = (41, 140, 224)
-_OBSTACLE: Final = (205, 108, 78)
-_OVERSAMPLE: Final = 2
-
-
-class StickPainter:
-    """Draws the robot as limbs."""
-
-    def __init__(self, stage: Stage, width: int, height: int) -> None:
-        self._size = (width, height)
-        self._big = (width * _OVERSAMPLE, height * _OVERSAMPLE)
-        self._scale = width * _OVERSAMPLE / _SPAN_M
-        self._centre = stage.position_m.copy()
-        model, layout = stage.model, stage.elements.layout
-        self._links = np.array(
-            [[model.body(f"{leg}_{j}").id for j in layout.joints] for leg in layout.legs]
-        )
-        # Outline of the body: the legs' first joints, in order around it.
-        deck = model.body_pos[self._links[:, 0], :2]
-        self._deck = deck[np.argsort(np.arctan2(deck[:, 1], deck[:, 0]))]
-        towards = np.array([math.cos(_AZIMUTH_RAD), math.sin(_AZIMUTH_RAD)])
-        self._towards = -towards  # from the scene to the viewer, level
-
-    def paint(self, stage: Stage) -> Pixels:
-        """Draw what is set up: (height, width, 3) RGB."""
-        from PIL import Image as PILImage
-        from PIL import ImageDraw
-
-        picture = PILImage.new("RGB", self._big, _SKY)
-        draw = ImageDraw.Draw(picture)
-        position, rotation = stage.position_m, stage.rotation
-        self._centre[:2] += (position[:2] - self._centre[:2]) / 8.0
-        self._draw_ground(draw, stage)
-        self._draw_obstacles(draw, stage)
-
-        depth = (stage.feet_m[:, :2] - position[:2]) @ self._towards
-        order = np.argsort(depth)
-        for leg in order[: len(order) // 2]:
-            self._draw_leg(draw, stage, int(leg), _FAR_LEG)
-        for z, colour in ((-0.022, _BODY[1]), (0.026, _BODY[0])):
-            deck = np.column_stack([self._deck, np.full(len(self._deck), z)])
-            if len(deck) > 2:  # a leg on a stand has no body
-                corners = deck @ rotation.T + position
-                draw.polygon(self._project(corners), fill=colour)
-        nose = np.array([[0.125, 0.03, 0.026], [0.125, -0.03, 0.026]]) @ rotation.T + position
-        draw.line(self._project(nose), fill=(242, 140, 26), width=4 * _OVERSAMPLE)
-        for leg in order[len(order) // 2 :]:
-            self._draw_leg(draw, stage, int(leg), _NEAR_LEG)
-        small = picture.resize(self._size, PILImage.Resampling.LANCZOS)
-        return np.asarray(small, dtype=np.uint8).copy()
-
-    def close(self) -> None:
-        """Nothing to give back."""
-
-    def _project(self, points: Array) -> list[tuple[float, float]]:
-        """World points (n, 3) m to pixels."""
-        offset = points - self._centre
-        right = offset[:, 0] * -math.sin(_AZIMUTH_RAD) + offset[:, 1] * math.cos(_AZIMUTH_RAD)
-        away = offset[:, 0] * math.cos(_AZIMUTH_RAD) + offset[:, 1] * math.sin(_AZIMUTH_RAD)
-        up = points[:, 2] * math.cos(_ELEVATION_RAD) + away * math.sin(_ELEVATION_RAD)
-        width, height = self._big
-        x = width / 2 + right * self._scale
-        y = height * 0.62 - up * self._scale
-        return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
-
-    def _draw_ground(self, draw: ImageDraw.ImageDraw, stage: Stage) -> None:
-        """Grid lines on the ground around the robot, following its heights."""
-        base = np.round(self._centre[:2] / _GRID_M) * _GRID_M
-        fine = np.linspace(-_GRID_HALF * _GRID_M, _GRID_HALF * _GRID_M, 8 * _GRID_HALF + 1)
-        for k in range(-_GRID_HALF, _GRID_HALF + 1):
-            for axis in (0, 1):
-                line = np.zeros((fine.size, 3))
-                line[:, axis] = base[axis] + k * _GRID_M
-                line[:, 1 - axis] = base[1 - axis] + fine
-                line[:, 2] = stage.terrain.height_at(line[:, 0], line[:, 1])
-                draw.line(self._project(line), fill=_LINE, width=_OVERSAMPLE)
-
-    def _draw_obstacles(self, draw: ImageDraw.ImageDraw, stage: Stage) -> None:
-        """The obstacles that stand, as the outlines of their boxes."""
-        for name in OBSTACLES:
-            if stage.model.body_mocapid.max() < 0:
-                return
-            geom = stage.model.geom(f"obstacle_{name}").id
-            if stage.data.geom_xpos[geom, 2] > PARKED_M[2] / 2:
-                self._draw_box(draw, stage, geom)
-
-    def _draw_box(self, draw: ImageDraw.ImageDraw, stage: Stage, geom: int) -> None:
-        half = stage.model.geom_aabb[geom, 3:]
-        signs = np.array(
-            [[a, b, c] for c in (-1, 1) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
-        )
-        rotation = stage.data.geom_xmat[geom].reshape(3, 3)
-        box = (signs * half) @ rotation.T + stage.data.geom_xpos[geom]
-        box[:, 2] = np.maximum(box[:, 2], 0.0)  # what is under the ground is not seen
-        corners = self._project(box)
-        for face in ((0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)):
-            draw.polygon([corners[i] for i in face], fill=_OBSTACLE, outline=(150, 70, 48))
-
-    def _draw_leg(
-        self, draw: ImageDraw.ImageDraw, stage: Stage, leg: int, colour: tuple[int, int, int]
-    ) -> None:
-        joints = stage.data.xpos[self._links[leg]]
-        foot = stage.feet_m[leg]
-        points = self._project(np.vstack([joints, foot]))
-        for k, width in enumerate(np.linspace(10, 7, len(joints)).round().astype(int).tolist()):
-            draw.line(points[k : k + 2], fill=colour, width=width * _OVERSAMPLE)
-        for x, y in points[:-1]:
-            r = 6 * _OVERSAMPLE
-            draw.ellipse((x - r, y - r, x + r, y + r), fill=colour)
-        x, y = points[-1]
-        r = 7 * _OVERSAMPLE
-        draw.ellipse((x - r, y - r, x + r, y + r), fill=_TOUCHING if stage.touching[leg] else _FREE)
-
-
 TOUCHING_RGBA: Final = (0.93, 0.16, 0.14, 1.0)
 FREE_RGBA: Final = (0.16, 0.55, 0.88, 1.0)
 _DISTANCE_M: Final = 0.95
 _AZIMUTH_DEG: Final = 128.0
 _ELEVATION_DEG: Final = -20.0
 _LOOK_AT_HEIGHT_M: Final = 0.07
+_EGL: Final = "run: apt install libegl1 libgl1-mesa-dri"
 # The camera follows the body with this lag, in frames, so that steps do not shake the picture.
 _FOLLOW_FRAMES: Final = 8.0
-
-
-def painter(
-    stage: Stage, width: int, height: int
-) -> tuple[EnginePainter | StickPainter, str | None]:
-    """Make the best painter this machine has.
-
-    Returns:
-        The painter, and why it is a stick figure, None where it is not.
-    """
-    try:
-        return EnginePainter(stage, width, height), None
-    except ConfigurationError as error:
-        return StickPainter(stage, width, height), str(error)
 
 
 class EnginePainter:
@@ -265,13 +121,17 @@ class EnginePainter:
 
             gl_error: type[Exception] = importlib.import_module("OpenGL.error").Error
         except (ImportError, AttributeError, OSError) as error:
-            raise ConfigurationError(f"EGL cannot be loaded ({_line(error)})") from error
+            raise ConfigurationError(
+                f"--render: EGL cannot be loaded ({_line(error)}); {_EGL}"
+            ) from error
         try:
             self._context: Any = GLContext(width, height)
             self._context.make_current()
             self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
         except (ImportError, AttributeError, RuntimeError, gl_error, mujoco.FatalError) as error:
-            raise ConfigurationError(f"EGL does not work here ({_line(error)})") from error
+            raise ConfigurationError(
+                f"--render: EGL does not work here ({_line(error)}); {_EGL}"
+            ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
         self._scene = mujoco.MjvScene(model, maxgeom=4000)
         self._option = mujoco.MjvOption()
@@ -353,7 +213,7 @@ class Film:
                 importlib.import_module("imageio_ffmpeg")  # imageio finds its ffmpeg through it
         self._sim = sim
         self._stage = Stage(sim)
-        self._painter, self.fallback = painter(self._stage, self._width, self._height)
+        self._painter = EnginePainter(self._stage, self._width, self._height)
         self._moments: list[Moment] = []
 
     def __enter__(self) -> Self:

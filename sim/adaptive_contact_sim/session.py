@@ -65,7 +65,6 @@ class Report:
 
     outcome: Outcome  # times and ticks
     touches: dict[str, int]  # contacts begun per leg, standing at the start left out
-    note: str | None  # what a person should know, such as a film that had to be drawn
 
 
 def run(
@@ -87,7 +86,6 @@ def run(
         settings = replace(settings, epoch_ns=now_ns, run=now_ns // 1_000_000)
     sim = Simulation(settings, looks=plan.view)
     touches: Counter[str] = Counter()
-    note: str | None = None
     with ExitStack() as stack:
         looks: list[Look] = []
         if plan.record is not None:
@@ -102,8 +100,6 @@ def run(
 
             film = stack.enter_context(Film(plan.render, sim))
             looks.append(lambda _: film.look())
-            if film.fallback is not None:
-                note = f"{film.fallback}: {plan.render.name} is a drawn stick figure"
         if plan.view:
             looks.append(_window(sim, stack, stop))
 
@@ -127,7 +123,7 @@ def run(
         outcome = run_live(
             sim, link, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick
         )
-    return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs}, note)
+    return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs})
 
 
 def describe(settings: SimulationSettings) -> str:

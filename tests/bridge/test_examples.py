@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import shutil
 import signal
@@ -27,7 +26,6 @@ from adaptive_contact.wire import (
     Command,
     ContactEvent,
     Quantiles,
-    ServoCounts,
     ServoSample,
     command_key,
     contact_key,
@@ -78,13 +76,6 @@ def test_an_example_explains_itself_and_refuses_what_it_does_not_know(example: s
 
 
 @pytest.mark.e2e
-@pytest.mark.skipif(importlib.util.find_spec("rerun") is not None, reason="rerun is installed")
-def test_without_rerun_its_example_says_what_to_install() -> None:
-    said = ended(begin("show_in_rerun.py", "walk.mcap"), 2)
-    assert said == "show_in_rerun: No module named 'rerun'; run: pip install rerun-sdk\n"
-
-
-@pytest.mark.e2e
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -112,15 +103,6 @@ def test_the_gait_controller_without_a_bridge() -> None:
 
 
 @pytest.mark.e2e
-def test_the_logger_can_be_stopped_while_it_waits_for_a_router() -> None:
-    logger = begin("logger.py", "--connect", "tcp/127.0.0.1:1")
-    assert logger.stdout is not None
-    assert "nobody listens on" in logger.stdout.readline()
-    logger.send_signal(signal.SIGINT)
-    ended(logger, 0)
-
-
-@pytest.mark.e2e
 def test_a_bridge_without_a_router_says_so(rig: Callable, tmp_path: Path) -> None:
     r = rig(model="AX-12A", protocol=1)
     (tmp_path / "robot.toml").write_text(write_robot(r.robot))
@@ -136,48 +118,6 @@ def test_a_bridge_without_a_router_says_so(rig: Callable, tmp_path: Path) -> Non
     finally:
         bridge.send_signal(signal.SIGINT)
         ended(bridge, 0)
-
-
-@pytest.mark.e2e
-def test_the_logger_tells_contacts_and_changes() -> None:
-    silent = {"3": ServoCounts(silent=True, faults={"no_answer": 3})}
-    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
-        contacts = link.publisher(contact_key("rf"), reliable=True, history=1)
-        bridge = link.publisher("robot/bridge/left/status")
-        command = [sys.executable, "-u", str(EXAMPLES / "logger.py")]
-        process = subprocess.Popen(
-            [*command, "--connect", link.endpoints[0]], stdout=subprocess.PIPE, text=True
-        )
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "listening\n"
-            contacts.put(
-                ContactEvent(
-                    leg="rf", t_ns=40_000_000, onset_ns=27_000_000, seq=2, contact=True, score=1.5,
-                    status="valid", residual=[0.0, 0.1, 0.0], model_version=1,
-                )
-            )  # fmt: skip
-            assert "rf contact  score 1.5, touched 13 ms before" in process.stdout.readline()
-            # A status is not kept for late joiners, and may be lost: it is sent until it is heard.
-            telling, said = [status()], threading.Event()
-
-            def tell() -> None:
-                while not said.wait(0.02):
-                    bridge.put(telling[0])
-
-            teller = threading.Thread(target=tell)
-            teller.start()
-            try:
-                assert process.stdout.readline().endswith("bridge left running\n")
-                telling[0] = status("lost", servos=silent)
-                assert process.stdout.readline().endswith("bridge left lost, silent servos 3\n")
-            finally:
-                said.set()
-                teller.join()
-        finally:
-            process.terminate()
-            assert process.wait(60) == 0
-            process.stdout.close()
 
 
 def event(leg: str, t_ns: int, *, contact: bool, **more: object) -> ContactEvent:

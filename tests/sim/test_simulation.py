@@ -17,7 +17,6 @@ from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.speed import export_speed, real_time_factor
 
 EVERYTHING = {
     "pose": SimulationSettings(
@@ -202,16 +201,3 @@ def test_settings_are_checked() -> None:
         SimulationSettings(servo_spread=2.0)
     with pytest.raises(ConfigurationError, match="whole number"):
         Simulation(SimulationSettings(period_s=0.0155))
-
-
-def test_speed_is_measured() -> None:
-    # 20 and more where nothing else runs; `make bench` shows it.
-    assert real_time_factor(seconds=0.5) > 1.0
-
-
-def test_export_is_measured_in_every_format() -> None:
-    pytest.importorskip("pyarrow")
-    pytest.importorskip("google.protobuf")
-    ratios = export_speed(SimulationSettings(motion=WalkSettings(), seed=1), seconds=4.0)
-    assert set(ratios) == {"json", "protobuf", "csv", "parquet"}
-    assert min(ratios.values()) > 1.0  # 50 and more; `adaptive-contact bench` prints it
