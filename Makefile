@@ -31,7 +31,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second
+.PHONY: help env demo test test-all uncompiled check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -66,6 +66,10 @@ test: env  ## unit and property tests on two cores, then end-to-end tests, two a
 test-all: env  ## the same with the slow ones: chains in real time, recovery, a million rows
 	$(BIN)/python -m pytest $(TOGETHER) -m "not e2e"
 	$(BIN)/python -m pytest $(TOGETHER) -m e2e
+
+uncompiled: env  ## the unit tests of detection, learning and fits as plain Python
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(TOGETHER) -m "not slow and not e2e" --timeout 1800 \
+	  tests/detect tests/learner tests/model tests/fit tests/robot
 
 check: env  ## ruff, types, import contracts
 	$(BIN)/ruff check .

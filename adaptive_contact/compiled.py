@@ -103,8 +103,8 @@ def records(scalars: Any) -> Any:
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function of arrays when it is first called, or load what was compiled before."""
-    if not compiles():
-        return function
+    if not compiles():  # as compiled code, which warns of no division by zero
+        return np.errstate(all="ignore")(function)
     folder = cache_folder()
     before = _config.CACHE_DIR
     _config.CACHE_DIR = "" if folder is None else str(folder)

@@ -177,6 +177,18 @@ def test_the_tick_says_the_same_uncompiled() -> None:
     assert said[0].count("true") >= 3
 
 
+def test_the_tests_of_a_swing_pass_uncompiled() -> None:
+    """They drive single steps of the tick; `make uncompiled` runs all of them so."""
+    tests = [
+        str(Path(__file__).parents[1] / "learner" / f"test_{name}.py")
+        for name in ("segments", "ground")
+    ]
+    subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", *tests],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True,
+    )  # fmt: skip
+
+
 def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> None:
     if not compiled.compiles():
         pytest.skip("nothing is compiled here")
@@ -281,13 +293,13 @@ def test_arrays_are_received_by_the_names_they_are_handed_over_by(
 
 def test_the_scalars_of_a_leg_are_those_of_its_record() -> None:
     legs = new_legs(2)
-    leg, before = scalars_of(legs, 1), legs[0].copy()
+    leg, before = scalars_of(legs, 1), legs.tobytes()[: LEG.itemsize]
     for number, name in enumerate(LEG.names or ()):
         legs[1][name] = number
         assert getattr(leg, name) == legs[1][name]
         setattr(leg, name, 0)
         assert legs[1][name] == 0
-    assert legs[0].tobytes() == before.tobytes()
+    assert legs.tobytes()[: LEG.itemsize] == before
     with pytest.raises(AttributeError):
         leg.no_such_name = 0
 
