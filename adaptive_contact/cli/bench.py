@@ -82,7 +82,6 @@ def bench(
     )
     run = record_arrays(settings, max(120.0 * part, 10.0))
     tick = tick_speed(run, robot, known)
-    out.mkdir(parents=True, exist_ok=True)
     result = {
         "rows": {name: summary_json(summary) for name, summary in rows.items()},
         "six_leg_tick": tick,

@@ -69,6 +69,7 @@ def serve(
         from adaptive_contact.service.logs import FaultLog, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
         from adaptive_contact.service.server import Service, Sweeper
+        from adaptive_contact.service.transport import configure
 
         configure_logs(log_level, json=log_json)
         settings = router_settings(
@@ -88,6 +89,7 @@ def serve(
             say_note(refused)
         robot = opt.described_robot(config)
         learned, origin = opt.learned_of(robot, config, baseline)
+        configure(settings)  # what is wrong shows before a minute of compiling
         compile_tick(stop)
         if stop.is_set():
             return

@@ -88,6 +88,15 @@ class Work:
     scheduler: str | None = None  # address of a Dask cluster that does it instead
     console: Console | None = None  # where progress goes
 
+    def __post_init__(self) -> None:
+        if self.folder is not None:
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:  # said before the work, not after
+                raise ConfigurationError(
+                    f"{self.folder}: cannot be made ({error.strerror}); give another --out"
+                ) from error
+
     def one(self, do: Callable[[Work, T], R], item: T) -> R:
         """Return what a function of :func:`rests_on` makes of an item; made now unless it is kept.
 
