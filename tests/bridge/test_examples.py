@@ -1,4 +1,4 @@
-"""The examples as their users run them; the gait controller's loop is in test_tutorial.py."""
+"""The examples as their users run them; test_documents.py has the loop of the gait controller."""
 
 from __future__ import annotations
 

@@ -29,30 +29,6 @@ def ours(*words: str, **options: object) -> subprocess.CompletedProcess[str]:
     return ran("-m", "adaptive_contact", *words, **options)
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["nosuch"], "No such command 'nosuch'; see `adaptive-contact --help`"),
-        (["watch", "--xyzzy"], "No such option: --xyzzy; see `adaptive-contact watch --help`"),
-        (["fit"], "Missing argument 'RECORDING...'; see `adaptive-contact fit --help`"),
-        (["fit", "--library", "foo", "x"], "'foo' is not one of 'servo', 'paper', 'linear'"),
-        (["doctor", "--seconds", "0.1"], "Invalid value for '--seconds': "),
-        (["sim", "inject", "nosuch", "--value", "4"], "no drift 'nosuch'; expected one of mass,"),
-        (["sim", "inject", "friction"], "has no value; give a number (factor, 0.1 to 10)"),
-        (["sim", "inject", "mass", "--shape", "ramp"], "above 0 s; give --duration S"),
-        (["fit", "x.mcap", "-o", "/"], "/: cannot be written (it is a folder)"),
-    ],
-)
-def test_a_command_that_is_not_understood_is_one_line(words: list[str], says: str) -> None:
-    done = ours(*words)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith("adaptive-contact: ")
-    assert done.stderr.count("\n") == 1
-    assert says in done.stderr
-    assert "Value error" not in done.stderr
-
-
 def test_no_command_is_the_help() -> None:
     for words in ([], ["sim"]):
         done = ours(*words)

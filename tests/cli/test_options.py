@@ -139,27 +139,6 @@ def test_a_number_is_seconds(number: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["doctor", "--seconds", "soon"], "'soon' is no duration; expected seconds, or a duration"),
-        (["doctor", "--seconds", "1h"], "'1h' is 3600 s; expected 0.5 to 600 s"),
-        (["watch", "--once", "--wait", "1:30"], "such as 90s, 10m or 1h30m"),
-        (["record", "x.mcap", "--seconds", "-1m"], "'-1m' is -60 s; expected 0 s or more"),
-        (["score", "x.mcap", "--from", "2x"], "'2x' is no duration"),
-    ],
-)
-def test_what_is_no_duration_is_one_line(
-    words: list[str], says: str, capsys: pytest.CaptureFixture[str], monkeypatch: Any
-) -> None:
-    monkeypatch.setattr("sys.argv", ["adaptive-contact", *words])
-    main.load_commands()
-    assert main.run() == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert says in said
-
-
-@pytest.mark.parametrize(
     "taken",
     [
         opt.described_robot,

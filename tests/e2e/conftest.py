@@ -6,17 +6,19 @@ tests of the wheel itself are skipped.
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import os
 import re
+import shlex
 import signal
+import socket
 import subprocess
 import sys
 import sysconfig
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +46,7 @@ EXTRAS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Environment:
     """Where commands run: an interpreter, its variables, and whether it holds a wheel."""
 
@@ -53,11 +55,12 @@ class Environment:
     site: Path | None
 
     def run(
-        self, *args: str | Path, cwd: Path, timeout_s: float = 120.0
+        self, *args: str | Path, cwd: Path, timeout_s: float = 120.0, answers: str = ""
     ) -> subprocess.CompletedProcess[str]:
         """Run the interpreter to its end."""
         return subprocess.run(
             [self.python, *map(str, args)],
+            input=answers,
             cwd=cwd,
             env=self.env,
             capture_output=True,
@@ -239,3 +242,116 @@ def start(environment: Environment, tmp_path: Path) -> Iterator[Callable[..., Ru
     yield begin
     for process in reversed(running):
         process.close()
+
+
+# A fit takes 80 s of a walk, and the tutorial learns for 100 s.
+LONGEST_S = 100
+
+
+class Shell:
+    """Runs command lines as a person's shells would: one terminal more for what runs on.
+
+    The router is on a free port, the user's folders are the test's, and what takes minutes is
+    shortened.
+    """
+
+    RUNS_ON = re.compile(
+        r"adaptive-contact (serve|bridge |watch(?!.*--once)|record(?!.*--seconds)|demo.* --web"
+        r"|sim (walk|pose)(?!.*(--offline|--seconds)))|python source"
+    )
+    CONNECTS = re.compile(
+        r"adaptive-contact (doctor|watch|record|sim inject|sim (walk|pose)(?!.*--offline)"
+        r"|bridge (?!virtual)|robot .*--live)|python (examples|source)"
+    )
+    READY = r"stop with Ctrl-C|live page at|  up [0-9]|joined"
+
+    def __init__(self, environment: Environment, folder: Path) -> None:
+        own = {"HOME": str(folder), "XDG_STATE_HOME": str(folder / "state"), "BROWSER": "true"}
+        self.environment = dataclasses.replace(environment, env=environment.env | own)
+        self.folder = folder
+        self.jobs: list[tuple[str, Running]] = []
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+
+    def run(self, line: str, codes: Sequence[int] = (0,), answers: str = "y\n") -> str:
+        """What a line says; it ends with one of some exit codes, or runs on."""
+        line = re.sub(r"(^|\s+)#.*", "", line)
+        variables = dict(re.findall(r"^([A-Z_]+)=(\S+) ", line))
+        environment = dataclasses.replace(self.environment, env=self.environment.env | variables)
+        line = re.sub(r"^[A-Z_]+=\S+ ", "", line)
+        if " && " in line:
+            return "".join(self.run(part, codes) for part in line.split(" && "))
+        if line.startswith("kill %"):
+            self.stop(self.jobs[int(line.removeprefix("kill %")) - 1])
+            return ""
+        said, words = self._words(line)
+        if self.RUNS_ON.match(line) and codes == (0,):
+            kind = said.split()[: 3 if "bridge" in line else 2]
+            joins = re.search("serve .*--connect", line)
+            for job in self.jobs:  # a port, a device and a leg have room for one
+                # A service that joins a router needs the one before.
+                if job[0].split()[: len(kind)] == kind and not joins:
+                    self.stop(job)
+            running = Running(environment, tuple(words), self.folder)
+            self.jobs.append((said, running))
+            running.wait_line(self.READY, 300.0)
+            return "\n".join(running.lines)
+        done = environment.run(*words, cwd=self.folder, timeout_s=BUILD_S, answers=answers)
+        assert done.returncode in codes, f"{line}: {done.stdout}{done.stderr}"
+        assert "Traceback" not in done.stderr, f"{line}: {done.stderr}"
+        return done.stdout + done.stderr
+
+    def _words(self, line: str) -> tuple[str, list[str]]:
+        """A line as it is here, and what to give to Python."""
+        line = line.rstrip("& ")
+        if self.CONNECTS.match(line) and "--connect" not in line:
+            line += " --connect tcp/127.0.0.1:7447"
+        if line.startswith("adaptive-contact serve") and not re.search("--(listen|connect)", line):
+            line += " --listen tcp/127.0.0.1:7447"
+        if line.startswith("adaptive-contact bridge ros2"):
+            line += " --ros-connect tcp/127.0.0.1:7447"
+        for found, own in {
+            "7447": str(self.port), "192.168.1.7": "127.0.0.1", "host 0.0.0.0": "host 127.0.0.1",
+            "--port 8080": "--port 0",
+            " examples/": f" {ROOT}/examples/",
+        }.items():  # fmt: skip
+            line = line.replace(found, own)
+        line = re.sub(r"(--seconds) (\d+)", lambda m: f"{m[1]} {min(int(m[2]), LONGEST_S)}", line)
+        words = shlex.split(line, comments=True)
+        started = ["-m", "adaptive_contact"] if words[0] == "adaptive-contact" else []
+        return line, [*started, *words[1:]]
+
+    def stop(self, job: tuple[str, Running]) -> None:
+        """End one that runs on, as Ctrl-C does."""
+        line, running = job
+        if running.process.poll() is None:
+            code = running.stop()
+            assert code in (0, 130), f"{line}: {code} {running.lines}"
+        assert not any("Traceback" in said for said in running.lines), f"{line}: {running.lines}"
+
+    def close(self) -> None:
+        """End all, the newest first."""
+        for job in reversed(self.jobs):
+            self.stop(job)
+            job[1].close()
+        self.jobs.clear()
+
+
+@pytest.fixture
+def shell(environment: Environment, tmp_path: Path) -> Iterator[Callable[..., Shell]]:
+    """Make a shell in a new folder."""
+    made: list[Shell] = []
+
+    def make() -> Shell:
+        folder = tmp_path / str(len(made))
+        folder.mkdir()
+        made.append(Shell(environment, folder))
+        return made[-1]
+
+    yield make
+    for one in made:  # those of a test that failed; a demo ends its children by itself
+        for _, job in one.jobs:
+            if job.process.poll() is None:
+                job.stop()
+            job.close()

@@ -115,7 +115,7 @@ def contacts_class() -> Any:
 @pytest.mark.e2e
 @pytest.mark.parametrize("options", [(), ("--json",)], ids=["msgpack", "json"])
 def test_the_safe_subscriber_acts_on_no_old_contact_and_on_none_without_a_service(
-    serve: Any, rig: Any, options: tuple[str, ...]
+    serve: Any, rig: Any, options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     class_ = contacts_class()
     served = serve(*options)
@@ -134,6 +134,9 @@ def test_the_safe_subscriber_acts_on_no_old_contact_and_on_none_without_a_servic
     ):
         contacts = class_(session)
         until("contact", contacts.look, "rf", 0)
+        (tokens,) = re.findall(r"```python\n(tokens.*?)```", TEXT, re.DOTALL)
+        exec(tokens, {"session": session})
+        assert "robot/service" in capsys.readouterr().out
         began_ns = contacts.events["rf"]["t_ns"]
         until("contact", contacts.look, "rf", began_ns)
         until("free", contacts.look, "rf", began_ns + 1)
