@@ -5,13 +5,13 @@ is what makes six legs cost little more than one.  A tick has two halves.  The f
 :meth:`LegGroup.judge`, goes from samples to contact events.  The second, :meth:`LegGroup.finish`,
 learns from the tick and predicts the next; no event waits for it.
 
-Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._each`).
+Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._reset`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, TypeVar
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -33,8 +33,6 @@ from adaptive_contact.model.library import Library, with_changes
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
-
-T = TypeVar("T")
 
 # Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
@@ -95,21 +93,27 @@ class LegGroup:
         events: list[ContactEvent | None] = [None] * len(self.learners)
         for batch, _ in self._batches:
             batch.accepted.fill(False)
-        numbered = enumerate(zip(self.learners, samples, strict=True))
-        taken = [(i, o.take, (sample,)) for i, (o, sample) in numbered if sample is not None]
-        here = [i for i, _ in self._each(taken)]
+        here = False
+        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
+            if sample is None:
+                continue
+            try:
+                if learner.take(sample):
+                    here = True
+                    self._open.add(i)
+            except Exception as fault:
+                self._reset(i, fault)
         if not here:
             return events
-        self._open.update(here)
         # Every batch is judged before the first event is made.
         for batch, members in [pair for pair in self._batches if pair[0].judge() & EVENTS]:
-            deciding = [
-                (i, self.learners[i].event_of, (flags,))
-                for i, flags in zip(members, batch.flags, strict=True)
-                if flags & EVENTS and batch.accepted[self.learners[i].place.row]
-            ]
-            for i, event in self._each(deciding):
-                events[i] = event
+            for i, flags in zip(members, batch.flags, strict=True):
+                learner = self.learners[i]
+                if flags & EVENTS and batch.accepted[learner.place.row]:
+                    try:
+                        events[i] = learner.event_of(flags)
+                    except Exception as fault:
+                        self._reset(i, fault)
         return events
 
     def finish(self) -> None:
@@ -119,47 +123,31 @@ class LegGroup:
         for that.
         """
         if self._open:
-            another: list[tuple[int, bool]] = []
+            another: list[int] = []
             for batch, members in self._batches:
-                numbered = zip(members, batch.flags, strict=True)
-                judged = [
-                    (i, self.learners[i].finish, (flags,))
-                    for i, flags in numbered
-                    if i in self._open
-                ]
-                another += self._each(judged)
+                for i, flags in zip(members, batch.flags, strict=True):
+                    if i in self._open:
+                        try:
+                            if self.learners[i].finish(flags):
+                                another.append(i)
+                        except Exception as fault:
+                            self._reset(i, fault)
                 batch.finish()
             self._open.clear()
-            self._each([(i, self.learners[i].take_up_model, ()) for i, _ in another])
+            for i in another:
+                try:
+                    self.learners[i].take_up_model()
+                except Exception as fault:
+                    self._reset(i, fault)
         self._regroup()
 
-    def _each(
-        self, steps: Sequence[tuple[int, Callable[..., T | None], tuple[object, ...]]]
-    ) -> list[tuple[int, T]]:
-        """Make steps of several legs; reset a leg whose step raises, so that the others go on.
-
-        Args:
-            steps: the place of the leg among the learners, its step, and what the step takes.
-
-        Returns:
-            Places and results of the steps that returned something true.  Without ``on_fault``
-            what a step raises is raised again.
-        """
-        found: list[tuple[int, T]] = []
-        left, at = iter(steps), 0
-        while True:
-            try:
-                for at, step, given in left:
-                    result = step(*given)
-                    if result:
-                        found.append((at, result))
-                return found
-            except Exception as fault:  # of any kind, as the other legs must go on
-                if self._on_fault is None:
-                    raise
-                learner = self.learners[at]
-                learner.reset_after_fault(fault)
-                self._on_fault(learner.leg.id, fault)
+    def _reset(self, at: int, fault: Exception) -> None:
+        """Reset a leg whose step raised, so that the others go on; without ``on_fault``, raise."""
+        if self._on_fault is None:
+            raise fault
+        learner = self.learners[at]
+        learner.reset_after_fault(fault)
+        self._on_fault(learner.leg.id, fault)
 
     def _regroup(self) -> None:
         """Put learners of equal libraries into one batch, where a leg's batch is another now."""
