@@ -96,18 +96,6 @@ class RunOptions:
             panel=_ROBOT,
         ),
     ] = None
-    dropped: Annotated[
-        float | None, option("--dropped", "Probability of a reading not to come.", panel=_ROBOT)
-    ] = None
-    repeated: Annotated[
-        float | None, option("--repeated", "Probability of a stale reading.", panel=_ROBOT)
-    ] = None
-    bogus: Annotated[
-        float | None, option("--bogus", "Probability of a reading of -pi.", panel=_ROBOT)
-    ] = None
-    preview: Annotated[
-        int | None, option("--preview", "Future goals in each sample, ticks.", panel=_ROBOT)
-    ] = None
     offline: Annotated[bool, option("--offline", "No network.", panel=_OUT)] = False
     record: Annotated[
         Path | None, option("--record", "Write a recording.", "FILE.mcap", panel=_OUT)
@@ -172,13 +160,11 @@ class RunOptions:
         """
         from adaptive_contact_sim import RunPlan, parse_drift, simulated_robot
 
-        encoder = given(dropped=self.dropped, repeated=self.repeated, bogus=self.bogus)
         layout = simulated_robot(settings.robot).layout
         settings = dataclasses.replace(
             settings,
-            encoder=dataclasses.replace(settings.encoder, **encoder),
             drift=settings.drift + tuple(parse_drift(text, layout) for text in self.drift or ()),
-            **given(seed=self.seed, robot_seed=self.robot_seed, preview_ticks=self.preview),
+            **given(seed=self.seed, robot_seed=self.robot_seed),
         )
         wire = None if self.offline else network.client(json=json)
         return RunPlan(

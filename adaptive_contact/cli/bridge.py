@@ -247,15 +247,11 @@ class VirtualOptions:
             "SPEC",
         ),
     ] = None
-    return_delay: Annotated[
-        int, option("--return-delay", "Register, 2 us each.", min=0, max=254)
-    ] = 0
     wire_time: Annotated[bool, option("--wire-time/--no-wire-time", "Packets take their time.")] = (
         True
     )
     realtime: opt.RealtimeOption = False
     seed: opt.SeedOption = 0
-    robot_seed: Annotated[int, option("--robot-seed", min=0)] = 0
     seconds: Annotated[float | None, seconds_option("--seconds", "Otherwise until Ctrl-C.")] = None
     record: Annotated[
         Path | None,
@@ -291,13 +287,11 @@ class VirtualOptions:
             bus=VirtualSettings(
                 faults=tuple(parse_fault(text) for text in self.fault or ()),
                 seed=self.seed,
-                return_delay=self.return_delay,
                 wire_time=self.wire_time,
             ),
             scenario=self.scenario,
             height_m=self.height,
             seed=self.seed,
-            robot_seed=self.robot_seed,
             seconds=self.seconds,
             record=self.record,
             write_config=self.write_config,

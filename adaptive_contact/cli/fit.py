@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -39,18 +39,6 @@ def fit(
     free: Annotated[
         bool, option("--free", "Nothing was touched: without truth, use the swings to their ends.")
     ] = False,
-    library: Annotated[
-        Literal["servo", "paper", "linear"], option("--library", "Candidate terms.")
-    ] = "servo",
-    threshold: Annotated[
-        float | None,
-        option(
-            "--threshold",
-            "STLSQ's threshold in units of the residual; chosen on held-out swings if absent.",
-            "λ",
-            min=0.0,
-        ),
-    ] = None,
     equations: opt.EquationsOption = False,
     force: opt.ForceOption = False,
     anyway: opt.AnywayOption = False,
@@ -72,8 +60,6 @@ def fit(
             robot,
             {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples},
             origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
-            library=library,
-            threshold=threshold,
             progress=lambda leg: say(f"fitting leg {leg}", err=True),
         )
     for reason in training.skipped.values():

@@ -111,7 +111,6 @@ def walk(
     terrain: Annotated[
         str | None, option("--terrain", "The ground. [rough]", "flat|steps|rough|soft|holes")
     ] = None,
-    relief: Annotated[float | None, option("--relief", "Lowest to highest. [0.035]", "M")] = None,
     stop_on: Annotated[
         str | None, option("--stop-on", "Who stops a descent. [truth]", "truth|service|never")
     ] = None,
@@ -139,7 +138,7 @@ def walk(
     settings = dataclasses.replace(
         base.settings,
         motion=dataclasses.replace(motion, **changes),
-        terrain=dataclasses.replace(base.settings.terrain, **given(kind=terrain, relief_m=relief)),
+        terrain=dataclasses.replace(base.settings.terrain, **given(kind=terrain)),
     )
     execute(run.plan(base, settings, network, json=json), stop)
 

@@ -141,7 +141,7 @@ def test_a_contact_comes_through_the_whole_chain(start: Callable[..., Process]) 
         link.subscribe(ALL_CONTACT, contacts.put)
         start(
             "bridge", "virtual", "--dir", "bus", "--ports", "2", "--write-config", "rig.toml",
-            "--scenario", "walk-rough", "--return-delay", "0", "--no-wire-time",
+            "--scenario", "walk-rough", "--no-wire-time",
         ).ready()  # fmt: skip
         bridge = start("bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint)
         bridge.ready()

@@ -72,7 +72,6 @@ REFUSED = {
     "experiment logs nosuch": "nosuch: no such file or folder",
     "export nosuch.mcap --to csv": "nosuch.mcap: cannot be read",
     "fit": "Missing argument 'RECORDING...'; see `adaptive-contact fit --help`",
-    "fit --library foo x": "'foo' is not one of 'servo', 'paper', 'linear'",
     "fit nosuch.mcap": "nosuch.mcap: cannot be read",
     "fit x.mcap -o /": "/: cannot be written (it is a folder)",
     "paper --out /dev/null/x --stage logs": "give another --out",

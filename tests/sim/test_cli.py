@@ -50,8 +50,7 @@ def test_an_offline_walk_is_recorded(tmp_path: Path) -> None:
     result = RUN.invoke(
         app,
         ["walk", "--offline", "--seconds", "2", "--gait", "ripple", "--terrain", "steps", "--seed",
-         "3", "--drift", "friction:leg=rf,value=4@1s", "--dropped", "0.01", "--preview", "2",
-         "--record", str(file)],
+         "3", "--drift", "friction:leg=rf,value=4@1s", "--record", str(file)],
     )  # fmt: skip
     assert result.exit_code == 0, result.output
     assert "ripple walk on steps ground, stop on truth, seed 3, 1 drifts" in result.output
@@ -97,7 +96,6 @@ def test_options_change_a_scenario() -> None:
         (("walk", "--scenario", "walk-rouhg"), "did you mean 'walk-rough'"),
         (("pose", "--leg", "rx", "--offline"), "expected some of lf"),
         (("pose", "--obstacles", "2", "--offline"), "expected 0 to 1"),
-        (("pose", "--dropped", "0.9", "--offline"), "expected 0 to 0.5"),
         (("inject", "friction"), "has no value"),
         (("inject", "friction", "--value", "99"), "expected 0.1 to 10"),
         (("inject", "friktion", "--value", "2"), "friktion"),

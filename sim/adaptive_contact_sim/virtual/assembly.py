@@ -93,7 +93,6 @@ class VirtualSettings:
 
     faults: tuple[FaultSpec, ...] = ()  # what goes wrong, and when
     seed: int = 0  # of reading noise and faults
-    return_delay: int = 0  # register of all servos, 2 us each
     wire_time: bool = True  # let answers take as long as on a real wire
 
 
@@ -166,7 +165,6 @@ def assemble(
                 backend,
                 place[leg.id, joint.name],
                 noise_rng,
-                return_delay=settings.return_delay,
                 baud=plan.port.baud,
             )
             for leg in plan.legs

@@ -36,7 +36,6 @@ class PassiveBackend(OnStand):
     Args:
         horns: how the servos are mounted.
         height_m: of the body over the floor.
-        robot_seed: which robot of its kind.
         epoch_ns: wall clock of the start, for the truth's time stamps.
         on_truth: gets changes of contact.
     """
@@ -46,11 +45,10 @@ class PassiveBackend(OnStand):
         horns: Horns,
         *,
         height_m: float = HUNG_M,
-        robot_seed: int = 0,
         epoch_ns: int = 0,
         on_truth: OnTruth = lambda *_: None,
     ) -> None:
-        self.plant = Plant(_on_a_stand(height_m), manufactured(robot_seed), period_s=STEP_S)
+        self.plant = Plant(_on_a_stand(height_m), manufactured(0), period_s=STEP_S)
         super().__init__(horns, self.plant, np.zeros(N_SERVOS), epoch_ns)  # stretched out level
         self.plant.joint_angles[:] = 0.0
         mujoco.mj_forward(self.plant.model, self.plant.data)

@@ -156,9 +156,9 @@ class QuadrupedPlant:
 class QuadrupedBackend(OnStand):
     """The quadruped on its stand, moved by the bus; a backend of virtual servos."""
 
-    def __init__(self, horns: Horns, *, robot_seed: int = 0) -> None:
+    def __init__(self, horns: Horns) -> None:
         start = np.tile(np.array([-0.4, -1.2]), len(LEGS))
-        self.plant = QuadrupedPlant(robot_seed, start)
+        self.plant = QuadrupedPlant(start_rad=start)
         super().__init__(horns, self.plant, start)
 
     def step(self) -> None:

@@ -50,7 +50,6 @@ class VirtualPlan:
     scenario: str | None = None
     height_m: float = 1.0  # of the stand
     seed: int = 0  # of the scenario; 0 for the scenario's own
-    robot_seed: int = 0  # which robot of its kind
     seconds: float | None = None  # how long, None for until stopped
     record: Path | None = None  # MCAP file of a scenario's own samples and truth
     write_config: Path | None = None  # where to write the robot.toml of the bus
@@ -170,14 +169,13 @@ def _backend(
                 "quadruped on a stand"
             )
         pairs = LAYOUT.servos
-        return QuadrupedBackend(Horns.of(plans, pairs), robot_seed=plan.robot_seed), pairs
+        return QuadrupedBackend(Horns.of(plans, pairs)), pairs
     pairs = HEXAPOD.servos
     horns = Horns.of(plans, pairs)
     if plan.scenario is None:
         passive = PassiveBackend(
             horns,
             height_m=plan.height_m,
-            robot_seed=plan.robot_seed,
             epoch_ns=time.time_ns(),
             on_truth=publish,
         )
@@ -185,8 +183,6 @@ def _backend(
     settings = load_scenario(plan.scenario).settings
     if plan.seed:
         settings = dataclasses.replace(settings, seed=plan.seed)
-    if plan.robot_seed:
-        settings = dataclasses.replace(settings, robot_seed=plan.robot_seed)
     settings = dataclasses.replace(settings, run=time.time_ns() // 1_000_000)
     source = stack.enter_context(ProcessSource(settings, plan.record, plan.link))
     source.wait()
