@@ -80,11 +80,6 @@ class EchoWatch:
         """Joints, by number, found to echo and not yet to have stopped."""
         return set(np.flatnonzero(self._echoing).tolist())
 
-    @property
-    def suspected(self) -> bool:
-        """Whether a joint may be echoing, by the swing so far."""
-        return bool(self._legs[0]["suspected"])
-
     def begin(self) -> None:
         """Restart the counts: a swing begins, or what comes does not connect."""
         begin_echo(self._runs)
