@@ -45,7 +45,7 @@ GIVEN = {
         "adaptive-contact record": ["adaptive-contact sim walk"],
     },
     "operating.md": {
-        "adaptive-contact serve --config robot.toml": ["hexapod"],
+        "adaptive-contact serve --config robot.toml": ["hexapod", "baseline legs.json"],
         "adaptive-contact watch --web": ["adaptive-contact serve", "adaptive-contact sim walk"],
         "adaptive-contact state reset": ["kill"],
     },
@@ -157,7 +157,8 @@ def prepare(shell: Any, what: str, page: Path) -> None:
     kind, *words = what.split()
     if kind == "hexapod":
         shutil.copy(MODELS / "hexapod" / "robot.toml", shell.folder / "robot.toml")
-        shutil.copy(MODELS / "hexapod" / "baseline.json", shell.folder / "legs.json")
+    elif kind == "baseline":
+        shutil.copy(MODELS / "hexapod" / "baseline.json", shell.folder / words[0])
     elif kind == "urdf":
         (shell.folder / words[0]).write_text(urdf(words[1]))
         (shell.folder / "source.py").write_text(SOURCE)
