@@ -53,13 +53,14 @@ class Landings:
 
     @property
     def note(self) -> str | None:
-        """One line for a person when most touches come after the turn."""
+        """One line for a person when most contacts come after the turn; not whose fault it is."""
         late = sorted(ticks for ticks in self._late if ticks)
         if 2 * len(late) <= LANDINGS:
             return None
         return (
-            f"{len(late)} of the last {len(self._late)} touches came after phase had turned to "
-            f"stance, by {late[len(late) // 2]} ticks: send swing until the foot can have arrived"
+            f"{len(late)} of the last {len(self._late)} contacts came after phase had turned to "
+            f"stance, by {late[len(late) // 2]} ticks: phase turns before the foot arrives, soft "
+            "ground is felt late, or nothing was touched"
         )
 
 

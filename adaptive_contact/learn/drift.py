@@ -101,6 +101,7 @@ class DriftMonitor:
         self._sign = ""
         self._obstructed_by: Doubt = "held"
         self._counted_free = False  # in this swing
+        self._held = False  # in this swing, by its way
         self._trusted = True
         self._lifts = self._lifts_far = 0
 
@@ -143,7 +144,8 @@ class DriftMonitor:
         """One line for a person, None when all is well."""
         if self.obstructed:
             return (
-                f"{self._sign}, {self._obstructed_swings} swings in a row: caught, or no strength"
+                f"{self._sign}, {self._obstructed_swings} swings in a row: caught, no strength, or "
+                "it strikes or stands on something"
             )
         if self.status == "ambiguous":
             return (
@@ -158,7 +160,7 @@ class DriftMonitor:
         self._swing_level = None
         self._newest.clear()
         self._trusted = not self.obstructed
-        self._counted_free = False
+        self._counted_free = self._held = False
 
     @property
     def trusted(self) -> bool:
@@ -174,6 +176,10 @@ class DriftMonitor:
         """
         kept = sorted(rows.nis.tolist())[: max(1, len(rows) - 1)]  # one wild reading is no change
         level = sum(kept) / len(kept)
+        # What the model predicts is learned, whatever the foot's way says.
+        fitting = rows if level < SETTLED_LEVEL else NO_ROWS
+        if self._held:
+            return LiftAssessment(fitting)
         self._lifts += 1
         self._lifts_far += level > UNFIT_LEVEL
         if level > FAR_LEVEL:
@@ -182,7 +188,8 @@ class DriftMonitor:
         self._note_free()
         if self.obstructed:
             self._swing_level = _in_range(max(level, self.variance_scale))
-            return LiftAssessment(NO_ROWS)
+            self._trusted = bool(fitting)
+            return LiftAssessment(fitting)
         if level > _suspicion_limit(self._joints * len(kept)) * self.variance_scale:
             return self._suspect(rows, level, t_ns)
         self._drop_suspicions()
@@ -235,7 +242,8 @@ class DriftMonitor:
     def note_travel(self, *, obstructed: bool, travel_ratio: float) -> None:
         """Note whether the foot followed its command in the lift.
 
-        A foot that is caught and a leg that has lost its strength look alike; neither is learned.
+        A foot that is caught and a leg that has lost its strength look alike.  Of neither is
+        anything learned but a lift that the model predicts.
 
         Args:
             obstructed: whether it did not.
@@ -245,7 +253,7 @@ class DriftMonitor:
             if self.obstructed or not self._far_swings:  # else its lift is yet to be assessed
                 self._note_free()
         else:
-            self._far_swings = 0
+            self._far_swings, self._held = 0, True
             self._note_obstructed(
                 "held", f"the foot came {100 * travel_ratio:.0f} % of its command's way"
             )

@@ -53,7 +53,9 @@ def test_touches_after_the_turn_are_found_and_no_tick_of_them_learned(
     status = learner.status
     assert status.status == "valid"
     assert status.note is not None
-    assert status.note.startswith("20 of the last 20 touches came after phase had turned to stance")
+    assert status.note.startswith(
+        "20 of the last 20 contacts came after phase had turned to stance"
+    )
 
 
 def test_a_turn_in_mid_air_causes_nothing(robot: Robot, baseline: Baseline) -> None:
@@ -132,7 +134,7 @@ class TestLandings:
             assert landings.note is None
             landings.touched(3 + k % 3)
         assert landings.note is not None
-        assert landings.note.startswith("11 of the last 20 touches came after phase")
+        assert landings.note.startswith("11 of the last 20 contacts came after phase")
         assert "by 4 ticks" in landings.note
         for _ in range(LANDINGS // 2):  # the nine from before the turn go first
             landings.touched(0)
