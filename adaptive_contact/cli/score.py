@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -15,6 +15,9 @@ from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.wire import ContactEvent
+
+# Of a file of events: some 17 hours of a hexapod that walks, and 300 MB of memory.
+_MOST_LINES: Final = 500_000
 
 
 def score(
@@ -59,7 +62,9 @@ def score(
         if robots.spoilt(robot) and not anyway:
             raise _nothing_judged(recording) from error
         cut = f" ({source.damage})" if source.damage is not None else ""
-        raise RecordingError(f"{recording}: {error}{cut}") from error
+        # What reads the file has named it, or a file of the bag.
+        named = str(error).startswith(str(recording))
+        raise RecordingError(f"{'' if named else f'{recording}: '}{error}{cut}") from error
     finally:
         for line in (*robots.trouble(robot), *source.notes):
             say_note(f"{recording}: {line}")
@@ -83,29 +88,36 @@ def _nothing_judged(recording: Path) -> RecordingError:
 
 
 def _read_events(path: Path) -> list[ContactEvent]:
-    """Events of a file with one JSON object per line.
+    """Events of a file with one JSON object per line, read line by line.
 
     Raises:
-        RecordingError: it cannot be read, or a line is no event.
+        RecordingError: it cannot be read, a line is no event, or there are too many of them.
     """
-    from adaptive_contact.wire import JSON, ContactEvent, Rejected, decode
+    from adaptive_contact.wire import JSON, MAX_PAYLOAD_BYTES, ContactEvent, Rejected, decode
 
+    events: list[ContactEvent] = []
     try:
-        lines = path.read_bytes().splitlines()
+        with path.open("rb") as file:
+            # One byte more than an event may have: `decode` refuses it.
+            lines = iter(lambda: file.readline(MAX_PAYLOAD_BYTES + 1), b"")
+            for number, line in enumerate(lines, start=1):
+                if number > _MOST_LINES:
+                    raise RecordingError(
+                        f"{path}: has more than {_MOST_LINES} lines; give the events of one "
+                        "recording, or of a part of it"
+                    )
+                if not line.strip():
+                    continue
+                event = decode(line, ContactEvent, JSON)
+                if isinstance(event, Rejected):
+                    raise RecordingError(
+                        f"{path}, line {number}: not a contact event ({event.detail}); expected "
+                        "one JSON object per line, as `adaptive-contact replay --events` writes"
+                    )
+                events.append(event)
     except OSError as error:
         raise RecordingError(
             f"{path}: cannot be read ({error.strerror}); give a file that "
             "`adaptive-contact replay RECORDING --events FILE` wrote"
         ) from error
-    events = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        event = decode(line, ContactEvent, JSON)
-        if isinstance(event, Rejected):
-            raise RecordingError(
-                f"{path}, line {number}: not a contact event ({event.detail}); expected one "
-                "JSON object per line, as `adaptive-contact replay --events` writes"
-            )
-        events.append(event)
     return events

@@ -157,12 +157,34 @@ class TestScore:
         with pytest.raises(RecordingError, match=word) as caught:
             run(score, path, *arguments)
         assert "\n" not in str(caught.value)
+        assert str(caught.value).count(str(path)) <= 1
 
     def test_a_line_that_is_no_event_is_named(self, tmp_path: Path) -> None:
         path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
         write_walk(path)
         events.write_bytes(encode(event(5 * TICK), JSON) + b'\n{"v":1,"leg":"rf"}\n')
         with pytest.raises(RecordingError, match="line 2: not a contact event"):
+            run(score, path, "--events", events)
+
+    def test_of_a_line_without_end_little_is_read(self, tmp_path: Path) -> None:
+        path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
+        write_walk(path)
+        with events.open("wb") as file:
+            file.truncate(1 << 40)  # a hole, of more bytes than any memory has
+        with pytest.raises(RecordingError, match=r"line 1: not a contact event .* at most"):
+            run(score, path, "--events", events)
+
+    def test_more_lines_than_a_recording_has_events_are_refused(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
+        write_walk(path)
+        monkeypatch.setattr("adaptive_contact.cli.score._MOST_LINES", 3)
+        line = encode(event(5 * TICK), JSON) + b"\n"
+        events.write_bytes(3 * line)
+        run(score, path, "--events", events)
+        events.write_bytes(4 * line)
+        with pytest.raises(RecordingError, match="more than 3 lines"):
             run(score, path, "--events", events)
 
     def test_from_after_to(self, tmp_path: Path) -> None:
