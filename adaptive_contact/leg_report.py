@@ -6,6 +6,7 @@ from collections import Counter
 from typing import Any, Final
 
 from adaptive_contact.detect.leg_batch import LegPlace
+from adaptive_contact.detect.source import UNJUDGED_TURNS
 from adaptive_contact.detect.source_watch import SOURCE_CAUSES, RateWatch, SourceWatch
 from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
@@ -211,7 +212,9 @@ class LegReport:
             return cause
         if self.misread:
             return "angles"
-        return "publishers" if self._guard.contested else self._learning.doubt
+        if self._guard.contested:
+            return "publishers"
+        return "unjudged" if self._unjudged else self._learning.doubt
 
     def collect_counts(self) -> None:
         """Take over what ticks have counted since the last call."""
@@ -242,11 +245,17 @@ class LegReport:
             return False
         # A foot that comes short of its command, and moved as the model says until it touched or
         # to its top, is slow, or meets something in its way.
-        return doubt != "unsettled" and not (doubt == "held" and fits)
+        return doubt not in ("unsettled", "unjudged") and not (doubt == "held" and fits)
+
+    @property
+    def _unjudged(self) -> bool:
+        """Whether the leg would be valid, and commands lift and lower it and nothing is judged."""
+        return self._learning.status == "valid" and self._place.leg.unjudged >= UNJUDGED_TURNS
 
     @property
     def _status(self) -> Status:
-        return "ambiguous" if self._void or self._guard.contested else self._learning.status
+        doubted = self._void or self._guard.contested or self._unjudged
+        return "ambiguous" if doubted else self._learning.status
 
     def _note(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""
@@ -264,8 +273,20 @@ class LegReport:
             self._labels.unobservable_note,
             self._labels.landings.note,
             _NO_PREVIEW if self._place.leg.lacking else None,
+            self._unjudged_note,
         )
         return next((note for note in notes if note is not None), None)
+
+    @property
+    def _unjudged_note(self) -> str | None:
+        """One line for a person when commands lift and lower the leg, and nothing is judged."""
+        turns = self._place.leg.unjudged
+        if turns < UNJUDGED_TURNS:
+            return None
+        return (
+            f"{turns} lifts and lowerings were commanded and none could be judged: phase does not "
+            "follow the swings, samples are lost, or readings are not those of the servos"
+        )
 
     @property
     def _angles_note(self) -> str | None:

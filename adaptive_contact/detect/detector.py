@@ -63,7 +63,9 @@ from adaptive_contact.detect.regressors import predict, regressors
 from adaptive_contact.detect.source import (
     NONE,
     PAUSE,
+    UNJUDGED_TURNS,
     begin_echo,
+    count_turns,
     follow_clock,
     follow_source,
     keep_sample,
@@ -76,7 +78,6 @@ from adaptive_contact.detect.source import (
 from adaptive_contact.detect.swing import (
     QUIET_SCORE,
     RECENT_TICKS,
-    UNKNOWN,
     descending,
     follow_command,
     follow_foot,
@@ -139,6 +140,7 @@ def judge_tick(handed):
         if leg.has_model and read(leg, sample, swing, past, model, kept):
             weigh(leg, sample, swing, past, noise)
             was_free, past_lift = decide(leg, swing, past, model, noise, kept)
+            leg.weighed |= past_lift and leg.usable > 0 and not leg.loaded
             hold_back(leg, swing, past, noise, kept, was_free, past_lift)
         found |= leg.found
     return found
@@ -181,13 +183,17 @@ def follow_swing(leg, sample, source, swing, past, model):
     desired = sample.desired
     take_command(leg, desired, source.echo_commands)
     height = 0.0
-    if leg.has_lengths and leg.phase != UNKNOWN:
+    if leg.has_lengths:
         place_foot(desired, swing.links, swing.axis_kinds, swing.now)
         height = swing.now[2]
+    lifts = count_turns(leg, desired, height, source.turn_at, source.turning, source.turns)
     take_phase(leg, leg.phase, desired, height, source.phase_before, source.parts)
     awaited = leg.has_model and not (leg.loaded or leg.contact)
     whole = leg.whole
     ends = follow_command(leg, swing, sample.measured, desired, awaited)
+    if leg.weighed and (lifts or ends or leg.after or leg.ticks == 0):
+        leg.weighed, leg.unjudged = False, 0
+        source.turns[:] = 0
     if (ends or leg.ticks == 0) and leg.unresolved and leg.has_model:
         leg.unresolved = False
         leg.found |= RESOLVED
@@ -219,13 +225,15 @@ def follow_swing(leg, sample, source, swing, past, model):
 def watch_source(leg, sample, source, past):
     """Watch for copied commands and swapped phases.
 
-    A contact is released under them, where angles are misread, and where contacts are withheld.
+    A contact is released under them, where angles are misread, and where contacts are withheld or
+    nothing is judged.
     """
     follow_source(
         leg, sample.measured, sample.valid, leg.has_valid, source.echo_commands, source.echo_runs,
         source.echo_off, source.echoing, past.suspects,
     )  # fmt: skip
-    leg.release_pending |= leg.reported and (is_void(leg) or leg.withholds)
+    unjudged = leg.unjudged >= UNJUDGED_TURNS and not leg.weighed
+    leg.release_pending |= leg.reported and (is_void(leg) or leg.withholds or unjudged)
     if leg.release_pending:
         leg.found |= RELEASE_PENDING
 

@@ -82,12 +82,16 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "shrink": "J",  # reciprocal roots of `unit`
         "gradient": "J",  # m per rad, of the foot's height
         "target": "J",  # rad, movement of this tick
+        # of the command since it last turned: the furthest, m or rad, see `count_turns`
+        "turn_at": "J",
     },
     i8: {
         "lengths_ticks": SWINGS,
         "counts": VALUES + 1,  # of refused values
         "echo_off": "J",  # ticks in a row that match no command
         "stale": "J",  # ticks in a row that a reading was taken for stale
+        "turning": "J",  # where the command of that is: 0 low, 1 lifted, 2 being lowered
+        "turns": "J",  # lifts and lowerings commanded since a swing that was judged
         "axis_kinds": "J",  # how a joint turns, see `tabulate`
     },
     b1: {
@@ -243,6 +247,8 @@ LEG: Final = np.dtype(
         ("phase_part", i4),  # -1 unknown, 0 stance, 1 swing
         ("part_whole", b1),  # the part in hand was seen from its start
         ("swapped", b1),  # swing and stance are swapped
+        ("unjudged", i4),  # the most of `turns`, for as long as no swing ended that was judged
+        ("weighed", b1),  # the descent of the swing is judged
         ("slow_swings", i4),  # in a row whose command is slower than in the stance
         ("has_before", b1),  # a command before is known
         ("echo_n", i4),  # commands known
@@ -322,7 +328,8 @@ receive_tick: Final = TICK.receive
 Sample = namedtuple("Sample", "measured desired valid preview_in seam command before")
 Source = namedtuple(
     "Source",
-    "ring kept_angles kept_stamps echo_commands echo_runs echo_off echoing parts phase_before",
+    "ring kept_angles kept_stamps echo_commands echo_runs echo_off echoing parts phase_before "
+    "turn_at turning turns",
 )
 Swing = namedtuple(
     "Swing",

@@ -220,7 +220,8 @@ def stand(leg, swing, measured, desired, awaited):
 def follow_command(leg, swing, measured, desired, awaited):
     """Take in a sample's phase, and in a swing the place that its command sends the foot to.
 
-    Where the foot is ``awaited`` to touch, a swing goes on in stance for up to 16 ticks.
+    Where the foot is ``awaited`` to touch, a swing goes on in stance for up to 16 ticks.  The place
+    of the commanded foot is in ``swing.now``, where geometry is known.
 
     Returns:
         True where the swing in hand ends, as the next one begins before these are over.
@@ -228,10 +229,7 @@ def follow_command(leg, swing, measured, desired, awaited):
     links, axis_kinds, now, commanded = swing.links, swing.axis_kinds, swing.now, swing.commanded
     foot, start, phase = swing.foot, swing.start, leg.phase
     joints = len(desired)
-    placed = False
     if phase == UNKNOWN and leg.has_lengths:
-        place_foot(desired, links, axis_kinds, now)
-        placed = True
         if leg.has_phase:
             forget_phase(leg)
         leg.has_phase = False
@@ -278,8 +276,6 @@ def follow_command(leg, swing, measured, desired, awaited):
             swing.path[leg.path_n] = desired
             leg.path_n += 1
         leg.path_last = leg.seq
-        if not placed:
-            place_foot(desired, links, axis_kinds, now)
         leg.commanded_up = now[2] > commanded[2]
         for k in range(3):
             commanded[k] = now[k]

@@ -65,7 +65,7 @@ def about_learner(
     elif status.doubt == "publishers":
         if Cause.TWO_PUBLISHERS not in causes:
             yield Fault.of("two_publishers", note, publishers=2)
-    elif status.status == "ambiguous":
+    elif status.status == "ambiguous" and status.doubt != "unjudged":
         yield Fault.of("ambiguous", status.note)
     elif status.note is not None:
         cause = next((c for words, c in _NOTED.items() if words in status.note), Cause.LEG_NOTE)
@@ -91,7 +91,8 @@ def all_lost(
     lost = [
         status
         for status in statuses
-        if status.status == "ambiguous" or (status.status == "learning" and given)
+        if (status.status == "ambiguous" and status.doubt != "unjudged")
+        or (status.status == "learning" and given)
     ]
     if len(statuses) < _SEVERAL_LEGS or len(lost) < len(statuses):
         return

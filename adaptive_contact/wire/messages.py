@@ -22,7 +22,9 @@ MAX_ANGLE_RAD: Final = 8 * math.pi
 Phase = Literal["swing", "stance"]
 Status = Literal["learning", "valid", "adapting", "ambiguous", "silent"]
 # Why a leg is ambiguous.
-Doubt = Literal["angles", "echo", "phase", "held", "far", "unsettled", "descents", "publishers"]
+Doubt = Literal[
+    "angles", "echo", "phase", "held", "far", "unsettled", "descents", "publishers", "unjudged"
+]
 DriftKind = Literal[
     "mass",
     "friction",
