@@ -23,7 +23,15 @@ from adaptive_contact.model.glr import stream_statistic, whitened
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName, leg_library
 from adaptive_contact.model.model_file import Baseline, LegBaseline
-from adaptive_contact.model.noise import AFTER, MIN_TICKS, WINDOWS, context, fit_noise, lagged
+from adaptive_contact.model.noise import (
+    AFTER,
+    MIN_TICKS,
+    SPEEDS,
+    WINDOWS,
+    context,
+    fit_noise,
+    lagged,
+)
 from adaptive_contact.model.peaks import Peaks
 from adaptive_contact.model.tail import fit_tail, tail_ticks
 from adaptive_contact.model.window import Window, stack
@@ -298,7 +306,7 @@ def learn_leg(
     )
     scale = held.whole.scale()
     known = LegBaseline(model, noise, scale, len(swinging.target), manner.domain(held.whole))
-    peaks = Peaks.of(values[after], len(leg.joints))
+    peaks = Peaks.of(values, where // SPEEDS, len(leg.joints))
     return dataclasses.replace(known, peaks=peaks), figures, values[~after]
 
 

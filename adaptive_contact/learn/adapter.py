@@ -419,7 +419,7 @@ class Adapter:
             self.monitor.note_kind(self._evidence.kind)
         if self.monitor.status == "valid" and rows and rows.lifting:
             # Lifts only: soft ground may be among the last rows of a descent.
-            self._noise_tracker.count(rows, self.candidate.domain)
+            self._renewed |= self._noise_tracker.count(rows, self.candidate.domain)
         self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
 

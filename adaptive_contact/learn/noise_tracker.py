@@ -11,6 +11,10 @@ false-alarm rate stays put and not the threshold:
 - the *tail* of the statistic.  How often it passes the level at which the baseline's tail begins,
   and by how much, against what the baseline promised; on lifts only, which no ground can press on.
 
+Where the baseline knows the leg's own free maxima (:mod:`adaptive_contact.model.peaks`), these set
+the thresholds, up to those of the tail.  They follow the median of the last lifts' maxima: a joint
+that reads more coarsely shows in the next lifts, a foot that strikes something in few of them.
+
 The tail is never narrowed, nor the trace lowered: a leg that fits better by chance is not judged
 more strictly for it.
 """
@@ -19,6 +23,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from typing import Any, Final
 
 import numpy as np
@@ -27,8 +32,8 @@ from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.compiled import compiled
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.model_file import thresholds_of
-from adaptive_contact.model.noise import NoiseModel
-from adaptive_contact.model.peaks import Peaks
+from adaptive_contact.model.noise import AFTER, LIFT, NoiseModel
+from adaptive_contact.model.peaks import LEAST_TICKS, Peaks
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
 
@@ -52,6 +57,8 @@ SEGMENTS_PER_TICK: Final = 12
 # A tail this many times as frequent, or as wide, as the baseline's is no tail: the model is wrong,
 # which the monitor has to say.
 MOST: Final = 4.0
+# Lifts whose maxima are looked at: half of them decide.
+RECENT_LIFTS: Final = 6
 
 
 class NoiseTracker:
@@ -60,7 +67,7 @@ class NoiseTracker:
     Args:
         noise: of the baseline.
         tails: (windows,) of the baseline's statistic.
-        peaks: of its ticks after the turn, where those are known.
+        peaks: of its free ticks, where those are known.
         false_alarms_per_hour: target rate.
 
     Attributes:
@@ -79,21 +86,25 @@ class NoiseTracker:
         self._tails = tails
         self._target_rate = false_alarms_per_hour
         self._peaks = peaks
-        self._least = self._thresholds(tails)
+        self._lifts = deque[float](maxlen=RECENT_LIFTS)  # how large their maxima were
+        self._pooled = self._least = self._of_tails(tails)
         self.whiten: Array = noise.whiten
-        self.thresholds: Array = self._least
+        self.thresholds: Array = self._in_force()
         self._factors = (1.0, 1.0)  # on the tails, by which the thresholds were computed
         self._next: Array | None = None  # whitening to come
         self._due = 0  # ticks until then
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
         self._ticks = self._above = self._excess = 0.0
 
-    def count(self, rows: Rows, domain: Domain | None = None) -> None:
+    def count(self, rows: Rows, domain: Domain | None = None) -> bool:
         """Count the exceedances in a lift of a leg whose lifts fit.
 
         Args:
             rows: of the lift, all free.
             domain: where the model in force has been; None if that is not known.
+
+        Returns:
+            Whether the thresholds are others from here on.
         """
         tail = self._tails[0]
         level = tail.level
@@ -113,6 +124,12 @@ class NoiseTracker:
             self._ticks *= fade
             self._above *= fade
             self._excess *= fade
+        if self._peaks is None or self._peaks.ticks[LIFT] < LEAST_TICKS:
+            return False
+        largest = float(np.fmax.reduce(rows.records["value"], initial=0.0))
+        self._lifts.append(self._peaks.excess(largest, len(rows)))
+        before, self.thresholds = self.thresholds, self._in_force()
+        return not np.array_equal(before, self.thresholds)
 
     def refresh(self, residuals: Array, context: Ints) -> None:
         """Recompute covariances and thresholds at once.
@@ -159,17 +176,24 @@ class NoiseTracker:
                 dataclasses.replace(t, rate=min(often * t.rate, 0.5), scale=wide * t.scale)
                 for t in self._tails
             )
-            self.thresholds = np.maximum(self._least, self._thresholds(tails))
+            self._pooled = np.maximum(self._least, self._of_tails(tails))
+            self.thresholds = self._in_force()
         return True
 
-    def _thresholds(self, tails: tuple[Tail, ...]) -> Array:
-        """(directions, windows) of tails; after the turn of the leg's own peaks, widened alike."""
+    def _of_tails(self, tails: tuple[Tail, ...]) -> Array:
         swing = thresholds_of(tails, self._target_rate)
         awaited = thresholds_of(tails, AWAITED * self._target_rate)
-        if self._peaks is not None:
-            least = thresholds_of(self._tails, AWAITED * self._target_rate)
-            awaited = self._peaks.thresholds(AWAITED * self._target_rate) * (awaited / least)
         return np.array([swing, swing, awaited])
+
+    def _in_force(self) -> Array:
+        """(directions, windows), of the leg's own peaks where they are known."""
+        if self._peaks is None:
+            return self._pooled
+        rates = self._target_rate * np.array([1.0, 1.0, AWAITED])
+        own = self._peaks.thresholds(rates) * (self._pooled / self._least)
+        level = max(1.0, float(np.median(self._lifts))) if self._lifts else 1.0
+        own[:AFTER] = np.fmin(level * own[:AFTER], self._pooled[:AFTER])
+        return np.where(np.isnan(own), self._pooled, own)
 
     @property
     def tail_factors(self) -> tuple[float, float]:

@@ -27,7 +27,7 @@ Inflation = Annotated[float, Meta(ge=0, le=MOST)]
 Variance = Annotated[float, Meta(ge=-1e3, le=1e3)]  # rad²: up to 1.3e-4
 Level = Annotated[float, Meta(ge=0, le=1e4)]  # of the statistic: 9 to 16
 Excess = Annotated[float, Meta(ge=1e-9, le=1e4)]  # its mean above that: 2.2 to 5.2
-Peak = Annotated[float, Meta(ge=1e-3, le=1e4)]  # the largest free statistic: 16 to 120
+Peak = Annotated[float, Meta(ge=1e-3, le=1e4)]  # the largest free statistic: 8 to 120
 PeakTicks = Annotated[int, Meta(ge=LEAST_TICKS, le=_MOST_COUNT)]
 Share = Annotated[float, Meta(gt=0, lt=1)]
 Shape = Annotated[float, Meta(ge=SHAPE_RANGE[0], le=SHAPE_RANGE[1])]

@@ -12,7 +12,7 @@ import dataclasses
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -23,8 +23,8 @@ from adaptive_contact.files import cannot_write, read_file, write_file
 from adaptive_contact.model import bounds
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName
-from adaptive_contact.model.noise import CONTEXTS, SPEEDS, WINDOWS, NoiseModel
-from adaptive_contact.model.peaks import LEAST_TICKS, Peaks
+from adaptive_contact.model.noise import CONTEXTS, DIRECTIONS, SPEEDS, WINDOWS, NoiseModel
+from adaptive_contact.model.peaks import Peaks
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.model.window import Window
@@ -34,6 +34,8 @@ from adaptive_contact.robot.description import Axis
 FORMAT: Final = 1
 # A leg of 3 joints has 30 kB, one of 16 with all terms of the servo library 0.9 MB.
 _MOST_BYTES: Final = 32_000_000
+Direction = Literal["lift", "descent", "after"]
+_DIRECTIONS: Final = get_args(Direction)  # in the order of noise
 # Characters of a file's value that an error line shows.
 _BRIEF: Final = 40
 
@@ -106,6 +108,11 @@ def thresholds_of(tails: tuple[Tail, ...], false_alarms_per_hour: float) -> Arra
     return np.array([t.cautious().quantile(min(per_tick, t.rate)) for t in tails])
 
 
+class _PeaksFile(msgspec.Struct, forbid_unknown_fields=True):
+    largest: list[bounds.Peak]  # statistic of free ticks, by window
+    ticks: bounds.PeakTicks  # that it is of
+
+
 class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     joints: Annotated[tuple[bounds.Name, ...], bounds.OfJoints]
     axes: Annotated[tuple[Axis, ...], bounds.OfJoints]
@@ -115,9 +122,7 @@ class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     covariance: list[list[list[list[bounds.Variance]]]]
     ticks: list[bounds.Weight]
     domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
-    # Largest statistics after the turn to stance, and of how many free ticks.
-    peaks: list[bounds.Peak] | msgspec.UnsetType = msgspec.UNSET
-    peak_ticks: bounds.PeakTicks | msgspec.UnsetType = msgspec.UNSET
+    peaks: dict[Direction, _PeaksFile] | msgspec.UnsetType = msgspec.UNSET
     # Of terms of how the leg moves.
     inflation: bounds.Inflation | msgspec.UnsetType = msgspec.field(
         default=msgspec.UNSET, name="doubt"
@@ -280,6 +285,14 @@ def leg_library_of(
     )
 
 
+def _peaks_file(peaks: Peaks) -> dict[Direction, _PeaksFile]:
+    return {
+        name: _PeaksFile(of.tolist(), ticks)
+        for name, of, ticks in zip(_DIRECTIONS, peaks.largest, peaks.ticks, strict=True)
+        if not np.isnan(of).any()
+    }
+
+
 def _leg_file(known: LegBaseline) -> _LegFile:
     library = known.model.library
     inflation = None if known.domain is None else known.domain.inflation
@@ -295,8 +308,7 @@ def _leg_file(known: LegBaseline) -> _LegFile:
         scale=dict(zip(library.names, known.scale.tolist(), strict=True)),
         covariance=covariance.tolist(),
         ticks=ticks.tolist(),
-        peaks=msgspec.UNSET if known.peaks is None else known.peaks.largest.tolist(),
-        peak_ticks=msgspec.UNSET if known.peaks is None else known.peaks.ticks,
+        peaks=msgspec.UNSET if known.peaks is None else _peaks_file(known.peaks),
         domain=None if known.domain is None else _rows_of(known.domain.triangle),
         inflation=msgspec.UNSET if inflation is None else float(inflation.max()),
     )
@@ -366,10 +378,14 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
     if not np.abs(noise.whiten).max() <= bounds.MOST_WHITEN:
         raise IdentificationError(f"leg '{leg}': covariance is too small; fit a new one")
     peaks = None
-    if entry.peaks is not msgspec.UNSET:
-        largest = _array(entry.peaks, (len(WINDOWS),), f"leg '{leg}': peaks")
-        seen = LEAST_TICKS if entry.peak_ticks is msgspec.UNSET else entry.peak_ticks
-        peaks = Peaks(largest, seen, joints)
+    if entry.peaks is not msgspec.UNSET and entry.peaks:
+        largest = np.full((DIRECTIONS, len(WINDOWS)), np.nan)
+        seen = [0] * DIRECTIONS
+        for name, own in entry.peaks.items():
+            at = _DIRECTIONS.index(name)
+            largest[at] = _array(own.largest, (len(WINDOWS),), f"leg '{leg}': peaks")
+            seen[at] = own.ticks
+        peaks = Peaks(largest, tuple(seen), joints)
     domain = _domain(entry, library, scale)
     return LegBaseline(model, noise, scale, entry.rows, domain, peaks=peaks)
 

@@ -206,6 +206,7 @@ GAITS: Final = {
     gait.name: gait
     for gait in (
         Gait("tripod", _TRIPOD, 1.2, 0.52, 0.06, 0.04, 0.03),
+        Gait("tripod-slow", _TRIPOD, 2.4, 0.52, 0.06, 0.04, 0.03),
         Gait("tripod-fast", _TRIPOD, 0.84, 0.52, 0.06, 0.035, 0.03),
         Gait("ripple", _RIPPLE, 2.0, 0.68, 0.05, 0.04, 0.03),
         Gait("tripod-planned", _TRIPOD, 1.2, 0.52, 0.06, 0.04, 0.004, "never"),

@@ -142,6 +142,14 @@ _GEARED: Final = dataclasses.replace(
     _SMALL, gain=4.5, spring_nm_rad=24.0, play_rad=math.radians(0.9), rotor_kgm2=0.009,
     coulomb_nm=0.08, load_friction=0.2, quantum_rad=math.tau / 1024, latency_ticks=0, on_motor=True,
 )  # fmt: skip
+# Drives that rub and wind up: a foot that meets something is felt late and by little.
+_RUBBING: Final = dataclasses.replace(
+    _SMALL, rotor_kgm2=0.012, coulomb_nm=0.1, stribeck_nm=0.06, load_friction=0.3, noise_rad=0.002,
+    play_rad=math.radians(0.8),
+)  # fmt: skip
+_WORM: Final = dataclasses.replace(
+    _GEARED, rotor_kgm2=0.02, coulomb_nm=0.15, load_friction=0.5, noise_rad=0.002
+)
 _BRUSHLESS: Final = Servo(
     stall_nm=16.0, no_load_rad_s=24.0, gain=5.0, damping=0.12, rotor_kgm2=0.02, coulomb_nm=0.22,
     stribeck_nm=0.1, load_friction=0.06, spring_nm_rad=420.0, play_rad=math.radians(0.1),
@@ -154,13 +162,13 @@ _ARM: Final = Servo(
 )  # fmt: skip
 
 
-def _hexapod(name: str, servo: Servo, body_kg: float) -> Shape:
+def _hexapod(name: str, servo: Servo, body_kg: float, lighter: float = 1.0) -> Shape:
     legs = [
         LegShape(
             id=f"{side}{place}",
             axes=("yaw", "pitch", "pitch"),
             origins_m=_along(0.045, 0.08, 0.125),
-            masses_kg=(0.06, 0.11, 0.09),
+            masses_kg=(0.06 * lighter, 0.11 * lighter, 0.09 * lighter),
             mount_m=(x, y if side == "l" else -y, 0.0),
             yaw_rad=turn if side == "l" else -turn,
             rest_rad=(0.0, 0.45, -1.75),
@@ -212,6 +220,8 @@ def _arm() -> Shape:
 _HEXAPODS: Final = (
     _hexapod("bullet-hexapod", _SMALL, 1.3),
     _hexapod("bullet-geared", _GEARED, 0.9),
+    _hexapod("bullet-light", _RUBBING, 0.5, 0.5),
+    _hexapod("bullet-worm", _WORM, 0.6, 0.6),
 )
 SHAPES: Final = {s.name.split("-")[1]: s for s in (*_HEXAPODS, _quadruped(), _arm())}
 
