@@ -16,7 +16,7 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, shake_hands
 from adaptive_contact.cli._link import unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import make_stdout_optional, say
+from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import ConfigurationError, needs
 
@@ -95,11 +95,51 @@ def ros2(
         gateway.run(stop)
 
 
+@opt.flatten
+def foxglove(
+    *,
+    host: Annotated[str, option("--host", "Where Foxglove connects to.", "ADDRESS")] = "127.0.0.1",
+    port: Annotated[int, option("--port", "0 takes a free one.", "N", min=0, max=65_535)] = 8765,
+    network: opt.Network,
+) -> None:
+    """Show the running robot in Foxglove, over its websocket protocol."""
+    make_stdout_optional()
+    stop = opt.stoppable()
+    from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
+    from adaptive_contact.service.link import Link
+
+    check_installed()
+    settings = network.client()
+    with unless_stopped(stop):
+        with (
+            Link.open(settings, on_wait=say_waiting, stop=stop) as link,
+            FoxgloveServer(link, host, port) as server,
+        ):
+            say(
+                f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
+                f"(Open connection), or {server.app_url}; stop with Ctrl-C"
+            )
+            if host not in ("127.0.0.1", "localhost", "::1"):
+                say(
+                    "adaptive-contact bridge foxglove: everybody who can reach this address sees "
+                    "everything; where others listen, leave --host out and use ssh -L",
+                    err=True,
+                )
+            server.run(stop)
+        for (key, why), count in server.left_out.most_common(8):
+            say(
+                f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
+                err=True,
+            )
+
+
 def _say_ros(line: str) -> None:
     say(f"adaptive-contact bridge ros2: {line}", err=True)
 
 
-app = opt.Commands(help="Dynamixel servos on Zenoh, real and virtual; ROS 2.", no_args_is_help=True)
+app = opt.Commands(
+    help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
+)
 
 _RESTART_S: Final = 1.0
 _END_S: Final = 3.0
@@ -325,3 +365,4 @@ def _say(line: str) -> None:
 
 
 app.command()(ros2)
+app.command()(foxglove)

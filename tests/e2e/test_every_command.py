@@ -48,6 +48,7 @@ watch --once
 record live.mcap --seconds 2
 doctor --seconds 1
 bridge ros2 --config ros2.toml &
+bridge foxglove --port 0 &
 sim walk &
 sim inject friction --value 2
 kill
@@ -62,6 +63,7 @@ REFUSED = {
     "bench --baseline nosuch.json": "nosuch.json: cannot be read",
     "bench --out /dev/null/x": "give another --out",
     "bridge dynamixel": "has no port; add [port.main]",
+    "bridge foxglove --port 70000": "Invalid value for '--port'",
     "bridge ros2": "names no topics of ROS 2",
     "bridge virtual --dir /dev/null/x": "give another --dir",
     "demo --robot nosuch": "no robot 'nosuch' is simulated",

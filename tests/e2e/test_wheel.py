@@ -13,6 +13,7 @@ pytestmark = pytest.mark.e2e
 
 OURS = (
     "adaptive_contact",
+    "adaptive_contact_bullet",
     "adaptive_contact_models",
     "adaptive_contact_sim",
     "adaptive_contact_studies",

@@ -19,7 +19,10 @@ import zenoh
 import zenoh.ext
 
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
+pytest.importorskip("foxglove", reason="needs the extra 'foxglove'")
+pytest.importorskip("websockets")
 
+from test_foxglove_live import Client
 from test_ros2_gateway import Running, open_router
 from test_ros2_gateway import port as port  # a fixture
 
@@ -114,6 +117,18 @@ def read_ros(forms: Forms, session: zenoh.Session) -> list[object]:
     ]
 
 
+def read_foxglove(forms: Forms, number: int) -> None:
+    client = Client(number)
+    for leg in LEGS:
+        client.subscribe(f"robot/leg/{leg}/contact")
+    while True:
+        try:
+            _, _, event = client.message()
+        except TimeoutError:
+            continue
+        forms.say("foxglove", event.leg, event.contact, event.status != "silent")
+
+
 def read_rows(form: str, forms: Forms, views: Iterator[dict[str, Any]]) -> None:
     for view in views:
         for row in view["legs"]:
@@ -172,6 +187,7 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
         _kept = read_ros(forms, ros)
         address = f"127.0.0.1:{port}"
         gateway = begin("bridge", "ros2", "--config", str(config), "--ros-connect", address)
+        foxglove = begin("bridge", "foxglove", "--port", "0")
         page = begin("watch", "--web", "--no-browser")
         watch = begin("watch", "--json", "--seconds", "0.1")
         client = zenoh.Config.from_json5(
@@ -189,6 +205,8 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
                 and forms.say("events", event.leg, event.contact, event.status != "silent")
             ),
         )
+        (line,) = foxglove.says("open ws://")
+        quietly(over, read_foxglove, forms, int(line.split("ws://127.0.0.1:")[1].split()[0]))
         (line,) = page.says("live page at")
         quietly(over, read_page, forms, line.split("live page at ")[1].split()[0])
         lines = (json.loads(text) for text in _follow(watch))
@@ -202,7 +220,7 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
         def signalled(number: int) -> Callable[[], None]:
             return lambda: served[-1].process.send_signal(number)
 
-        passed_on = ("contacts", "page", "watch", "Contacts")
+        passed_on = ("contacts", "foxglove", "page", "watch", "Contacts")
         causes = {
             "the source dies in stance": (
                 True, LEGS, publish, lambda: publish(*LEGS), True,
@@ -223,6 +241,8 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
                 lambda: served.append(serve("--listen", endpoint)), False,
             ),
         }  # fmt: skip
+        # Who joins Foxglove gets the next event.
+        forms.wait_any([("foxglove", leg) for leg in LEGS])
         for cause, (contact, legs, end, mend, by_event) in causes.items():
             best: dict[str, float] = {}
             for _ in range(TRIES):

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from google.protobuf.descriptor_pb2 import DescriptorProto
 
 # Key, behind any namespace -> its message.  A leg's trace has none: it answers a question, so no
-# recording has it, and a column that is a list of ticks could not be drawn.
+# recording has it, and a column that is a list of ticks could not be drawn.  Foxglove gets its
+# ticks one by one (:class:`~adaptive_contact.service.foxglove_live.JudgedTick`).
 _OF_LEG: Final = {name: kind for name, kind in LEG_MESSAGES.items() if kind is not LegTrace}
 _KEY: Final = re.compile(
     rf"(?:^|/)robot/(?:leg/[^/]+/(?P<leg>{'|'.join(_OF_LEG)})"

@@ -1,0 +1,268 @@
+"""Foxglove's websocket protocol: a client sees what is on the wire, by the schemas it is given."""
+
+from __future__ import annotations
+
+import base64
+import json
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+pytest.importorskip("foxglove", reason="needs the extra 'foxglove'")
+pytest.importorskip("websockets")
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
+from adaptive_contact.service.link import Link, Request, client_settings, router_settings
+from adaptive_contact.wire import (
+    HEARTBEAT,
+    ContactEvent,
+    Heartbeat,
+    LegHeartbeat,
+    LegTrace,
+    ServoSample,
+    contact_key,
+    servo_key,
+    trace_key,
+)
+
+# A tick of a source whose clock began some days ago.
+T_NS = 300_000_000_000_000
+SAMPLE = ServoSample(
+    t_ns=T_NS, seq=7, measured=[0.1, 0.2], desired=[0.3, 0.4], preview=[[1.0, 2.0]], phase="swing"
+)
+EVENT = ContactEvent(
+    leg="lf", t_ns=T_NS, seq=7, onset_ns=T_NS - 5, contact=True, status="valid", score=1.5,
+    residual=[0.5, -0.25], model_version=3,
+)  # fmt: skip
+BEAT = LegHeartbeat(t_ns=T_NS, age_s=0.0, contact=True)
+TRACE = LegTrace(
+    leg="lf",
+    number=12,
+    t_ns=[T_NS - 20_000_000, T_NS],
+    seq=[6, 7],
+    swing=[None, True],
+    measured=[[0.0, 0.0], [0.1, 0.2]],
+    desired=[[0.0, 0.0], [0.3, 0.4]],
+    predicted=[None, [0.15, 0.25]],
+    test_ratio=[None, 1.5],
+)
+
+
+class Client:
+    """A client of ``foxglove.sdk.v1``: reads what is advertised, subscribes, decodes."""
+
+    def __init__(self, port: int) -> None:
+        self._stack = ExitStack()
+        self._socket = self._stack.enter_context(
+            connect(f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")])
+        )
+        self.info = json.loads(self._socket.recv(timeout=60))
+        self.channels: dict[str, dict[str, Any]] = {}
+        self._subscribed: dict[int, str] = {}
+
+    def close(self) -> None:
+        self._stack.close()
+
+    def wait_channel(self, topic: str) -> dict[str, Any]:
+        while topic not in self.channels:
+            self._take(self._socket.recv(timeout=60))
+        return self.channels[topic]
+
+    def subscribe(self, topic: str) -> None:
+        channel = self.wait_channel(topic)["id"]
+        number = len(self._subscribed) + 1
+        self._subscribed[number] = topic
+        self._ask(number, channel)
+
+    def _ask(self, number: int, channel: int) -> None:
+        wanted = [{"id": number, "channelId": channel}]
+        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def message(self) -> tuple[str, int, Any]:
+        """Topic, log time and the decoded message."""
+        while (found := self._take(self._socket.recv(timeout=60))) is None:
+            pass
+        return found
+
+    def _take(self, received: str | bytes) -> tuple[str, int, Any] | None:
+        if isinstance(received, str):
+            said = json.loads(received)
+            if said["op"] == "advertise":
+                self.channels |= {channel["topic"]: channel for channel in said["channels"]}
+            elif said["op"] == "status":
+                # On a busy computer the SDK advertises a channel before it knows it itself.
+                for number, topic in self._subscribed.items():
+                    if str(self.channels[topic]["id"]) in said["message"]:
+                        self._ask(number, self.channels[topic]["id"])
+            return None
+        opcode, number, time_ns = struct.unpack_from("<BIQ", received)
+        assert opcode == 1, "message data"
+        topic = self._subscribed[number]
+        channel = self.channels[topic]
+        assert channel["encoding"] == channel["schemaEncoding"] == "protobuf"
+        files = descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(channel["schema"]))
+        pool = descriptor_pool.DescriptorPool()
+        for file in files.file:
+            pool.Add(file)
+        made = message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"]))
+        return topic, time_ns, made.FromString(received[13:])
+
+
+@pytest.fixture
+def router() -> Iterator[Link]:
+    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
+        yield link
+
+
+@pytest.fixture
+def server(router: Link) -> Iterator[FoxgloveServer]:
+    stop = threading.Event()
+    with (
+        Link.open(client_settings(router.endpoints)) as link,
+        FoxgloveServer(link, port=0) as one,
+    ):
+        worker = threading.Thread(target=one.run, args=(stop,))
+        worker.start()
+        yield one
+        stop.set()
+        worker.join(5)
+        assert not worker.is_alive()
+
+
+@pytest.fixture
+def client(server: FoxgloveServer) -> Iterator[Client]:
+    one = Client(server.port)
+    yield one
+    one.close()
+
+
+class Source:
+    """Publishes until somebody has seen it."""
+
+    def __init__(self, link: Link) -> None:
+        self._servo = link.publisher(servo_key("lf"))
+        self._contact = link.publisher(contact_key("lf"), reliable=True, history=1)
+        self._heartbeat = link.publisher(HEARTBEAT)
+        self._stop = threading.Event()
+        self._worker = threading.Thread(target=self._run)
+        self._worker.start()
+
+    def _run(self) -> None:
+        while not self._stop.wait(0.02):
+            self._servo.put(SAMPLE)
+            self._heartbeat.put(Heartbeat(legs={"lf": BEAT}))
+            self._contact.put(EVENT)
+
+    def close(self) -> None:
+        self._stop.set()
+        self._worker.join(5)
+
+
+@pytest.fixture
+def source(router: Link) -> Iterator[Source]:
+    one = Source(router)
+    yield one
+    one.close()
+
+
+def test_keys_are_topics_and_messages_keep_their_values(source: Source, client: Client) -> None:
+    assert client.info["capabilities"] == [], "nothing comes in"
+    client.subscribe("robot/leg/lf/servo")
+    topic, time_ns, servo = client.message()
+    assert topic == "robot/leg/lf/servo"
+    assert (servo.t_ns, servo.seq, servo.phase) == (T_NS, 7, "swing")
+    assert (list(servo.measured), list(servo.desired)) == ([0.1, 0.2], [0.3, 0.4])
+    assert [list(row.values) for row in servo.preview] == [[1.0, 2.0]]
+    assert time_ns > 1_700_000_000 * 10**9, "of this computer's clock, not of the source's"
+    client.subscribe("robot/leg/lf/contact")
+    while topic != "robot/leg/lf/contact":
+        topic, _, event = client.message()
+    assert (event.contact, event.score, event.onset_ns) == (True, 1.5, T_NS - 5)
+
+
+def test_ticks_come_one_by_one_and_only_for_those_who_look(
+    router: Link, source: Source, client: Client
+) -> None:
+    asked: list[str | None] = []
+
+    def answer(request: Request) -> None:
+        asked.append(request.parameter("after"))
+        request.reply(TRACE, trace_key("lf"))
+        request.close()
+
+    router.queryable(trace_key("*"), answer)
+    client.subscribe("robot/leg/lf/servo")
+    client.message()
+    assert not asked, "the service keeps ticks while it is asked, and nobody looks at them"
+    client.subscribe("robot/leg/lf/trace")
+    ticks: list[tuple[int, Any]] = []
+    while len(ticks) < 2:
+        topic, time_ns, message = client.message()
+        if topic == "robot/leg/lf/trace":
+            ticks.append((time_ns, message))
+    (before_ns, unjudged), (after_ns, judged) = ticks
+    assert (unjudged.seq, unjudged.HasField("swing"), unjudged.HasField("test_ratio")) == (
+        *(6, False, False),
+    )
+    assert list(unjudged.predicted) == []
+    assert (judged.seq, judged.swing, judged.test_ratio) == (7, True, 1.5)
+    assert (list(judged.predicted), list(judged.measured)) == ([0.15, 0.25], [0.1, 0.2])
+    assert after_ns - before_ns == 20_000_000
+    assert abs(after_ns - time.time_ns()) < 60 * 10**9, "on this computer's clock"
+    assert asked[0] is None
+
+
+def test_what_cannot_be_read_is_counted(
+    router: Link, server: FoxgloveServer, source: Source, client: Client
+) -> None:
+    client.subscribe("robot/leg/lf/servo")
+    bad = router.publisher(servo_key("rf"))
+    counted = ("robot/leg/rf/servo", "malformed")
+    for _ in range(500):  # until the subscription has travelled
+        bad.put_raw(b"\xc1", "application/msgpack")
+        assert client.message()[0] == "robot/leg/lf/servo", "the others go on"
+        if server.left_out[counted]:
+            break
+    assert server.left_out[counted]
+    assert "robot/leg/rf/servo" not in client.channels
+
+
+def test_a_port_in_use_is_one_line(server: FoxgloveServer, router: Link) -> None:
+    with pytest.raises(ConfigurationError, match=r"in use.*give another --port"):
+        FoxgloveServer(router, port=server.port)
+
+
+def test_the_command_says_where_and_ends_on_a_signal(router: Link, command: Any) -> None:
+    process = command(
+        *("-m", "adaptive_contact", "bridge", "foxglove", "--port", "0"),
+        *("--connect", router.endpoints[0]),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    line = process.stdout.readline()
+    assert "open ws://127.0.0.1:" in line
+    client = Client(int(line.partition("ws://127.0.0.1:")[2].split()[0]))
+    assert client.info["op"] == "serverInfo"
+    client.close()
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=60)[0] == ""
+    assert process.returncode == 0
+
+
+def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'adaptive-contact\[foxglove\]'"):
+        check_installed()
