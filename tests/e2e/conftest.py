@@ -314,6 +314,7 @@ class Shell:
         for found, own in {
             "7447": str(self.port), "192.168.1.7": "127.0.0.1", "host 0.0.0.0": "host 127.0.0.1",
             "--port 8080": "--port 0",
+            "bridge foxglove": "bridge foxglove --port 0",
             " examples/": f" {ROOT}/examples/",
         }.items():  # fmt: skip
             line = line.replace(found, own)

@@ -49,6 +49,7 @@ GIVEN = {
         "adaptive-contact watch --web": ["adaptive-contact serve", "adaptive-contact sim walk"],
         "adaptive-contact state reset": ["kill"],
     },
+    "recordings.md": {"adaptive-contact bridge foxglove": ["adaptive-contact serve"]},
     "robot.md": {
         "adaptive-contact robot init": ["urdf solo12.urdf _FOOT"],
         "adaptive-contact robot check": [
