@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import errno
 import os
 import pty
@@ -15,9 +14,6 @@ from typing import Any
 
 import pytest
 
-import adaptive_contact
-import adaptive_contact_sim
-import adaptive_contact_studies
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.files import holds_content, why_not_writable, write_file
 
@@ -128,12 +124,6 @@ def test_a_failure_leaves_the_old_file_alone(
     assert names(tmp_path) == ["a"]
 
 
-def test_the_name_beside_it_may_be_as_long_as_any(tmp_path: Path) -> None:
-    path = tmp_path / ("n" * 255)
-    write_file(path, b"x")
-    assert names(tmp_path) == [path.name]
-
-
 def test_standard_output_that_is_a_file_keeps_what_was_printed(tmp_path: Path) -> None:
     code = (
         "from adaptive_contact.files import write_file\n"
@@ -153,51 +143,3 @@ def test_what_could_not_be_written_is_known_before(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("no/file")
     assert "no folder" in str(why_not_writable(tmp_path / "link"))
     assert why_not_writable(tmp_path / "file") is None
-
-
-# Calls that write a file by name, and the few places that may: the helper and the state's folder.
-_WRITERS = {"write_text", "write_bytes", "savefig", "copyfile", "copy", "copy2", "mkstemp"}
-_MAY_WRITE = {
-    "adaptive_contact/files.py",
-    "adaptive_contact/service/state/store.py",
-}
-
-
-def _writes(call: ast.Call) -> str | None:
-    """The name of a call that opens or writes a named file, None for another."""
-    function = call.func
-    name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
-    of = function.value if isinstance(function, ast.Attribute) else None
-    if name in ("copy", "copyfile", "copy2") and getattr(of, "id", "") != "shutil":
-        return None
-    if name == "savefig":  # into memory, as the helper takes bytes
-        return None if getattr(call.args[0], "id", "") == "picture" else name
-    if name in _WRITERS:
-        return name
-    if name == "open":
-        modes = [*call.args, *(word.value for word in call.keywords if word.arg == "mode")]
-        texts = [m.value for m in modes if isinstance(m, ast.Constant)]
-        flags = [ast.unparse(m) for m in modes]
-        if any(
-            isinstance(t, str) and set(t) <= set("rwaxbt+") and set(t) & set("wax+") for t in texts
-        ):
-            return name
-        if any(flag in text for text in flags for flag in ("O_CREAT", "O_WRONLY", "O_TRUNC")):
-            return name
-    return None
-
-
-def test_every_file_is_written_by_the_one_helper() -> None:
-    found = []
-    for package in (adaptive_contact, adaptive_contact_sim, adaptive_contact_studies):
-        root = Path(package.__file__).parent
-        for path in sorted(root.rglob("*.py")):
-            where = path.relative_to(root.parent).as_posix()
-            if where in _MAY_WRITE:
-                continue
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Call) and _writes(node) is not None:
-                    found.append((where, ast.unparse(node)))
-    # os.devnull is no file of anybody's.
-    others = [one for one in found if "devnull" not in one[1]]
-    assert others == []

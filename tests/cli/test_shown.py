@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import io
 import json
 import re
@@ -16,7 +15,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-import adaptive_contact.cli
 from adaptive_contact.cli import doctor, main
 from adaptive_contact.cli.doctor import traffic_table
 from adaptive_contact.service.doctor import Diagnosis, Examination, KeyTraffic, diagnose
@@ -24,7 +22,6 @@ from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.wire import JSON, MSGPACK, ContactTruth, ServoSample, encode
 
-CLI: Final = Path(adaptive_contact.cli.__file__).parent
 # What a terminal obeys, and what misleads its reader; line feeds are the commands' own.
 UNSAFE: Final = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069]")
 # Every kind of it, and what rich would take for markup.
@@ -32,20 +29,6 @@ HOSTILE: Final = (
     "\x1b[31m\x1b]0;t\x07\x9b2J\x00\x08\r\nall is well\u202e\u2028\x7f[bold]x[/bold][/]"
 )
 TYPED: Final = HOSTILE.replace("\x00", "")  # no command line has a zero
-
-
-def test_commands_print_through_one_helper() -> None:
-    """Another way to print would be another place to forget what the wire may hold."""
-    found = []
-    for path in sorted(CLI.rglob("*.py")):
-        if path.name in ("_output.py", "_console.py"):
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call):
-                name = ast.unparse(node.func)
-                if name in ("print", "typer.echo", "typer.secho", "Console", "sys.stdout.write"):
-                    found.append(f"{path.name}:{node.lineno}: {name}")
-    assert not found
 
 
 @pytest.fixture

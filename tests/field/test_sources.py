@@ -11,9 +11,12 @@ from . import sources as s
 SECONDS = 45.0  # the first seconds, in which nothing is known of a source, are a share of it
 
 
-@pytest.mark.parametrize(("loop", "seed"), [("one in 4 slips 0.25", 5), ("all slip 0 to 0.15", 6)])
-def test_a_loop_whose_delays_add_up_finds_its_touches(loop: str, seed: int) -> None:
-    """It is 6 to 8 % slower in the mean, within what a model bears, and in some moments by more."""
+@pytest.mark.parametrize(
+    ("loop", "seed"),
+    [("late 0 to 0.25", 5), ("one in 4 slips 0.25", 5), ("all slip 0 to 0.15", 6)],
+)
+def test_a_loop_that_is_late_finds_its_touches(loop: str, seed: int) -> None:
+    """Where delays add up it is 6 to 8 % slower in the mean, and in some moments by more."""
     played = s.late_loop(*s.walk_of(seed, SECONDS), s.LOOPS[loop])
     total = s.play(played, shipped_robot()).total
     assert total.counted.touches > 90

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from adaptive_contact.cli.fit import undetermined
-from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit import FitSettings, fit_sparse
-from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.prior import fit_prior
 from adaptive_contact.fit.sparse_regression import Prior
 from adaptive_contact.fit.train import Stretch, Training, learn
@@ -71,16 +69,6 @@ def test_a_prior_counts_like_its_rows(seed: int, p: int, joints: int, n: int) ->
         found = fit.coefficients[:, joint]
         assert (found[~kept] == 0.0).all()
         np.testing.assert_allclose(found[kept] * scale[kept], expected, atol=1e-7)
-
-
-def test_a_prior_of_no_rows_changes_nothing() -> None:
-    rng = np.random.default_rng(3)
-    theta, target = rng.normal(size=(50, 6)), rng.normal(size=(50, 2))
-    factor = factor_of(theta, target)
-    none = Prior(np.ones((6, 2)), np.zeros((2, 1, 6)), np.ones((6, 2), dtype=bool))
-    plain = fit_sparse(factor, FitSettings(threshold=0.1)).coefficients
-    held = fit_sparse(factor, FitSettings(threshold=0.1, prior=none)).coefficients
-    np.testing.assert_allclose(held, plain, atol=1e-10)
 
 
 # -- what is known of any leg ------------------------------------------------------------------
@@ -222,30 +210,7 @@ def test_doubt_counts_what_a_term_adds_to_those_before_it(
     assert (domain.leverage(new) >= plain.leverage(new) * (1.0 - 1e-9)).all()
 
 
-@pytest.mark.parametrize("doubt", [np.ones(3), np.array([1.0, np.nan]), np.array([1.0, -1.0])])
-def test_doubts_that_are_none_are_refused(doubt: Array) -> None:
-    with pytest.raises(IdentificationError, match="expected 2 inflations of 0 and more"):
-        Domain(np.eye(2), np.ones(2), inflation=doubt)
-
-
 # -- stretches held out ------------------------------------------------------------------------
-
-
-def test_each_fold_is_predicted_by_a_fit_of_the_others() -> None:
-    rng = np.random.default_rng(5)
-    theta, target = rng.normal(size=(90, 7)), rng.normal(size=(90, 2))
-    fold = rng.integers(0, 4, 90)
-    library = Library("linear", ("a", "b"), ("yaw", "pitch"))
-    residual = HeldOut(theta, target, fold).residual(
-        Manner(library, QUANTUM, (1.0, 1.0)), 0.0, np.zeros(2, dtype=bool)
-    )
-    assert residual is not None
-    for k in range(4):
-        inside = fold == k
-        beta = np.linalg.lstsq(theta[~inside], target[~inside], rcond=None)[0]
-        np.testing.assert_allclose(
-            residual[inside], target[inside] - theta[inside] @ beta, atol=1e-5
-        )
 
 
 def arm_motion(rng: np.random.Generator, n: int, kind: int, reach: float = 0.6) -> Stretch:
@@ -351,16 +316,6 @@ def test_motions_that_determine_all_terms_hold_on_to_nothing(
     assert '"doubt"' not in file.read_text()
 
 
-def test_a_leap_of_two_ticks_is_told_and_raises_no_threshold(determined: Training) -> None:
-    """Of a recording that determines all terms but what a command so far away does."""
-    rng = np.random.default_rng(13)
-    desired = waves(rng)
-    desired[3000:3002] += 2.0
-    leapt = trained([follow(rng, desired)])
-    assert 0 < leapt.figures["arm"].lone < 20
-    assert threshold_of(leapt) < 2.0 * threshold_of(determined)
-
-
 def test_a_shove_of_two_ticks_is_left_out(determined: Training) -> None:
     """The recording was given as free, and a joint is held away."""
     rng = np.random.default_rng(13)
@@ -369,17 +324,6 @@ def test_a_shove_of_two_ticks_is_left_out(determined: Training) -> None:
     shoved = trained([motion])
     assert 0 < shoved.figures["arm"].outliers < 20
     assert threshold_of(shoved) < 1.5 * threshold_of(determined)
-
-
-def test_without_groups_nothing_is_known() -> None:
-    rng = np.random.default_rng(5)
-    library = Library("linear", ("a",), ("pitch",))
-    theta, target = rng.normal(size=(60, library.size)), rng.normal(size=(60, 1))
-    held = HeldOut(theta, target, np.arange(60) // 20)
-    still = np.zeros(1, dtype=bool)
-    plain = swept(held, Manner(library, QUANTUM, (1.0,)), (0.0,), still, 0.001)
-    assert plain is not None
-    assert strength_of(held, plain, still, 0.001) is None
 
 
 # -- a few ticks at speeds that no other motion has --------------------------------------------

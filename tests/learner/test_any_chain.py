@@ -14,7 +14,6 @@ from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.model_file import dump_baseline, parse_baseline
 from adaptive_contact.robot import Leg, Robot
-from adaptive_contact.robot.gait_phase import directions, infer_phase
 from adaptive_contact.wire import ContactEvent, ServoSample
 
 from .conftest import LENGTHS, PERIOD, FakeLeg, play, samples
@@ -75,14 +74,6 @@ def test_a_turned_frame_changes_no_event(robot: Robot, baseline: Baseline) -> No
 
 def facts(event: ContactEvent) -> tuple[object, ...]:
     return event.contact, event.t_ns, event.onset_ns
-
-
-def test_phase_and_direction_come_from_the_chain(robot: Robot) -> None:
-    _, desired, *_ = FakeLeg(seed=3).run(20)
-    one, other = (r.leg("rf") for r in (robot, aside(robot)))
-    assert infer_phase(desired, one) is not None
-    assert np.array_equal(infer_phase(desired, one), infer_phase(desired, other))
-    assert np.array_equal(directions(desired, one), directions(desired, other))
 
 
 def rolling() -> Robot:

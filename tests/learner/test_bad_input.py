@@ -16,29 +16,6 @@ from adaptive_contact.robot import Robot
 from .conftest import PERIOD, FakeLeg, outcomes, play, samples
 
 
-def test_gaps_and_missing_readings_are_bridged(robot: Robot, baseline: Baseline) -> None:
-    rng = np.random.default_rng(0)
-    stops = [16 if n % 2 else None for n in range(200)]
-    stream = samples(*FakeLeg(seed=13).run(200, touch=lambda n: stops[n])[:3])
-    lost = rng.random(len(stream)) < 0.01
-    invalid = rng.random(len(stream)) < 0.02
-    damaged = [
-        msgspec.structs.replace(
-            s, valid=[True, False, True], measured=[s.measured[0], -3.14, s.measured[2]]
-        )
-        if bad
-        else s
-        for s, bad, gone in zip(stream, invalid, lost, strict=True)
-        if not gone
-    ]
-    learner = ContactLearner(robot, "rf", baseline)
-    told = outcomes(play(learner, damaged), range(200), stops)
-    assert told.count("alarm") <= 2
-    assert told.count("miss") <= 6
-    kept = np.flatnonzero(~lost)
-    assert learner.status.missed == lost[kept[0] : kept[-1]].sum()
-
-
 @pytest.mark.parametrize("back", [0, 2, 4])
 def test_after_a_long_gap_a_foot_on_the_ground_is_not_taken_for_free(
     robot: Robot, baseline: Baseline, back: int
@@ -52,17 +29,6 @@ def test_after_a_long_gap_a_foot_on_the_ground_is_not_taken_for_free(
         gone = range(28 * swing + 14, 28 * (swing + 1) + back)
         told = play(learner, [s for s in held[: 28 * (swing + 2)] if s.seq not in gone])
         assert not [event for event in told if event.contact], swing
-
-
-def test_after_a_long_gap_nothing_is_said_until_the_window_is_full(
-    robot: Robot, baseline: Baseline
-) -> None:
-    stream = samples(*FakeLeg(seed=14).run(60, touch=lambda _: 16)[:3])
-    learner = ContactLearner(robot, "rf", baseline)
-    play(learner, stream[:280])
-    resumed = play(learner, stream[280 + 12 : 280 + 12 + 5])
-    assert resumed == []
-    assert learner.status.missed == 12
 
 
 def slowed(stream: list[ServoSample], first: int, stop: int, factor: float) -> list[ServoSample]:

@@ -15,8 +15,6 @@ from adaptive_contact.model.library import friction_terms, soft_term
 
 from .conftest import FakeLeg
 
-NOISE = np.array([0.004, 0.005, 0.006])
-
 
 @pytest.fixture(scope="module")
 def known(baseline: Baseline) -> LegBaseline:
@@ -31,14 +29,6 @@ def model(known: LegBaseline) -> LegModel:
 @pytest.fixture(scope="module")
 def scale(known: LegBaseline) -> np.ndarray:
     return known.scale
-
-
-def law_of(model: LegModel, joint: int) -> list[int]:
-    """Terms of the control law of a joint."""
-    name = model.library.joints[joint]
-    return [
-        i for i, t in enumerate(model.library.names) if t.startswith("sat(") and f"_{name}" in t
-    ]
 
 
 def test_the_support_is_the_models_and_what_a_change_may_need(model: LegModel) -> None:
@@ -58,75 +48,6 @@ def test_the_support_is_the_models_and_what_a_change_may_need(model: LegModel) -
             foreign = names.index(f"tanh(v_{other}/v₀)")
             assert core[foreign, joint] == model.support[foreign, joint]
     assert not core.all(), "the rest stays where it is"
-
-
-def test_directions_have_a_shape_and_stay_in_the_support(
-    model: LegModel, scale: np.ndarray
-) -> None:
-    moves = change_directions(model, scale, NOISE)
-    core = core_support(model)
-    p, joints = model.coefficients.shape
-    assert moves.ndim == 3
-    assert (moves.shape[0], moves.shape[2]) == (joints, p)
-    assert np.isfinite(moves).all()
-    for joint in range(joints):
-        assert not moves[joint][:, ~core[:, joint]].any()
-        # Every term that may move does so along one direction at least.
-        assert moves[joint][:, core[:, joint]].any(axis=0).all()
-
-
-def test_a_servo_half_as_stiff_is_two_deviations_away(model: LegModel, scale: np.ndarray) -> None:
-    moves = change_directions(model, scale, NOISE)
-    for joint, name in enumerate(model.library.joints):
-        soft = model.library.names.index(soft_term(name))
-        along = [row for row in moves[joint] if row[soft]]
-        assert len(along) == 1, name
-        assert np.count_nonzero(along[0]) == 1
-        assert along[0][soft] == pytest.approx(0.5), "1 is what its first model foretells"
-
-
-def test_a_drive_that_weakens_moves_all_of_its_law(model: LegModel, scale: np.ndarray) -> None:
-    moves = change_directions(model, scale, NOISE)
-    for joint in range(len(model.library.joints)):
-        weaker = np.zeros(model.library.size)
-        law = law_of(model, joint)
-        weaker[law] = model.coefficients[law, joint]
-        along = [row for row in moves[joint] if np.count_nonzero(row) and _parallel(row, weaker)]
-        assert along, "supply and winding scale the law"
-        assert all(0.05 < np.linalg.norm(r) / np.linalg.norm(weaker) < 1.0 for r in along)
-
-
-def test_a_small_scale_gives_a_term_a_large_coefficient(model: LegModel, scale: np.ndarray) -> None:
-    """Single terms move a prediction by a share of the noise, whatever their size."""
-    moves = change_directions(model, scale, NOISE)
-    for joint in range(len(NOISE)):
-        single = [row for row in moves[joint] if np.count_nonzero(row) == 1]
-        units = np.concatenate([row * scale / NOISE[joint] for row in single])
-        # Families may be of one term, too.
-        told = {size: int(np.isclose(units, size).sum()) for size in (2.0, 0.5, 0.3, 0.1)}
-        assert told[2.0] == 3, "friction against the movement foretold"
-        assert told[0.5] >= 2, "and against the last one, dry and viscous"
-        assert told[0.3] >= 6, "the joint's own law"
-        assert told[0.1] >= 5, "the rest, and where the leg is"
-
-
-@pytest.mark.parametrize("name", ["paper", "linear"])
-def test_a_library_without_such_terms_has_no_others(baseline: Baseline, name: str) -> None:
-    library = dataclasses.replace(baseline.legs["rf"].model.library, name=name)
-    rng = np.random.default_rng(0)
-    coefficients = rng.normal(size=(library.size, 3)) * (rng.random((library.size, 3)) < 0.3)
-    model = LegModel(library, coefficients)
-    moves = change_directions(model, np.ones(library.size), NOISE)
-    core = core_support(model)
-    assert core[model.support].all()
-    assert moves.shape[0] == 3
-    assert moves.shape[2] == library.size
-    for joint in range(3):
-        assert not moves[joint][:, ~core[:, joint]].any()
-
-
-def _parallel(a: np.ndarray, b: np.ndarray) -> bool:
-    return bool(abs(a @ b) > (1.0 - 1e-9) * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def heard_in_lifts(known: LegBaseline, moved: Rows, joint: int) -> tuple[np.ndarray, np.ndarray]:

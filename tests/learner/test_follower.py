@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import msgspec
@@ -18,9 +17,8 @@ from adaptive_contact.learn.adapter import (
 )
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
-from adaptive_contact.model import Baseline, Domain, Factor
+from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Rows
-from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.robot import Leg, Robot, parse_robot
 from adaptive_contact.wire import DriftLevel
 
@@ -127,48 +125,6 @@ def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter, scale: A
     assert adapter.status != "valid"
 
 
-def first_model(baseline: Baseline, rows: int) -> tuple[LegBaseline, Array]:
-    """What so many rows tell of a leg, and the leg itself: its baseline's model."""
-    known = baseline.legs["rf"]
-    true = known.model.coefficients
-    rng = np.random.default_rng(5)
-    theta = rng.normal(size=(rows, len(true))) * known.scale
-    noise = known.noise.rms
-    factor = Factor(*true.shape)
-    factor.add(theta, theta @ true + rng.normal(size=(rows, 3)) * noise)
-    ridge = np.diag(known.scale / 20.0)
-    guess = Factor(*true.shape)
-    guess.merge(factor)
-    guess.add(ridge, np.zeros(true.shape))
-    left, right = guess.system
-    model = known.model.moved(np.linalg.lstsq(left, right)[0], 1)
-    domain = Domain.of(factor, known.scale)
-    return dataclasses.replace(known, model=model, domain=domain), true
-
-
-def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> None:
-    known, _ = first_model(baseline, rows=2 * len(baseline.legs["rf"].scale))
-
-    def fresh() -> Adapter:
-        recent = NoiseTracker(known.noise, baseline.tails, 1.0)
-        return Adapter("rf", known, recent, LearnerMode.FULL, InlineRefitter())
-
-    def leverage(adapter: Adapter) -> float:
-        domain = adapter.free_motion().domain
-        assert domain is not None
-        return float(domain.leverage(theta))
-
-    adapter = fresh()
-    assert known.domain is not None
-    theta = np.random.default_rng(7).normal(size=len(known.scale)) * known.scale
-    lifts(adapter, known.scale, 60)
-    grown = leverage(adapter)
-    assert grown < 0.8 * float(known.domain.leverage(theta)), "refits have widened it"
-    again = fresh()
-    assert again.restore(adapter.snapshot()) is None
-    assert leverage(again) <= grown * 1.05
-
-
 def without_lengths() -> Robot:
     text = "\n".join(line for line in TOML.splitlines() if not line.startswith("lengths_m"))
     return parse_robot(text, source="testbot")
@@ -227,26 +183,6 @@ def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
     assert adapter.monitor.drift == DriftLevel(level=adapter.monitor.variance_scale), (
         "no change any more"
     )
-
-
-@pytest.mark.parametrize(("seed", "at", "stop"), [(7, 8, 16), (6, 10, 18), (8, 6, 14)])
-def test_a_source_that_begins_within_a_swing_teaches_nothing_of_it(
-    baseline: Baseline, seed: int, at: int, stop: int
-) -> None:
-    """Without lengths its ticks stand for its lift, and those before are not known."""
-    stops: list[int | None] = [stop] * 40
-    *arrays, touching = FakeLeg(seed=seed).run(40, touch=lambda n: stops[n])
-    stream = samples(*arrays)
-    learner = ContactLearner(without_lengths(), "rf", baseline)
-    play(learner, stream[: 28 * 20])
-    learner.drain_confirmed()
-    again = [msgspec.structs.replace(s, run=1) for s in stream[28 * 20 + at :]]
-    events = play(learner, again)
-    ticks = np.array(learner.drain_confirmed()) // 20_000_000
-    assert len(ticks) > 30
-    assert not touching[ticks].any()
-    assert ticks.min() >= 28 * 21
-    assert outcomes(events, range(22, 40), stops).count("hit") >= 17
 
 
 def test_a_swing_that_began_before_the_source_says_nothing_of_how_long_swings_are(

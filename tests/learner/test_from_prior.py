@@ -8,7 +8,6 @@ import pytest
 from adaptive_contact import ContactLearner
 from adaptive_contact.detect.swing_labels import CAUTIOUS_TICKS
 from adaptive_contact.fit.refit_job import InlineRefitter
-from adaptive_contact.learn.drift import DriftMonitor
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.model import Baseline
@@ -89,15 +88,6 @@ def test_a_leg_that_no_prior_fits_gets_a_wider_one(robot: Robot) -> None:
     np.testing.assert_array_equal(last, nine)
 
 
-def test_a_wider_prior_is_kept_over_a_restart(robot: Robot) -> None:
-    life = started(robot)
-    life.forget()
-    again = started(robot)
-    assert again.restore(life.snapshot()) is None
-    np.testing.assert_allclose(spread_of(again), spread_of(life), rtol=1e-9)
-    assert again.note_now == life.note_now
-
-
 def test_a_baseline_that_is_not_the_leg_s_is_followed_by_the_prior(
     robot: Robot, baseline: Baseline
 ) -> None:
@@ -110,34 +100,6 @@ def test_a_baseline_that_is_not_the_leg_s_is_followed_by_the_prior(
     again = started(robot, baseline)
     assert again.restore(life.snapshot()) is None
     assert again.note_now == life.note_now
-
-
-def test_a_prior_that_takes_over_in_mid_swing_sees_no_movement_from_nowhere(
-    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its past begins with the next sample: a window of zeros before it would be a leap."""
-    learner = ContactLearner(robot, "rf", baseline)
-    stream = iter(samples(*FakeLeg(seed=41).run(6, touch=lambda n: None)[:3]))
-    for sample in stream:
-        learner.update(sample)
-        if sample.seq >= 60 and sample.phase == "swing":
-            break
-    with monkeypatch.context() as patch:
-        patch.setattr(DriftMonitor, "unfit", True)
-        for sample in stream:
-            learner.update(sample)
-            if learner.status.status == "learning":
-                break
-    assert sample.phase == "swing"
-    leg = learner.place.record
-    assert (leg["filled"], leg["predicted"]) == (0, False)
-    taken = []
-    for sample in stream:
-        learner.update(sample)
-        taken.insert(0, sample.measured)
-        if leg["filled"] == leg["length"]:
-            break
-    np.testing.assert_allclose(learner.place.window[: len(taken)], taken)
 
 
 @pytest.mark.parametrize("widening", ["3", None, -1.0, float("nan"), 1e9, [3.0]])

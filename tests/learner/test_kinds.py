@@ -9,7 +9,6 @@ import pytest
 
 from adaptive_contact.diagnose.change_classifier import (
     KINDS,
-    LEAST_ROWS,
     LEAST_SHARE,
     ChangeClassifier,
 )
@@ -107,25 +106,6 @@ def test_a_kind_that_explains_too_little_is_not_told(known: LegBaseline) -> None
     for share, kind in ((0.5 * LEAST_SHARE, None), (2.0 * LEAST_SHARE, "friction")):
         factor = np.sqrt(share / (1.0 - share)) / unit
         assert evidence(known, theta, white + factor * made).kind == kind
-
-
-def test_nothing_is_told_of_a_few_ticks(known: LegBaseline) -> None:
-    theta, noise = swings(known, 31)
-    residual = noise + changed(known, "drive", theta)
-    assert evidence(known, theta, residual).kind == "drive"
-    few = slice(0, LEAST_ROWS - 1)
-    assert evidence(known, theta[few], residual[few]).kind is None
-
-
-def test_between_two_kinds_nothing_is_told(known: LegBaseline) -> None:
-    theta, noise = swings(known, 31)
-    drive, friction = changed(known, "drive", theta), changed(known, "friction", theta)
-    told = [
-        evidence(known, theta, noise + (1.0 - share) * drive + share * friction).kind
-        for share in np.linspace(0.0, 1.0, 101)
-    ]
-    order = list(dict.fromkeys(told))
-    assert order == ["drive", None, "friction"]
 
 
 def _left(known: LegBaseline, theta: np.ndarray, residual: np.ndarray, kind: str) -> float:

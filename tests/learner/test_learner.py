@@ -47,33 +47,6 @@ def test_a_command_that_freezes_is_no_contact(robot: Robot, baseline: Baseline) 
     assert not [e for e in play(learner, frozen) if e.contact]
 
 
-@pytest.mark.parametrize("late_ms", [10, 17, 20])
-def test_a_tick_that_comes_late_blinds_no_leg(
-    robot: Robot, baseline: Baseline, late_ms: int
-) -> None:
-    """A controller that sleeps between ticks: in every swing one is late, and the leg goes on.
-
-    The touch comes three to five ticks after it.
-    """
-    stops = [17 if n % 2 else None for n in range(120)]
-    late = [12 + n % 3 if n >= 20 else None for n in range(120)]
-    measured, desired, swing, _ = FakeLeg(seed=3).run(
-        120, touch=lambda n: stops[n], late=lambda n: late[n], by=late_ms / 20.0
-    )
-    delays = [late_ms * 1_000_000 if k % 28 == late[k // 28] else 0 for k in range(len(swing))]
-    behind = np.concatenate(([0], np.cumsum(delays)[:-1])).tolist()
-    stream = [
-        msgspec.structs.replace(sample, t_ns=sample.t_ns + by)
-        for sample, by in zip(samples(measured, desired, swing), behind, strict=True)
-    ]
-    learner = ContactLearner(robot, "rf", baseline)
-    told = outcomes(play(learner, stream), range(20, 120), stops)
-    assert told.count("hit") >= 44, "of 50"
-    assert told.count("alarm") <= 8
-    assert learner.status.missed == 0
-    assert learner.status.note is None
-
-
 def test_a_leg_whose_lifts_are_never_heard_says_so(robot: Robot, baseline: Baseline) -> None:
     """A controller whose swings begin past the top."""
     measured, desired, _, _ = FakeLeg(seed=5).run(40)
@@ -252,24 +225,6 @@ def test_a_baseline_of_another_leg_is_thrown_and_stays_so_over_a_restart(
     play(whole, stream[28 * 10 :])
     assert whole.status.status == "valid"
     assert whole.status.note is None
-
-
-def test_swings_are_told_from_commands_and_geometry_as_well(
-    robot: Robot, baseline: Baseline
-) -> None:
-    """Samples that carry no phase: the same touches are found."""
-    stops = [16 if n % 2 else None for n in range(120)]
-    *arrays, touching = FakeLeg(seed=17).run(120, touch=lambda n: stops[n])
-    told = samples(*arrays)
-    bare = [msgspec.structs.replace(sample, phase=None) for sample in told]
-    learner = ContactLearner(robot, "rf", baseline)
-    found = outcomes(play(learner, bare), range(1, 120), stops)
-    assert learner.status.note is None
-    assert found.count("alarm") <= 1
-    assert found.count("hit") >= 57
-    confirmed = np.array(learner.drain_confirmed()) // PERIOD
-    assert len(confirmed) > 600
-    assert touching[confirmed].mean() < 0.01  # as where the phase is told
 
 
 def test_a_frozen_learner_without_a_baseline_stays_silent(robot: Robot) -> None:

@@ -9,15 +9,25 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact.detect.history import MAX_STEP_RAD_S
+from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.diagnose.leg_ids import IdTrack, IdWatch, judge_ids
 from adaptive_contact.diagnose.standing_feet import LegRows
 from adaptive_contact.fit.refit_job import InlineRefitter
+from adaptive_contact.model import leg_library
+from adaptive_contact.model.library import with_changes
 from adaptive_contact.robot import Leg, Mount, Robot, foot, shipped_robot
 from adaptive_contact.wire import ServoSample
 
-from .drivers import place_of
-
 TICKS = 600
+PERIOD_NS = 20_000_000
+
+
+def place_of(robot: Robot, leg: Leg) -> LegPlace:
+    """Arrays of one leg that has seen nothing."""
+    plain = leg_library(robot, leg)
+    library = with_changes(plain, np.zeros((plain.size, len(leg.joints))))
+    return LegPlace(LegBatch([leg], library, [0.005], PERIOD_NS, max_step=MAX_STEP_RAD_S * 0.02))
 
 
 def commands_of(robot: Robot, seed: int) -> dict[str, LegRows]:

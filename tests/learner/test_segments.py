@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from adaptive_contact.detect.contact import MAX_ROWS
 from adaptive_contact.detect.swing_labels import (
@@ -56,24 +55,6 @@ def test_rows_keep_their_segments_where_others_go() -> None:
         assert buffer.of_era(k // 150) == len(now)
 
 
-def test_times_of_an_older_source_do_not_compare() -> None:
-    """A clock that was set back, and then a rate that is off: only what came since is dropped."""
-    buffer = ReplayBuffer(limit=10)
-    for n in range(14):
-        late = rows_of([row(1_000_000 + n, lift=True)] * 4)
-        buffer.add(late, region=0, era=0)
-    buffer.new_source()
-    for n in range(3):
-        buffer.add(rows_of([row(100 * n, lift=True)] * 4), region=0, era=0)
-    buffer.drop_since(90 * PERIOD)
-    assert len(buffer.segments) == 8
-    buffer.drop_since(0)
-    assert len(buffer.segments) == 7
-    buffer.drop_since(0)
-    assert len(buffer.segments) == 7
-    assert buffer.counts.lift_ticks == 28
-
-
 def test_a_monotonous_gait_does_not_push_out_the_rest() -> None:
     buffer = ReplayBuffer(limit=20)
     for region in range(4):
@@ -82,31 +63,6 @@ def test_a_monotonous_gait_does_not_push_out_the_rest() -> None:
         buffer.add(rows(4), region=0, era=0)
     kept = {segment.cell[1] for segment in buffer.segments}
     assert kept == {0, 1, 2, 3}
-
-
-def test_a_large_library_is_given_the_rows_it_needs() -> None:
-    buffer = ReplayBuffer(limit=10, rows=100)
-    for _ in range(200):
-        buffer.add(rows(4), region=0, era=0)
-    assert 100 <= sum(len(segment.target) for segment in buffer.segments) <= 104
-
-
-def test_what_belongs_to_the_leg_before_its_change_goes_first() -> None:
-    buffer = ReplayBuffer(limit=10)
-    for _ in range(10):
-        buffer.add(rows(4), region=0, era=0)
-    for _ in range(6):
-        buffer.add(rows(4), region=1, era=1)
-    assert [s.era for s in buffer.segments].count(1) == 6
-    fit, held_out = buffer.factors(2, 1, era=1)
-    assert fit.rows + held_out.rows == 24
-
-
-@pytest.mark.parametrize("n", [0, 1])
-def test_an_empty_segment_is_none(n: int) -> None:
-    buffer = ReplayBuffer()
-    buffer.add(rows(n), region=0, era=0)
-    assert len(buffer.segments) == n
 
 
 def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
@@ -122,41 +78,6 @@ def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
     assert len(places(60)) < 6, "beside that everything is near"
     places(SEGMENTS)
     assert places(60) == set(range(6))
-
-
-def test_regions_are_parts_of_the_range_of_the_newest_commands() -> None:
-    """Against the extremes of all of them, looked for each time."""
-    rng = np.random.default_rng(1)
-    regions, seen = Regions(), list[np.ndarray]()
-    for k in range(1000):
-        seen.append(rng.choice([-1.0, 0.0, 0.2, 1.0, 3.0], 2) * (5.0 if k % 97 == 0 else 1.0))
-        newest = np.array(seen[-SEGMENTS:])
-        least, most = newest.min(axis=0), newest.max(axis=0)
-        place = (seen[-1] - least) / np.where(most > least, most - least, np.inf)
-        first, last = np.minimum((place * (3, 2)).astype(int), (2, 1))
-        assert regions.of(seen[-1].tolist()) == 2 * first + last
-
-
-def test_rows_wait_in_the_buffer_until_they_are_learned() -> None:
-    rng = np.random.default_rng(4)
-    buffer, waiting = ReplayBuffer(limit=12), list[float]()
-    for k in range(300):
-        ticks = [row(100 * k + i, lift=True) for i in range(rng.integers(1, 30))]
-        buffer.add(rows_of(ticks), region=int(rng.choice(3)), era=0)
-        waiting += [float(tick.theta[0]) for tick in ticks]
-        while waiting and rng.random() < 0.97:
-            at, t_ns = buffer.next_unlearned()
-            first = waiting.pop(0)
-            assert buffer.values[at, 0] == first, "in order, wherever they have been moved to"
-            assert t_ns // PERIOD // 100 == first // 100
-        assert buffer.unlearned == len(waiting)
-        if k % 40 == 39:  # what is dropped is not learned any more
-            since = int(waiting[0] if waiting else 100 * k) // 100 * 100
-            buffer.drop_since(since * PERIOD)
-            waiting = [at for at in waiting if at < since]
-    buffer.drop_unlearned()
-    assert buffer.unlearned == 0
-    assert len(buffer.segments) > 0
 
 
 def test_a_buffer_of_very_slow_swings_is_bounded_in_rows() -> None:

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model import Domain, Factor
 from adaptive_contact.model.training_domain import PRIOR_DEVIATIONS
 
@@ -60,8 +59,3 @@ def test_rows_that_stand_for_those_seen(most: float, weight: float) -> None:
     theta = np.column_stack([np.ones(500), rng.normal(size=(500, 3)) * [0.01, 1.0, 100.0]])
     rows = domain_of(theta).rows_like(most)
     np.testing.assert_allclose(rows.T @ rows, weight * theta.T @ theta, rtol=1e-9, atol=1e-9)
-
-
-def test_a_triangle_of_another_size_is_refused() -> None:
-    with pytest.raises(IdentificationError, match=r"expected a finite triangle of shape \(2, 2\)"):
-        Domain(np.eye(3), np.ones(2))

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from adaptive_contact.detect.regressors import regressors, term_table
-from adaptive_contact.model.gravity import MOST_PER_JOINT, gravity_angles
-from adaptive_contact.model.library import Library
+from adaptive_contact.model.gravity import gravity_angles
 from adaptive_contact.robot.description import Axis
 from adaptive_contact.robot.kinematics import AXES
 
@@ -69,23 +65,3 @@ def test_yaws_then_pitches_have_their_absolute_link_angles() -> None:
     angles = gravity_angles(["coxa", "femur", "tibia"], ("yaw", "pitch", "pitch"))
     assert [angle.name for angle in angles] == ["φ_femur", "φ_tibia"]
     assert [angle.weights for angle in angles] == [(0, 1, 0), (0, 1, 1)]
-
-
-@settings(deadline=None, max_examples=20)
-@given(st.lists(st.sampled_from(["roll", "pitch", "yaw"]), min_size=1, max_size=16))
-def test_their_number_is_bounded(axes: list[Axis]) -> None:
-    angles = gravity_angles([f"j{k}" for k in range(len(axes))], axes)
-    assert len(angles) <= MOST_PER_JOINT * len(axes)
-    assert len({angle.weights for angle in angles}) == len(angles)
-
-
-def test_the_compiled_terms_are_those_of_the_library() -> None:
-    library = Library("servo", ("haa", "hfe", "kfe"), ROLL_HIP)
-    table, window = term_table(library), library.window
-    flat = np.random.default_rng(0).uniform(-1, 1, size=3 * (
-        window.past_measured + 1 + window.past_desired + 1 + window.preview
-    ))  # fmt: skip
-    theta = np.zeros(library.size)
-    regressors(flat, *table, np.zeros((library.size, 3)), theta, np.zeros(6))
-    np.testing.assert_allclose(theta, library.evaluate_flat(flat), atol=1e-14)
-    assert "cos φ(haa-hfe-kfe)" in library.names

@@ -7,7 +7,7 @@ import pytest
 
 from adaptive_contact.compiled import compiles
 from adaptive_contact.detect.contact import model_uncertainty
-from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, squared_errors
+from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings
 
 # A row of plain Python takes a thousand times as long as a compiled one.
 SLOWER = 1 if compiles() else 20
@@ -227,30 +227,3 @@ def test_coefficients_beyond_what_a_term_may_move_are_told() -> None:
     assert np.abs(rls.coefficients * SCALE[:, None]).max() > most
     nan = RecursiveLeastSquares(truth * np.nan, SUPPORT, SCALE, NOISE, settings, most)
     assert not nan.learn(values, 0)
-
-
-def test_squares_are_those_of_residuals() -> None:
-    theta, target, truth = data(9, seed=8)
-    values = np.concatenate([theta, target, target + 1.0], axis=1)
-    other = truth + 0.1
-    found = squared_errors(values, 1.0 / NOISE, truth, other)
-    expected = [np.square((target - theta @ by) / NOISE).sum() for by in (truth, other)]
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
-
-
-def test_a_copy_goes_its_own_way() -> None:
-    theta, target, _ = data(40, seed=9)
-    rls = make()
-    for row, y in zip(theta[:20], target[:20], strict=True):
-        learn(rls, row, y)
-    kept, before = rls.copy(), rls.coefficients
-    for row, y in zip(theta[20:], target[20:], strict=True):
-        learn(rls, row, y)
-    np.testing.assert_array_equal(kept.coefficients, before)
-    after = rls.coefficients
-    learn(kept, theta[20], target[20])
-    np.testing.assert_array_equal(rls.coefficients, after)
-    again = rls.copy(kept)
-    assert again is kept
-    np.testing.assert_array_equal(again.coefficients, after)
-    np.testing.assert_array_equal(covariance(again), covariance(rls))

@@ -16,7 +16,6 @@ import typer
 import zstandard
 from typer.testing import CliRunner
 
-from adaptive_contact.cli.fit import gather
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot, inverse, parse_robot, shipped_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
@@ -370,29 +369,6 @@ def test_replay_and_score_take_a_bag_as_they_take_a_recording(tmp_path) -> None:
     assert len(events[0]) > 20
     assert events[0] == events[1]
     assert scores[0] == scores[1]
-
-
-def test_fit_gathers_from_a_bag_what_it_gathers_from_a_recording(tmp_path, config, robot) -> None:
-    ticks = walk(10)
-    with (
-        BagWriter(tmp_path / "bag") as bag,
-        RecordingWriter(tmp_path / "own.mcap") as own,
-    ):
-        for samples, truth in ticks:
-            bag.tick(samples, truth)
-            for leg, sample in samples.items():
-                own.write_message(servo_key(leg), sample, sample.t_ns)
-            for leg, change in truth:
-                own.write_message(truth_key(leg), change, change.t_ns)
-    mine, other = (gather([tmp_path / name], robot, refuse=False) for name in ("own.mcap", "bag"))
-    for leg in LEGS:
-        assert other[leg].samples == mine[leg].samples == len(ticks)
-        for free in (False, True):
-            pairs = zip(
-                mine[leg].stretches(free=free), other[leg].stretches(free=free), strict=True
-            )
-            for a, b in pairs:
-                assert repr(a) == repr(b)
 
 
 def test_a_bag_needs_a_mapping(tmp_path) -> None:

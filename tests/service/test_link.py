@@ -25,7 +25,7 @@ from adaptive_contact.service.link import (
     router_settings,
 )
 from adaptive_contact.service.transport import MAX_MESSAGE_BYTES
-from adaptive_contact.wire import JSON, MSGPACK, ContactTruth, decode, encode, truth_key
+from adaptive_contact.wire import MSGPACK, ContactTruth, decode, encode, truth_key
 
 Join = Callable[..., Link]
 KEY = truth_key("rf")
@@ -42,12 +42,6 @@ def matched(publisher: Publisher, timeout_s: float = 3.0) -> Publisher:
         assert time.monotonic() < until, f"nobody subscribes to {publisher.key}"
         time.sleep(0.005)
     return publisher
-
-
-def test_free_ports_are_told(router: Link) -> None:
-    (endpoint,) = router.endpoints
-    assert not endpoint.endswith(":0")
-    assert router.is_connected()
 
 
 def test_arrivals_of_all_subscriptions_are_taken_in_order(router: Link, join: Join) -> None:
@@ -97,17 +91,6 @@ def test_samples_arrive_with_what_was_sent(router: Link, join: Join, inbox: Any)
     assert decode(received.payload, ContactTruth, received.encoding) == truth(3)
     assert before_ns <= received.arrival_ns <= time.monotonic_ns()
     assert abs(received.published_ns - time.time_ns()) < 10e9
-
-
-def test_json_publishes_json(router: Link, join: Join, inbox: Any) -> None:
-    client = join(router.endpoints[0], json=True)
-    got = inbox()
-    router.subscribe(KEY, got)
-    matched(client.publisher(KEY)).put(truth(4))
-    (received,) = got.wait(1)
-    assert received.encoding == JSON
-    assert received.payload.startswith(b"{")
-    assert decode(received.payload, ContactTruth, received.encoding) == truth(4)
 
 
 def test_late_joiners_get_the_last_one_by_history_and_by_get(
@@ -305,20 +288,6 @@ def test_a_waiting_client_tells_why_once_and_can_be_stopped() -> None:
     with pytest.raises(NoRouterError, match="stopped while waiting"):
         Link.open(client_settings([nobody]), on_wait=on_wait, stop=stop)
     assert [finding.reach for finding in told] == [Reach.UNREACHABLE]
-
-
-def test_a_waiting_client_gets_in_when_the_router_comes() -> None:
-    with socket.socket() as closed:
-        closed.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{closed.getsockname()[1]}"
-    routers: list[Link] = []
-
-    def on_wait(finding: Finding) -> None:
-        routers.append(Link.open(router_settings([address])))
-
-    with Link.open(client_settings([address]), on_wait=on_wait) as client:
-        assert client.is_connected()
-    routers[0].close()
 
 
 def test_an_address_in_use_gets_one_line(router: Link) -> None:

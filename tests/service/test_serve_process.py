@@ -7,8 +7,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -28,7 +26,6 @@ from adaptive_contact.wire import (
     MSGPACK,
     ContactEvent,
     LearnerStatus,
-    Reject,
     ServoSample,
     contact_key,
     encode,
@@ -87,23 +84,6 @@ def test_json_in_json_out_and_structured_logs(
     assert {"leg status", "figures"} <= {line["message"] for line in lines}
 
 
-def test_late_joiners_and_namespaces(serve: Any, join: Join, inbox: Any, sample: Sample) -> None:
-    served = serve("--namespace", "hexapod1")
-    source = join(served.endpoint, namespace="hexapod1")
-    stranger = join(served.endpoint)
-    publisher = matched(source.publisher(servo_key("lf")))
-    first = inbox(ContactEvent)
-    source.subscribe(contact_key("lf"), first, history=True)
-    stranger.publisher(servo_key("lf")).put(sample(90, contact=True))
-    publisher.put(sample(1, contact=True))
-    assert [event.seq for event in first.wait(1)] == [1]
-    late = inbox(ContactEvent)
-    join(served.endpoint, namespace="hexapod1").subscribe(ALL_CONTACT, late, history=True)
-    assert late.wait(1)[0].seq == 1
-    assert stranger.query(contact_key("lf")) == []
-    assert len(stranger.query(f"hexapod1/{contact_key('lf')}")) == 1
-
-
 def test_a_flood_on_one_leg_does_not_starve_the_other(
     serve: Any, join: Join, inbox: Any, sample: Sample
 ) -> None:
@@ -147,62 +127,6 @@ def test_a_flood_on_one_leg_does_not_starve_the_other(
     source.subscribe(learner_key("rf"), learner)
     found = learner.wait(1)[0]
     assert (found.ticks, found.rejects) == (60, {})
-
-
-def test_bad_input_is_counted_visible_and_harmless(
-    serve: Any, join: Join, inbox: Any, sample: Sample
-) -> None:
-    served = serve()
-    client = join(served.endpoint)
-    learner, status, events = inbox(LearnerStatus), inbox(ServiceStatus), inbox(ContactEvent)
-    client.subscribe(learner_key("lf"), learner)
-    client.subscribe(SERVICE_STATUS, status, history=True)
-    client.subscribe(contact_key("rf"), events, history=True)
-    bad = matched(client.publisher(servo_key("lf")))
-    for payload in (b"\xc1", bytes(300_000), b"\x80", encode(sample(1, measured=[0.0]))):
-        bad.put_raw(payload, MSGPACK)
-    wild = client.publisher("robot/leg/*/servo")
-    wild.put(sample(7, contact=True))
-    good = matched(client.publisher(servo_key("rf")))
-    good.put(sample(1, contact=True))
-    assert [event.seq for event in events.wait(1)] == [1]
-    counted = {
-        Reject.MALFORMED: 1,
-        Reject.TOO_LARGE: 1,
-        Reject.MISSING_FIELD: 1,
-        Reject.WRONG_JOINTS: 1,
-    }
-    learner.wait(lambda items: items[-1].rejects == counted)
-    status.wait(lambda items: items[-1].rejects == {Reject.UNKNOWN_LEG: 1})
-    assert served.stop() == 0
-    log = served.log.read_text()
-    assert "reason=unknown_leg" in log
-    assert "robot/leg/*/servo" in log
-
-
-def test_it_joins_a_router_waits_for_it_and_finds_it_again(
-    serve: Any, join: Join, inbox: Any, sample: Sample
-) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    served = serve("--connect", address, wait=False)
-    until = time.monotonic() + 60
-    while f"unreachable: nobody listens on {address}" not in served.log.read_text():
-        assert time.monotonic() < until, served.log.read_text()
-        time.sleep(0.02)
-    with Link.open(router_settings([address])) as first:
-        assert f"connected to {address}" in served.process.stdout.readline()
-        got = inbox(ContactEvent)
-        first.subscribe(contact_key("lf"), got, history=True)
-        matched(first.publisher(servo_key("lf"))).put(sample(1, contact=True))
-        assert got.wait(1)[0].seq == 1
-    with Link.open(router_settings([address])) as second:
-        again = inbox(ContactEvent)
-        second.subscribe(contact_key("lf"), again)
-        matched(second.publisher(servo_key("lf"))).put(sample(2))
-        assert again.wait(1)[0].contact is False
-    assert served.stop() == 0
 
 
 def test_a_router_that_joins_another_says_only_what_it_knows(
@@ -330,38 +254,6 @@ def test_in_a_hurry_where_that_is_allowed(
         assert kinds == {os.SCHED_OTHER}
         (line,) = told
         assert line.startswith("adaptive-contact: no right to real-time priority; give it with:")
-
-
-def test_the_process_that_refits_comes_first_and_ends_last() -> None:
-    """It starts before what takes time to load, and a service that fails takes it along."""
-    code = (
-        "import sys\n"
-        "from adaptive_contact.cli import main, serve\n"
-        "from adaptive_contact.service import refit_process\n"
-        "start, end = refit_process.start_process, refit_process.end_process\n"
-        "def started(**how):\n"
-        "    process = start(**how)\n"
-        "    print('started', sorted({'numpy', 'scipy', 'zenoh'} & {*sys.modules}), how)\n"
-        "    return process\n"
-        "def ended(process):\n"
-        "    end(process)\n"
-        "    print('ended', process.returncode)\n"
-        "refit_process.start_process, refit_process.end_process = started, ended\n"
-        "cores = int(sys.argv.pop())\n"
-        "serve.cores = lambda: cores\n"
-        "main.main()"
-    )
-    for cores, says in (("2", ["started [] {'hurry': True}", "ended -9"]), ("1", [])):
-        done = subprocess.run(
-            [sys.executable, "-c", code, "serve", "--config", "nosuch.toml", cores],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-        assert done.returncode == 2
-        assert done.stderr.startswith("adaptive-contact: nosuch.toml")
-        assert done.stdout.splitlines() == says
 
 
 def test_a_misspelt_key_is_named_until_every_leg_has_samples(

@@ -26,7 +26,7 @@ from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.state.format import FORMAT
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
-from adaptive_contact.wire import JSON, LearnerStatus, ServoSample, encode, learner_key, servo_key
+from adaptive_contact.wire import LearnerStatus, ServoSample, learner_key, servo_key
 
 pytestmark = pytest.mark.e2e
 
@@ -112,52 +112,6 @@ def test_a_second_service_says_so_and_does_not_save(
     got.items.clear()
     got.wait(lambda items: items[-1].note is None)
     assert first.stop() == 0
-
-
-def test_what_fits_no_file_ends_nothing(
-    serve: Any, join: Join, inbox: Any, sample: Sample, rig: ModuleType, tmp_path: Path
-) -> None:
-    """A run beyond 64 bits, as only JSON brings it, and numbers at the edge of what they can be."""
-    served = serve("--state", str(tmp_path / "kept"))
-    link = join(served.endpoint)
-    feed(link, "lf", sample, 1, 2)
-    wild = link.publisher(servo_key("rf"))
-    for run in range(4):  # each pair a gap of 2**63, if it were believed
-        wild.put(sample(0, run=run, t_ns=1))
-        wild.put(sample(2**63 - 1, run=run, t_ns=2))
-    wild.put_raw(encode(sample(5, run=2**70), JSON), JSON)
-    feed(link, "rf", sample, 6, 60, run=9)  # believed once it lasts, as those before did not
-    status = learner(link, inbox, "rf", lambda status: status.t_ns == 60 * 20_000_000)
-    assert set(status.rejects) == {"out_of_range", "other_publisher"}
-    assert sum(status.rejects.values()) + status.ticks == 9 + 55
-    assert status.missed == 0
-    assert "out_of_range" in rig.watched(link, "out_of_range")
-    assert served.stop() == 0
-    again = serve("--state", str(tmp_path / "kept"))
-    assert again.log.read_text().count("state restored") == 2
-    assert again.stop() == 0
-
-
-def test_a_folder_that_becomes_free_is_used(
-    serve: Any, join: Join, sample: Sample, rig: ModuleType, tmp_path: Path
-) -> None:
-    folder = str(tmp_path / "kept")
-    first = serve("--state", folder)
-    second = serve("--state", folder)
-    link = join(second.endpoint)
-    feed(link, "rf", sample, 1, 4)
-    assert "state: " in rig.watched(link, "in use by another service")
-    assert first.stop() == 0
-    feed(link, "rf", sample, 5, 8)
-    until = time.monotonic() + 40
-    while "state is saved again" not in second.log.read_text():
-        assert time.monotonic() < until
-        time.sleep(0.1)
-    rig.watched(link, without="in use")
-    assert second.stop() == 0
-    third = serve("--state", folder)
-    assert "state restored" in third.log.read_text()
-    assert third.stop() == 0
 
 
 def _mount(folder: Path, options: str) -> bool:

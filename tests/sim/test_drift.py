@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
-from adaptive_contact_sim.drift import KINDS, DriftSchedule, Injection
+from adaptive_contact_sim.drift import DriftSchedule, Injection
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 
@@ -16,14 +16,6 @@ RF = LEGS.index("rf")
 
 def schedule(*injections: tuple[Drift, float]) -> DriftSchedule:
     return DriftSchedule(Injection(drift, at) for drift, at in injections)
-
-
-def test_nothing_drifts_at_first() -> None:
-    plan = DriftSchedule()
-    assert not plan.due(0.0)
-    assert plan.holds() == {}
-    for name, values in plan.values(0.0).items():
-        assert np.all(values == KINDS[name].nominal)
 
 
 def test_step_takes_its_joints_and_no_others() -> None:
@@ -90,15 +82,6 @@ def test_random_walk_stays_between_nominal_and_value(seed: int) -> None:
     assert values[-1] == values[201]  # it stays where it ended
 
 
-def test_many_small_moves_are_one_large() -> None:
-    """Time may be asked for in any steps; what holds depends on the time alone."""
-    ramp = Drift(kind="mass", value=0.08, leg="lr", shape="ramp", duration_s=7.0)
-    fine, coarse = schedule((ramp, 1.0)), schedule((ramp, 1.0))
-    for t in np.arange(0.0, 5.0, 0.02):
-        fine.values(t)
-    assert fine.values(5.0)["mass"][2, 0] == coarse.values(5.0)["mass"][2, 0]
-
-
 @pytest.mark.parametrize(
     ("drift", "words"),
     [
@@ -147,28 +130,3 @@ def test_every_kind_changes_how_its_leg_moves_and_only_then(kind: str, value: fl
         apart = max(apart, float(difference[9:12].max()))
     assert apart > 0.003
     assert list(drifting.now_holds()) == [kind]
-
-
-def test_injected_twice_is_injected_once() -> None:
-    once, twice = Simulation(SimulationSettings()), Simulation(SimulationSettings())
-    for sim, times in ((once, 1), (twice, 3)):
-        for _ in range(60):
-            sim.advance()
-        for _ in range(times):
-            sim.inject(Drift(kind="mass", value=0.06, leg="rf"))
-            sim.inject(Drift(kind="compliance", value=2.0, leg="rf"))
-            sim.inject(Drift(kind="backlash", value=0.01, leg="rf"))
-        for _ in range(60):
-            sim.advance()
-    assert np.array_equal(once.plant.data.qpos, twice.plant.data.qpos)
-
-
-def test_dropout_reaches_the_readings() -> None:
-    sim = Simulation(SimulationSettings())
-    sim.inject(Drift(kind="dropout", value=0.3, leg="rf"))
-    lost = np.zeros(18)
-    for _ in range(200):
-        sim.advance()
-        lost += ~sim.reading.valid
-    assert 30 < lost[9:12].mean() < 90
-    assert lost[:9].sum() + lost[12:].sum() == 0

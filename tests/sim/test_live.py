@@ -20,7 +20,6 @@ from adaptive_contact.wire import (
     MSGPACK,
     SIM_DRIFT,
     ContactEvent,
-    ContactTruth,
     Drift,
     DriftReply,
     Message,
@@ -218,28 +217,6 @@ def test_pace_does_not_drift() -> None:
     assert pace.late == 0
 
 
-def test_pace_catches_up_little_and_lets_go_of_much() -> None:
-    clock = Clock()
-    pace = Pace(0.02, clock)
-    clock.now += 0.07
-    for _ in range(4):
-        pace.wait(clock)
-    assert pace.late == 3  # three ticks in a burst, then on the grid again
-    assert clock.now == pytest.approx(0.08, abs=0.001)
-    clock.now += 10.0
-    for _ in range(10):
-        pace.wait(clock)
-    assert pace.late == 4
-    assert clock.now == pytest.approx(10.08 + 9 * 0.02, abs=0.01)
-
-
-def test_as_fast_as_possible_never_waits() -> None:
-    clock = Clock()
-    pace = Pace(0.0, clock)
-    assert all(pace.wait(clock) for _ in range(100))
-    assert clock.waits == []
-
-
 @pytest.fixture
 def router() -> Iterator[Link]:
     with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
@@ -307,24 +284,3 @@ def test_in_a_process_of_its_own(router: Link, number: int) -> None:
     assert [s.seq for _, s in samples] == list(range(samples[0][1].seq, samples[-1][1].seq + 1))
     assert abs(samples[-1][1].t_ns / 1e9 - time.time()) < 60.0
     assert samples[0][1].run is not None
-
-
-@pytest.mark.e2e
-def test_truth_waits_for_late_joiners(router: Link) -> None:
-    (address,) = router.endpoints
-    with subprocess.Popen(
-        command("pose", "--connect", address), stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert "publishing" in process.stdout.readline()
-        until = time.monotonic() + 10.0
-        found: dict[str, ContactTruth] = {}
-        while len(found) < 6 and time.monotonic() < until:
-            for reply in router.query(ALL_TRUTH):
-                truth = decode(reply.payload, ContactTruth, reply.encoding)
-                if isinstance(truth, ContactTruth):
-                    found[reply.key] = truth
-        process.terminate()
-        process.wait(60)
-    assert len(found) == 6
-    assert found["robot/leg/lf/truth"].contact

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError, RecordingError
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ContactTruth, Drift, ServoSample, decode, servo_key, truth_key
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.picture import EnginePainter, Film, Moment, Stage
+from adaptive_contact_sim.picture import EnginePainter, Film, Stage
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
@@ -75,23 +74,6 @@ def seen(image: np.ndarray, colour: tuple[int, int, int], tolerance: int = 60) -
     return int((np.abs(image.astype(int) - colour).max(axis=2) < tolerance).sum())
 
 
-def test_a_moment_can_be_set_up_again() -> None:
-    sim = Simulation(HITS)
-    kept, feet = [], []
-    stage = Stage(sim)
-    for _ in range(80):
-        sim.advance()
-        kept.append(Moment.of(sim))
-        stage.set(kept[-1])
-        feet.append(stage.feet_m.copy())
-    before = sim.plant.data.qpos.copy()
-    for k in (70, 3, 40):
-        stage.set(kept[k])
-        assert np.array_equal(stage.feet_m, feet[k])
-        assert np.array_equal(stage.touching, kept[k].touching)
-    assert np.array_equal(sim.plant.data.qpos, before)
-
-
 def test_pictures_show_which_feet_touch() -> None:
     sim = Simulation(HITS)
     for _ in range(63):  # rf is in the air, high up
@@ -106,22 +88,6 @@ def test_pictures_show_which_feet_touch() -> None:
     assert seen(image, (41, 140, 224)) > 10
     # Robot, ground and sky: not one flat colour.
     assert image.reshape(-1, 3).std(axis=0).min() > 15
-
-
-def test_png_gif_and_their_frames(tmp_path: Path) -> None:
-    sim = Simulation(WALK)
-    engine_or_skip(Stage(sim)).close()
-    with Film(tmp_path / "a.gif", sim) as film, Film(tmp_path / "a.png", sim) as still:
-        for _ in range(60):
-            sim.advance()
-            film.look()
-            still.look()
-    with Image.open(tmp_path / "a.gif") as gif:
-        assert gif.n_frames == 15
-        assert gif.info["duration"] == 80
-        assert gif.size == (480, 360)
-    with Image.open(tmp_path / "a.png") as png:
-        assert png.size == (960, 720)
 
 
 def test_what_cannot_be_rendered_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,14 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
-from adaptive_contact_sim.elements import HEXAPOD, JOINTS, LEGS, PARTS, Elements
+from adaptive_contact.errors import SimulationDivergedError
+from adaptive_contact_sim.elements import JOINTS, LEGS, PARTS
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.scene import build
-from adaptive_contact_sim.servo import ServoParameters, manufactured
+from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
@@ -56,13 +56,6 @@ def test_touch_sensors_tell_the_contact_forces(name: str) -> None:
     assert worst < 1e-9
 
 
-def test_forces_carry_the_weight() -> None:
-    sim = Simulation(SimulationSettings())
-    weight = float(sim.plant.model.body_subtreemass[sim.plant.elements.body]) * 9.81
-    assert sim.plant.forces.mean(axis=0).sum() == pytest.approx(weight, rel=0.01)
-    assert weight == pytest.approx((1.52 + 6 * (0.0247 + 0.0858 + 0.1718)) * 9.81, rel=1e-4)
-
-
 def test_model_file_agrees_with_the_robot_description() -> None:
     """Feet where the closed form puts them, for any joint angles within limits."""
     plant, geometry = flat_plant(), LegGeometry()
@@ -79,20 +72,6 @@ def test_model_file_agrees_with_the_robot_description() -> None:
             assert limits[1] == pytest.approx(geometry.upper_rad[k], abs=1e-3)
 
 
-def test_every_element_has_a_name() -> None:
-    model = build(Terrain(TerrainSettings(kind="steps", seed=0)), obstacles=(None,))
-    counts = {
-        mujoco.mjtObj.mjOBJ_BODY: model.nbody,
-        mujoco.mjtObj.mjOBJ_JOINT: model.njnt,
-        mujoco.mjtObj.mjOBJ_GEOM: model.ngeom,
-        mujoco.mjtObj.mjOBJ_SITE: model.nsite,
-        mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
-        mujoco.mjtObj.mjOBJ_SENSOR: model.nsensor,
-    }
-    for kind, count in counts.items():
-        assert all(mujoco.mj_id2name(model, kind, i) for i in range(count))
-
-
 def test_legs_touch_ground_and_obstacles_only() -> None:
     sim = Simulation(ROBOTS["obstacles"])
     legs = sim.plant.elements.geom_leg
@@ -103,29 +82,6 @@ def test_legs_touch_ground_and_obstacles_only() -> None:
             for geom, other in (tuple(pair), tuple(reversed(pair))):
                 if sim.plant.model.geom(int(other)).name.startswith("obstacle_"):
                     assert legs[geom] == LEGS.index("rf")
-
-
-def test_a_missing_or_misplaced_element_is_told() -> None:
-    spec = mujoco.MjSpec.from_string("<mujoco><worldbody/></mujoco>")
-    with pytest.raises(ConfigurationError, match="no joint 'lf_coxa'"):
-        Elements.resolve(spec.compile())
-
-
-def test_servo_indices() -> None:
-    servo_indices = HEXAPOD.servo_indices
-    assert servo_indices(None, None).tolist() == list(range(18))
-    assert servo_indices("rf", None).tolist() == [9, 10, 11]
-    assert servo_indices(None, "tibia").tolist() == [2, 5, 8, 11, 14, 17]
-    with pytest.raises(ConfigurationError, match="no leg 'xx'"):
-        servo_indices("xx", None)
-    with pytest.raises(ConfigurationError, match="no joint 'hip'"):
-        servo_indices(None, "hip")
-
-
-def test_period_must_be_whole_steps() -> None:
-    model = build(Terrain(TerrainSettings(kind="flat", seed=0)))
-    with pytest.raises(ConfigurationError, match="whole number"):
-        Plant(model, ServoParameters(), period_s=0.0155)
 
 
 @pytest.mark.parametrize("bad", [np.nan, 1e4])
@@ -179,12 +135,3 @@ def test_payload_is_felt_and_leaves_the_state_alone() -> None:
     femur = plant.model.joint("rf_femur").dofadr[0]
     assert change[femur] == pytest.approx(weight * arm, rel=1e-3)
     assert change[plant.model.joint("lf_femur").dofadr[0]] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_servos_of_a_robot_reach_the_engine() -> None:
-    parameters = manufactured(3)
-    plant = Plant(build(Terrain(TerrainSettings(kind="flat", seed=0))), parameters)
-    dof = plant.elements.dof
-    assert np.array_equal(plant.model.dof_armature[dof], parameters.armature_kgm2)
-    expected = parameters.stall_torque_nm / parameters.no_load_speed_rad_s + parameters.viscous_nms
-    assert plant.model.dof_damping[dof] == pytest.approx(expected)

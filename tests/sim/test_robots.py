@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import subprocess
 import sys
 from pathlib import Path
@@ -18,17 +17,14 @@ from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.arrays import Run, record_arrays
-from adaptive_contact_sim.gait import GAITS, Sway
-from adaptive_contact_sim.legs import ChainLegs, LegGeometry
+from adaptive_contact_sim.legs import ChainLegs
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.robots import ROBOTS, simulated_robot
 from adaptive_contact_sim.scenario import parse_drift, parse_scenario
-from adaptive_contact_sim.servo import STS3215, XM430_W210, ServoBank, ServoKind
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.training import TRAINING_RUNS, learn_shipped
-from adaptive_contact_studies.work import Work
+from adaptive_contact_studies.training import TRAINING_RUNS
 
 
 def quadruped(gait: str, ground: str, seconds: float) -> Run:
@@ -55,29 +51,6 @@ def test_the_quadruped_walks_and_touches(gait: str, swings: int, pace: float) ->
     assert begun > swings
     assert found > 0.6 * begun
     assert touches < 1.6 * begun  # few legs come off the ground in their stance
-
-
-def test_sway_of_a_gait() -> None:
-    feet = np.array([[0.1, 0.12, 0.0], [0.1, -0.12, 0.0], [-0.1, 0.12, 0.0], [-0.1, -0.12, 0.0]])
-    gait = GAITS["walk"]
-    clock = np.linspace(0.0, 1.0, 2000, endpoint=False)
-    sway = Sway(gait, feet, height_m=0.155, cycle_s=2.7, lag_s=0.0)
-    body = np.array([sway.at(c) for c in clock])
-    assert np.abs(body.mean(axis=0)).max() < 1e-12  # about the middle of the feet
-    # The centre of pressure of a body that moves so, from its acceleration, is the standing feet's.
-    speed = np.gradient(body, 2.7 / 2000, axis=0, edge_order=2)
-    pressure = body - 0.155 / 9.81 * np.gradient(speed, 2.7 / 2000, axis=0, edge_order=2)
-    for leg, offset in enumerate(gait.offsets):
-        middle = (clock + offset) % 1.0
-        at = np.abs(middle - gait.share / 2).argmin()
-        wanted = np.delete(feet[:, :2], leg, axis=0).mean(axis=0)
-        assert np.abs(pressure[at] - wanted).max() < 0.012
-    # A servo of first order, x' = (u - x) / lag, that is given the shift with a lag follows it.
-    lagging = Sway(gait, feet, height_m=0.155, cycle_s=2.7, lag_s=0.1)
-    command = np.array([lagging.at(c) for c in clock])
-    assert np.abs(body + 0.1 * speed - command)[2:-2].max() < 1e-4
-    trot = Sway(GAITS["trot"], feet, height_m=0.155, cycle_s=0.7, lag_s=0.1)
-    assert max(np.abs(trot.at(c)).max() for c in clock[::50]) < 1e-12
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.6, 8, 20)])
@@ -122,19 +95,6 @@ def test_foot_and_model_agree(name: str) -> None:
             assert span == pytest.approx([leg.limits.lower_rad[k], leg.limits.upper_rad[k]])
 
 
-def test_inverse_of_a_chain_finds_the_closed_form() -> None:
-    hexapod = LegGeometry()
-    posture = np.tile([0.1, 0.4, -1.4], (6, 1))
-    chains = ChainLegs(shipped_robot(), posture)
-    rng = np.random.default_rng(5)
-    angles = posture + rng.uniform(-0.3, 0.3, (50, 6, 3))
-    points = hexapod.feet(angles)
-    for one in points:
-        assert np.abs(chains.joints(one) - hexapod.joints(one)).max() < 1e-4
-    assert chains.reachable(points[0]).all()
-    assert not chains.reachable(points[0] + 1.0).any()
-
-
 @pytest.mark.parametrize("path", ["cartesian", "joint"])
 def test_the_leg_on_a_stand_uses_all_its_joints(path: str) -> None:
     base = SimulationSettings.of("leg5", "pose")
@@ -149,37 +109,6 @@ def test_the_leg_on_a_stand_uses_all_its_joints(path: str) -> None:
         others = np.delete(speed, k, axis=1)
         left = speed[:, k] - others @ np.linalg.lstsq(others, speed[:, k], rcond=None)[0]
         assert left.std() > 0.1 * speed[:, k].std()
-
-
-def test_a_redundant_chain_stays_near_its_rest() -> None:
-    robot = simulated_robot("leg5")
-    geometry = robot.geometry()
-    rest = np.array(robot.rest)
-    foot = geometry.feet(rest)
-    assert np.abs(geometry.joints(foot) - rest).max() < 1e-5
-    moved = foot + np.array([[0.03, 0.02, 0.04]])
-    joints = geometry.joints(moved)
-    assert np.abs(geometry.feet(joints) - moved).max() < 1e-4
-    assert np.abs(joints - rest).max() < 0.6
-
-
-@pytest.mark.parametrize("kind", [XM430_W210, STS3215])
-def test_servos_drive_by_their_registers(kind: ServoKind) -> None:
-    state = {name: np.zeros(1) for name in ("position", "velocity", "acceleration")}
-    state |= {name: np.zeros(1) for name in ("torque", "friction", "damping")}
-    bank = ServoBank(kind.of(1), **state, kind=kind)
-    stall = float(kind.nominal.stall_torque_nm[0])
-    for error in (2, 20, 60, 110):
-        bank.write_goal(np.array([error * kind.quantum_rad]))
-        bank.drive()
-        if kind is XM430_W210:
-            wanted = error * 6.25 / 885.0  # P gain 800 of 128, of PWM
-        else:
-            punch = 0.016
-            wanted = punch + (1 - punch) * (error - 1) * 2 * math.pi / 4096 * 32 * 0.166
-        assert state["torque"][0] == pytest.approx(stall * wanted, rel=1e-9)
-    goal = bank.write_goal(np.array([100.0]))
-    assert goal[0] == pytest.approx((4095 - 2048) * kind.quantum_rad)
 
 
 def test_what_does_not_fit_a_robot_is_told() -> None:
@@ -287,17 +216,6 @@ def test_shipped_baselines_are_of_the_runs_that_are_named() -> None:
         said = f"{len(runs)} simulated runs, {seconds:.0f} s, seeds {runs[0].settings.seed} to "
         assert said in baseline.origin
         assert baseline.origin.endswith("; ".join(run.name for run in runs))
-
-
-def test_a_robot_learns_its_own_runs() -> None:
-    runs = tuple(run._replace(seconds=90.0) for run in TRAINING_RUNS["leg5"][:2])
-    training = learn_shipped("leg5", Work(None), runs=runs)
-    assert training.baseline.robot == "leg5"
-    figures = training.figures["leg"]
-    assert figures.swings > 200
-    assert max(figures.held_out_rms) < 0.5 * min(figures.naive_rms)
-    with pytest.raises(ConfigurationError, match="no robot 'cat' is simulated"):
-        learn_shipped("cat", Work(None))
 
 
 def test_every_description_names_what_the_layout_does() -> None:

@@ -10,29 +10,9 @@ import pytest
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact_studies.show.figures import needs_matplotlib, new_figure, save, styled
 from adaptive_contact_studies.show.pages import (
-    interval,
-    number,
-    percent,
     render,
-    unwrapped,
     write_page,
 )
-
-
-def test_markdown_has_a_line_for_each_paragraph_and_row() -> None:
-    text = "with **weight**\nand `code`\n\n| a | b |\n|---|---|\n| <x>\n  | **no** |\n| y | z |\n"
-    assert unwrapped(text) == (
-        "with **weight** and `code`\n\n| a | b |\n|---|---|\n| <x> | **no** |\n| y | z |"
-    )
-
-
-def test_numbers_as_text() -> None:
-    assert [number(1.25, 1), number(None), number("too few"), number(1e-7, 0, "e")] == [
-        "1.2", "–", "too few", "1e-07",
-    ]  # fmt: skip
-    assert [percent(0.5), percent(None), interval((0.25, 1.0)), interval((None, None))] == [
-        "50.0 %", "–", "25.0–100.0", "–",
-    ]  # fmt: skip
 
 
 def test_a_page_that_cannot_be_written_says_what_to_do(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.service.findings import Finding
 from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.service.watch import LegView, Verdict, View
 from adaptive_contact.web.frames import Frames, Table
@@ -82,22 +81,6 @@ def test_a_clock_that_jumps_is_followed_and_time_never_runs_back() -> None:
     assert times == [9920, 9940, 9960, 9980, 10000, 10920, 10940, 10960, 10980, 11000]
 
 
-def test_a_service_that_stands_still_gives_its_ticks_their_own_times() -> None:
-    frames = Frames(0)
-    frames.trace(trace("rf", 0), 1 * S)
-    frames.trace(trace("rf", 100_000_000), 2 * S)  # 0.9 s late
-    times = [tick[0] for tick in frame(frames, 2 * S)["k"]["rf"]]
-    assert times == [920 + 20 * i for i in range(10)]
-
-
-def test_legs_of_one_source_share_its_clock() -> None:
-    frames = Frames(0)
-    frames.trace(trace("rf", 0, 1), 1 * S)
-    frames.trace(trace("lf", 0, 1), 1 * S + 7_000_000)  # 7 ms later on the way here
-    found = frame(frames, 2 * S)["k"]
-    assert found["rf"][0][0] == found["lf"][0][0]
-
-
 @given(
     t_ns=st.lists(st.integers(-(2**63), 2**63 - 1), max_size=4),
     measured=st.lists(st.lists(st.floats(), max_size=4), max_size=4),
@@ -165,31 +148,3 @@ def test_the_table_comes_when_it_has_changed() -> None:
     assert row["floor"] == 2.0
     assert row["rejects"] == {"not_finite": 2}
     assert table.encode(view, {"rf": status}, S) is None
-
-
-def test_before_a_router_is_joined_the_table_says_what_it_waits_for() -> None:
-    waiting = Finding("error", None, "nobody listens on tcp/127.0.0.1:7447", "Start it.")
-    encoded = Table().encode(None, {}, 0, waiting=waiting)
-    assert encoded is not None
-    (entry,) = json.loads(encoded)["banner"]
-    assert entry["what"] == "nobody listens on tcp/127.0.0.1:7447"
-    assert entry["do"] == "Start it."
-
-
-def test_a_long_note_is_cut() -> None:
-    status = LearnerStatus(
-        leg="rf",
-        t_ns=S,
-        status="ambiguous",
-        model_version=3,
-        residual_rms=[],
-        noise_floor=[],
-        note="x" * 100_000,
-    )
-    service = ServiceStatus(
-        version="1", robot="mini", period_s=0.02, baseline=None, legs={}, uptime_s=1.0
-    )
-    view = View(legs=[LegView(leg="rf", status="ambiguous")], service=service, alive=True)
-    encoded = Table().encode(view, {"rf": status}, S)
-    assert encoded is not None
-    assert len(encoded) < 4000

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.web import WebSettings, http, server
-from adaptive_contact.web.server import MOST_STREAMS, History, Site
+from adaptive_contact.web.server import MOST_STREAMS
 
 from .running import FRAME, Running, answer_of, everything, read_until
 
@@ -296,15 +296,6 @@ def test_strangers_without_the_token_keep_its_owner_out_at_no_time(
             one.close()
 
 
-def test_beyond_loopback_a_token_is_made() -> None:
-    one, other = WebSettings(host="0.0.0.0"), WebSettings(host="0.0.0.0")
-    assert one.token is not None
-    assert len(one.token) >= 32
-    assert one.token != other.token
-    for host in ("127.0.0.1", "127.1.2.3", "localhost", "::1"):
-        assert WebSettings(host=host).token is None
-
-
 def test_beyond_loopback_an_address_or_an_own_name_is_let_in() -> None:
     site = Running(WebSettings(host="0.0.0.0", token="t"))
     try:
@@ -323,23 +314,6 @@ def test_beyond_loopback_an_address_or_an_own_name_is_let_in() -> None:
 
 
 # -- the port ------------------------------------------------------------------------------------
-
-
-def test_a_port_in_use_is_one_line() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-
-        async def model(_: str) -> None:
-            return None
-
-        with pytest.raises(
-            ConfigurationError, match=rf"port {port} of 127\.0\.0\.1 is in use; give"
-        ):
-            Site(WebSettings(port=port), model).bind()
-        with pytest.raises(
-            ConfigurationError, match=r"there \(Cannot assign requested address\); give"
-        ):
-            Site(WebSettings(host="192.0.2.1"), model).bind()
 
 
 @pytest.mark.parametrize("port", [-1, 65_536])
@@ -378,21 +352,6 @@ def test_a_stream_resumes_where_it_was(running: Running) -> None:
         running.until(lambda: running.site.streams == 1)
         running.push(b'{"t":5}')
         assert re.findall(rb'"t":(\d)', read_until(one, b"}\n\n")) == [b"5"]
-
-
-def test_the_history_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_MOST_FRAMES", 10)
-    monkeypatch.setattr(server, "_MOST_HISTORY_BYTES", 2000)
-    history = History()
-    for _ in range(50):
-        history.push(FRAME, None)
-    assert history.begin == 40
-    for _ in range(50):
-        history.push(b"x" * 900, None)
-    assert 98 <= history.begin < 100
-    some, following = history.after(0)  # long gone: the oldest there is
-    assert following == 100
-    assert some.count(b"data: ") == 100 - history.begin
 
 
 def test_the_last_words_end_a_stream(running: Running) -> None:

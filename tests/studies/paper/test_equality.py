@@ -12,9 +12,9 @@ from sklearn.linear_model import LinearRegression
 
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.fit.sparse_regression import RANK_CUTOFF
-from adaptive_contact.model import Factor, Library, Window, leg_library
+from adaptive_contact.model import Library, Window, leg_library
 from adaptive_contact.robot import Robot
-from adaptive_contact_studies.paper.compression import compare, paper_fit
+from adaptive_contact_studies.paper.compression import paper_fit
 from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, factor_of, free_rows
 
@@ -193,49 +193,3 @@ def in_our_order(theirs: np.ndarray, variables: int) -> np.ndarray:
     ]
     assert sorted(order) == list(range(len(theirs)))
     return theirs[order]
-
-
-@pytest.mark.parametrize("normalised", [False, True])
-def test_bad_problems_end_with_a_status(normalised: bool) -> None:
-    rng = np.random.default_rng(0)
-    theta, target = rng.normal(size=(60, 5)), rng.normal(size=(60, 2))
-    theta[:, 3] = 0.0  # without information
-    theta[:, 4] = 1.0  # constant
-    theta[7, 1], target[9, 0] = np.nan, np.inf
-
-    def factor(columns: np.ndarray, rows: np.ndarray) -> Factor:
-        made = Factor(columns.shape[1], rows.shape[1])
-        made.add(columns, rows)
-        return made
-
-    good = paper_fit(factor(theta, target), 0.0, normalised=normalised)
-    assert good.status is FitStatus.OK
-    assert np.isfinite(good.coefficients).all()
-    assert not good.coefficients[3].any()
-    emptied = paper_fit(factor(theta, target), 1e9, normalised=normalised)
-    assert emptied.status is FitStatus.EMPTIED
-    assert not emptied.coefficients.any()
-    few = paper_fit(factor(theta[:3], target[:3]), 0.0, normalised=normalised)
-    assert few.status is FitStatus.TOO_FEW_ROWS
-    nothing = paper_fit(factor(np.zeros((9, 5)), np.ones((9, 2))), 0.0, normalised=normalised)
-    assert nothing.status is FitStatus.EMPTIED
-    same = paper_fit(
-        factor(np.repeat(theta[:, :1], 4, axis=1), target), 0.0, normalised=normalised, ridge=0.0
-    )
-    assert same.status is FitStatus.OK
-    assert np.abs(same.coefficients).max() < 10.0
-
-
-@pytest.mark.parametrize(
-    ("name", "window", "threshold"), [("servo", Window(), 0.1), ("paper", PAPER, 10.0)]
-)
-def test_the_comparison_tells_both_times(
-    robot: Robot, free_stream: Stream, name: str, window: Window, threshold: float
-) -> None:
-    library = leg_library(robot, robot.leg("rf"), name, window)
-    result = compare(free_stream, library, threshold, repeats=1)
-    assert result.same_support
-    assert all(3 < n < library.size for n in result.kept)
-    assert result.difference < 1e-8
-    assert result.speed_up > 1.0
-    assert result.rows > 4000

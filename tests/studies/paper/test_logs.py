@@ -95,57 +95,6 @@ def test_both_formats_are_fitted_and_tabled(tmp_path: Path) -> None:
     assert all(len({line.count("|") for line in table.splitlines()}) == 1 for table in tables)
 
 
-def test_a_library_with_too_few_rows_has_a_status_and_no_error(tmp_path: Path) -> None:
-    """373 terms of the paper's library and 216 rows: zeros would predict as well as nothing."""
-    rng = np.random.default_rng(3)
-    arrays = {}
-    for i in range(6):
-        goal, position = servo(rng, 60, joints=6)
-        arrays |= {f"m{i}/t": np.arange(60) * 0.02, f"m{i}/goal": goal, f"m{i}/pos": position}
-    np.savez(tmp_path / "arm.npz", **arrays)
-    tree = run_logs(tmp_path / "arm.npz")
-    part = tree["arms"][0]["unseen motions"]
-    assert part["status"]["paper"] == "too_few_rows"
-    assert part["rms_deg"]["paper"] is None
-    assert part["status"]["linear"] == "ok"
-    assert len(part["rms_deg"]["linear"]) == 6
-    assert "| unseen motions | paper | of 373 | too_few_rows | – |" in tables_of(tree)[0]
-
-
-def test_one_fold_without_a_model_is_enough_to_tell_no_error(tmp_path: Path) -> None:
-    """The long motion is missing from two of five folds; the last has it."""
-    rng = np.random.default_rng(4)
-    arrays = {}
-    for i, n in enumerate((55, 55, 400, 55, 55)):
-        goal, position = servo(rng, n, joints=4)
-        arrays |= {f"m{i}/t": np.arange(n) * 0.02, f"m{i}/goal": goal, f"m{i}/pos": position}
-    np.savez(tmp_path / "arm.npz", **arrays)
-    part = run_logs(tmp_path / "arm.npz")["arms"][0]["unseen motions"]
-    assert 3 * 54 < part["terms"]["paper"]["size"] < 399
-    assert part["status"]["paper"] == "too_few_rows"
-    assert part["rms_deg"]["paper"] is None
-
-
-def test_fixed_and_refitted_models_have_not_seen_the_trajectory_that_is_tried(
-    tmp_path: Path,
-) -> None:
-    """The same runs under two gains: then a model of the other gain is the refitted one."""
-    for gain in (100, 200):
-        for run in range(3):
-            write_pendulum(tmp_path / f"p{gain}{run}.json", gain, run)
-    for rms in run_logs(tmp_path)["pendulum"]["rms_deg"].values():
-        assert rms["100"]["200"] == rms["200"]["200"] == rms["200"]["100"] > 0.0
-
-
-def test_a_single_trajectory_leaves_nothing_to_fit_and_says_so(tmp_path: Path) -> None:
-    for gain in (100, 200):
-        write_pendulum(tmp_path / f"p{gain}.json", gain, seed=7)
-    tree = run_logs(tmp_path)
-    library = tree["pendulum"]["rms_deg"]["servo"]
-    assert library["100"] == {"100": "too_few_rows", "200": "too_few_rows"}
-    assert "| servo | of kp 100 | too_few_rows | too_few_rows |" in tables_of(tree)[0]
-
-
 def test_bad_files_are_told_and_the_rest_is_used(tmp_path: Path) -> None:
     write_arm(tmp_path / "arm.npz", motions=2, n=200)
     (tmp_path / "text.json").write_text("{")
@@ -208,40 +157,12 @@ def test_bad_files_are_told_and_the_rest_is_used(tmp_path: Path) -> None:
     assert "expected at least" in tree["arms"][0]["unseen motions"]["status"]
 
 
-def test_single_wild_readings_are_repaired(tmp_path: Path) -> None:
-    goal, position = servo(np.random.default_rng(2), 300)
-    position[100, 0] = -np.pi
-    n = len(goal)
-    np.savez(
-        tmp_path / "arm.npz", **{"m/t": np.arange(n) * 0.02, "m/goal": goal, "m/pos": position}
-    )
-    recording = load_logs(tmp_path / "arm.npz").recordings[0]
-    assert recording.repaired == 1
-    assert np.abs(np.diff(recording.measured, axis=0)).max() < 0.2
-
-
 def test_a_file_of_no_use_ends_the_command_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "a.json"
     file.write_text('{"kp": 1, "entries": [1]}')
     with pytest.raises(RecordingError, match=r"a\.json: no recording that can be used") as told:
         run_logs(file)
     assert "\n" not in str(told.value)
-
-
-def test_a_servo_that_never_moves_has_figures(tmp_path: Path) -> None:
-    n = 3000
-    still = {"t": np.arange(n) * 0.02, "goal": np.zeros((n, 2)), "pos": np.full((n, 2), 0.1)}
-    np.savez(tmp_path / "arm.npz", **{f"m{i}/{k}": v for i in range(5) for k, v in still.items()})
-    arm = run_logs(tmp_path)["arms"][0]
-    assert arm["unseen motions"]["rms_deg"]["servo"] == [0.0, 0.0]
-    assert len(tables_of(run_logs(tmp_path))) == 2
-
-
-def test_paths_that_hold_nothing(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="no such file"):
-        load_logs(tmp_path / "nowhere")
-    with pytest.raises(RecordingError, match="holds no"):
-        load_logs(tmp_path)
 
 
 @pytest.mark.skipif(

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +16,9 @@ from adaptive_contact.cli.paper import paper
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model import tail
 from adaptive_contact_studies.paper import identification
-from adaptive_contact_studies.paper.detection import rate_of
-from adaptive_contact_studies.paper.identification import sparsest_of
 from adaptive_contact_studies.paper.plan import QUICK
-from adaptive_contact_studies.paper.report import headline, write_document, write_report
-from adaptive_contact_studies.paper.run import STAGES, plain, run_paper
+from adaptive_contact_studies.paper.report import write_document, write_report
+from adaptive_contact_studies.paper.run import STAGES, run_paper
 from adaptive_contact_studies.work import Work
 
 TINY = dataclasses.replace(
@@ -41,92 +38,7 @@ TINY = dataclasses.replace(
 )
 
 
-def found(
-    recall: float = 0.995,
-    touches: int = 2000,
-    median: float | None = 15.0,
-    p95: float = 30.0,
-    alarms: int = 3,
-    hours: float = 10.5,
-    worst: tuple[float, ...] = (0.23, 0.25, 0.23),
-) -> dict[str, Any]:
-    row = {"recall": recall, "touches": touches, "interval": [0.99, 1.0]}
-    row |= {"median_ms": median, "p95_ms": p95}
-    default = {
-        "rows": {"headline": row},
-        "false_alarms": {"all": rate_of(alarms, round(hours * 540_000))},
-    }
-    tree = {
-        "figures": {"default": default},
-        "residual_deg": {"stand": {"servo": [0.22, 0.24, 0.23]}},
-        "worst_leg_run": ("2-lm", worst),
-    }
-    return {"detection": plain(tree)}
-
-
 YES, NO, OPEN = "yes", "**no**", "–"
-
-
-@pytest.mark.parametrize(
-    ("changed", "expected"),
-    [
-        ({}, [YES, YES, YES, YES, YES]),
-        ({"recall": 0.98}, [NO, YES, YES, YES, YES]),
-        # Kept so far, but not on as many as were asked for: no verdict.
-        ({"touches": 999}, [OPEN, OPEN, YES, YES, YES]),
-        ({"hours": 9.9}, [YES, YES, OPEN, YES, YES]),
-        # Broken is broken, on however few.
-        ({"touches": 999, "recall": 0.98, "median": 21.0}, [NO, NO, YES, YES, YES]),
-        ({"hours": 0.1, "alarms": 1}, [YES, YES, NO, YES, YES]),
-        ({"p95": 40.1}, [YES, NO, YES, YES, YES]),
-        ({"alarms": 53}, [YES, YES, NO, YES, YES]),
-        # All leg-runs pooled hide one that is worse.
-        ({"worst": (0.23, 0.26, 0.23)}, [YES, YES, YES, YES, NO]),
-    ],
-)
-def test_verdicts(changed: dict[str, Any], expected: list[str]) -> None:
-    lines = headline(found(**changed))
-    assert [kept for *_, kept in lines] == expected
-    assert "the worst leg-run (2-lm)" in lines[4][0]
-
-
-@pytest.mark.parametrize(
-    ("changed", "expected"),
-    [
-        ({}, YES),
-        ({"speed_up": 19.0}, NO),
-        ({"difference": 2e-8}, NO),
-        ({"same_support": False}, NO),
-    ],
-)
-def test_the_speed_has_a_verdict(changed: dict[str, Any], expected: str) -> None:
-    row = {
-        "library": "servo", "terms": 59, "kept": [15, 21, 25], "rows": 47_500, "speed_up": 40.0,
-        "same_support": True, "difference": 1e-12,
-    } | changed  # fmt: skip
-    assert [kept for *_, kept in headline({"compression": [row]})] == [expected]
-
-
-@pytest.mark.parametrize(
-    ("errors", "picked"),
-    [
-        ([[1.0, 1.0], [1.004, 1.0], [1.1, 1.0]], 1.0),
-        ([[1.0, 1.1], [1.1, 1.0]], 0.0),  # the joints' best lie apart: the smallest
-        ([None, None], None),
-    ],
-)
-def test_the_sparsest_near_the_best_of_every_joint_is_picked(
-    errors: list[list[float] | None], picked: float | None
-) -> None:
-    points = [
-        {"status": "ok", "lambda": float(i), "held_out_rms": own} for i, own in enumerate(errors)
-    ]
-    assert sparsest_of(points) == picked
-
-
-def test_plain_trees_hold_no_not_a_number() -> None:
-    tree = {"a": np.array([1.0, np.inf]), "b": (np.int64(3), np.bool_(True))}
-    assert plain(tree) == {"a": [1.0, None], "b": [3, True]}
 
 
 def test_an_unknown_stage_is_one_line(tmp_path: Path) -> None:
