@@ -6,9 +6,11 @@ import fcntl
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import structlog
 from hypothesis import HealthCheck, settings
 
 from adaptive_contact import compiled
@@ -41,3 +43,11 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         fcntl.flock(one, fcntl.LOCK_EX)
         if compiled.compiles() and not compiled.is_cached():
             subprocess.run([sys.executable, "-c", AHEAD], check=True)
+
+
+@pytest.fixture(autouse=True)
+def logs_as_before() -> Iterator[None]:
+    """A command that a test runs within this process sets up its log, also that of later tests."""
+    before = structlog.get_config()
+    yield
+    structlog.configure(**before)
