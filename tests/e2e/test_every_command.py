@@ -65,7 +65,6 @@ REFUSED = {
     "bridge dynamixel": "has no port; add [port.main]",
     "bridge foxglove --port 70000": "Invalid value for '--port'",
     "bridge ros2": "names no topics of ROS 2",
-    "bridge foxglove --port 99999": "Invalid value for '--port'",
     "bridge virtual --dir /dev/null/x": "give another --dir",
     "demo --robot nosuch": "no robot 'nosuch' is simulated",
     "demo --seconds 1": "expected 8 to 3600 s",
