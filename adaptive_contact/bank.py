@@ -142,7 +142,10 @@ class LegGroup:
         self._regroup()
 
     def _reset(self, at: int, fault: Exception) -> None:
-        """Reset a leg whose step raised, so that the others go on; without ``on_fault``, raise."""
+        """Reset a leg whose step raised, so that the others go on; without ``on_fault``, raise.
+
+        Whatever a step of one leg raises, it is that leg's alone.
+        """
         if self._on_fault is None:
             raise fault
         learner = self.learners[at]

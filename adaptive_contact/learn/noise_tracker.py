@@ -205,9 +205,10 @@ class NoiseTracker:
         wide = (PRIOR_EXCEEDANCES * mean + self._excess) / (above * mean)
         return min(max(often, 1.0), MOST), min(max(wide, 1.0), MOST)
 
-    def snapshot(self) -> dict[str, float]:
-        """Return the counts of the tail, for :meth:`restore`."""
-        return {"ticks": self._ticks, "above": self._above, "excess": self._excess}
+    def snapshot(self) -> dict[str, Any]:
+        """Return the counts of the tail and the last lifts, for :meth:`restore`."""
+        counts = {"ticks": self._ticks, "above": self._above, "excess": self._excess}
+        return counts | ({"lifts": list(self._lifts)} if self._lifts else {})
 
     def restore(self, saved: Any) -> None:
         """Take over saved counts; what is not usable is left."""
@@ -217,6 +218,10 @@ class NoiseTracker:
         known = [v for v in values if isinstance(v, float) and 0.0 <= v <= 2.0 * MEMORY_TICKS]
         if len(known) == len(values):
             self._ticks, self._above, self._excess = known
+        lifts = saved.get("lifts")
+        if isinstance(lifts, list) and all(isinstance(v, float) and 0.0 <= v < 1e6 for v in lifts):
+            self._lifts.extend(lifts)
+            self.thresholds = self._in_force()
 
 
 @compiled

@@ -14,7 +14,8 @@ from adaptive_contact.learn.noise_tracker import (
 from adaptive_contact.model import Domain
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_prior import prior_tails
-from adaptive_contact.model.noise import CONTEXTS, DESCENT, WINDOWS, NoiseModel
+from adaptive_contact.model.noise import CONTEXTS, DESCENT, DIRECTIONS, LIFT, WINDOWS, NoiseModel
+from adaptive_contact.model.peaks import Peaks
 from adaptive_contact.model.tail import Tail
 
 from .ticks import Tick, rows_of
@@ -121,3 +122,30 @@ def test_whitening_is_turned_as_dense_algebra_does(noise: NoiseModel) -> None:
         shape *= J / shape.trace()
         expected = np.linalg.inv(np.linalg.cholesky(shape)) @ whiten
         np.testing.assert_allclose(turned_by(whiten, residuals, context), expected, rtol=1e-9)
+
+
+def test_thresholds_of_own_peaks_follow_the_last_lifts_and_outlive_a_restart(
+    noise: NoiseModel,
+) -> None:
+    rng = np.random.default_rng(3)
+    values = 0.5 * rng.chisquare(J, (4000, len(WINDOWS)))
+    peaks = Peaks.of(values, np.arange(len(values)) % DIRECTIONS, J)
+
+    def tracker() -> NoiseTracker:
+        return NoiseTracker(noise, prior_tails(J), 1.0, peaks)
+
+    of, first = tracker(), tracker().thresholds
+    assert (first[LIFT] < recent(noise).thresholds[LIFT]).all(), "below those of the tail"
+    of.count(rows([200.0] * 10))
+    for _ in range(6):
+        of.count(rows((0.5 * rng.chisquare(J, 10)).tolist()))
+    assert of.thresholds == pytest.approx(first, rel=0.35), "one lift that struck moves no median"
+    for _ in range(4):
+        of.count(rows((0.9 * rng.chisquare(J, 10)).tolist()))
+    again = tracker()
+    again.restore(of.snapshot())
+    np.testing.assert_array_equal(again.thresholds, of.thresholds)
+    for _ in range(6):
+        of.count(rows((50.0 * rng.chisquare(J, 10)).tolist()))
+    limit = recent(noise).thresholds
+    assert (of.thresholds[LIFT] >= limit[LIFT]).all(), "up to those of the tail"
