@@ -261,10 +261,12 @@ def keep(samples: Mapping[str, Sequence[ServoSample]], path: Path, robot: Robot)
         RecordingError: it cannot be written.
     """
     from adaptive_contact.service.recording import RecordingWriter
+    from adaptive_contact.service.recording.scene import Scene
     from adaptive_contact.wire import servo_key
 
+    about = {"robot": robot.name, "by": "adaptive-contact robot learn"}
     rows = [(row.t_ns, leg, row) for leg, of_leg in samples.items() for row in of_leg]
-    with RecordingWriter(path, {"robot": robot.name, "by": "adaptive-contact robot learn"}) as file:
+    with RecordingWriter(path, about, Scene(robot)) as file:
         for t_ns, leg, row in sorted(rows, key=lambda item: item[:2]):
             file.write_message(servo_key(leg), row, t_ns)
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact export``: a recording for Foxglove, rerun, PlotJuggler, pandas, sheets."""
+"""``adaptive-contact export``: a recording for pandas and sheets; an older one for Foxglove."""
 
 from __future__ import annotations
 
@@ -28,32 +28,45 @@ def export(
         Path, typer.Argument(metavar="FILE.mcap", help="Recording to read.", show_default=False)
     ],
     to: Annotated[
-        Literal["json", "protobuf", "csv", "parquet"],
+        Literal["csv", "parquet", "mcap"],
         option(
             "--to",
-            "json, protobuf: an MCAP file (protobuf opens in Foxglove, rerun and PlotJuggler);"
-            " csv, parquet: a folder with a table per message.",
+            "csv, parquet: a folder with a table per message; mcap: a recording as `record` of"
+            " today writes it, which opens in Foxglove, rerun and PlotJuggler.",
             show_default=False,
         ),
     ],
     out: Annotated[
         Path | None,
-        option("--out", "File or folder [FILE-protobuf.mcap, FILE-csv …].", "OUT", short="-o"),
+        option("--out", "File or folder [FILE-csv, FILE-mcap.mcap …].", "OUT", short="-o"),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        option(
+            "--config",
+            "Description of the robot, or a shipped one's name, to draw it in an mcap.",
+            "ROBOT.TOML",
+        ),
     ] = None,
     force: ForceOption = False,
 ) -> None:
     """Convert a recording for other programs; nothing is resampled or renamed."""
+    from adaptive_contact.robot import load_robot
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.service.recording.export import ExportFormat, export_recording
+    from adaptive_contact.service.recording.scene import Scene
 
     form = ExportFormat(to)
     if out is None:
         out = file.with_name(f"{file.stem}-{to}{'' if form.is_table else '.mcap'}")
     _check(file, out, form, force)
+    if config is not None and form.is_table:
+        raise ConfigurationError(f"--config draws the robot in an mcap; leave it out of {to}")
+    scene = None if config is None else Scene(load_robot(config))
     recording = read_recording(file)
     started_s = time.perf_counter()
     live = sys.stderr.isatty()
-    exported = export_recording(recording, out, form, _progress() if live else _quiet)
+    exported = export_recording(recording, out, form, _progress() if live else _quiet, scene)
     elapsed_s = time.perf_counter() - started_s
     if live:
         overwrite("")

@@ -1,8 +1,9 @@
-"""``adaptive-contact record``: what goes over the wire, into an MCAP file."""
+"""``adaptive-contact record``: what goes over the wire, into an MCAP file or several."""
 
 from __future__ import annotations
 
 import collections
+import contextlib
 import sys
 import time
 from pathlib import Path
@@ -14,6 +15,7 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._link import leave, open_link
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.printable import printable
 
 
@@ -29,19 +31,52 @@ def record(
     seconds: Annotated[
         float | None, seconds_option("--seconds", "Stop after so long; otherwise at Ctrl-C.")
     ] = None,
+    config: Annotated[
+        Path | None,
+        option(
+            "--config",
+            "Description of the robot, or a shipped one's name: adds joint states, transforms and "
+            "feet for 3D panels.",
+            "ROBOT.TOML",
+        ),
+    ] = None,
+    max_bag_duration: Annotated[
+        float | None,
+        seconds_option(
+            "--max-bag-duration", "Begin a new file after so long: FILE_0.mcap, FILE_1.mcap …"
+        ),
+    ] = None,
+    keep: Annotated[
+        int | None,
+        option("--keep", "Keep the newest N files of --max-bag-duration, as a ring.", "N", min=2),
+    ] = None,
     force: opt.ForceOption = False,
     network: opt.Network,
 ) -> None:
-    """Record messages of any key, byte for byte, until Ctrl-C."""
+    """Record messages of any key until Ctrl-C, for replay, Foxglove, rerun and PlotJuggler."""
     make_stdout_optional()
     # Before anything that takes time, so that a stop during the start is clean too.
     stop = opt.stoppable()
 
+    from adaptive_contact.robot import load_robot
     from adaptive_contact.service.recording import RecordingWriter
-    from adaptive_contact.service.recording.recorder import Recorder, check_key_expression
+    from adaptive_contact.service.recording.recorder import (
+        Recorder,
+        SplitWriter,
+        check_key_expression,
+        part_path,
+    )
+    from adaptive_contact.service.recording.scene import Scene
 
     check_key_expression(key)
-    opt.check_output(file, "FILE", force=force)
+    if keep is not None and max_bag_duration is None:
+        raise ConfigurationError("--keep is of several files; give --max-bag-duration, too")
+    opt.check_output(file if max_bag_duration is None else part_path(file, 0), "FILE", force=force)
+    about = {"key": key, "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
+    scene = None
+    if config is not None:
+        robot = load_robot(config)
+        about["robot"], scene = robot.name, Scene(robot)
     settings = network.client()
     link = open_link(settings, stop)
     if link is None:
@@ -49,8 +84,13 @@ def record(
     try:
         started_s = time.monotonic()
         live = sys.stderr.isatty()
-        about = {"key": key, "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
-        with RecordingWriter(file, about) as writer:
+        with contextlib.ExitStack() as stack:
+            writer: RecordingWriter | SplitWriter
+            if max_bag_duration is None:
+                writer = RecordingWriter(file, about, scene)
+            else:
+                writer = SplitWriter(file, about, scene, max_bag_duration, keep)
+            stack.enter_context(writer)
             recorder = Recorder(link, writer, key)
             say(f"recording {key} to {file}; stop with Ctrl-C", err=True)
             recorder.run(
@@ -60,7 +100,8 @@ def record(
         closed = link.close()
     if live:
         overwrite("")
-    _report(file, key, recorder.counts, time.monotonic() - started_s)
+    files = writer.paths if isinstance(writer, SplitWriter) else [file]
+    _report(files, key, recorder.counts, time.monotonic() - started_s)
     leave(closed=closed)
 
 
@@ -78,11 +119,14 @@ def _progress(counts: collections.Counter[str], started_s: float) -> None:
     overwrite(line)
 
 
-def _report(file: Path, key: str, counts: collections.Counter[str], elapsed_s: float) -> None:
-    size_kb = file.stat().st_size / 1000
+def _report(
+    files: list[Path], key: str, counts: collections.Counter[str], elapsed_s: float
+) -> None:
+    size_kb = sum(file.stat().st_size for file in files) / 1000
+    where = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"
     say(
         f"{counts.total()} messages of {len(counts)} keys in {elapsed_s:.1f} s, "
-        f"{size_kb:.0f} kB in {file}"
+        f"{size_kb:.0f} kB in {where}"
     )
     width = max((len(printable(name)) for name in counts), default=0)
     for name in sorted(counts):

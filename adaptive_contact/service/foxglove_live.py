@@ -1,6 +1,6 @@
 """Shows a running robot in Foxglove: a channel per key, over Foxglove's own websocket protocol.
 
-Topics, schemas and bytes are those of ``export --to protobuf``.  One kind of channel is added: a
+Topics, schemas and bytes are those of a recording.  One kind of channel is added: a
 leg's ``trace`` has a message per tick, with the prediction and the test ratio.  The service is
 asked for them only while a client shows one.
 
@@ -104,7 +104,7 @@ class FoxgloveServer:
         left_out: messages that could not be shown, by key and why.
 
     Raises:
-        MissingExtraError: foxglove-sdk or protobuf is not installed.
+        MissingExtraError: foxglove-sdk is not installed.
         ConfigurationError: it cannot listen there.
     """
 
@@ -252,5 +252,4 @@ def check_installed() -> None:
         MissingExtraError: it is not.
     """
     with needs("Foxglove", "foxglove"):
-        for module in ("foxglove", "google.protobuf"):
-            importlib.import_module(module)
+        importlib.import_module("foxglove")

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Self
 
 from adaptive_contact.service.recording import RecordingWriter
-from adaptive_contact.wire import MSGPACK, SIM_DRIFT, servo_key, truth_key
+from adaptive_contact.service.recording.scene import Scene
+from adaptive_contact.wire import SIM_DRIFT, servo_key, truth_key
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 
 
@@ -21,10 +22,9 @@ class TickRecorder:
         RecordingError: the file cannot be written.
     """
 
-    def __init__(self, path: Path, sim: Simulation, encoding: str = MSGPACK) -> None:
+    def __init__(self, path: Path, sim: Simulation) -> None:
         settings = sim.settings
         self._sim = sim
-        self._encoding = encoding
         self._drifts_begun = 0
         self._writer = RecordingWriter(
             path,
@@ -38,6 +38,7 @@ class TickRecorder:
                 "robot_seed": str(settings.robot_seed),
                 "drift": repr(settings.drift),
             },
+            Scene(sim.robot.description),
         )
 
     def __enter__(self) -> Self:
@@ -48,17 +49,17 @@ class TickRecorder:
 
     def write(self, tick: Tick) -> None:
         """Append one tick; to be called right after it was made."""
-        write, encoding = self._writer.write_message, self._encoding
+        write = self._writer.write_message
         now_ns = self._sim.t_ns
         begun = self._sim.drift.begun
         for injection in begun[self._drifts_begun :]:
             at_ns = self._sim.settings.epoch_ns + round(injection.at_s * 1e9)
-            write(SIM_DRIFT, injection.drift, at_ns, encoding=encoding)
+            write(SIM_DRIFT, injection.drift, at_ns)
         self._drifts_begun = len(begun)
         for leg, sample in tick.samples.items():
-            write(servo_key(leg), sample, sample.t_ns, encoding=encoding)
+            write(servo_key(leg), sample, sample.t_ns)
         for change in tick.truth:
-            write(truth_key(change.leg), change.message, now_ns, encoding=encoding)
+            write(truth_key(change.leg), change.message, now_ns)
 
 
 def record_file(settings: SimulationSettings, seconds: float, path: str | Path) -> int:

@@ -89,11 +89,9 @@ def run(
     with ExitStack() as stack:
         looks: list[Look] = []
         if plan.record is not None:
-            from adaptive_contact.wire import MSGPACK
             from adaptive_contact_sim.recorder import TickRecorder
 
-            encoding = MSGPACK if plan.link is None else plan.link.encoding
-            recorder = stack.enter_context(TickRecorder(plan.record, sim, encoding))
+            recorder = stack.enter_context(TickRecorder(plan.record, sim))
             looks.append(recorder.write)
         if plan.render is not None:
             from adaptive_contact_sim.picture import Film

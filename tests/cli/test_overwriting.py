@@ -18,7 +18,7 @@ WRITTEN: dict[tuple[str, ...], tuple[str, ...]] = {
     ("record", "file"): ("FILE",),
     ("replay", "events"): ("in.mcap", "--events", "FILE"),
     ("replay", "plot"): ("in.mcap", "--plot", "FILE"),
-    ("export", "out"): ("in.mcap", "--to", "json", "-o", "FILE"),
+    ("export", "out"): ("in.mcap", "--to", "mcap", "-o", "FILE"),
     ("fit", "out"): ("in.mcap", "-o", "FILE"),
     ("sim", "pose", "record"): ("--offline", "--seconds", "1", "--record", "FILE"),
     ("sim", "pose", "render"): ("--offline", "--seconds", "1", "--render", "FILE"),

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import errno
-import json
 from pathlib import Path
 
+import msgspec
 import pytest
+from google.protobuf import descriptor_pb2
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from adaptive_contact.errors import RecordingError
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.recording import Record, RecordingWriter, read_recording
+from adaptive_contact.service.recording.recorder import SplitWriter
+from adaptive_contact.service.recording.scene import Scene
+from adaptive_contact.service.recording.schemas import protobuf_class
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,
     ContactTruth,
     ServoSample,
     decode,
+    encode,
     servo_key,
     truth_key,
 )
@@ -79,7 +85,7 @@ def test_messages_are_decodable_and_channels_named_by_contract(tmp_path: Path) -
     truth = ContactTruth(t_ns=5, contact=True, force=1.5, speed_m_s=0.3, surface="hard")
     with RecordingWriter(path, about={"scenario": "pose", "seed": "7"}) as writer:
         writer.write_message(servo_key("rf"), sample(3), 60)
-        writer.write_message(truth_key("rf"), truth, 61, encoding=JSON)
+        writer.write(truth_key("rf"), encode(truth, JSON), JSON, 61)
         writer.write("robot/leg/rf/servo", b"\xff broken", MSGPACK, 62)
         writer.write("other/key", b"anything", "text/plain", 63, 40)
     first, second, third, fourth = read_recording(path)
@@ -95,23 +101,58 @@ def test_messages_are_decodable_and_channels_named_by_contract(tmp_path: Path) -
             for schema, channel, _ in make_reader(file, validate_crcs=True).iter_messages()
         ]
     assert seen == [
-        ("robot/leg/rf/servo", "msgpack", "adaptive_contact.ServoSample"),
-        ("robot/leg/rf/truth", "json", "adaptive_contact.ContactTruth"),
-        ("robot/leg/rf/servo", "msgpack", "adaptive_contact.ServoSample"),
+        ("robot/leg/rf/servo", "protobuf", "adaptive_contact.ServoSample"),
+        ("robot/leg/rf/truth", "protobuf", "adaptive_contact.ContactTruth"),
+        ("robot/leg/rf/servo", "msgpack", None),
         ("other/key", "text/plain", None),
     ]
 
 
-def test_schemas_are_json_schemas_of_the_messages(tmp_path: Path) -> None:
+def test_a_file_is_read_by_its_own_descriptors(tmp_path: Path) -> None:
+    """An older contract had its fields at other numbers, and fewer of them."""
     path = tmp_path / "a.mcap"
+    described = descriptor_pb2.FileDescriptorSet.FromString(protobuf_class(ServoSample)[0])
+    fields = described.file[0].message_type[0].field
+    assert [field.name for field in fields[:2]] == ["t_ns", "seq"]
+    fields[0].number, fields[1].number = 2, 1
+    del fields[-1], described.file[0].message_type[0].oneof_decl[-1]
+    writer = Writer(str(path))
+    writer.start()
+    name = "adaptive_contact.ServoSample"
+    schema = writer.register_schema(name, "protobuf", described.SerializeToString())
+    channel = writer.register_channel(servo_key("rf"), "protobuf", schema)
+    writer.add_message(channel, 1, protobuf_class(ServoSample)[1](sample(3)), 1)
+    writer.finish()
+    (record,) = read_recording(path)
+    read = decode(record.payload, ServoSample, record.encoding)
+    assert isinstance(read, ServoSample)
+    assert (read.t_ns, read.seq) == (3, 3 * TICK)
+    assert read.measured == sample(3).measured
+
+
+def test_what_protobuf_cannot_say_keeps_its_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    odd = [
+        encode(msgspec.structs.replace(sample(3), **change))
+        for change in ({"valid": []}, {"t_ns": 2**63}, {"preview": []})
+    ]
     with RecordingWriter(path) as writer:
-        writer.write_message(servo_key("rf"), sample(0), 0)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    (schema,) = summary.schemas.values()
-    text = json.loads(schema.data)
-    assert "measured" in text["properties"]
+        for payload in odd:
+            writer.write(servo_key("rf"), payload, MSGPACK, 1)
+    assert [record.payload for record in read_recording(path)] == odd
+
+
+@pytest.mark.parametrize("descriptors", [b"", b"\xff\xff", b"\x0a\x03\x0a\x01a"])
+def test_descriptors_that_are_none_cost_their_messages(tmp_path: Path, descriptors: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    writer = Writer(str(path))
+    writer.start()
+    schema = writer.register_schema("adaptive_contact.ServoSample", "protobuf", descriptors)
+    writer.add_message(writer.register_channel(servo_key("rf"), "protobuf", schema), 1, b"", 1)
+    writer.finish()
+    recording = read_recording(path)
+    assert list(recording) == []
+    assert recording.damage is not None
 
 
 def test_truncation_at_every_byte_gives_a_prefix(tmp_path: Path) -> None:
@@ -296,3 +337,23 @@ def test_the_same_messages_make_the_same_file(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_walk(tmp_path / name, 60)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_ring_of_files_keeps_the_newest(tmp_path: Path) -> None:
+    scene = Scene(shipped_robot("hexapod"))
+    with SplitWriter(tmp_path / "walk.mcap", {"key": "robot/**"}, scene, 1.0, 2) as writer:
+        for k in range(250):  # five seconds
+            for leg in LEGS:
+                writer.write(servo_key(leg), encode(sample(k)), MSGPACK, k * TICK, None)
+    assert writer.paths == [tmp_path / "walk_3.mcap", tmp_path / "walk_4.mcap"]
+    assert sorted(tmp_path.iterdir()) == writer.paths
+    for number, path in enumerate(writer.paths, 3):
+        recording = read_recording(path)
+        times = [record.log_time_ns for record in recording]
+        assert (min(times), max(times)) == (number * 50 * TICK, (number * 50 + 49) * TICK)
+        assert len(times) == 50 * len(LEGS)
+        assert recording.damage is None
+        assert recording.about == {"key": "robot/**"}
+        with path.open("rb") as file:  # each begins with the whole scene
+            topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
+        assert topics.count("/robot") == 1

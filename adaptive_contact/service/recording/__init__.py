@@ -1,9 +1,8 @@
 """Recordings: what went over the wire, in an MCAP file.  The only package that imports mcap.
 
-Channel topic = Zenoh key; message encoding ``msgpack`` or ``json`` (another Zenoh encoding is kept
-under its own name); payloads are the raw bytes, whatever they hold.  A channel of the wire
-contract carries the JSON Schema of its message, so that tools which know nothing of this project
-can name the fields.
+Channel topic = Zenoh key.  Messages of the wire contract are protobuf, with their descriptors in
+the file, so that tools which know nothing of this project open it; readers get them as msgpack.
+Everything else keeps its bytes and its Zenoh encoding.
 
 The file is made of small compressed chunks, each written out when it is full or a second old, so
 that a recorder that is killed loses about a second.  Reading needs no index: the records are walked

@@ -1,9 +1,9 @@
-"""Recordings for other programs: MCAP with JSON or protobuf, tables as CSV or Parquet.
+"""Recordings for other programs: tables as CSV or Parquet, and older recordings as MCAP of today.
 
-Messages keep their keys, times and order; nothing is resampled.  What cannot be exported (a key
-that the contract does not have, a payload that cannot be read) is counted by key and reason.
-Memory does not grow with the recording: MCAP is written in chunks, tables in groups of rows, and
-tables take two passes, the first of which finds how many joints the widest leg has.
+Messages keep their keys, times and order; nothing is resampled.  What no table has (a key that the
+contract does not have, a payload that cannot be read) is counted by key and reason.  Memory does
+not grow with the recording: tables are written in groups of rows, in two passes, the first of which
+finds how many joints the widest leg has.
 """
 
 from __future__ import annotations
@@ -17,36 +17,21 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
-from typing import IO, Any, Final, get_type_hints
+from typing import IO, TYPE_CHECKING, Any, Final, get_type_hints
 
-import msgpack
 import msgspec
 
 from adaptive_contact.errors import RecordingError, needs
 from adaptive_contact.files import whole_file
 from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import Recording
-from adaptive_contact.service.recording.schemas import (
-    json_schema,
-    kind_of_key,
-    parts_of,
-    protobuf_class,
-    schema_name,
-)
-from adaptive_contact.service.recording.writer import MAX_CHANNELS, started_writer
-from adaptive_contact.wire import (
-    MAX_PAYLOAD_BYTES,
-    Message,
-    Reject,
-    Rejected,
-    decode,
-    is_json,
-    json_text,
-)
+from adaptive_contact.service.recording.schemas import kind_of_key, parts_of
+from adaptive_contact.service.recording.writer import RecordingWriter
+from adaptive_contact.wire import Message, Reject, Rejected, decode, leg_of_key
 
-# Larger than a recorder's: what an export has not written out is not lost.  Chunks are fewer, and
-# packed tighter.
-_CHUNK_BYTES: Final = 1 << 20
+if TYPE_CHECKING:
+    from adaptive_contact.service.recording.scene import Scene
+
 # Rows of a Parquet group; PyArrow holds one group of each table in memory.
 _ROWS: Final = 20_000
 # Columns of one list; a robot's legs have at most 16 joints.
@@ -59,15 +44,14 @@ OnRecord = Callable[[Record], None]
 class ExportFormat(StrEnum):
     """What a recording is turned into."""
 
-    JSON = "json"
-    PROTOBUF = "protobuf"
     CSV = "csv"
     PARQUET = "parquet"
+    MCAP = "mcap"
 
     @property
     def is_table(self) -> bool:
         """Whether the output is a folder of tables, not one MCAP file."""
-        return self in (ExportFormat.CSV, ExportFormat.PARQUET)
+        return self is not ExportFormat.MCAP
 
 
 class Exported:
@@ -100,7 +84,11 @@ class Exported:
 
 
 def export_recording(
-    recording: Recording, out: Path, to: ExportFormat, on_record: OnRecord = lambda record: None
+    recording: Recording,
+    out: Path,
+    to: ExportFormat,
+    on_record: OnRecord = lambda record: None,
+    scene: Scene | None = None,
 ) -> Exported:
     """Write a recording for other programs.
 
@@ -109,6 +97,7 @@ def export_recording(
         out: an MCAP file, or for tables a folder, which is made where it is missing.
         to: the format.
         on_record: called with each message, for progress; tables go through a recording twice.
+        scene: draws the robot into an MCAP file.
 
     Returns:
         What was written and what was not.
@@ -120,13 +109,13 @@ def export_recording(
     exported = Exported()
     if to.is_table:
         _write_tables(recording, out, to, exported, on_record)
-    else:
-        make = _Json if to is ExportFormat.JSON else _Protobuf
-        with whole_file(out, error=RecordingError) as file:
-            _write_mcap(recording, file, make(), exported, on_record)
-            if not exported.messages:
-                raise RecordingError(_nothing(recording, exported))
-        exported.files[out] = exported.messages
+        return exported
+    with RecordingWriter(out, recording.about, scene) as writer:
+        for record in recording:
+            on_record(record)
+            writer.write(*record)
+            exported.note(record)
+    exported.files[out] = exported.messages
     return exported
 
 
@@ -149,100 +138,6 @@ def _read(record: Record, kind: type[Message], exported: Exported) -> Message | 
     return message
 
 
-# -- MCAP ------------------------------------------------------------------------------------------
-
-
-class _Json:
-    encoding, schema_encoding = "json", "jsonschema"
-
-    def schema(self, kind: type[Message]) -> bytes:
-        return json_schema(kind)
-
-    def encode(self, message: Message) -> bytes:
-        # A null is no value of a field with one type; a reader takes it for missing either way.
-        return msgspec.json.encode(_without_none(msgspec.to_builtins(message)))
-
-    def other(self, record: Record) -> bytes | None:
-        """Payload of a key without schema: a map is JSON, which MCAP and Foxglove allow."""
-        if len(record.payload) > MAX_PAYLOAD_BYTES:
-            return None
-        try:
-            if is_json(record.payload, record.encoding):
-                held = msgspec.json.decode(json_text(record.payload))
-            else:
-                held = msgpack.unpackb(record.payload, strict_map_key=True)
-            return msgspec.json.encode(held) if isinstance(held, dict) else None
-        except (
-            *(ValueError, TypeError, OverflowError, RecursionError),
-            *(msgpack.UnpackException, msgspec.DecodeError),
-        ):
-            return None
-
-
-class _Protobuf:
-    encoding = schema_encoding = "protobuf"
-
-    def schema(self, kind: type[Message]) -> bytes:
-        return protobuf_class(kind)[0]
-
-    def encode(self, message: Message) -> bytes:
-        """Payload; ValueError where the format cannot say it."""
-        return protobuf_class(type(message))[1](message)
-
-    def other(self, record: Record) -> None:
-        """There is no protobuf without schema."""
-
-
-_Form = _Json | _Protobuf
-
-
-def _without_none(held: Any) -> Any:
-    if isinstance(held, dict):
-        return {name: _without_none(part) for name, part in held.items() if part is not None}
-    return held
-
-
-def _write_mcap(
-    recording: Recording, file: IO[bytes], form: _Form, exported: Exported, on_record: OnRecord
-) -> None:
-    writer = started_writer(file, _CHUNK_BYTES, recording.about)
-    schemas: dict[type[Message], int] = {}
-    channels: dict[str, tuple[int, type[Message] | None]] = {}
-    for record in recording:
-        on_record(record)
-        kind = channels[record.key][1] if record.key in channels else kind_of_key(record.key)
-        if kind is None:
-            payload = form.other(record)
-            if payload is None:
-                exported.left_out[record.key, _UNKNOWN_KEY] += 1
-                continue
-        else:
-            message = _read(record, kind, exported)
-            if message is None:
-                continue
-            if kind not in schemas:
-                schemas[kind] = writer.register_schema(
-                    name=schema_name(kind), encoding=form.schema_encoding, data=form.schema(kind)
-                )
-            try:
-                payload = form.encode(message)
-            except (ValueError, OverflowError):  # an integer of more than 64 bits
-                exported.left_out[record.key, Reject.OUT_OF_RANGE.value] += 1
-                continue
-        if record.key not in channels:
-            if len(channels) >= MAX_CHANNELS:
-                exported.left_out[record.key, f"more than {MAX_CHANNELS} keys"] += 1
-                continue
-            schema = 0 if kind is None else schemas[kind]
-            channel = writer.register_channel(record.key, form.encoding, schema)
-            channels[record.key] = channel, kind
-        writer.add_message(
-            channels[record.key][0], record.log_time_ns, payload, record.publish_time_ns
-        )
-        exported.note(record)
-    writer.finish()
-
-
 # -- tables ----------------------------------------------------------------------------------------
 
 Row = list[Any]
@@ -260,6 +155,7 @@ class _Columns:
         self._fields = [
             (name, attrgetter(name), scalar, many, many and scalar is not str)
             for name, scalar, many in _flat(kind, "")
+            if name != "leg"  # by the key
         ]
         self._lists = [(name, get) for name, get, _, _, wide in self._fields if wide]
 
@@ -272,7 +168,7 @@ class _Columns:
 
     @property
     def types(self) -> dict[str, type]:
-        types: dict[str, type] = {"log_time_ns": int, "key": str}
+        types: dict[str, type] = {"log_time_ns": int, "key": str, "leg": str}
         for name, _, scalar, _, wide in self._fields:
             if wide:
                 types |= {f"{name}_{place}": scalar for place in range(self.width[name])}
@@ -282,7 +178,11 @@ class _Columns:
 
     def row(self, record: Record, message: Message) -> Row | None:
         """Values in the order of the columns; None where a list is too long."""
-        row: Row = [record.log_time_ns, record.key]
+        row: Row = [
+            record.log_time_ns,
+            record.key,
+            leg_of_key(record.key) or getattr(message, "leg", None),
+        ]
         for name, get, _, many, wide in self._fields:
             try:
                 held = get(message)

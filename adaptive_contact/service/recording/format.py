@@ -14,6 +14,8 @@ ABOUT: Final = "adaptive-contact"
 # Metadata of a channel: the Zenoh encoding, where MCAP's name of it says less.
 ENCODING: Final = "zenoh_encoding"
 
+# Of a channel, by MCAP's name, and of its schema.
+PROTOBUF: Final = "protobuf"
 TO_MCAP: Final = {MSGPACK: "msgpack", JSON: "json"}
 TO_ZENOH: Final = {name: encoding for encoding, name in TO_MCAP.items()}
 
@@ -22,7 +24,7 @@ class Record(NamedTuple):
     """One message of a recording."""
 
     key: str  # Zenoh key it was seen on
-    payload: bytes  # the bytes as they were
+    payload: bytes  # the bytes as they were, or msgpack of a message that was kept as protobuf
     encoding: str  # Zenoh encoding, `application/msgpack` or `application/json` as a rule
     log_time_ns: int  # when it was recorded, on the recorder's clock
     publish_time_ns: int  # when it was published, where that was known, else the log time

@@ -20,7 +20,7 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
@@ -34,7 +34,9 @@ from mcap.records import Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from adaptive_contact.errors import RecordingError
-from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_ZENOH, Record
+from adaptive_contact.service.recording.format import ABOUT, ENCODING, PROTOBUF, TO_ZENOH, Record
+from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_reader, schema_name
+from adaptive_contact.wire import MSGPACK
 
 if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
@@ -84,7 +86,13 @@ _PARSE_ERRORS: Final = (
 # Metadata of a channel of rosbag2: the hash of its type's definition.
 _TYPE_HASH: Final = "topic_type_hash"
 
-_Channels = dict[int, tuple[str, str]]
+# Of what the file holds for viewers only.
+_DRAWN: Final = "foxglove."
+
+# By channel: its key, its Zenoh encoding, and what turns its payloads into the wire's; None for a
+# channel of no key.
+_Convert = Callable[[bytes], bytes]
+_Channels = dict[int, tuple[str, str, _Convert | None] | None]
 # By key: name of the channel's schema, and its hash or an empty text.
 Types = dict[str, tuple[str, str]]
 
@@ -208,7 +216,7 @@ class _Walk:
 
     def __init__(self, file: IO[bytes], types: Types) -> None:
         self._types = types
-        self._schemas: dict[int, str] = {}
+        self._schemas: dict[int, tuple[str, bytes]] = {}
         # skipped, lost: as of `Recording`
         self.skipped = 0
         self.lost = 0
@@ -416,12 +424,15 @@ class _Walk:
                 if kind == Opcode.MESSAGE:
                     if length < _MESSAGE.size:
                         raise _DamagedError("a message is too short")
-                    channel, _, log_ns, sent_ns = _MESSAGE.unpack_from(data, at)
-                    payload = data[at + _MESSAGE.size : at + length]
-                    if channel in self._channels:
-                        key, encoding = self._channels[channel]
+                    number, _, log_ns, sent_ns = _MESSAGE.unpack_from(data, at)
+                    channel = self._channels.get(number)
+                    if channel is not None:
+                        key, encoding, convert = channel
+                        payload = data[at + _MESSAGE.size : at + length]
+                        if convert is not None:
+                            payload = convert(payload)
                         record = Record(key, payload, encoding, log_ns, sent_ns)
-                    else:
+                    elif number not in self._channels:
                         unknown += 1
                 elif kind == Opcode.CHANNEL:
                     self._learn_channel(data[at : at + length])
@@ -467,14 +478,21 @@ class _Walk:
     def _learn_channel(self, content: bytes) -> None:
         """Take in a channel: its key, its Zenoh encoding, its type."""
         found = Channel.read(ReadDataStream(BytesIO(content)))
-        named = TO_ZENOH.get(found.message_encoding, found.message_encoding)
-        self._channels[found.id] = (found.topic, found.metadata.get(ENCODING, named))
-        kind = self._schemas.get(found.schema_id, "")
+        encoding = TO_ZENOH.get(found.message_encoding, found.message_encoding)
+        kind, descriptors = self._schemas.get(found.schema_id, ("", b""))
         self._types[found.topic] = (kind, found.metadata.get(_TYPE_HASH, ""))
+        message = kind_of_key(found.topic)
+        convert = None
+        if encoding == PROTOBUF and kind.startswith(_DRAWN):
+            self._channels[found.id] = None
+            return
+        if encoding == PROTOBUF and message is not None and kind == schema_name(message):
+            convert, encoding = protobuf_reader(message, descriptors), MSGPACK
+        self._channels[found.id] = (found.topic, found.metadata.get(ENCODING, encoding), convert)
 
     def _learn_schema(self, content: bytes) -> None:
         found = Schema.read(ReadDataStream(BytesIO(content)))
-        self._schemas[found.id] = found.name
+        self._schemas[found.id] = (found.name, found.data)
 
 
 def _is_chunk(head: bytes, length: int) -> bool:

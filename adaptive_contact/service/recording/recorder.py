@@ -7,12 +7,16 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Protocol, Self
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.link import Link, Received
 from adaptive_contact.service.recording.writer import RecordingWriter
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.recording.scene import Scene
 
 # How long a stop may go unnoticed while nothing arrives.
 _LOOK_S: Final = 0.1
@@ -40,6 +44,74 @@ def check_key_expression(text: str) -> str:
     return text
 
 
+class Writer(Protocol):
+    """What a recorder writes to."""
+
+    def write(
+        self, key: str, payload: bytes, encoding: str, log_time_ns: int, publish_time_ns: int | None
+    ) -> None:
+        """Append a message."""
+
+
+class SplitWriter:
+    """Writes one recording after another: ``walk_0.mcap``, ``walk_1.mcap`` and so on.
+
+    Args:
+        path: the name without numbers.
+        about, scene: as of :class:`RecordingWriter`.
+        part_s: how long each file is, s of log time.
+        keep: files that are kept, the newest; None for all.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        about: Mapping[str, str],
+        scene: Scene | None,
+        part_s: float,
+        keep: int | None,
+    ) -> None:
+        self.paths: list[Path] = []  # that are there
+        self._path, self._about, self._scene = path, about, scene
+        self._part_ns = round(part_s * 1e9)
+        self._keep = keep
+        self._number = 0
+        self._end_ns: int | None = None
+        self._writer = self._next()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.close()
+
+    def write(
+        self, key: str, payload: bytes, encoding: str, log_time_ns: int, publish_time_ns: int | None
+    ) -> None:
+        """Append a message, to the next file where it is time."""
+        if self._end_ns is None:
+            self._end_ns = log_time_ns + self._part_ns
+        elif log_time_ns >= self._end_ns:
+            self._writer.close()
+            self._writer = self._next()
+            self._end_ns = log_time_ns + self._part_ns
+        self._writer.write(key, payload, encoding, log_time_ns, publish_time_ns)
+
+    def _next(self) -> RecordingWriter:
+        path = part_path(self._path, self._number)
+        self._number += 1
+        writer = RecordingWriter(path, self._about, self._scene)
+        self.paths.append(path)
+        if self._keep is not None and len(self.paths) > self._keep:
+            self.paths.pop(0).unlink(missing_ok=True)
+        return writer
+
+
+def part_path(path: Path, number: int) -> Path:
+    """Name of a part of a recording."""
+    return path.with_name(f"{path.stem}_{number}{path.suffix}")
+
+
 class Recorder:
     """Writes what a subscription receives.
 
@@ -53,7 +125,7 @@ class Recorder:
         key_expr: what to record.
     """
 
-    def __init__(self, link: Link, writer: RecordingWriter, key_expr: str) -> None:
+    def __init__(self, link: Link, writer: Writer, key_expr: str) -> None:
         self.counts: collections.Counter[str] = collections.Counter()  # messages so far, by key
         self._writer = writer
         self._queue: queue.SimpleQueue[Received] = queue.SimpleQueue()

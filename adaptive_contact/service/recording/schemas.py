@@ -1,11 +1,9 @@
 """Schemas of the messages of every key, for programs that know nothing of this project.
 
-JSON Schema follows what Foxglove's parser (and Lichtblick's, its free successor) reads: one object
-without ``$ref`` and ``anyOf``, each field with one ``type``, no list in a list, ``properties`` in
-every object.  What it cannot describe (``preview``) is left out of the schema, not of the message.
-
-Protobuf descriptors are made from the same structs; fields are numbered in their order.  A map is a
-repeated message of ``key`` and ``value``, which has the same bytes and which every reader takes.
+Protobuf descriptors are made from the structs of the wire; fields are numbered in their order.  A
+map is a repeated message of ``key`` and ``value``, which has the same bytes and which every reader
+takes; a list in a list is a repeated message of ``values``.  A file is read by the descriptors that
+it carries, field by field by name, so that a contract with more fields reads an older file.
 """
 
 from __future__ import annotations
@@ -17,8 +15,11 @@ from types import UnionType
 from typing import TYPE_CHECKING, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import DescriptorProto
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
+from google.protobuf.message import DecodeError
 
-from adaptive_contact.errors import needs
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.wire import (
     LEG_MESSAGES,
@@ -30,7 +31,8 @@ from adaptive_contact.wire import (
 )
 
 if TYPE_CHECKING:
-    from google.protobuf.descriptor_pb2 import DescriptorProto
+    from google.protobuf.descriptor import Descriptor, FieldDescriptor
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 # Key, behind any namespace -> its message.  A leg's trace has none: it answers a question, so no
 # recording has it, and a column that is a list of ticks could not be drawn.  Foxglove gets its
@@ -48,8 +50,15 @@ _OTHERS: Final[dict[str, type[Message]]] = {
 }
 KINDS: Final[tuple[type[Message], ...]] = (*_OF_LEG.values(), *_OTHERS.values())
 _PACKAGE: Final = "adaptive_contact"
+_SCALARS: Final = {
+    bool: Field.TYPE_BOOL,
+    int: Field.TYPE_INT64,
+    float: Field.TYPE_DOUBLE,
+    str: Field.TYPE_STRING,
+}
 
 
+@functools.lru_cache(maxsize=4096)
 def kind_of_key(key: str) -> type[Message] | None:
     """Return the message of a key, under any namespace; None where the contract has no such key."""
     match = _KEY.search(key)
@@ -78,59 +87,13 @@ def parts_of(annotation: Any) -> tuple[Any, tuple[Any, ...], bool]:
     origin = get_origin(annotation)
     if origin is None:
         return annotation, (), False
-    # A pair is a list in every schema.
+    # A pair is a list in the schema.
     return list if origin is tuple else origin, get_args(annotation), False
-
-
-# -- JSON Schema -----------------------------------------------------------------------------------
-
-_JSON_TYPES: Final = {bool: "boolean", int: "integer", float: "number", str: "string"}
-
-
-def json_schema(kind: type[Message]) -> bytes:
-    """Return the JSON Schema of a message, as Foxglove reads it."""
-    schema = _json_object(kind)
-    version = {"v": {"type": "integer", "description": "version of the contract"}}
-    schema["properties"] = version | schema["properties"]
-    schema["required"].insert(0, "v")
-    return msgspec.json.encode(schema)
-
-
-def _json_object(struct: type[msgspec.Struct]) -> dict[str, Any]:
-    hints = get_type_hints(struct)
-    fields = msgspec.structs.fields(struct)
-    shown = {f.name: _json_type(hints[f.name]) for f in fields}
-    return {
-        "title": struct.__name__,
-        "description": " ".join((struct.__doc__ or "").split()),
-        "type": "object",
-        "properties": {name: part for name, part in shown.items() if part is not None},
-        "required": [f.name for f in fields if f.required and shown[f.name]],
-    }
-
-
-def _json_type(annotation: Any) -> dict[str, Any] | None:
-    """None for a list in a list."""
-    origin, arguments, _ = parts_of(annotation)
-    if origin is list:
-        items = None if parts_of(arguments[0])[0] is list else _json_type(arguments[0])
-        return None if items is None else {"type": "array", "items": items}
-    if origin is dict:
-        return {
-            "type": "object",
-            "properties": {},
-            "additionalProperties": _json_type(arguments[1]),
-        }
-    if origin is Literal:
-        return {"type": "string", "enum": sorted(arguments)}
-    if origin in _JSON_TYPES:
-        return {"type": _JSON_TYPES[origin]}
-    return _json_object(origin)
 
 
 # -- protobuf --------------------------------------------------------------------------------------
 
-# Turns a value of a struct's field into what a protobuf message takes.
+# Turns a value of a struct's field into what a protobuf message takes, and back.
 _Convert = Callable[[Any], Any]
 
 
@@ -140,59 +103,87 @@ def protobuf_class(kind: type[Message]) -> tuple[bytes, Callable[[Message], byte
 
     Returns:
         The binary FileDescriptorSet, and a function that turns a message into bytes; that raises
-        ValueError for an integer of more than 64 bits.
-
-    Raises:
-        MissingExtraError: protobuf is not installed.
+        ValueError for what the form cannot say: an integer of more than 64 bits, and an empty list
+        where None is allowed.
     """
-    with needs("export --to protobuf", "export"):
-        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{_PACKAGE}/{kind.__name__}.proto", package=_PACKAGE, syntax="proto3"
     )
     convert = _add_message(file.message_type.add(name=kind.__name__), kind, f".{_PACKAGE}")
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    made = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema_name(kind)))
+    described = descriptor_pb2.FileDescriptorSet(file=[file])
+    made = _message_class(described, kind)
 
     def to_bytes(message: Message) -> bytes:
         encoded: bytes = made(**convert(message)).SerializeToString()
         return encoded
 
-    return descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), to_bytes
+    return described.SerializeToString(), to_bytes
+
+
+def protobuf_reader(kind: type[Message], descriptors: bytes) -> Callable[[bytes], bytes]:
+    """Make a function that turns protobuf into the msgpack of the wire.
+
+    Args:
+        kind: the message.
+        descriptors: the FileDescriptorSet of the file; what it lacks is left out of the message.
+
+    Raises:
+        ValueError: they describe no such message; also from the function, for other bytes.
+    """
+    try:
+        described = descriptor_pb2.FileDescriptorSet.FromString(descriptors)
+        made = _message_class(described, kind)
+        convert = _reverse(kind, made.DESCRIPTOR)
+    except _BAD as error:
+        raise ValueError(str(error)) from error
+
+    def to_msgpack(payload: bytes) -> bytes:
+        try:
+            held = convert(made.FromString(payload))
+            return msgspec.msgpack.encode({"v": kind.__struct_config__.tag, **held})
+        except _BAD as error:
+            raise ValueError(str(error)) from error
+
+    return to_msgpack
+
+
+# What protobuf raises on descriptors and bytes that are none.
+_BAD: Final = (DecodeError, TypeError, ValueError, KeyError, AttributeError, RecursionError)
+
+
+def _message_class(described: FileDescriptorSet, kind: type[Message]) -> Any:
+    pool = descriptor_pool.DescriptorPool()
+    for file in described.file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema_name(kind)))
 
 
 def _add_message(proto: DescriptorProto, struct: type[msgspec.Struct], scope: str) -> _Convert:
     """Describe a struct, and what it is made of inside it."""
     scope = f"{scope}.{proto.name}"
     hints = get_type_hints(struct)
-    converters: list[tuple[str, _Convert]] = []
-    for number, field in enumerate(msgspec.structs.fields(struct), 1):
-        converters.append(
-            (field.name, _add_field(proto, field.name, number, hints[field.name], scope))
-        )
+    converters = [
+        (field.name, _add_field(proto, field.name, number, hints[field.name], scope))
+        for number, field in enumerate(msgspec.structs.fields(struct), 1)
+    ]
 
     def convert(value: Any) -> dict[str, Any]:
         found = ((name, getattr(value, name), change) for name, change in converters)
-        return {name: change(part) for name, part, change in found if part is not None}
+        return {
+            name: change(part) if change else part
+            for name, part, change in found
+            if part is not None
+        }
 
     return convert
 
 
 def _add_field(
     proto: DescriptorProto, name: str, number: int, annotation: Any, scope: str
-) -> _Convert:
-    from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
-
-    scalars = {
-        bool: Field.TYPE_BOOL,
-        int: Field.TYPE_INT64,
-        float: Field.TYPE_DOUBLE,
-        str: Field.TYPE_STRING,
-    }
+) -> _Convert | None:
+    """None where protobuf takes the value as it is."""
     origin, arguments, optional = parts_of(annotation)
-    field = proto.field.add(name=name, number=number, label=Field.LABEL_OPTIONAL)
-    field.json_name = name
+    field = proto.field.add(name=name, number=number, label=Field.LABEL_OPTIONAL, json_name=name)
     many = origin in (list, dict)
     if many:
         field.label = Field.LABEL_REPEATED
@@ -203,23 +194,77 @@ def _add_field(
         below = f"{scope}.{part.name}"
         field.type, field.type_name = Field.TYPE_MESSAGE, below
         if origin is dict:
-            key = _add_field(part, "key", 1, arguments[0], below)
+            _add_field(part, "key", 1, arguments[0], below)
             value = _add_field(part, "value", 2, arguments[1], below)
-            return lambda held: [{"key": key(k), "value": value(v)} for k, v in held.items()]
+            return lambda held: [
+                {"key": k, "value": value(v) if value else v} for k, v in held.items()
+            ]
         rows = _add_field(part, "values", 1, item, below)
-        return lambda held: [{"values": rows(row)} for row in held]
-    if inner in scalars or inner is Literal:
-        field.type = scalars.get(inner, Field.TYPE_STRING)
+        return _filled(
+            lambda held: [{"values": rows(row) if rows else row} for row in held], optional
+        )
+    if inner in _SCALARS or inner is Literal:
+        field.type = _SCALARS.get(inner, Field.TYPE_STRING)
         if optional and not many:
             field.proto3_optional = True
             field.oneof_index = len(proto.oneof_decl)
             proto.oneof_decl.add(name=f"_{name}")
-        return lambda held: held
+        return _filled(list, optional) if many and optional else None
     if inner.__name__ not in {nested.name for nested in proto.nested_type}:
         convert = _add_message(proto.nested_type.add(name=inner.__name__), inner, scope)
     else:  # another field of the same type
-        from google.protobuf.descriptor_pb2 import DescriptorProto
-
         convert = _add_message(DescriptorProto(name=inner.__name__), inner, scope)
     field.type, field.type_name = Field.TYPE_MESSAGE, f"{scope}.{inner.__name__}"
     return (lambda held: [convert(part) for part in held]) if many else convert
+
+
+def _filled(convert: _Convert, optional: bool) -> _Convert:
+    """Refuse an empty list where None is allowed, which has the same bytes."""
+
+    def checked(held: Any) -> Any:
+        if optional and not held:
+            raise ValueError("an empty list")
+        return convert(held)
+
+    return checked
+
+
+def _reverse(struct: type[msgspec.Struct], described: Descriptor) -> _Convert:
+    """Turn a protobuf message into the map of a struct."""
+    hints = get_type_hints(struct)
+    fields: list[tuple[str, _Convert | None, bool]] = []
+    for field in msgspec.structs.fields(struct):
+        there = described.fields_by_name.get(field.name)
+        if there is not None:
+            optional = parts_of(hints[field.name])[2]
+            fields.append((field.name, _reverse_field(hints[field.name], there), optional))
+
+    def convert(message: Any) -> dict[str, Any]:
+        made = {}
+        for name, change, optional in fields:
+            held = getattr(message, name)
+            if optional and not held and (hasattr(held, "append") or not message.HasField(name)):
+                continue
+            made[name] = change(held) if change else held
+        return made
+
+    return convert
+
+
+def _reverse_field(annotation: Any, there: FieldDescriptor) -> _Convert | None:
+    origin, arguments, _ = parts_of(annotation)
+    if origin is dict:
+        value = _reverse_field(arguments[1], there.message_type.fields_by_name["value"])
+        return lambda held: {e.key: value(e.value) if value else e.value for e in held}
+    if origin is list:
+        inner = parts_of(arguments[0])[0]
+        if inner is list:
+            rows = _reverse_field(arguments[0], there.message_type.fields_by_name["values"])
+            return lambda held: [(rows or list)(row.values) for row in held]
+        if isinstance(inner, type) and issubclass(inner, msgspec.Struct):
+            each = _reverse(inner, there.message_type)
+            return lambda held: [each(part) for part in held]
+        return list
+    if isinstance(origin, type) and issubclass(origin, msgspec.Struct):
+        return _reverse(origin, there.message_type)
+    return None

@@ -1,0 +1,228 @@
+"""The robot as Foxglove draws it: joint states, transforms, and feet that are red while they touch.
+
+Each is one topic with the whole robot in each message: a viewer that jumps to a time needs no other
+message, and a plot finds a joint always at the same place.  Topics begin with a slash, as no key
+of Zenoh does.
+
+With all angles 0 every joint's frame is parallel to its leg's; it is placed by the link before it
+and turned about the joint's axis (:mod:`adaptive_contact.robot.kinematics`).
+
+``foxglove.binpb`` beside this file has Foxglove's own descriptors of these messages (MIT licence,
+https://github.com/foxglove/foxglove-sdk).
+
+Reference: https://docs.foxglove.dev/docs/visualization/message-schemas
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from google.protobuf import message_factory
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+
+from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot.description import AngleFrame
+from adaptive_contact.robot.kinematics import Vector
+from adaptive_contact.wire import ContactEvent, ContactTruth, Message, ServoSample, leg_of_key
+
+_TOPICS: Final = {
+    "/joint_states": "foxglove.JointStates",
+    "/tf": "foxglove.FrameTransforms",
+    "/robot": "foxglove.SceneUpdate",
+}
+BODY: Final = "base_link"
+# Sizes as parts of a leg's reach; colours as red, green, blue and opacity.
+_LINK_SIZE: Final = 0.03
+_FOOT_SIZE: Final = 0.1
+_TRUTH_SIZE: Final = 0.18
+_LINK: Final = (0.35, 0.45, 0.6, 1.0)
+_FREE: Final = (0.7, 0.7, 0.7, 1.0)
+_TOUCHES: Final = (0.9, 0.1, 0.1, 1.0)
+_WITHHELD: Final = (0.95, 0.65, 0.1, 1.0)
+_TRUTH: Final = (0.1, 0.7, 0.2, 0.35)
+
+Color = tuple[float, float, float, float]
+Schema = tuple[str, bytes]  # name and descriptors
+
+
+class Scene:
+    """Draws a robot from its samples, its events and the truth, where there is one.
+
+    Legs without geometry have joint states only.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        topics = _made()
+        self._topics = tuple(topics)
+        self._joints, self._transforms, self._update = (made for _, made, _ in topics)
+        shared = Counter(joint for leg in robot.legs for joint in leg.joints)
+        self._legs = {
+            leg.id: _DrawnLeg(
+                leg,
+                self._joints,
+                self._transforms,
+                self._update,
+                [f"{leg.id}/{name}" if shared[name] > 1 else name for name in leg.joints],
+            )
+            for leg in robot.legs
+        }
+        self._moved: set[str] = set()
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new file, which gets the scene with the first samples."""
+        self._changed = True
+
+    def take(self, key: str, message: Message, time_ns: int) -> Iterator[tuple[str, bytes, Schema]]:
+        """Give topics, messages and their schemas, to be written after this message."""
+        leg = self._legs.get(leg_of_key(key) or "")
+        if leg is None:
+            return
+        if isinstance(message, ServoSample):
+            name = leg.id
+            if name in self._moved:  # of the next tick: one of the others is missing
+                yield from self._draw(time_ns)
+            if leg.move(message.measured):
+                self._moved.add(name)
+            if len(self._moved) == len(self._legs):
+                yield from self._draw(time_ns)
+        elif isinstance(message, ContactEvent):
+            seen = _WITHHELD if message.withheld else _TOUCHES if message.contact else _FREE
+            self._changed |= leg.show_contact(seen)
+        elif isinstance(message, ContactTruth):
+            self._changed |= leg.show_truth(touches=message.contact)
+
+    def _draw(self, time_ns: int) -> Iterator[tuple[str, bytes, Schema]]:
+        self._moved.clear()
+        self._joints.timestamp.FromNanoseconds(time_ns)
+        for transform in self._transforms.transforms:
+            transform.timestamp.CopyFrom(self._joints.timestamp)
+        for entity in self._update.entities:
+            entity.timestamp.CopyFrom(self._joints.timestamp)
+        for topic, message, schema in self._topics if self._changed else self._topics[:2]:
+            yield topic, message.SerializeToString(), schema
+        self._changed = False
+
+
+class _DrawnLeg:
+    """One leg's part of the messages."""
+
+    def __init__(
+        self,
+        leg: Leg,
+        joints: Any,
+        transforms: Any,
+        scene: Any,
+        names: list[str],
+    ) -> None:
+        self.id = leg.id
+        self._angles = AngleFrame(leg).angles
+        self._joints = [joints.joints.add(name=name) for name in names]
+        self._turns: list[tuple[Any, Vector]] = []
+        self._foot: Any = None
+        chain = leg.chain
+        if chain is None:
+            return
+        reach_m, parent, place = chain.reach_m, leg.id, (0.0, 0.0, 0.0)
+        half = leg.mount.yaw_rad / 2
+        mount = transforms.transforms.add(parent_frame_id=BODY, child_frame_id=parent)
+        _place(mount.translation, leg.mount.xyz_m)
+        mount.rotation.z, mount.rotation.w = math.sin(half), math.cos(half)
+        self._add_link(scene, BODY, leg.mount.xyz_m, reach_m, parent)
+        for joint, axis, way in zip(
+            leg.joints, chain.vectors.tolist(), chain.origins_m, strict=True
+        ):
+            frame = f"{leg.id}/{joint}"
+            transform = transforms.transforms.add(parent_frame_id=parent, child_frame_id=frame)
+            _place(transform.translation, place)
+            transform.rotation.w = 1.0
+            self._turns.append((transform.rotation, (axis[0], axis[1], axis[2])))
+            entity = self._add_link(scene, frame, way, reach_m, frame)
+            parent, place = frame, way
+        self._foot = entity
+        self._tip_m, self._reach_m = place, reach_m
+        self._colour, self._true = _FREE, False
+        self._paint()
+
+    def move(self, measured: list[float]) -> bool:
+        """Take a sample; False where it is not one of this leg."""
+        angles = self._angles(measured)
+        if len(angles) != len(self._joints) or not all(map(math.isfinite, angles)):
+            return False
+        for joint, angle in zip(self._joints, angles, strict=True):
+            joint.position = angle
+        for (rotation, (x, y, z)), angle in zip(self._turns, angles, strict=False):
+            sin = math.sin(angle / 2)
+            rotation.x, rotation.y, rotation.z = x * sin, y * sin, z * sin
+            rotation.w = math.cos(angle / 2)
+        return True
+
+    def show_contact(self, colour: Color) -> bool:
+        """Paint the foot; whether that changes the picture."""
+        if self._foot is None or colour == self._colour:
+            return False
+        self._colour = colour
+        self._paint()
+        return True
+
+    def show_truth(self, *, touches: bool) -> bool:
+        """Draw the true contact around the foot; whether that changes the picture."""
+        if self._foot is None or touches == self._true:
+            return False
+        self._true = touches
+        self._paint()
+        return True
+
+    def _paint(self) -> None:
+        del self._foot.spheres[:]
+        for size, colour in (
+            (_FOOT_SIZE, self._colour),
+            *([(_TRUTH_SIZE, _TRUTH)] if self._true else []),
+        ):
+            sphere = self._foot.spheres.add()
+            _place(sphere.pose.position, self._tip_m)
+            sphere.pose.orientation.w = 1.0
+            _place(sphere.size, (size * self._reach_m,) * 3)
+            _paint(sphere.color, colour)
+
+    def _add_link(self, scene: Any, frame: str, way: Vector, reach_m: float, name: str) -> Any:
+        entity = scene.entities.add(frame_id=frame, id=name, frame_locked=True)
+        line = entity.lines.add(thickness=_LINK_SIZE * reach_m)
+        line.pose.orientation.w = 1.0
+        line.points.add()
+        _place(line.points.add(), way)
+        _paint(line.color, _LINK)
+        return entity
+
+
+def _place(vector: Any, place: Vector) -> None:
+    vector.x, vector.y, vector.z = place
+
+
+def _paint(color: Any, parts: Color) -> None:
+    color.r, color.g, color.b, color.a = parts
+
+
+def _made() -> list[tuple[str, Any, Schema]]:
+    """Topics, empty messages, and the schemas of these with what they are made of."""
+    descriptors = (Path(__file__).parent / "foxglove.binpb").read_bytes()
+    pool, files = DescriptorPool(), {}
+    for file in FileDescriptorSet.FromString(descriptors).file:
+        pool.Add(file)
+        files[file.name] = file
+
+    def needed(name: str) -> list[str]:
+        return [*(n for of in files[name].dependency for n in needed(of)), name]
+
+    made = []
+    for topic, name in _TOPICS.items():
+        kind = pool.FindMessageTypeByName(name)
+        parts = [files[part] for part in dict.fromkeys(needed(kind.file.name))]
+        schema = name, FileDescriptorSet(file=parts).SerializeToString()
+        made.append((topic, message_factory.GetMessageClass(kind)(), schema))
+    return made
