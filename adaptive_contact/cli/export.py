@@ -1,4 +1,4 @@
-"""``adaptive-contact export``: a recording for pandas and sheets; an older one for Foxglove."""
+"""``adaptive-contact export``: a recording for pandas, sheets, ROS 2; an older one for Foxglove."""
 
 from __future__ import annotations
 
@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import ForceOption, check_output, option, refuse_to_replace
+from adaptive_contact.cli._options import (
+    ForceOption,
+    check_output,
+    option,
+    recorded_robot,
+    refuse_to_replace,
+)
 from adaptive_contact.cli._output import overwrite, say
+from adaptive_contact.cli.score import read_events
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -28,11 +35,11 @@ def export(
         Path, typer.Argument(metavar="FILE.mcap", help="Recording to read.", show_default=False)
     ],
     to: Annotated[
-        Literal["csv", "parquet", "mcap"],
+        Literal["csv", "parquet", "bag", "mcap"],
         option(
             "--to",
-            "csv, parquet: a folder with a table per message; mcap: a recording as `record` of"
-            " today writes it, which opens in Foxglove, rerun and PlotJuggler.",
+            "csv, parquet: a folder with a table per message; bag: a bag of ROS 2 with contacts and"
+            " joint states; mcap: a recording as `record` of today writes it.",
             show_default=False,
         ),
     ],
@@ -44,9 +51,14 @@ def export(
         Path | None,
         option(
             "--config",
-            "Description of the robot, or a shipped one's name, to draw it in an mcap.",
+            "Description of the robot, or a shipped one's name: of a bag's topics and joints, and"
+            " to draw the robot in an mcap.",
             "ROBOT.TOML",
         ),
+    ] = None,
+    events: Annotated[
+        Path | None,
+        option("--events", "Events for the bag, as `replay --events` writes them.", "FILE.jsonl"),
     ] = None,
     force: ForceOption = False,
 ) -> None:
@@ -54,19 +66,23 @@ def export(
     from adaptive_contact.robot import load_robot
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.service.recording.export import ExportFormat, export_recording
-    from adaptive_contact.service.recording.scene import Scene
 
     form = ExportFormat(to)
     if out is None:
-        out = file.with_name(f"{file.stem}-{to}{'' if form.is_table else '.mcap'}")
+        out = file.with_name(f"{file.stem}-{to}{'.mcap' if form is ExportFormat.MCAP else ''}")
     _check(file, out, form, force)
     if config is not None and form.is_table:
-        raise ConfigurationError(f"--config draws the robot in an mcap; leave it out of {to}")
-    scene = None if config is None else Scene(load_robot(config))
-    recording = read_recording(file)
+        raise ConfigurationError(f"--config is of a bag or an mcap; leave it out of {to}")
+    if events is not None and form is not ExportFormat.BAG:
+        raise ConfigurationError(f"--events is of a bag; leave it out of {to}")
+    robot = None if config is None else load_robot(config)
+    if form is ExportFormat.BAG and robot is None:
+        robot = recorded_robot(None, [file])
+    given = None if events is None else read_events(events)
+    recording = read_recording(file, robot)
     started_s = time.perf_counter()
     live = sys.stderr.isatty()
-    exported = export_recording(recording, out, form, _progress() if live else _quiet, scene)
+    exported = export_recording(recording, out, form, _progress() if live else _quiet, robot, given)
     elapsed_s = time.perf_counter() - started_s
     if live:
         overwrite("")
@@ -92,7 +108,10 @@ def _check(file: Path, out: Path, to: ExportFormat, force: bool) -> None:
     Raises:
         ConfigurationError: it would, or cannot be written.
     """
-    if not to.is_table:
+    if to.value == "bag":
+        if out.exists():
+            raise ConfigurationError(f"{out} exists already; give another --out, or remove it")
+    elif not to.is_table:
         check_output(out, "--out", [file], force=force)
     elif out.exists() and not out.is_dir():
         raise ConfigurationError(f"{out} is no folder; {to} takes one, with a table per message")

@@ -53,7 +53,7 @@ def score(
     if not from_s < end_s:
         raise ConfigurationError(f"--from {from_s} is not before --to {end_s}; swap them")
     robot = opt.recorded_robot(config, [recording])
-    given = None if events is None else _read_events(events)
+    given = None if events is None else read_events(events)
     source = read_recording(recording, robot)
     robots = OneRobot(source)
     try:
@@ -87,7 +87,7 @@ def _nothing_judged(recording: Path) -> RecordingError:
     )
 
 
-def _read_events(path: Path) -> list[ContactEvent]:
+def read_events(path: Path) -> list[ContactEvent]:
     """Events of a file with one JSON object per line, read line by line.
 
     Raises:

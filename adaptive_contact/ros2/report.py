@@ -95,7 +95,7 @@ class Report:
         types = self._types.types
         value = types["control_msgs/msg/InterfaceValue"]
         message = types[RosType.JOINT_VALUES](
-            header=self._header(self._newest_ns),
+            header=header(self._types, self._newest_ns),
             joint_names=list(self.contacts),
             interface_values=[
                 value(
@@ -135,7 +135,7 @@ class Report:
         text = "relays" if trouble is None else trouble
         rows.append(self._row(level, f"{self._node}: gateway", text, gateway))
         types = self._types.types
-        message = types[RosType.DIAGNOSTICS](header=self._header(now_ns), status=rows)
+        message = types[RosType.DIAGNOSTICS](header=header(self._types, now_ns), status=rows)
         return self._types.encode(message)
 
     def _of_learner(self, status: LearnerStatus, valid: bool) -> Any:
@@ -172,13 +172,13 @@ class Report:
             values=[pair(key=key, value=str(value)) for key, value in values.items()],
         )
 
-    def _header(self, time_ns: int) -> Any:
-        types = self._types.types
-        seconds, rest = divmod(time_ns, _NS)
-        seconds = min(max(seconds, -(2**31)), 2**31 - 1)  # a stamp has 32 bits of them
-        return types["std_msgs/msg/Header"](
-            stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest), frame_id=""
-        )
+
+def header(types: Types, time_ns: int) -> Any:
+    """A ``Header`` of a time."""
+    seconds, rest = divmod(time_ns, _NS)
+    seconds = min(max(seconds, -(2**31)), 2**31 - 1)  # a stamp has 32 bits of them
+    stamp = types.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
+    return types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
 
 
 def _decided(event: ContactEvent | None) -> tuple[float, float, float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
@@ -19,17 +20,24 @@ from typer.testing import CliRunner
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot, inverse, parse_robot, shipped_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
+from adaptive_contact.service.recording.export import ExportFormat, export_recording
 from adaptive_contact.wire import (
+    JSON,
+    ContactEvent,
     ContactTruth,
     Message,
     ServoSample,
+    contact_key,
     decode,
+    encode,
     servo_key,
     truth_key,
 )
 
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys.store import Typestore
 
@@ -417,3 +425,78 @@ def test_an_mcap_of_our_own_is_no_bag(tmp_path) -> None:
     with RecordingWriter(tmp_path / "own.mcap") as writer:
         writer.write_message(servo_key("lf"), walk(1)[0][0]["lf"], 0)
     assert len(list(read_recording(tmp_path / "own.mcap"))) == 1
+
+
+def test_an_export_is_read_back_by_rosbags(tmp_path: Path) -> None:
+    """Joint states, contacts and truth, and the events of a replay in place of recorded ones."""
+    source, out = tmp_path / "own.mcap", tmp_path / "bag"
+    replayed = tmp_path / "events.jsonl"
+
+    def event(leg: str, k: int, *, contact: bool) -> ContactEvent:
+        return ContactEvent(
+            leg=leg, t_ns=START + k * TICK, seq=k, onset_ns=START + k * TICK - 40_000_000,
+            contact=contact, status="valid", score=1.5, residual=[0.0] * 3, model_version=1,
+        )  # fmt: skip
+
+    with RecordingWriter(source, {"robot": "hexapod"}) as writer:
+        for k in range(100):
+            for leg in LEGS:
+                angles = [0.1, 0.2, k / 100]
+                sample = ServoSample(t_ns=START + k * TICK, seq=k, measured=angles, desired=angles)
+                writer.write_message(servo_key(leg), sample, sample.t_ns + LATE)
+            if k in (20, 60):
+                change = ContactTruth(t_ns=START + k * TICK, contact=k == 20, force=0.0)
+                writer.write_message(truth_key("lf"), change, change.t_ns + LATE)
+                told = event("lf", k, contact=k == 20)
+                writer.write_message(contact_key("lf"), told, told.t_ns + LATE)
+    replayed.write_bytes(
+        b"".join(encode(event("rf", k, contact=k == 30), JSON) + b"\n" for k in (30, 50))
+    )
+    for given, leg, at in (((), "lf", (20, 60)), (("--events", replayed), "rf", (30, 50))):
+        run("export", source, "--to", "bag", "-o", out, *given)
+        found: dict[str, list[tuple[int, Any]]] = {}
+        with AnyReader([out], default_typestore=typestore()) as reader:
+            qos = {one.topic: one.ext.offered_qos_profiles for one in reader.connections}
+            for one, time_ns, data in reader.messages():
+                content = reader.deserialize(data, one.msgtype)
+                found.setdefault(one.topic, []).append((time_ns, content))
+        contact = f"/adaptive_contact/{leg}/contact"
+        assert set(found) == {
+            "/joint_states", "/adaptive_contact/lf/truth", contact, "/adaptive_contact/contacts",
+        }  # fmt: skip
+        times = [START + k * TICK + LATE for k in at]
+        assert [(time_ns, flag.data) for time_ns, flag in found[contact]] == [
+            (times[0], True),
+            (times[1], False),
+        ]
+        assert qos[contact][0].durability is QosDurability.TRANSIENT_LOCAL
+        assert not qos["/joint_states"]
+        _, every = found["/adaptive_contact/contacts"][0]
+        values = dict(zip(every.joint_names, every.interface_values, strict=True))[leg]
+        row = dict(zip(values.interface_names, values.values, strict=True))
+        assert row["contact"] == row["valid"] == 1.0
+        assert (row["score"], row["onset_age"], row["age"]) == (1.5, 0.04, pytest.approx(0.0))
+        time_ns, last = found["/joint_states"][-1]
+        assert time_ns == START + 99 * TICK + LATE
+        assert last.name == ["rf_coxa", "rf_femur", "rf_tibia"]
+        assert last.position.tolist() == [0.1, 0.2, 0.99]
+        assert last.header.stamp.nanosec == (START + 99 * TICK) % 10**9
+        with pytest.raises(ConfigurationError, match="exists already"):
+            run("export", source, "--to", "bag", "-o", out)
+        shutil.rmtree(out)
+
+
+def test_events_of_another_recording_are_counted(tmp_path: Path, robot: Robot) -> None:
+    source = tmp_path / "own.mcap"
+    with RecordingWriter(source) as writer:
+        writer.write_message(servo_key("lf"), walk(1)[0][0]["lf"], 0)
+    other = ContactEvent(
+        leg="lf", t_ns=7, seq=1, onset_ns=7, contact=True, status="valid", score=1.5,
+        residual=[], model_version=1,
+    )  # fmt: skip
+    exported = export_recording(
+        read_recording(source), tmp_path / "bag", ExportFormat.BAG, robot=robot, events=[other]
+    )
+    assert list(exported.left_out) == [
+        ("robot/leg/lf/contact", "an event of a sample that is not there")
+    ]

@@ -1,4 +1,4 @@
-"""Recordings for other programs: tables as CSV or Parquet, and older recordings as MCAP of today.
+"""Recordings for other programs: tables, bags of ROS 2, and older recordings as MCAP of today.
 
 Messages keep their keys, times and order; nothing is resampled.  What no table has (a key that the
 contract does not have, a payload that cannot be read) is counted by key and reason.  Memory does
@@ -13,24 +13,31 @@ import csv
 import importlib
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, get_type_hints
+from typing import IO, Any, Final, get_type_hints
 
 import msgspec
 
 from adaptive_contact.errors import RecordingError, needs
 from adaptive_contact.files import whole_file
+from adaptive_contact.robot import Robot
 from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import Recording
+from adaptive_contact.service.recording.scene import Scene
 from adaptive_contact.service.recording.schemas import kind_of_key, parts_of
 from adaptive_contact.service.recording.writer import RecordingWriter
-from adaptive_contact.wire import Message, Reject, Rejected, decode, leg_of_key
-
-if TYPE_CHECKING:
-    from adaptive_contact.service.recording.scene import Scene
+from adaptive_contact.wire import (
+    ContactEvent,
+    Message,
+    Reject,
+    Rejected,
+    contact_key,
+    decode,
+    leg_of_key,
+)
 
 # Rows of a Parquet group; PyArrow holds one group of each table in memory.
 _ROWS: Final = 20_000
@@ -46,12 +53,13 @@ class ExportFormat(StrEnum):
 
     CSV = "csv"
     PARQUET = "parquet"
+    BAG = "bag"
     MCAP = "mcap"
 
     @property
     def is_table(self) -> bool:
         """Whether the output is a folder of tables, not one MCAP file."""
-        return self is not ExportFormat.MCAP
+        return self in (ExportFormat.CSV, ExportFormat.PARQUET)
 
 
 class Exported:
@@ -88,16 +96,19 @@ def export_recording(
     out: Path,
     to: ExportFormat,
     on_record: OnRecord = lambda record: None,
-    scene: Scene | None = None,
+    robot: Robot | None = None,
+    events: Sequence[ContactEvent] | None = None,
 ) -> Exported:
     """Write a recording for other programs.
 
     Args:
         recording: that is read.
-        out: an MCAP file, or for tables a folder, which is made where it is missing.
+        out: an MCAP file, or for tables a folder, which is made where it is missing; of a bag, one
+            that is not there.
         to: the format.
         on_record: called with each message, for progress; tables go through a recording twice.
-        scene: draws the robot into an MCAP file.
+        robot: whose recording it is: needed for a bag, drawn in an MCAP file.
+        events: in a bag, in place of those that were recorded.
 
     Returns:
         What was written and what was not.
@@ -110,6 +121,11 @@ def export_recording(
     if to.is_table:
         _write_tables(recording, out, to, exported, on_record)
         return exported
+    if to is ExportFormat.BAG:
+        assert robot is not None
+        _write_bag(recording, out, robot, events, exported, on_record)
+        return exported
+    scene = None if robot is None else Scene(robot)
     with RecordingWriter(out, recording.about, scene) as writer:
         for record in recording:
             on_record(record)
@@ -136,6 +152,42 @@ def _read(record: Record, kind: type[Message], exported: Exported) -> Message | 
         exported.left_out[record.key, message.reason.value] += 1
         return None
     return message
+
+
+def _write_bag(
+    recording: Recording,
+    out: Path,
+    robot: Robot,
+    events: Sequence[ContactEvent] | None,
+    exported: Exported,
+    on_record: OnRecord,
+) -> None:
+    with needs("export --to bag", "ros2", "rosbags"):
+        from adaptive_contact.ros2.bag import BagWriter
+    due: dict[tuple[str, int], list[ContactEvent]] = {}
+    for event in events or ():
+        due.setdefault((event.leg, event.t_ns), []).append(event)
+    try:
+        with BagWriter(out, robot) as bag:
+            for record, kind, message in _known(recording, exported, on_record):
+                leg, at_ns = leg_of_key(record.key) or "", record.log_time_ns
+                if kind is ContactEvent and events is not None:
+                    continue
+                if bag.write(leg, message, at_ns):
+                    exported.note(record)
+                else:
+                    exported.left_out[record.key, "nothing that ROS 2 gets"] += 1
+                # An event belongs to the sample that decided.
+                for event in due.pop((leg, getattr(message, "t_ns", -1)), ()):
+                    bag.write(leg, event, at_ns)
+    except OSError as error:
+        raise RecordingError(
+            f"{out}: cannot be written ({error.strerror}); give a folder on a disk that has room"
+        ) from error
+    for leg, _ in due:
+        exported.left_out[contact_key(leg), "an event of a sample that is not there"] += 1
+    for path in sorted(out.glob("*.mcap")):
+        exported.files[path] = exported.messages
 
 
 # -- tables ----------------------------------------------------------------------------------------
