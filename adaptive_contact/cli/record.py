@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import glob
 import sys
 import time
 from pathlib import Path
@@ -72,6 +73,9 @@ def record(
     if keep is not None and max_bag_duration is None:
         raise ConfigurationError("--keep is of several files; give --max-bag-duration, too")
     opt.check_output(file if max_bag_duration is None else part_path(file, 0), "FILE", force=force)
+    if max_bag_duration is not None:
+        parts = file.parent.glob(f"{glob.escape(file.stem)}_[0-9]*{glob.escape(file.suffix)}")
+        opt.refuse_to_replace(parts, "FILE", force=force)
     about = {"key": key, "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
     scene = None
     if config is not None:
