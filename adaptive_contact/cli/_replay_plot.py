@@ -1,4 +1,4 @@
-"""Pictures of a replay: per leg strips of stance, contact and truth, the test ratio, the misses.
+"""Pictures of a replay: per leg stance, contact and truth, test ratio, misses, and the joints.
 
 HTML is one file without anything from elsewhere, to zoom into.  Its size is bounded: where a
 recording is long, ticks are drawn together by their largest test ratio, so that no peak is lost.
@@ -25,6 +25,8 @@ from adaptive_contact_studies.show.figures import needs_matplotlib, new_figure, 
 _MAX_POINTS: Final = 400_000
 _MAX_SPANS: Final = 60_000
 _MAX_TOUCHES: Final = 20_000
+# Angles of all legs together.
+_MAX_ANGLES: Final = 600_000
 # Ratios are drawn up to this many times the threshold.
 _TOP_RATIO: Final = 3.0
 _ORDER: Final = ("miss", "false", "beyond", "hit")
@@ -35,6 +37,7 @@ _STYLE: Final = {
     "false": ("false", "#8e24aa", "x"),
 }
 _STRIPS: Final = (("stance", "#c3c9d0"), ("contact", "#1f6fb4"), ("truth", "#0e8a94"))
+_CURVES: Final = ("measured", "desired", "predicted")
 _SUFFIXES: Final = (".html", ".png")
 
 
@@ -92,7 +95,10 @@ def _html(traces: Sequence[LegTrace], title: str) -> bytes:
         "title": title,
         "top": _TOP_RATIO,
         "left_out": len(touches) - len(kept),
-        "legs": [_leg(trace, room, spans) for trace in traces],
+        "legs": [
+            _leg(trace, room, spans) | _joints(trace, _MAX_ANGLES // len(traces))
+            for trace in traces
+        ],
         "touches": [
             {"leg": leg, "at": round(t.at_s, 4), "kind": t.kind, "why": t.why} for leg, t in kept
         ],
@@ -123,6 +129,24 @@ def _leg(trace: LegTrace, room: int, spans: int) -> dict[str, Any]:
     }
 
 
+def _joints(trace: LegTrace, room: int) -> dict[str, Any]:
+    """Curves of the joints, in ms and tenths of a mrad; None where a tick was not judged."""
+    curves = trace.curves
+    if curves is None or not len(curves.t_ns):
+        return {"joints": [], "curve_ms": []}
+    angles = curves.angles
+    step = max(1, math.ceil(angles.size / room))
+    t_s = trace.t_s[0] + (np.array(curves.t_ns[::step]) - curves.t_ns[0]) / 1e9
+    lists = np.where(np.isfinite(angles), np.round(angles * 1e4), -(2**31)).astype(int)[::step]
+    named = [
+        {"name": name, **{what: lists[:, k, j].tolist() for k, what in enumerate(_CURVES)}}
+        for j, name in enumerate(curves.joints)
+    ]
+    for joint in named:
+        joint["predicted"] = [None if value == -(2**31) else value for value in joint["predicted"]]
+    return {"joints": named, "curve_ms": np.round(t_s * 1000).astype(int).tolist()}
+
+
 def _merged(spans: Spans, room: int) -> list[list[int]]:
     """Spans in ms; neighbours become one where there are too many."""
     step = max(1, math.ceil(len(spans) / room))
@@ -140,9 +164,10 @@ def _png(traces: Sequence[LegTrace], title: str, mark_s: float | None) -> bytes:
     end_s = max(float(trace.t_s.max(initial=1.0)) for trace in traces)
     # A step of a second gets a third of an inch, up to what viewers open.
     wide = min(60.0, max(12.0, end_s / 3))
-    figure = new_figure(wide, 1.0 + 1.5 * len(traces), layout=None)
-    axes = figure.subplots(len(traces), 1, sharex=True, squeeze=False)[:, 0]
-    for axis, trace in zip(axes, traces, strict=True):
+    figure = new_figure(wide, 1.0 + 3.0 * len(traces), layout=None)
+    axes = figure.subplots(2 * len(traces), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, below, trace in zip(axes[::2], axes[1::2], traces, strict=True):
+        _draw_joints(below, trace)
         for place, (name, colour) in enumerate(_STRIPS):
             spans = getattr(trace, name)
             if spans:
@@ -163,6 +188,8 @@ def _png(traces: Sequence[LegTrace], title: str, mark_s: float | None) -> bytes:
     axes[-1].set_xlabel("time since the first sample, s")
     keys: list[Any] = [Patch(color=colour, label=name) for name, colour in _STRIPS]
     keys.append(Line2D([], [], color="#34495e", lw=1, label="test ratio (1 = threshold)"))
+    keys.append(Line2D([], [], color="#34495e", lw=1, ls=":", label="command"))
+    keys.append(Line2D([], [], color="#34495e", lw=1, ls="--", label="prediction"))
     keys += [
         Line2D([], [], color=colour, marker=mark, ls="", label=name)
         for name, colour, mark in _STYLE.values()
@@ -177,3 +204,24 @@ def _png(traces: Sequence[LegTrace], title: str, mark_s: float | None) -> bytes:
         bottom=0.85 / height,
     )
     return png(figure)
+
+
+def _draw_joints(axis: Any, trace: LegTrace) -> None:
+    curves = trace.curves
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.set_ylabel("rad")
+    if curves is None:
+        return
+    t_s = trace.t_s[0] + (np.array(curves.t_ns) - curves.t_ns[0]) / 1e9
+    for j, name in enumerate(curves.joints):
+        measured, desired, predicted = curves.angles[:, :, j].T
+        (line,) = axis.plot(t_s, measured, lw=0.9, label=name)
+        axis.plot(t_s, desired, lw=0.6, ls=":", color=line.get_color())
+        axis.plot(t_s, predicted, lw=0.6, ls="--", color="#34495e")
+    axis.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.95),
+        fontsize=7,
+        ncols=len(curves.joints),
+        frameon=False,
+    )

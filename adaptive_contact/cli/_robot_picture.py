@@ -105,7 +105,7 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
     """
     legs = [leg for leg in robot.legs if leg.chain is not None and leg.id in angles]
     placed = sum(leg.mount != Mount() for leg in legs) >= _LEAST_PLACED
-    views = [(leg, view) for leg in legs for view in _views(leg, placed=placed)]
+    views = [(leg, view) for leg in legs for view in _views(leg, angles[leg.id], placed=placed)]
     columns = max(-(-len(views) // _ROWS), 1)
     rows = _ROWS
     body = _ROWS * _CELL if placed else 0
@@ -182,13 +182,26 @@ def _around(legs: Sequence[Leg]) -> list[Leg]:
     return sorted(legs, key=lambda leg: float(np.arctan2(leg.mount.xyz_m[1], leg.mount.xyz_m[0])))
 
 
-def _views(leg: Leg, *, placed: bool) -> list[_View]:
+def _views(leg: Leg, angles: Sequence[float], *, placed: bool) -> list[_View]:
     if _straight(leg):
         # Without mounts the legs' places are unknown: each is drawn from above by itself.
         return [_SIDE] if placed else [_SIDE, _ABOVE]
     assert leg.chain is not None
-    upright = bool(np.abs(leg.chain.vectors[0, 2]) > _FACING)
-    return [_SIDE, _FRONT, *([_ABOVE] if upright or not placed else [])]
+    if np.abs(leg.chain.vectors[0, 2]) > _FACING:
+        return [_own_plane(leg, angles), _ABOVE]
+    return [_SIDE, _FRONT, *([] if placed else [_ABOVE])]
+
+
+def _own_plane(leg: Leg, angles: Sequence[float]) -> _View:
+    """The upright plane of a leg that yaws, whichever way it points; the body on the left."""
+    points = on_body(leg, chain(leg, angles))
+    away = next(
+        (way for way in (points[-1] - points[0], points[0]) if np.hypot(*way[:2]) > _LEAST_LINK
+         * float(np.ptp(points, axis=0).max())),
+        np.array([1.0, 0.0, 0.0]),
+    )  # fmt: skip
+    x, y = away[:2] / np.hypot(*away[:2])
+    return _View(_SIDE.words, "outwards to the right, z up", (x, y, 0.0), _SIDE.up)
 
 
 def _straight(leg: Leg) -> bool:
@@ -216,7 +229,7 @@ def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _Vi
         parts.append(_link(at[j], at[j + 1], _COLOURS[j % len(_COLOURS)]))
     for j, zero_rad, way in turns:
         parts += _turning(at[j], at[j + 1], zero_rad, _COLOURS[j % len(_COLOURS)], way)
-    if view is _SIDE:
+    if view.words == _SIDE.words:
         for j in range(len(leg.joints)):
             y = top + _CELL - 12 - _LINE * (len(leg.joints) - 1 - j)
             parts.append(

@@ -19,7 +19,7 @@ import re
 import threading
 import time
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 import msgpack
@@ -29,7 +29,7 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError, RecordingError
-from adaptive_contact.robot import Robot
+from adaptive_contact.robot import AngleFrame, Robot
 from adaptive_contact.score import ROWS, Contacts, Gatherer, LegOutcome, contacts_of, match
 from adaptive_contact.service.link import Link, Publisher
 from adaptive_contact.service.recording import Record
@@ -47,6 +47,8 @@ from adaptive_contact.wire import (
 
 # What a source sends.  Events and status are the service's own to send, and a command would move
 # whatever robot listens.
+# Of a leg's curves: 400 s at 50 Hz.
+_MOST_ROWS: Final = 20_000
 SOURCE_KINDS: Final = frozenset({"servo", "truth"})
 # Zenoh 1.10 panics where a put that leaves the process has an encoding of 256 bytes (measured; one
 # that begins with a type it knows may be longer), or a key of 64 kB, the namespace with it.
@@ -269,6 +271,37 @@ class LegTrace:
     truth: Spans | None  # spans of true contact; None where the recording has no truth
     touches: tuple[Touch, ...]  # what is to be looked at, in order of time
     note: str | None = None  # why touches were not judged, where they were not
+    curves: Curves | None = None
+
+
+class Curves:
+    """Angles of one leg's joints over a recording; of a long one, each second, fourth ... tick."""
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        self.joints = tuple(joints)
+        self.t_ns = array("q")
+        self._rows = array("f")
+        self._width = 3 * len(joints)
+        self._step = 1
+        self._ticks = 0
+
+    def add(self, t_ns: int, *angles: Sequence[float]) -> None:
+        """Append a tick: (J,) rad measured, desired and predicted, in the source's angles."""
+        row = [angle for of in angles for angle in of]
+        self._ticks += 1
+        if self._ticks % self._step or len(row) != self._width:
+            return
+        self.t_ns.append(t_ns)
+        self._rows.extend(row)
+        if len(self.t_ns) >= _MOST_ROWS:
+            self._rows = array("f", self.angles[1::2].ravel().tolist())
+            self.t_ns = self.t_ns[1::2]
+            self._step *= 2
+
+    @property
+    def angles(self) -> Array:
+        """(n, 3, J) rad; NaN where a tick was not judged."""
+        return np.array(self._rows, dtype=np.float64).reshape(-1, 3, len(self.joints))
 
 
 class TraceBank:
@@ -278,6 +311,7 @@ class TraceBank:
         self._bank = bank
         self._t_ns: dict[str, array[int]] = {}
         self._ratio: dict[str, array[float]] = {}
+        self._curves: dict[str, Curves] = {}
         self._events: list[ContactEvent] = []
 
     def learner(self, leg: str, joints: int | None = None, /) -> object | None:
@@ -298,9 +332,21 @@ class TraceBank:
                 ratio = float(np.nanmax(judged.scores))
             self._t_ns.setdefault(leg, array("q")).append(sample.t_ns)
             self._ratio.setdefault(leg, array("d")).append(ratio)
+            self._draw(leg, sample, None if judged is None else judged.residual)
         self._bank.finish()
         self._events += events
         return events
+
+    def _draw(self, leg: str, sample: ServoSample, residual: Array | None) -> None:
+        described = self._bank.robot.leg(leg) if leg in self._bank.robot.leg_ids else None
+        if leg not in self._curves:
+            numbers = [f"joint {j}" for j in range(len(sample.measured))]
+            self._curves[leg] = Curves(numbers if described is None else described.joints)
+        predicted = [np.nan] * len(sample.measured)
+        if residual is not None and len(residual) == len(predicted):
+            ways = 1 if described is None else AngleFrame(described).directions
+            predicted = np.subtract(sample.measured, np.multiply(ways, residual)).tolist()
+        self._curves[leg].add(sample.t_ns, sample.measured, sample.desired, predicted)
 
     def _judged_ns(self, leg: str) -> int:
         """Time of the leg's newest accepted sample."""
@@ -356,6 +402,7 @@ class TraceBank:
             truth=truth,
             touches=tuple(touches),
             note=note,
+            curves=self._curves[leg],
         )
 
 

@@ -150,6 +150,37 @@ def test_the_picture_of_a_chain_has_its_joints_from_two_sides() -> None:
     assert len(re.findall(r" A [-\d.]+ [-\d.]+ 0 0 [01] ", text)) == 4 * 3
 
 
+def test_a_urdf_hexapods_legs_are_seen_in_every_panel() -> None:
+    """Whichever way a leg points, it is drawn in its own plane and from above."""
+    legs = tuple(
+        Leg(
+            id=name,
+            joints=("coxa", "femur", "tibia"),
+            axes=("yaw", (y, -x, 0.0), (y, -x, 0.0)),
+            origins_m=((0.05 * x, 0.05 * y, 0.0), (0.07 * x, 0.07 * y, 0.0), (0.0, 0.0, -0.13)),
+            mount=Mount(xyz_m=(0.1 * x, 0.1 * y, 0.0)),
+        )
+        for name, (x, y) in {
+            "lf": (0.6, 0.8), "lm": (0.0, 1.0), "rm": (0.0, -1.0), "rr": (-0.6, -0.8),
+        }.items()
+    )  # fmt: skip
+    robot = Robot(name="r", period_s=0.02, quantum_rad=0.001, legs=legs)
+    text = draw(robot, {leg.id: [0.1, 0.3, -0.2] for leg in legs})
+    panels = re.split(r'<text [^>]*font-weight="bold"[^>]*>(?:lf|lm|rm|rr)</text>', text)[-8:]
+    assert [">from above<" in p or "from above" in p for p in panels] == [False, True] * 4
+    shapes = []
+    for panel in panels:
+        links = re.findall(
+            r'x1="([-\d.]+)" y1="([-\d.]+)" x2="([-\d.]+)" y2="([-\d.]+)" class', panel
+        )
+        (x, y), *rest = [(float(a), float(b)) for a, b, _, _ in links]
+        end = float(links[-1][2]), float(links[-1][3])
+        shapes.append([(round(a - x), round(b - y)) for a, b in (*rest, end)])
+        assert np.hypot(*shapes[-1][1]) > 60  # px, from the first joint to the knee
+    # In its own plane each leg looks the same.
+    assert np.ptp(np.array(shapes[::2]), axis=0).max() <= 1
+
+
 def turned(text: str) -> tuple[float, float, float, float]:
     """Of the only arrow around a joint: where it begins, and where it ends."""
     [found] = re.findall(r'd="M ([-\d.]+) ([-\d.]+) A .*? 0 0 [01] ([-\d.]+) ([-\d.]+)"', text)

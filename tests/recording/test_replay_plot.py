@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -13,10 +14,12 @@ from msgspec.structs import replace
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.cli._replay_plot import check_plot, write_plot
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import inverse, shipped_robot
 from adaptive_contact.service.recording import Record
 from adaptive_contact.service.replay import (
     Counts,
+    Curves,
     LegTrace,
     Touch,
     TraceBank,
@@ -100,8 +103,6 @@ def standing_records(swings: int) -> list[Record]:
 
 def test_tracing_changes_no_event_and_ratios_are_those_of_the_events() -> None:
     robot = shipped_robot()
-    from adaptive_contact.model.model_file import shipped_baseline
-
     baseline = shipped_baseline(robot.name)
     plain = list(replay_events(standing_records(4), LearnerBank(robot, baseline), Counts()))
     bank = TraceBank(LearnerBank(robot, baseline))
@@ -184,3 +185,38 @@ def test_png_is_a_picture(tmp_path: Path) -> None:
 def test_other_suffixes_are_refused_before_any_work() -> None:
     with pytest.raises(ConfigurationError, match=r"ends with \.html or \.png"):
         check_plot(Path("plot.pdf"))
+
+
+def test_curves_are_the_samples_and_stay_bounded(tmp_path: Path) -> None:
+    robot = shipped_robot()
+    bank = TraceBank(LearnerBank(robot, shipped_baseline(robot.name)))
+    traced = TracedRecords(standing_records(4), robot)
+    for _ in replay_events(traced, bank, Counts()):
+        pass
+    (found,) = bank.traces(traced)
+    assert found.curves is not None
+    angles = found.curves.angles
+    assert angles.shape == (160, 3, 3)
+    samples = [decode(record.payload, ServoSample) for record in standing_records(4)]
+    measured = [sample.measured for sample in samples if isinstance(sample, ServoSample)]
+    assert angles[:, 0] == pytest.approx(np.array(measured)[: len(angles)], abs=1e-6)
+    judged = np.isfinite(angles[:, 2, 0])
+    assert judged.sum() > 40
+    assert np.abs(angles[judged, 2] - angles[judged, 0]).max() < 0.2
+    out = tmp_path / "plot.html"
+    write_plot(out, [found], "walk")
+    (leg,) = data_of(out.read_text())["legs"]  # type: ignore[misc]
+    assert [joint["name"] for joint in leg["joints"]] == ["coxa", "femur", "tibia"]
+    assert leg["curve_ms"] == [20 * k for k in range(160)]
+    assert leg["joints"][1]["measured"][7] == round(angles[7, 0, 1] * 1e4)
+    assert [value is not None for value in leg["joints"][1]["predicted"]] == judged.tolist()
+
+    long = Curves(["coxa", "femur", "tibia"])
+    for k in range(100_000):
+        long.add(k, [k * 1e-5] * 3, [0.0] * 3, [np.nan] * 3)
+    assert 10_000 <= len(long.t_ns) <= 20_000
+    steps = np.diff(long.t_ns)
+    assert steps.min() == steps.max() == 8
+    assert long.angles[:, 0, 0] == pytest.approx(np.array(long.t_ns) * 1e-5, abs=1e-6)
+    write_plot(out, [dataclasses.replace(trace(), curves=long)] * 6, "long")
+    assert out.stat().st_size < 8_000_000
