@@ -109,7 +109,6 @@ class RunOptions:
             panel=_OUT,
         ),
     ] = None
-    view: Annotated[bool, option("--view", "Open a window.", panel=_OUT)] = False
     force: ForceOption = False
 
     def __post_init__(self) -> None:
@@ -174,7 +173,6 @@ class RunOptions:
             wire,
             self.record,
             self.render,
-            self.view,
         )
 
 

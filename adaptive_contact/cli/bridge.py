@@ -297,7 +297,6 @@ class VirtualOptions:
         Path | None,
         option("--record", "Of a scenario: the simulator's own samples and truth.", "FILE.mcap"),
     ] = None
-    truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False
     force: opt.ForceOption = False
 
     def __post_init__(self) -> None:
@@ -305,8 +304,8 @@ class VirtualOptions:
         opt.check_output(self.write_config, "--write-config", read, force=self.force)
         opt.check_output(self.record, "--record", [*read, self.write_config], force=self.force)
 
-    def plan(self, network: opt.Network, *, json: bool) -> VirtualPlan:
-        """What to run; truth is published on the network, if it is, as JSON or msgpack.
+    def plan(self) -> VirtualPlan:
+        """What to run.
 
         Raises:
             ConfigurationError: an option cannot be used.
@@ -335,22 +334,19 @@ class VirtualOptions:
             seconds=self.seconds,
             record=self.record,
             write_config=self.write_config,
-            link=network.client(json=json) if self.truth else None,
         )
 
 
 @app.command()
 @opt.flatten
-def virtual(
-    *, bus: VirtualOptions, network: opt.Network, json: opt.JsonPayloadOption = False
-) -> None:
+def virtual(*, bus: VirtualOptions) -> None:
     """A bus on pseudo-terminals whose servos are the simulated robot."""
     make_stdout_optional()
     stop = opt.stoppable()
     with needs_simulator():
         from adaptive_contact_sim.virtual.session import run
 
-        plan = bus.plan(network, json=json)
+        plan = bus.plan()
     if bus.realtime:
         from adaptive_contact.priority import take_priority
 

@@ -63,7 +63,7 @@ _COMMANDS: Final = (
 
 
 # Those with commands of their own.
-_GROUPS: Final = ("sim", "bridge", "robot", "state", "scenarios", "experiment")
+_GROUPS: Final = ("sim", "bridge", "robot", "state", "scenarios")
 
 
 def _print_version(asked: bool) -> None:

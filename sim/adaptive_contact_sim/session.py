@@ -1,18 +1,15 @@
-"""One run from beginning to end: simulation, link, recording, film and window together."""
+"""One run from beginning to end: simulation, link, recording and film together."""
 
 from __future__ import annotations
 
-import importlib
-import threading
 import time
-import warnings
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.live import Outcome, Pace, run_live
@@ -27,8 +24,6 @@ if TYPE_CHECKING:
 
 Look = Callable[[Tick], None]
 
-_CLOSE_S: Final = 2.0
-
 
 @dataclass(frozen=True)
 class RunPlan:
@@ -40,7 +35,6 @@ class RunPlan:
     link: LinkSettings | None  # how to join the network, None for a run without one
     record: Path | None = None  # MCAP file to write
     render: Path | None = None  # picture or film to make
-    view: bool = False  # open a window
 
     def __post_init__(self) -> None:
         motion = self.settings.motion
@@ -84,7 +78,7 @@ def run(
         # Live samples carry wall clock times, and a run number that grows from start to start.
         now_ns = time.time_ns()
         settings = replace(settings, epoch_ns=now_ns, run=now_ns // 1_000_000)
-    sim = Simulation(settings, looks=plan.view)
+    sim = Simulation(settings)
     touches: Counter[str] = Counter()
     with ExitStack() as stack:
         looks: list[Look] = []
@@ -98,8 +92,6 @@ def run(
 
             film = stack.enter_context(Film(plan.render, sim))
             looks.append(lambda _: film.look())
-        if plan.view:
-            looks.append(_window(sim, stack, stop))
 
         def on_tick(tick: Tick) -> None:
             for change in tick.truth:
@@ -139,51 +131,3 @@ def describe(settings: SimulationSettings) -> str:
         what = f"{gait} on {settings.terrain.kind} ground, {turn}"
     drifts = f", {len(settings.drift)} drifts" if settings.drift else ""
     return f"{what}, seed {settings.seed}{drifts}"
-
-
-def _window(sim: Simulation, stack: ExitStack, stop: Event) -> Look:
-    """Open the engine's viewer, which draws in a thread of its own; closing it ends the run."""
-    _need_display()
-    import mujoco.viewer
-
-    before = set(threading.enumerate())
-
-    def join() -> None:
-        # The viewer's thread must be out of OpenGL before the process takes GLFW down.
-        for thread in threading.enumerate():
-            if thread not in before and thread.daemon:
-                thread.join(_CLOSE_S)
-
-    stack.callback(join)  # runs after the viewer was asked to close
-    viewer: Any = stack.enter_context(
-        mujoco.viewer.launch_passive(
-            sim.plant.model, sim.plant.data, show_left_ui=False, show_right_ui=False
-        )
-    )
-    viewer.cam.distance, viewer.cam.elevation, viewer.cam.azimuth = 1.2, -20.0, 128.0
-
-    def look(_: Tick) -> None:
-        if not viewer.is_running():
-            stop.set()
-            return
-        viewer.cam.lookat[:2] = sim.plant.body_pose()[0][:2]
-        viewer.sync()
-
-    return look
-
-
-def _need_display() -> None:
-    """Check that a window can be opened; the viewer ends the process where it cannot."""
-    problem = ""
-    try:
-        glfw = importlib.import_module("glfw")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW warns of what is raised below
-            if not glfw.init():
-                problem = "no display was found"
-    except ImportError as error:
-        problem = " ".join(str(error).split())[:120]
-    if problem:
-        raise ConfigurationError(
-            f"no window can be opened: {problem}; use --render FILE.gif, or run where a display is"
-        )

@@ -129,8 +129,6 @@ class Simulation:
         self,
         settings: SimulationSettings,
         parameters: ServoParameters | None = None,
-        *,
-        looks: bool = False,
     ) -> None:
         self.settings = settings
         self.robot = simulated_robot(settings.robot)
@@ -150,7 +148,7 @@ class Simulation:
                 settings.robot_seed, spread=settings.servo_spread, nominal=nominal
             )
         self.plant = Plant(
-            self.scene(looks=looks),
+            self.scene(looks=False),
             parameters,
             period_s=settings.period_s,
             supply_resistance_ohm=settings.supply_resistance_ohm,

@@ -302,20 +302,12 @@ def test_the_sdks_own_group_reads_and_writes_work(
             range(1, 7), 1200
         )
         registers = r.plans[0].joints[0].model.registers
-        torque, goal, present = (
-            registers[name] for name in ("torque_enable", "goal_position", "present_position")
-        )
-        write = sdk.GroupBulkWrite(port, packets)
+        torque, goal = registers["torque_enable"], registers["goal_position"]
+        write = sdk.GroupSyncWrite(port, packets, goal.address, goal.size)
         for i in range(1, 7):
             packets.write1ByteTxRx(port, i, torque.address, 1)
-            write.addParam(i, goal.address, goal.size, list((2048 + i).to_bytes(4, "little")))
+            write.addParam(i, list((2048 + i).to_bytes(4, "little")))
         assert write.txPacket() == sdk.COMM_SUCCESS
-        read = sdk.GroupBulkRead(port, packets)
-        for i in range(1, 7):
-            read.addParam(i, *((goal if i % 2 else present)[:2]))
-        assert read.txRxPacket() == sdk.COMM_SUCCESS
-        assert read.getData(3, goal.address, 4) == 2048 + 3
-        assert read.isAvailable(4, present.address, 4)
         together = sdk.GroupSyncRead(port, packets, goal.address, goal.size)
         for i in range(1, 7):
             together.addParam(i)
@@ -392,8 +384,5 @@ def test_a_new_id_and_baud_rate_hold_at_once(
         assert packets.ping(port, 60)[1] != sdk.COMM_SUCCESS
         port.setBaudRate(57_600)
         assert packets.ping(port, 60)[1] == sdk.COMM_SUCCESS
-        packets.factoryReset(port, 60, *([0x02] if kind is XL else []))  # all but id and rate
-        assert r.ports[0].servos[5].id == (60 if kind is XL else 1)
-        assert r.ports[0].servos[5].value("return_delay") == 250
     finally:
         port.closePort()

@@ -38,22 +38,12 @@ P1_INSTRUCTIONS = [
     ("ping", 1, I.PING, "", "FF FF 01 02 01 FB"),
     ("read temperature", 1, I.READ, "2B 01", "FF FF 01 04 02 2B 01 CC"),
     ("write id, broadcast", ALL, I.WRITE, "03 01", "FF FF FE 04 03 03 01 F6"),
-    ("reg write", 1, I.REG_WRITE, "1E F4 01", "FF FF 01 05 04 1E F4 01 E2"),
-    ("action", ALL, I.ACTION, "", "FF FF FE 02 05 FA"),
-    ("factory reset", 0, I.FACTORY_RESET, "", "FF FF 00 02 06 F7"),
     (
         "sync write",
         ALL,
         I.SYNC_WRITE,
         "1E 04 00 10 00 50 01 01 20 02 60 03",
         "FF FF FE 0E 83 1E 04 00 10 00 50 01 01 20 02 60 03 67",
-    ),
-    (
-        "bulk read",
-        ALL,
-        I.BULK_READ,
-        "00 02 01 1E 02 02 24",
-        "FF FF FE 09 92 00 02 01 1E 02 02 24 1D",
     ),
 ]
 P1_STATUS = [
@@ -67,9 +57,6 @@ P2_INSTRUCTIONS = [
     ("ping all", ALL, I.PING, "", "FF FF FD 00 FE 03 00 01 31 42"),
     ("read", 1, I.READ, "84 00 04 00", "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"),
     ("write", 1, I.WRITE, "74 00 00 02 00 00", "FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89"),
-    ("reg", 1, I.REG_WRITE, "68 00 C8 00 00 00", "FF FF FD 00 01 09 00 04 68 00 C8 00 00 00 AE 8E"),
-    ("action", 1, I.ACTION, "", "FF FF FD 00 01 03 00 05 02 CE"),
-    ("factory reset", 1, I.FACTORY_RESET, "01", "FF FF FD 00 01 04 00 06 01 A1 E6"),
     ("reboot", 1, I.REBOOT, "", "FF FF FD 00 01 03 00 08 2F 4E"),
     (
         "sync read",

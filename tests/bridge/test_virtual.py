@@ -83,10 +83,7 @@ def test_a_robot_on_a_stand_moves_only_with_torque() -> None:
 
 
 def test_feet_reach_the_floor_of_a_low_stand() -> None:
-    told = []
-    backend = PassiveBackend(
-        horns(), height_m=0.10, on_truth=lambda leg, truth: told.append((leg, truth))
-    )
+    backend, touched = PassiveBackend(horns(), height_m=0.10), np.zeros(6, dtype=bool)
     now = 3.0
     for index in range(18):
         backend.set_torque(index, True)
@@ -94,8 +91,8 @@ def test_feet_reach_the_floor_of_a_low_stand() -> None:
     for _ in range(1500):
         now += 0.001
         backend.advance(now)
-    touched = {leg for leg, truth in told if truth.contact}
-    assert touched == set(shipped_robot().leg_ids)
+        touched |= backend.plant.forces[0] > 0.5
+    assert touched.all()
 
 
 def test_time_that_was_lost_is_let_go() -> None:
@@ -168,16 +165,6 @@ def test_an_x_servo_in_overload_has_no_torque_until_a_reboot() -> None:
     assert servo.write(enable, b"\x01") is None
 
 
-@pytest.mark.parametrize(("name", "rate"), [("AX-12A", 1_000_000), ("XL330-M288", 57_600)])
-def test_a_factory_reset(name: str, rate: int) -> None:
-    servo = servo_of(name, KinematicBackend(1))
-    servo.write(servo.model.registers["return_delay"].address, b"\x05")
-    servo.reset(keep=("id", "baud"))
-    assert (servo.id, servo.baud, servo.value("return_delay")) == (7, 1_000_000, 250)
-    servo.reset()
-    assert (servo.id, servo.baud) == (1, rate)
-
-
 def test_a_gentler_slope_lets_a_leg_sag_further() -> None:
     sag = []
     for slope in (32, 128):
@@ -193,7 +180,7 @@ def test_a_gentler_slope_lets_a_leg_sag_further() -> None:
             backend.advance(now)
         sag.append(abs(backend.angle(1)))
     assert sag[1] > 2 * sag[0]
-    servo.reset()
+    servo.reboot()
     assert backend.plant.servos.parameters.slope_steps[1] == pytest.approx(32)
 
 

@@ -52,7 +52,7 @@ OTHERS = {
         "device",
     ),
     *(("replay", "file"), ("export", "file"), ("score", "events"), ("fit", "recordings")),
-    *(("export", "events"), ("score", "recording"), ("experiment", "logs", "path")),
+    *(("export", "events"), ("score", "recording")),
     *(("paper", "out"), ("scenarios", "run", "out"), ("scenarios", "report", "out")),
 }
 

@@ -99,7 +99,6 @@ def _named(name: str) -> str:
         ["sim", "inject", TYPED],
         ["demo", "--seconds", TYPED],
         ["scenarios", "run", TYPED],
-        ["experiment", "logs", TYPED],
         [TYPED],
         ["score", TYPED],
         ["fit", TYPED],

@@ -32,7 +32,6 @@ replay walk.mcap --events events.jsonl --plot walk.html
 score walk.mcap --events events.jsonl
 export walk.mcap --to csv
 fit walk.mcap -o legs.json
-experiment logs logs
 paper --quick --stage logs --logs logs --out paper
 bench --quick --out bench
 scenarios run step-friction4 --quick --seeds 1 --out scenarios
@@ -71,7 +70,6 @@ REFUSED = {
     "doctor --seconds 0.1": "Invalid value for '--seconds'",
     "doctor --seconds 1h": "'1h' is 3600 s; expected 0.5 to 600 s",
     "doctor --seconds soon": "'soon' is no duration; expected seconds, or a duration",
-    "experiment logs nosuch": "nosuch: no such file or folder",
     "export nosuch.mcap --to csv": "nosuch.mcap: cannot be read",
     "fit": "Missing argument 'RECORDING...'; see `adaptive-contact fit --help`",
     "fit nosuch.mcap": "nosuch.mcap: cannot be read",

@@ -49,18 +49,6 @@ def test_same_settings_same_trajectory_to_the_bit(name: str) -> None:
     assert np.array_equal(first.plant.data.qvel, again.plant.data.qvel)
 
 
-@pytest.mark.parametrize("name", EVERYTHING)
-def test_what_is_only_there_to_be_seen_changes_nothing(name: str) -> None:
-    bare, seen = (Simulation(EVERYTHING[name], looks=looks) for looks in (False, True))
-    assert bare.plant.model.ngeom < seen.plant.model.ngeom / 2
-    for _ in range(150):
-        bare.advance()
-        seen.advance()
-    np.testing.assert_array_equal(bare.plant.data.qpos, seen.plant.data.qpos)
-    np.testing.assert_array_equal(bare.plant.data.qvel, seen.plant.data.qvel)
-    np.testing.assert_array_equal(bare.plant.forces, seen.plant.forces)
-
-
 @pytest.mark.parametrize("change", [{"seed": 6}, {"robot_seed": 1}, {"servo_spread": 0.0}])
 def test_other_settings_another_trajectory(change: dict[str, float]) -> None:
     base = dataclasses.replace(EVERYTHING["walk"], drift=())

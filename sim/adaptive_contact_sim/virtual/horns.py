@@ -82,17 +82,13 @@ class OnStand(Backend):
         horns: how the servos are mounted.
         plant: the robot's physics.
         start_rad: (n,) joint angles at first.
-        epoch_ns: wall clock of the start, for time stamps; time without physics moves it.
     """
 
-    def __init__(
-        self, horns: Horns, plant: Plant | QuadrupedPlant, start_rad: Array, epoch_ns: int = 0
-    ) -> None:
+    def __init__(self, horns: Horns, plant: Plant | QuadrupedPlant, start_rad: Array) -> None:
         self._horns, self._plant = horns, plant
         self._goal = start_rad.copy()
         self._on = np.zeros(len(start_rad), dtype=np.bool_)
         self._start_s: float | None = None
-        self._epoch_ns = epoch_ns
 
     @abstractmethod
     def step(self) -> None:
@@ -109,7 +105,6 @@ class OnStand(Backend):
         behind = int((now_s - self._start_s) / STEP_S) - self._plant.steps
         if behind * STEP_S > LET_GO_S:
             self._start_s += behind * STEP_S
-            self._epoch_ns += round(behind * STEP_S * 1e9)
             behind = 0
         for _ in range(min(behind, _MOST_STEPS)):
             self.step()

@@ -22,20 +22,15 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import SimulationDivergedError
-from adaptive_contact.wire import truth_key
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.horns import LET_GO_S, STEP_S, Horns
-
-if TYPE_CHECKING:
-    from adaptive_contact.service.link import LinkSettings
 
 _END_S: Final = 5.0
 
@@ -56,7 +51,7 @@ class LocalSource:
         self, settings: SimulationSettings, on_tick: Callable[[Tick], None] = lambda _: None
     ) -> None:
         self.sim = Simulation(settings)
-        self._on_tick = on_tick
+        self.on_tick = on_tick
         self._rows: list[tuple[Array, Array]] = []
         plant = self.sim.plant
         plant.on_step = lambda: self._rows.append(
@@ -71,7 +66,7 @@ class LocalSource:
     def take(self) -> MadeTick:
         """Make the next tick."""
         self._rows.clear()
-        self._on_tick(self.sim.tick())
+        self.on_tick(self.sim.tick())
         offset = self.sim.plant.servos.offset_rad
         angles = np.stack([row[0] for row in self._rows]) + offset
         return MadeTick(angles, np.stack([row[1] for row in self._rows]), self.sim.desired.copy())
@@ -83,19 +78,13 @@ class ProcessSource:
     Args:
         settings: what is simulated.
         record: MCAP file of its samples and truth.
-        link: where its truth is published.
     """
 
-    def __init__(
-        self,
-        settings: SimulationSettings,
-        record: Path | None = None,
-        link: LinkSettings | None = None,
-    ) -> None:
+    def __init__(self, settings: SimulationSettings, record: Path | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process: Any = context.Process(
-            target=_make_ticks, args=(theirs, settings, record, link), name="physics"
+            target=_make_ticks, args=(theirs, settings, record), name="physics"
         )
         self._process.start()
         theirs.close()
@@ -137,27 +126,17 @@ class ProcessSource:
         return got
 
 
-def _make_ticks(
-    pipe: Connection, settings: SimulationSettings, record: Path | None, link: LinkSettings | None
-) -> None:
+def _make_ticks(pipe: Connection, settings: SimulationSettings, record: Path | None) -> None:
     """Make ticks as they are asked for; the target of the spawned process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the bus ends us, when it has ended
     _stand_back()
     with ExitStack() as stack:
-        looks: list[Callable[[Tick], None]] = []
-
-        def on_tick(tick: Tick) -> None:
-            for look in looks:
-                look(tick)
-
         try:
-            source = LocalSource(settings, on_tick)
+            source = LocalSource(settings)
             if record is not None:
                 from adaptive_contact_sim.recorder import TickRecorder
 
-                looks.append(stack.enter_context(TickRecorder(record, source.sim)).write)
-            if link is not None:
-                looks.append(_publishing(link, stack))
+                source.on_tick = stack.enter_context(TickRecorder(record, source.sim)).write
             pipe.send("ready")
             while True:
                 source.begin(pipe.recv())
@@ -167,19 +146,6 @@ def _make_ticks(
         except Exception as error:
             with contextlib.suppress(BrokenPipeError):
                 pipe.send(error)
-
-
-def _publishing(settings: LinkSettings, stack: ExitStack) -> Callable[[Tick], None]:
-    from adaptive_contact.service.link import Link
-
-    link = stack.enter_context(Link.open(settings))
-    truth = {leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in LEGS}
-
-    def publish(tick: Tick) -> None:
-        for change in tick.truth:
-            truth[change.leg].put(change.message)
-
-    return publish
 
 
 def _stand_back() -> None:

@@ -26,26 +26,15 @@ from adaptive_contact.bridge.packets import (
 )
 from adaptive_contact.bridge.tables import BAUDS
 from adaptive_contact_sim.virtual.faults import FaultSchedule
-from adaptive_contact_sim.virtual.servo import RANGE2, Refusal, VirtualServo
+from adaptive_contact_sim.virtual.servo import Refusal, VirtualServo
 
 _ALERT: Final = 0x80
 _INSTRUCTION_ERROR: Final = {1: 0x40, 2: 0x02}
-# What protocol 2.0's factory reset leaves as it is, by its parameter.
-_KEPT: Final = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud")}
-# The one thing that Clear forgets, and its key.
-_CLEAR_TURNS: Final = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))
 _BITS_PER_BYTE: Final = 10
-_READS_OF_MANY: Final = (
-    Instruction.SYNC_READ,
-    Instruction.FAST_SYNC_READ,
-    Instruction.BULK_READ,
-)
 # Terminals' constants of rates.
 _SPEEDS: Final = {
     baud: s for baud in BAUDS if (s := getattr(termios, f"B{baud}", None)) is not None
 }
-# Id, address and length, before a bulk write's data.
-_BULK_ROW: Final = 5
 
 
 class _Answer(NamedTuple):
@@ -157,14 +146,11 @@ class VirtualPort:
 
     def _answer(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
         version = self._codec.version
-        if version == 2 and frame.code in _READS_OF_MANY:
+        if version == 2 and frame.code in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
             self._read_many(frame, now_s, elapsed_s)
             return
         if frame.code == Instruction.SYNC_WRITE:
             self._sync_write(frame)
-            return
-        if version == 2 and frame.code == Instruction.BULK_WRITE:
-            self._bulk_write(frame)
             return
         everyone = frame.id == BROADCAST_ID
         answers = []
@@ -200,47 +186,21 @@ class VirtualPort:
             return Status(servo.id, 0, about)
         if frame.code == Instruction.READ and len(p) == 2 * width:
             return self._read_out(servo, _number(p[:width]), _number(p[width:]), elapsed_s)
-        if frame.code in (Instruction.WRITE, Instruction.REG_WRITE) and len(p) > width:
-            address = int.from_bytes(p[:width], "little")
-            if frame.code == Instruction.REG_WRITE:
-                servo.registered = (address, p[width:])
-                return Status(servo.id, 0, b"")
+        if frame.code == Instruction.WRITE and len(p) > width:
             own = servo.id  # a new one counts from the next packet on
-            refusal = servo.write(address, p[width:])
+            refusal = servo.write(_number(p[:width]), p[width:])
             return Status(own, 0 if refusal is None else refusal.error, b"")
-        if frame.code == Instruction.ACTION:
-            if servo.registered is not None:
-                servo.write(*servo.registered)
-                servo.registered = None
-            return Status(servo.id, 0, b"")
         if frame.code == Instruction.REBOOT and version == 2:
             servo.reboot()
             return Status(servo.id, 0, b"")
-        if frame.code == Instruction.CLEAR and version == 2 and not servo.model.compact:
-            refusal = servo.clear() if p == _CLEAR_TURNS else Refusal(RANGE2)
-            return Status(servo.id, 0 if refusal is None else refusal.error, b"")
-        if frame.code == Instruction.FACTORY_RESET:
-            kept = () if version == 1 else _KEPT.get(p[0] if p else 0xFF)
-            if kept is not None:
-                answer = Status(servo.id, 0, b"")
-                servo.reset(kept)
-                return answer
         return Status(servo.id, _INSTRUCTION_ERROR[version], b"")
 
     def _sync_write(self, frame: Frame) -> None:
         p, width = frame.parameters, self._codec.version
-        address = int.from_bytes(p[:width], "little")
-        size = int.from_bytes(p[width : 2 * width], "little")
+        address, size = _number(p[:width]), _number(p[width : 2 * width])
         rows = p[2 * width :]
         for at in range(0, len(rows) - size, size + 1):
             self._write(rows[at], address, rows[at + 1 : at + 1 + size])
-
-    def _bulk_write(self, frame: Frame) -> None:
-        rows = frame.parameters
-        while len(rows) > _BULK_ROW:
-            address, size = _number(rows[1:3]), _number(rows[3:5])
-            self._write(rows[0], address, rows[_BULK_ROW : _BULK_ROW + size])
-            rows = rows[_BULK_ROW + size :]
 
     def _write(self, wanted: int, address: int, data: bytes) -> None:
         """Write registers of all servos that an id means, which do not answer."""
@@ -249,15 +209,11 @@ class VirtualPort:
                 servo.write(address, data)
 
     def _read_many(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
-        """Sync, fast sync and bulk read: servos answer one after the other."""
+        """Sync and fast sync read: servos answer one after the other."""
         p = frame.parameters
-        if frame.code == Instruction.BULK_READ:
-            rows = [p[at : at + _BULK_ROW] for at in range(0, len(p), _BULK_ROW)]
-            asked = [(row[0], _number(row[1:3]), _number(row[3:5])) for row in rows]
-        else:
-            asked = [(wanted, _number(p[:2]), _number(p[2:4])) for wanted in p[4:]]
+        address, size = _number(p[:2]), _number(p[2:4])
         joint: list[list[tuple[VirtualServo, Status]]] = []
-        for wanted, address, size in asked:
+        for wanted in p[4:]:
             group = [servo for servo in self._listening if servo.id == wanted and servo.answers]
             if not group or self.faults.strike("silent", wanted, elapsed_s) is not None:
                 # Each waits for the one before it: those after a mute one stay mute.
@@ -268,7 +224,7 @@ class VirtualPort:
             else:
                 answers = [self._answer_of(s, status, now_s, elapsed_s) for s, status in statuses]
                 now_s = self._send_all(answers)
-        if joint and len(joint) == len(asked):
+        if joint and len(joint) == len(p[4:]):
             packet = fast_sync_status([group[0][1] for group in joint])
             if any(len(group) > 1 for group in joint):
                 packet = _overlap(packet, fast_sync_status([group[-1][1] for group in joint]))

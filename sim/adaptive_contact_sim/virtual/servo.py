@@ -3,8 +3,7 @@
 Only what a master can see is modelled: which registers there are, which may be written and when,
 what is refused and with which error; that a servo in trouble shuts itself down, and how to wake it;
 how operating mode, drive mode, limits and offsets turn positions and goals into numbers (see
-:mod:`adaptive_contact.bridge.modes`); and indirect addresses, by which neighbours stand for any
-registers.
+:mod:`adaptive_contact.bridge.modes`).
 The slope of the control law (compliance slope, P gain, PWM limit) acts on the servo behind; other
 registers of the law (margin, punch, I and D, speeds, a torque limit above 0) are kept and change
 nothing.  Sources: the e-manual pages named in :mod:`adaptive_contact.bridge.tables`, whose
@@ -14,7 +13,7 @@ addresses are used.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from adaptive_contact_sim.virtual.backend import Backend
 
 # Errors of protocol 1.0 (bits) and 2.0 (numbers) for the same refusals.
 RANGE1, ANGLE1, INSTRUCTION1 = 0x08, 0x02, 0x40
-FAIL2, RANGE2, LENGTH2, LIMIT2, ACCESS2 = 0x01, 0x04, 0x05, 0x06, 0x07
+FAIL2, LENGTH2, LIMIT2, ACCESS2 = 0x01, 0x05, 0x06, 0x07
 _READ_ONLY: Final = (
     "model_number",
     "firmware",
@@ -37,12 +36,6 @@ _READ_ONLY: Final = (
     "moving",
     "hardware_error",
 )
-# Where tables end beyond the registers known here: X-series, and their smallest.
-_SIZE_X, _SIZE_330 = 662, 228
-# First indirect address, first byte of indirect data, how many: e-manual XM430-W350 and XL330-M288,
-# "Indirect Address, Indirect Data".  Each address is two bytes, 64 or more, and within the table.
-_INDIRECT_X: Final = ((168, 224, 28), (578, 634, 28))
-_INDIRECT_330: Final = ((168, 208, 20),)
 _FIRST_RAM: Final = 64
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
@@ -107,16 +100,12 @@ class VirtualServo:
         self._rng = rng
         self._noise = noise_steps
         end = max(r.address + r.size for r in model.registers.values())
-        self._indirect: tuple[tuple[int, int, int], ...] = ()
-        if not model.compact:
-            small = "330" in model.name
-            end = _SIZE_330 if small else _SIZE_X
-            self._indirect = _INDIRECT_330 if small else _INDIRECT_X
+        if not model.compact:  # beyond the registers known here
+            end = 228 if "330" in model.name else 662
         self._memory = bytearray(end)
         self.keeps_goal = model.compact
         self.goal_wakes = model.protocol == 1
         self._turns = 0
-        self.registered: tuple[int, bytes] | None = None
         self.writes = 0
         self._factory(return_delay)
         self.store("baud", self._baud_register(baud))
@@ -183,23 +172,13 @@ class VirtualServo:
         self._power_on()
         self._set_slope()
 
-    def reset(self, keep: Collection[str] = ()) -> None:
-        """Set EEPROM to what it is delivered with, but for some registers, and reboot."""
-        kept = {name: self.value(name) for name in keep}
-        self._factory(250)
-        usual = 57_600 if not self.model.compact else 1_000_000
-        for name, value in ({"id": 1, "baud": self._baud_register(usual)} | kept).items():
-            self.store(name, value)
-        self.id, self.baud = self.value("id"), self._baud()
-        self.reboot()
-
     def read(self, address: int, size: int) -> bytes | Refusal:
         """Bytes of the control table, as of now."""
         if size < 1 or address + size > len(self._memory):
             return Refusal(RANGE1 if self.model.protocol == 1 else LENGTH2)
         self._refresh()
         self.last = bytes(self._memory)
-        return bytes(self.last[self._behind(at)] for at in range(address, address + size))
+        return self.last[address : address + size]
 
     def write(self, address: int, data: bytes) -> Refusal | None:
         """Write into the control table, whole registers; None when done."""
@@ -207,19 +186,14 @@ class VirtualServo:
         self.writes += 1
         if not data or address + len(data) > len(self._memory):
             return Refusal(RANGE1 if one else LENGTH2)
-        parts = self._parts(address, data)
-        touched = [self._touched(*part) for part in parts]
-        for part, names in zip(parts, touched, strict=True):
-            for name in names:
-                refusal = self._refuse(name, self.model.registers[name], *part)
-                if refusal is not None:
-                    return refusal
-            if self._misdirects(*part):
-                return Refusal(RANGE2)
-        for (at, some), names in zip(parts, touched, strict=True):
-            self._memory[at : at + len(some)] = some
-            for name in names:
-                self._act(name)
+        names = self._touched(address, data)
+        for name in names:
+            refusal = self._refuse(name, self.model.registers[name], address, data)
+            if refusal is not None:
+                return refusal
+        self._memory[address : address + len(data)] = data
+        for name in names:
+            self._act(name)
         return None
 
     def clear(self) -> Refusal | None:
@@ -233,43 +207,12 @@ class VirtualServo:
 
     # -- private -------------------------------------------------------------------------------
 
-    def _behind(self, at: int) -> int:
-        """The byte that one stands for: itself, or what its indirect address says."""
-        for addresses, first, count in self._indirect:
-            if first <= at < first + count:
-                place = addresses + 2 * (at - first)
-                return int.from_bytes(self._memory[place : place + 2], "little")
-        return at
-
-    def _parts(self, address: int, data: bytes) -> list[tuple[int, bytes]]:
-        """What a write is once indirect data are replaced: neighbours stay together."""
-        parts: list[tuple[int, bytes]] = []
-        for i, value in enumerate(data):
-            at = self._behind(address + i)
-            if parts and at == parts[-1][0] + len(parts[-1][1]):
-                parts[-1] = parts[-1][0], parts[-1][1] + bytes((value,))
-            else:
-                parts.append((at, bytes((value,))))
-        return parts
-
     def _touched(self, address: int, data: bytes) -> list[str]:
         return [
             name
             for name, register in self.model.registers.items()
             if register.address < address + len(data) and address < register.address + register.size
         ]
-
-    def _misdirects(self, address: int, data: bytes) -> bool:
-        """Whether a write would leave an indirect address that is none."""
-        after = self._memory[:]
-        after[address : address + len(data)] = data
-        for addresses, _, count in self._indirect:
-            for at in range(addresses, addresses + 2 * count, 2):
-                if address < at + 2 and at < address + len(data):
-                    value = int.from_bytes(after[at : at + 2], "little")
-                    if not _FIRST_RAM <= value < len(self._memory):
-                        return True
-        return False
 
     def _refuse(self, name: str, register: Register, address: int, data: bytes) -> Refusal | None:
         one = self.model.protocol == 1
@@ -488,10 +431,6 @@ class VirtualServo:
             initial |= {"position_p": 400 if "330" in model.name else 800}
             initial |= {"hardware_error": 0, "status_return": 2}
         self._store_known(initial)
-        for addresses, first, count in self._indirect:
-            for i in range(count):  # each stands for itself
-                place = addresses + 2 * i
-                self._memory[place : place + 2] = (first + i).to_bytes(2, "little")
         starts = bool(self._has("startup") & 1)
         on = starts or self._backend.goal(self._index) is not None
         self.store("torque_enable", int(on))

@@ -1,4 +1,4 @@
-"""One run of a virtual robot: its physics, its ports, its truth."""
+"""One run of a virtual robot: its physics and its ports."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content, write_file
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.write import write_robot
-from adaptive_contact.wire import ContactTruth, truth_key
 from adaptive_contact_sim.elements import HEXAPOD
 from adaptive_contact_sim.scenario import load_scenario
 from adaptive_contact_sim.virtual.assembly import (
@@ -30,9 +29,6 @@ from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend
 from adaptive_contact_sim.virtual.physics import GaitedBackend, ProcessSource
-
-if TYPE_CHECKING:
-    from adaptive_contact.service.link import LinkSettings
 
 _LOCK: Final = ".in-use"
 
@@ -53,7 +49,6 @@ class VirtualPlan:
     seconds: float | None = None  # how long, None for until stopped
     record: Path | None = None  # MCAP file of a scenario's own samples and truth
     write_config: Path | None = None  # where to write the robot.toml of the bus
-    link: LinkSettings | None = None  # where truth is published, None for nowhere
 
     def __post_init__(self) -> None:
         if self.record is not None and self.scenario is None:
@@ -121,8 +116,7 @@ def _serve(plan: VirtualPlan, stop: threading.Event, on_start: Callable[[str], N
     if plan.write_config is not None:
         write_file(plan.write_config, write_robot(robot), advice="give another --write-config")
     with ExitStack() as stack:
-        publish = _truth(plan, stack, stop)
-        backend, pairs = _backend(plan, plans, publish, stack)
+        backend, pairs = _backend(plan, plans, stack)
         server = stack.enter_context(assemble(plans, backend, pairs, plan.bus))
         servos = sum(len(p.joints) for p in plans)
         models = ", ".join(sorted({j.models[-1].name for p in plans for j in p.joints}))
@@ -138,26 +132,8 @@ def _serve(plan: VirtualPlan, stop: threading.Event, on_start: Callable[[str], N
             timer.cancel()
 
 
-def _truth(
-    plan: VirtualPlan, stack: ExitStack, stop: threading.Event
-) -> Callable[[str, ContactTruth], None]:
-    """Where changes of contact go."""
-    if plan.link is None or plan.scenario is not None:  # a scenario's physics publishes itself
-        return lambda *_: None
-    from adaptive_contact.service.link import Link
-
-    link = stack.enter_context(Link.open(plan.link, stop=stop))
-    publishers = {
-        leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in plan.robot.leg_ids
-    }
-    return lambda leg, message: publishers[leg].put(message)
-
-
 def _backend(
-    plan: VirtualPlan,
-    plans: Sequence[PortPlan],
-    publish: Callable[[str, ContactTruth], None],
-    stack: ExitStack,
+    plan: VirtualPlan, plans: Sequence[PortPlan], stack: ExitStack
 ) -> tuple[Backend, list[tuple[str, str]]]:
     """The physics, and the order of its servos."""
     if plan.simulated != "hexapod":
@@ -173,17 +149,11 @@ def _backend(
     pairs = HEXAPOD.servos
     horns = Horns.of(plans, pairs)
     if plan.scenario is None:
-        passive = PassiveBackend(
-            horns,
-            height_m=plan.height_m,
-            epoch_ns=time.time_ns(),
-            on_truth=publish,
-        )
-        return passive, pairs
+        return PassiveBackend(horns, height_m=plan.height_m), pairs
     settings = load_scenario(plan.scenario).settings
     if plan.seed:
         settings = dataclasses.replace(settings, seed=plan.seed)
     settings = dataclasses.replace(settings, run=time.time_ns() // 1_000_000)
-    source = stack.enter_context(ProcessSource(settings, plan.record, plan.link))
+    source = stack.enter_context(ProcessSource(settings, plan.record))
     source.wait()
     return GaitedBackend(source, horns, period_s=settings.period_s), pairs
