@@ -15,13 +15,10 @@ from typing import Final, Self
 
 from adaptive_contact.errors import AdaptiveContactError
 
-# Lines kept of what it says; enough to find the last one that means something.
-_KEPT: Final = 200
 # `serve` ends within 2 s of a signal, within 7 s on a slow disk; the simulator after its tick.
 _END_S: Final = 10.0
 # A first start compiles: 10 to 20 s, and minutes on a quarter of a core.  It says so, and is alive.
 _COMPILES: Final = re.compile(r"compiling the arithmetic")
-_COMPILE_S: Final = 600.0
 
 
 class Child:
@@ -33,7 +30,8 @@ class Child:
     def __init__(self, name: str, arguments: Sequence[str]) -> None:
         self.name = name
         self._changed = threading.Condition()
-        self._lines: deque[str] = deque(maxlen=_KEPT)
+        # Lines kept of what it says; enough to find the last one that means something.
+        self._lines: deque[str] = deque(maxlen=200)
         self._over = False
         self._process = subprocess.Popen(
             [sys.executable, "-m", "adaptive_contact", *arguments],
@@ -88,7 +86,7 @@ class Child:
         with self._changed:
             while True:
                 if any(_COMPILES.search(line) for line in self._lines):
-                    timeout_s = max(timeout_s, _COMPILE_S)
+                    timeout_s = max(timeout_s, 600.0)  # a slow computer's first start
                 for line in self._lines:
                     match = pattern.search(line)
                     if match is not None:

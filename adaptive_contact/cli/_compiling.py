@@ -11,7 +11,6 @@ from typing import Final
 
 from adaptive_contact.cli._output import say_note
 
-_POLL_S: Final = 0.1
 # Ctrl-C reaches it, too, and has nothing to say of it.
 _CODE: Final = (
     "import signal; signal.signal(signal.SIGINT, signal.SIG_DFL); "
@@ -49,7 +48,7 @@ def compile_tick(stop: threading.Event | None = None) -> None:
 def _run_until(stop: threading.Event, words: list[str]) -> None:
     child = subprocess.Popen(words, stdin=subprocess.DEVNULL)
     try:
-        while child.poll() is None and not stop.wait(_POLL_S):
+        while child.poll() is None and not stop.wait(0.1):
             pass
     finally:
         child.kill()

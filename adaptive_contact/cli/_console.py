@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from typing import Final
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markdown import Markdown
 from rich.segment import Segment
 
 from adaptive_contact.printable import printable_lines
-
-_PIPE_WIDTH: Final = 120
 
 
 class _Shown(Console):
@@ -28,9 +25,7 @@ class _Shown(Console):
                 yield Segment(printable_lines(segment.text), segment.style)
 
 
-def table_console(
-    *, stderr: bool = False, pipe_width: int = _PIPE_WIDTH, markup: bool = False
-) -> Console:
+def table_console(*, stderr: bool = False, pipe_width: int = 120, markup: bool = False) -> Console:
     """Return the console that a command prints its tables on.
 
     Args:

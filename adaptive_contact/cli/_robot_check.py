@@ -34,14 +34,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.wire import ServoSample
 
-_BACKLOG: Final = 50_000
-_POLL_S: Final = 0.05
-_REDRAW_S: Final = 0.2
-_PIPE_WIDTH: Final = 120
-_MOVES_SHOWN: Final = 6
-_LEAST_NAME: Final = 10
-# A terminal narrower than this has no room for the foot.
-_WITH_FOOT: Final = 96
 # What a leg at rest gives way by, mm; less is friction and rounding.
 _LEAST_SAG_MM: Final = 1.0
 _HINT: Final = (
@@ -74,9 +66,9 @@ def check_live(
     from adaptive_contact.service.livecheck import LiveCheck
     from adaptive_contact.wire import ALL_SERVO
 
-    waiting: deque[Received] = deque(maxlen=_BACKLOG)
+    waiting: deque[Received] = deque(maxlen=50_000)
     check = LiveCheck(robot)
-    console = table_console(pipe_width=_PIPE_WIDTH)
+    console = table_console(pipe_width=120)
     drawn = console.is_terminal and not json
     with Link.open(settings) as link:
         began = time.monotonic()
@@ -85,17 +77,17 @@ def check_live(
             say(_HINT, err=True)
         redrawn = 0.0
         with Live(console=console, auto_refresh=False, transient=True) as live:
-            while time.monotonic() - began < seconds and not stop.wait(_POLL_S):
+            while time.monotonic() - began < seconds and not stop.wait(0.05):
                 said = len(check.moves)
                 for _ in range(len(waiting)):
                     check.take(waiting.popleft())
                 if not drawn and not json:
                     for line in check.moves[said:]:
                         console.print(line, soft_wrap=True)
-                if drawn and time.monotonic() - redrawn >= _REDRAW_S:
+                if drawn and time.monotonic() - redrawn >= 0.2:
                     redrawn = time.monotonic()
                     live.update(
-                        legs_table(check.legs(), check.moves[-_MOVES_SHOWN:], console.width),
+                        legs_table(check.legs(), check.moves[-6:], console.width),
                         refresh=True,
                     )
         samples.close()
@@ -228,13 +220,14 @@ def legs_table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Tab
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), caption_justify="left")
     columns = ["leg", "Hz", "joint", "wire", "angle", "range", "goal", "sign", "limits", "foot"]
-    for column in columns[: 10 if width >= _WITH_FOOT else 9]:
+    # A terminal narrower than this has no room for the foot.
+    for column in columns[: 10 if width >= 96 else 9]:
         # Where there is little room, names are broken, and no number is.
         table.add_column(
             column,
             justify="left" if column in ("leg", "joint", "foot") else "right",
             no_wrap=column not in ("joint", "foot"),
-            min_width=_LEAST_NAME if column == "joint" else None,
+            min_width=10 if column == "joint" else None,
             overflow="fold",
         )
     for leg in legs:
@@ -279,14 +272,6 @@ def _foot(leg: LegView) -> list[str]:
     return lines
 
 
-_BUS_PIPE_WIDTH: Final = 110
-# How long to look at a bus, and at a source that walks.
-_BUS_S: Final = 1.0
-_LIVE_S: Final = 20.0
-# The live table looks back so far.
-_LIVE_TICKS: Final = 500
-
-
 @opt.flatten
 def check(
     *,
@@ -324,7 +309,7 @@ def check(
             check_live(
                 opt.described_robot(config),
                 network.client(wait=False),
-                _LIVE_S if seconds is None else seconds,
+                20.0 if seconds is None else seconds,
                 stop=stop,
                 picture=picture,
                 json=json,
@@ -353,7 +338,7 @@ def check(
             err=True,
         )
         return
-    _check_bus(robot, config, device, picture, _BUS_S if seconds is None else seconds, stop)
+    _check_bus(robot, config, device, picture, 1.0 if seconds is None else seconds, stop)
 
 
 def _check_bus(
@@ -376,12 +361,12 @@ def _check_bus(
     shake_hands(plans)
     for line in compare(read_servos(plans)):
         say_note(line)
-    console = table_console(pipe_width=_BUS_PIPE_WIDTH)
+    console = table_console(pipe_width=110)
     with Live(console=console, refresh_per_second=10, transient=True) as table:
 
         def look(so_far: dict[str, list[ServoSample]]) -> None:
             if console.is_terminal:
-                recent = {leg: rows[-_LIVE_TICKS:] for leg, rows in so_far.items()}
+                recent = {leg: rows[-500:] for leg, rows in so_far.items()}
                 table.update(_joints(plans, recent))
 
         samples = collect(plans, seconds, stop=stop, say=say_note, look=look)

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2
-_JOINTS: Final = 3
 _ID: Final = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
 
 
@@ -141,7 +140,7 @@ def _check_ports(devices: Mapping[str, str]) -> None:
 def _joint_names(text: str | None) -> int | tuple[str, ...]:
     """What ``--joints`` says: a number, or names."""
     if text is None:
-        return _JOINTS
+        return 3
     if text.strip().isdigit() and 1 <= int(text) <= MAX_JOINTS:
         return int(text)
     names = tuple(part.strip() for part in text.split(","))

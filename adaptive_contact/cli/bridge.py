@@ -141,8 +141,6 @@ app = opt.Commands(
     help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
 )
 
-_RESTART_S: Final = 1.0
-_END_S: Final = 3.0
 # What has virtual servos; the simulator's other robots have none.
 _VIRTUAL: Final = ("hexapod", "quadruped")
 
@@ -214,7 +212,7 @@ class _Crew:
                             f"({worker.exitcode}); starting it again",
                             err=True,
                         )
-                        if not stop.wait(_RESTART_S):
+                        if not stop.wait(1.0):
                             self._start(plan)
         finally:
             self._end()
@@ -244,7 +242,7 @@ class _Crew:
             if worker.is_alive() and worker.pid is not None:
                 os.kill(worker.pid, signal.SIGTERM)
         for worker in self._workers.values():
-            worker.join(_END_S)
+            worker.join(3.0)
             if worker.is_alive():
                 worker.kill()
                 worker.join()

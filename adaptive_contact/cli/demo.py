@@ -49,9 +49,6 @@ _DRIFTS: Final = (("friction", 4.0), ("mass", 0.06))
 _DRIFT_WORDS: Final = "friction × 4 and 60 g of mud"
 # A start imports numpy, scipy and the models: a second and a half here, more on a small board.
 _START_S: Final = 60.0
-_SLOWEST: Final = 3.0  # times real time
-_REFRESH_S: Final = 0.25
-_SETTLE_S: Final = 2.0  # what is on its way when the walk ends is worked off and written by then
 
 
 @flatten
@@ -183,16 +180,17 @@ class _Demo:
             began_s = time.monotonic()
             show = stack.enter_context(_Table(self._words))
             while simulator.running:
-                if self._stop.wait(_REFRESH_S):
+                if self._stop.wait(0.25):
                     break
                 for other in (service, recorder):  # they should go on until they are stopped
                     if not other.running:
                         raise other.failure()
                 walked_s = time.monotonic() - began_s
                 show.look(feed.view(time.monotonic_ns()), walked_s)
-                if walked_s > _START_S + _SLOWEST * self._seconds:
+                if walked_s > _START_S + 3.0 * self._seconds:
                     raise AdaptiveContactError("this machine is too slow for a walk in real time")
-            if self._stop.is_set() or self._stop.wait(_SETTLE_S):
+            # What is on its way when the walk ends is worked off and written by then
+            if self._stop.is_set() or self._stop.wait(2.0):
                 raise AdaptiveContactError("stopped")
             simulator.check()
 

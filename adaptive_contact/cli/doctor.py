@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.doctor import Diagnosis
     from adaptive_contact.service.findings import Finding, Level
 
-_PIPE_WIDTH: Final = 140
 _COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
 
@@ -59,7 +58,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
     from adaptive_contact.cli._console import table_console
 
-    console = table_console(pipe_width=_PIPE_WIDTH)
+    console = table_console(pipe_width=140)
     if diagnosis.router != "connected":
         console.print(Text(f"router   {diagnosis.router_line}", style="bold red"))
         return

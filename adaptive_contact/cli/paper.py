@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import typer
 
@@ -12,13 +12,9 @@ from adaptive_contact.cli._options import ForceOption, option, refuse_to_replace
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
-_OUT: Final = Path("out/paper")
-_DOCS: Final = Path("docs/paper.md")
-_LOGS: Final = Path("../shared/data")
-
 
 def paper(
-    out: Annotated[Path, option("--out", "Where results go.", "DIR")] = _OUT,
+    out: Annotated[Path, option("--out", "Where results go.", "DIR")] = Path("out/paper"),
     quick: Annotated[bool, option("--quick", "A few minutes: fewer legs, fewer hours.")] = False,
     workers: Annotated[int, option("--workers", "Processes, 0 for one per core.", min=0)] = 0,
     scheduler: SchedulerOption = None,
@@ -28,7 +24,7 @@ def paper(
     ] = None,
     logs: Annotated[
         Path | None, option("--logs", "Recordings of real servos; skipped where absent.", "PATH")
-    ] = _LOGS,
+    ] = Path("../shared/data"),
     docs: Annotated[
         Path | None, option("--docs", "Write the page and its pictures here, too.", "FILE.md")
     ] = None,
@@ -38,7 +34,9 @@ def paper(
 
     The same command goes on in its folder, and makes the page there, and docs/paper.md, again.
     """
-    refuse_to_replace([docs] if docs else [], "--docs", force=force or docs == _DOCS)
+    refuse_to_replace(
+        [docs] if docs else [], "--docs", force=force or docs == Path("docs/paper.md")
+    )
     with needs_studies():
         from adaptive_contact_studies.paper.plan import FULL, QUICK
         from adaptive_contact_studies.paper.run import STAGES, run_paper

@@ -10,7 +10,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
@@ -25,12 +25,6 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.state import StateKeeper
-
-# Python hands its lock on every 5 ms while a thread computes; a callback or the outbox would wait
-# as long for the worker.  At half a millisecond the hand-over costs nothing that can be measured.
-_SWITCH_S: Final = 0.0005
-# In real-time priority, behind a bridge on the same computer: a reading missed is lost.
-_BEHIND_THE_BUS: Final = 5
 
 
 @opt.flatten
@@ -81,10 +75,14 @@ def serve(
             insecure=insecure,
             max_sessions=max_sessions,
         )
-        sys.setswitchinterval(_SWITCH_S)
+        # Python hands its lock on every 5 ms while a thread computes; a callback or the outbox
+        # would wait as long for the worker.  At half a millisecond the hand-over costs nothing that
+        # can be measured.
+        sys.setswitchinterval(0.0005)
         threadpool_limits(1)  # matrices this small only wait for each other in threads
         # Before Zenoh makes its threads: an event passes through them.
-        refused = take_priority(below=_BEHIND_THE_BUS) if realtime else None
+        # In real-time priority, behind a bridge on the same computer: a reading missed is lost.
+        refused = take_priority(below=5) if realtime else None
         if refused is not None:
             say_note(refused)
         robot = opt.described_robot(config)

@@ -7,7 +7,7 @@ import contextlib
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -36,7 +36,6 @@ app = Commands(
     help="Show, export or forget what the service has learned and kept.", no_args_is_help=True
 )
 
-_PIPE_WIDTH: Final = 160
 RobotOption = Annotated[str | None, option("--robot", "Only of this robot.", "NAME")]
 LegOption = Annotated[str | None, option("--leg", "Only of this leg.", "ID")]
 
@@ -58,7 +57,7 @@ def show(
         return
     from adaptive_contact.cli._console import table_console
 
-    console = table_console(pipe_width=_PIPE_WIDTH)
+    console = table_console(pipe_width=160)
     for folder in sorted({stored.path.parent for stored in found}):
         here = [stored for stored in found if stored.path.parent == folder]
         rows = [_row(stored) for stored in here]

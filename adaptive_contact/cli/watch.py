@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     Look = Callable[[], View]
 
 _REFRESH_S: Final = 0.15  # a leg that is not known shows as such within 0.7 s
-_PIPE_WIDTH: Final = 160
 
 
 @opt.flatten
@@ -118,5 +117,5 @@ def _print(view: View, json: bool) -> None:
     from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
 
-    console = table_console(pipe_width=_PIPE_WIDTH)
+    console = table_console(pipe_width=160)
     console.print(table(view, console.width))

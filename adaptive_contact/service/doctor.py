@@ -42,10 +42,6 @@ from adaptive_contact.wire import (
 # A flood is measured by its count; its samples need not all be looked at.
 _SAMPLES_KEPT: Final = 3000
 _KEYS_KEPT: Final = 400
-_BACKLOG: Final = 50_000
-_POLL_S: Final = 0.05
-
-_ENCODINGS: Final = ("application/msgpack", "application/json")
 
 
 class KeyTraffic(msgspec.Struct, frozen=True, kw_only=True):
@@ -107,9 +103,9 @@ class Examination:
         meter.count += 1
         meter.size += len(received.payload)
         meter.encodings[received.encoding] += 1
-        if not received.encoding.startswith(_ENCODINGS) and not is_json(
-            received.payload, received.encoding
-        ):
+        if not received.encoding.startswith(
+            ("application/msgpack", "application/json")
+        ) and not is_json(received.payload, received.encoding):
             meter.odd[received.encoding] += 1
         if received.key == SERVICE_STATUS:
             status = decode(received.payload, ServiceStatus, received.encoding)
@@ -138,12 +134,12 @@ def examine(link: Link, seconds: float) -> Diagnosis:
         link: open and connected.
         seconds: how long; 3 s are enough for 50 Hz.
     """
-    waiting: deque[Received] = deque(maxlen=_BACKLOG)
+    waiting: deque[Received] = deque(maxlen=50_000)
     seen = Examination()
     began = time.monotonic()
     everything = link.subscribe("**", waiting.append)
     while time.monotonic() - began < seconds:
-        time.sleep(_POLL_S)  # a deque, which drops the oldest of a flood, cannot be waited for
+        time.sleep(0.05)  # a deque, which drops the oldest of a flood, cannot be waited for
         for _ in range(len(waiting)):
             seen.take(waiting.popleft())
     elapsed = time.monotonic() - began

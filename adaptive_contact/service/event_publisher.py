@@ -31,7 +31,6 @@ QUEUE_EVENTS: Final = 1024
 SLOW_PUT_NS: Final = 100_000_000
 # A put that has gone on for so long is reported before it ends.
 HELD_UP_NS: Final = 500_000_000
-_LATENCIES: Final = 4096
 _SUBSCRIBER: Final = "a subscriber that hangs"
 _COMPUTER: Final = "this computer, overloaded or stopped,"
 
@@ -69,7 +68,7 @@ class EventPublisher:
         self._putting_since_ns: int | None = None
         self._dropped_ns: int | None = None
         # Handed over by the sending thread, taken by the worker: both ends are atomic.
-        self._latencies: deque[int] = deque(maxlen=_LATENCIES)
+        self._latencies: deque[int] = deque(maxlen=4096)
 
     def start(self) -> None:
         """Send on a thread from now on."""

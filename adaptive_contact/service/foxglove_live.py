@@ -58,14 +58,8 @@ if TYPE_CHECKING:
 
 # Where Foxglove looks first.
 DEFAULT_PORT: Final = 8765
-# A key is a channel; a robot of 64 legs has 300 of them, and a stranger may make more.
-_MOST_CHANNELS: Final = 1024
 # Messages that wait to be encoded: at 64 legs and 200 Hz more than a second.
 _MOST_WAITING: Final = 20_000
-_LOOK_S: Final = 0.1
-# How often ticks are asked for, and how long an answer may take.
-_ASK_EVERY_S: Final = 0.1
-_END_S: Final = 2.0
 # A tick placed further from now was taken before its source's clock jumped.
 _MOST_AGE_NS: Final = 60_000_000_000
 _HISTORY: Final = (ALL_CONTACT, SERVICE_STATUS)
@@ -145,7 +139,7 @@ class FoxgloveServer:
         """End the server; calling it twice is safe."""
         self._stop.set()
         if self._asker.is_alive():
-            self._asker.join(_END_S)
+            self._asker.join(2.0)
         self._server.stop()
 
     def run(self, stop: threading.Event) -> None:
@@ -157,7 +151,7 @@ class FoxgloveServer:
         self._asker.start()
         while not stop.is_set():
             with contextlib.suppress(queue.Empty):
-                self._show_received(self._waiting.get(timeout=_LOOK_S))
+                self._show_received(self._waiting.get(timeout=0.1))
             for event in self._known.look(time.monotonic_ns()):
                 self._show(contact_key(event.leg), event, time.time_ns())
 
@@ -195,7 +189,8 @@ class FoxgloveServer:
     def _channel(self, key: str, kind: type[Message]) -> Channel | None:
         """Channel of a key; None where there are too many."""
         channel = self._channels.get(key)
-        if channel is None and len(self._channels) < _MOST_CHANNELS:
+        # A key is a channel; a robot of 64 legs has 300 of them, and a stranger may make more.
+        if channel is None and len(self._channels) < 1024:
             schema = self._foxglove.Schema(
                 name=schema_name(kind), encoding="protobuf", data=protobuf_class(kind)[0]
             )
@@ -219,7 +214,7 @@ class FoxgloveServer:
 
     def _ask(self) -> None:
         reader = TraceReader(self._link)
-        while not self._stop.wait(_ASK_EVERY_S):
+        while not self._stop.wait(0.1):
             wanted = {
                 leg
                 for leg in list(self._offsets_ns)

@@ -63,8 +63,6 @@ __all__ = [
     "router_settings",
 ]
 
-_RETRY_S: Final = 0.25
-_CLOSE_TIMEOUT_S: Final = 1.0
 # As rmw_zenoh's publishers have it: after a message, not all the time.
 _HEARTBEAT_S: Final = 0.5
 _NOTHING_ASKED: Final = Finding(Reach.UNKNOWN, "")
@@ -290,7 +288,7 @@ class Link:
             left_s = until_s - time.monotonic()
             if left_s <= 0:
                 raise NoRouterError(finding, f"no router within {patience_s:g} s: ")
-            if stop.wait(min(_RETRY_S, left_s)):
+            if stop.wait(min(0.25, left_s)):
                 raise NoRouterError(finding, "stopped while waiting for a router; ")
 
     def __enter__(self) -> Self:
@@ -307,7 +305,7 @@ class Link:
         """
         closer = threading.Thread(target=self._close, name="zenoh-close", daemon=True)
         closer.start()
-        closer.join(_CLOSE_TIMEOUT_S)
+        closer.join(1.0)
         return not closer.is_alive()
 
     def _close(self) -> None:

@@ -28,7 +28,6 @@ from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
 
 # Samples kept of a leg: two minutes at 50 Hz.
 _KEPT: Final = 6000
-_REFUSED_KEPT: Final = 1000
 # A leg rests when no joint has moved by this, rad (two steps of an AX-12A), for this long, s.
 _REST_RAD: Final = 0.011
 _REST_S: Final = 0.3
@@ -185,7 +184,7 @@ class _LegCheck:
         self.leg = leg
         self.samples: deque[ServoSample] = deque(maxlen=_KEPT)
         self.turned: deque[ServoSample] = deque(maxlen=_KEPT)
-        self.refused: deque[Rejected] = deque(maxlen=_REFUSED_KEPT)
+        self.refused: deque[Rejected] = deque(maxlen=1000)
         self._frame = AngleFrame(leg)
         self._period_s = robot.period_s
         self._facts = LegFacts.of(robot, leg.id)

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Hashable, MutableMapping
-from typing import Any, Final, TextIO
+from typing import Any, TextIO
 
 import structlog
 
@@ -98,10 +98,6 @@ def configure_logs(
     )
 
 
-_BRAKE_S: Final = 10.0
-_BRAKED_KINDS: Final = 256
-
-
 class LogThrottle:
     """Lets one line of a kind through per period, and says how many it held back.
 
@@ -109,7 +105,7 @@ class LogThrottle:
         period_s: between two lines of a kind.
     """
 
-    def __init__(self, period_s: float = _BRAKE_S) -> None:
+    def __init__(self, period_s: float = 10.0) -> None:
         self._period_ns = int(period_s * 1e9)
         # kind -> when the last line passed, and how many came since; the oldest kind goes first.
         self._kinds: OrderedDict[Hashable, tuple[int, int]] = OrderedDict()
@@ -131,19 +127,16 @@ class LogThrottle:
             return None
         self._kinds[kind] = (now_ns, 0)
         self._kinds.move_to_end(kind)
-        if len(self._kinds) > _BRAKED_KINDS:
+        if len(self._kinds) > 256:
             self._kinds.popitem(last=False)
         return held + times
-
-
-_PERIOD_S = 60.0
 
 
 class FaultLog:
     """Logs a fault of each leg a minute, and how many came since the last one logged."""
 
     def __init__(self) -> None:
-        self._throttle = LogThrottle(_PERIOD_S)
+        self._throttle = LogThrottle(60.0)
 
     def __call__(self, leg: str, fault: Exception) -> None:
         """A leg was restarted."""

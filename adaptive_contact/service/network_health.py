@@ -65,12 +65,6 @@ class PeerServices:
         )
 
 
-_LOOK_NS: Final = 1_000_000_000
-# Keys that look like those of samples.  Others, such as a camera's pictures, are not asked for.
-_LIKE_SERVO: Final = ("**/$*ervo$*", "**/servo/*")
-_MOST_STRAYS: Final = 8
-
-
 class UnreadKeys:
     """Looks for misspelt keys while a described leg has no samples, and only then.
 
@@ -86,7 +80,11 @@ class UnreadKeys:
     def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
         """Return each key without a reader, with what was probably meant."""
         if lonely and not self._listening:
-            self._listening = [self._link.subscribe(key, self._receive) for key in _LIKE_SERVO]
+            # Keys that look like those of samples.  Others, such as a camera's pictures, are not
+            # asked for.
+            self._listening = [
+                self._link.subscribe(key, self._receive) for key in ("**/$*ervo$*", "**/servo/*")
+            ]
         elif not lonely and self._listening:
             for declared in self._listening:
                 declared.close()
@@ -100,7 +98,7 @@ class UnreadKeys:
 
     def _receive(self, received: Received) -> None:
         key = received.key
-        if key in self._found or len(self._found) >= _MOST_STRAYS:
+        if key in self._found or len(self._found) >= 8:
             return
         meant, namespace = meant_key(key), namespace_of(key)
         if meant is not None:
@@ -126,7 +124,7 @@ class NetworkHealth:
         """Look, if it is time."""
         if now_ns < self._due_ns:
             return
-        self._due_ns = now_ns + _LOOK_NS
+        self._due_ns = now_ns + 1_000_000_000
         rival = self._rivals.note(now_ns)
         if rival is not None and self._throttle.passes("rival", now_ns) is not None:
             _log.warning("not alone", why=rival)

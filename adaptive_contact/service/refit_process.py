@@ -69,7 +69,6 @@ def main() -> None:
             write_frame(results, pickle.dumps(pickle.loads(frame).run()))
 
 
-_MODULE: Final = "adaptive_contact.service.refit_process"
 # Read by the BLAS libraries when they are loaded, which is before the worker can say anything.
 ONE_BLAS_THREAD: Final = {
     f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")
@@ -96,7 +95,7 @@ def start_process(*, hurry: bool = False, prepared: bool = True) -> subprocess.P
         env["PYTHONPATH"] = os.pathsep.join(filter(None, (str(home), env.get("PYTHONPATH"))))
     return subprocess.Popen(
         # Safe paths: the current folder, which may be anybody's, has nothing to say.
-        [sys.executable, "-P", "-m", _MODULE, *words],
+        [sys.executable, "-P", "-m", "adaptive_contact.service.refit_process", *words],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=env,

@@ -30,8 +30,6 @@ QUEUE_SAMPLES: Final = 64
 # The queue of all legs that have none: no leg's id, it is counted under that name.
 NO_QUEUE: Final = "(without a learner)"
 
-# Queries waiting for the worker; an asker beyond them is refused at once.
-_MAX_REQUESTS: Final = 64
 
 R = TypeVar("R")
 
@@ -128,7 +126,8 @@ class SampleQueue(Generic[R]):
     def ask(self, request: R) -> bool:
         """Take a query in; False where too many wait already."""
         with self._awake:
-            if len(self._requests) >= _MAX_REQUESTS:
+            # Queries waiting for the worker; an asker beyond them is refused at once.
+            if len(self._requests) >= 64:
                 return False
             self._requests.append(request)
             self._awake.notify()

@@ -57,8 +57,6 @@ if TYPE_CHECKING:
 
 _log = structlog.get_logger()
 
-# The learners make no cycles (0 in 150 s of six walking legs); others may, on bad days.
-_SWEEP_NS: Final = 60_000_000_000
 # So many objects more than at the last collection, some 4 MB, wait for no pause.
 _MOST_OBJECTS: Final = 20_000
 
@@ -84,7 +82,8 @@ class Sweeper:
 
     def sweep(self, now_ns: int, *, pause: bool) -> None:
         """Collect if it is time."""
-        due = pause and now_ns - self._swept_ns > _SWEEP_NS
+        # The learners make no cycles (0 in 150 s of six walking legs); others may, on bad days.
+        due = pause and now_ns - self._swept_ns > 60_000_000_000
         if due or gc.get_count()[0] > self._most:
             gc.collect()
             self._swept_ns = now_ns
@@ -92,20 +91,12 @@ class Sweeper:
 
 # How often each status is looked at for a change, and the longest a stop goes unnoticed.
 _LOOK_NS: Final = 100_000_000
-_SERVICE_STATUS_NS: Final = 1_000_000_000
 _LATENCY_LOG_NS: Final = 60_000_000_000
-# At most ten learners a second are made of legs that are not described: some 50 ms of a core for
-# 16 joints, and the samples of the sixth leg wait in its queue.
-_MAKING_S: Final = 0.1
 # A link that was dropped stays in the status's note for so long, and a leg without room.
 _REPORTED_NS: Final = 30_000_000_000
 # The worker waits so long for other legs' samples before it learns: they come one right after the
 # other, and the events' way out needs a core more than learning does.
 _REST_S: Final = 0.001
-# A snapshot takes milliseconds: it waits for a pause between two control ticks, though not for
-# ever where there is none.
-_PAUSE_S: Final = 0.003
-_LONGEST_WAIT_NS: Final = 2_000_000_000
 # End of a key that asks for a leg's ticks rather than for its model.
 _TRACE: Final = "/trace"
 
@@ -201,7 +192,9 @@ class Service:
             while not stop.is_set():
                 self._beats += 1
                 wait_s = min(max(self._look_ns - time.monotonic_ns(), 0), _LOOK_NS) / 1e9
-                batch = self._queue.take(_PAUSE_S if self._to_save else wait_s)
+                # A snapshot takes milliseconds: it waits for a pause between two control ticks,
+                # though not for ever where there is none.
+                batch = self._queue.take(0.003 if self._to_save else wait_s)
                 if batch:
                     self.work(batch, time.monotonic_ns())
                     # A tick's samples may take as many rounds as there are legs, this one among
@@ -268,7 +261,7 @@ class Service:
         if self._keeper is None or not self._to_save:
             return
         since_ns, endpoint = self._to_save[0]
-        if pause or now_ns - since_ns > _LONGEST_WAIT_NS:
+        if pause or now_ns - since_ns > 2_000_000_000:
             self._to_save.popleft()
             self._keeper.take(endpoint, now_ns)
 
@@ -295,7 +288,7 @@ class Service:
             if amiss != self._amiss:
                 self._amiss, self._status_ns = amiss, now_ns
         if now_ns >= self._status_ns:
-            self._status_ns = now_ns + _SERVICE_STATUS_NS
+            self._status_ns = now_ns + 1_000_000_000
             endpoints = (self._endpoints.get(leg) for leg in self._robot.leg_ids)
             lonely = any(one is not None and not one.received_samples for one in endpoints)
             self._stray_keys = self._strays.look(lonely=lonely, now_ns=now_ns)
@@ -455,7 +448,9 @@ class Service:
 
     def _make(self, leg: str, joints: int, now_ns: int) -> LegEndpoint:
         """Make what a new leg needs; not on the worker, which has no time for it."""
-        time.sleep(_MAKING_S)
+        # At most ten learners a second are made of legs that are not described: some 50 ms of a
+        # core for 16 joints, and the samples of the sixth leg wait in its queue.
+        time.sleep(0.1)
         return self._endpoint(leg, self._bank.make(leg, joints), joints, now_ns)
 
     def _endpoint(self, leg: str, learner: ContactLearner, joints: int, now_ns: int) -> LegEndpoint:

@@ -31,9 +31,6 @@ import time
 from collections.abc import Callable
 from typing import Final, TypeVar
 
-# A link that is cut sooner than one look after it was accepted can still hold a receiving thread
-# for 10 s.
-_LOOK_S: Final = 0.1
 # An honest put takes 0.05 ms; what goes on for this long is held up by a link.
 HELD_UP_NS: Final = 100_000_000
 # A live peer's kernel acknowledges what was sent even where its process gets no core, until its
@@ -122,7 +119,9 @@ class LinkSockets:
         return [inode for inode, (_, since) in queued.items() if now_ns - since >= STUCK_NS]
 
     def _work(self) -> None:
-        while not self._stop.wait(_LOOK_S):
+        # A link that is cut sooner than one look after it was accepted can still hold a receiving
+        # thread for 10 s.
+        while not self._stop.wait(0.1):
             try:
                 self.look(time.monotonic_ns())
             except OSError:  # no /proc, or no descriptor left

@@ -29,8 +29,6 @@ LEASE_S: Final = 3.0
 MOST_TICKS: Final = 400
 # Samples in one answer, of all legs: samples that come meanwhile wait for less than a millisecond.
 _MOST_ANSWERED: Final = 200
-# A question waits no longer for its answer.
-_ASK_S: Final = 0.5
 
 
 class Judged(NamedTuple):
@@ -179,7 +177,8 @@ class TraceReader:
         after = self._number
         asked = trace_key("*") if after < 0 else f"{trace_key('*')}?after={after}"
         traces = []
-        for reply in self._link.query(asked, timeout_s=_ASK_S):
+        # A question waits no longer for its answer.
+        for reply in self._link.query(asked, timeout_s=0.5):
             leg = leg_of_key(reply.key)
             if reply.error is not None or leg is None:
                 continue

@@ -30,8 +30,6 @@ _log = structlog.get_logger()
 LOOK_S: Final = 0.25
 STALL_S: Final = 1.0
 GIVE_UP_S: Final = 30.0
-# The last words, and then the stacks, are waited for so long each.
-_LAST_WORDS_S: Final = 1.0
 # EX_SOFTWARE of sysexits.h.
 EXIT_CODE: Final = 70
 
@@ -182,4 +180,4 @@ def _try(what: Callable[[], None]) -> None:
     thread = threading.Thread(target=what, name="last words", daemon=True)
     with contextlib.suppress(RuntimeError):  # no room for another thread
         thread.start()
-        thread.join(_LAST_WORDS_S)
+        thread.join(1.0)  # The last words, and then the stacks, are waited for so long each.

@@ -30,16 +30,10 @@ from adaptive_contact_sim.elements import JOINTS, LEGS
 _REACH_MARGIN_M = 0.002
 # Hexapod: neutral feet from the body's centre, as turning moves them.
 _OUTER_FOOT_M: Final = 0.22
-# Hexapod: a foot of a robot in pose, under its knee.
-_STANDING_M: Final = (0.115, 0.0, -0.165)
 # Damped least squares: damping, m; the largest step; when it is done, and when it is given up.
 _DAMPING_M: Final = 1e-3
 _STEP_RAD: Final = 0.4
 _EXACT_M: Final = 1e-6
-_ROUNDS: Final = 30
-# Of the way back to rest, the share that a round makes.
-_REST_SHARE: Final = 0.3
-_NEAR_M: Final = 1e-3
 
 
 class Geometry(ABC):
@@ -127,7 +121,8 @@ class LegGeometry(Geometry):
         self.nearest_m = float(nearest) + _REACH_MARGIN_M
         self.farthest_m = l1 + l2 - _REACH_MARGIN_M
         self.outer_foot_m = _OUTER_FOOT_M
-        self.standing_m = np.array(_STANDING_M)
+        # Hexapod: a foot of a robot in pose, under its knee.
+        self.standing_m = np.array((0.115, 0.0, -0.165))
         self.middle_rad = self.joints(self.standing_m)
 
     def neutral(self, reach_m: float, height_m: float) -> Array:
@@ -205,7 +200,7 @@ class ChainLegs(Geometry):
     def reachable(self, points_m: Array) -> Mask:
         """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
         off = np.linalg.norm(self.feet(self.joints(points_m)) - points_m, axis=-1)
-        return np.asarray(off < _NEAR_M)
+        return np.asarray(off < 1e-3)
 
     def joints(
         self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
@@ -216,12 +211,12 @@ class ChainLegs(Geometry):
         start = rest if near_rad is None else near_rad
         q = np.broadcast_to(start, (*shape, rest.shape[-1])).copy()
         damping = _DAMPING_M**2 * np.eye(3)
-        for _ in range(_ROUNDS):
+        for _ in range(30):
             foot, jacobian = self._linearized(q)
             error = points_m - foot
             back = np.zeros_like(q)
             if self._redundant:
-                back = _REST_SHARE * (rest - q)
+                back = 0.3 * (rest - q)
             elif float(np.abs(error).max()) < _EXACT_M:
                 break
             error = error - np.matmul(jacobian, back[..., None])[..., 0]

@@ -35,9 +35,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.link import Link, Request
 
-# Further behind than this, lost time is let go instead of caught up in a burst.
-_LET_GO_S = 0.5
-
 
 class Pace:
     """Waits for the next tick's moment; moments lie on a grid fixed at the start.
@@ -74,7 +71,8 @@ class Pace:
         if ahead > 0.0:
             return not stop.wait(ahead)
         self.late += 1
-        if ahead < -_LET_GO_S:
+        # Further behind than this, lost time is let go instead of caught up in a burst.
+        if ahead < -0.5:
             self._next = self._clock()
         return not stop.is_set()
 

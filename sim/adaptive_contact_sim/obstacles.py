@@ -29,8 +29,6 @@ Approach = Literal["descent", "slow", "forward", "graze"]
 _SHAPES: Final = ("plate", "sphere", "edge")
 # Share of its velocity that points into a surface the foot is to graze.
 _GRAZE_COSINE: Final = (0.08, 0.25)
-# Height of the foot sphere's centre over the sole, m: surfaces are put against the sole.
-_SOLE_M: Final = 0.008
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,9 @@ class ObstacleCourse:
             across = inward - (inward @ along) * along
             across /= max(float(np.linalg.norm(across)), 1e-9)
             normal = np.sqrt(1.0 - cosine**2) * across - cosine * along
-            centre = point_m - normal * (OBSTACLE_TOP_M[name] + _SOLE_M)
+            # Height of the foot sphere's centre over the sole, m: surfaces are put against the
+            # sole.
+            centre = point_m - normal * (OBSTACLE_TOP_M[name] + 0.008)
             mujoco.mju_quatZ2Vec(quaternion, normal)
         elif approach == "forward":
             name = "post"

@@ -91,15 +91,7 @@ class Stage:
 
 Pixels = NDArray[np.uint8]
 
-TOUCHING_RGBA: Final = (0.93, 0.16, 0.14, 1.0)
-FREE_RGBA: Final = (0.16, 0.55, 0.88, 1.0)
-_DISTANCE_M: Final = 0.95
-_AZIMUTH_DEG: Final = 128.0
-_ELEVATION_DEG: Final = -20.0
-_LOOK_AT_HEIGHT_M: Final = 0.07
 _EGL: Final = "run: apt install libegl1 libgl1-mesa-dri"
-# The camera follows the body with this lag, in frames, so that steps do not shake the picture.
-_FOLLOW_FRAMES: Final = 8.0
 
 
 class EnginePainter:
@@ -137,11 +129,11 @@ class EnginePainter:
         self._option = mujoco.MjvOption()
         self._rect = mujoco.MjrRect(0, 0, width, height)
         self._camera = mujoco.MjvCamera()
-        self._camera.distance = _DISTANCE_M
-        self._camera.azimuth = _AZIMUTH_DEG
-        self._camera.elevation = _ELEVATION_DEG
+        self._camera.distance = 0.95
+        self._camera.azimuth = 128.0
+        self._camera.elevation = -20.0
         self._camera.lookat[:] = stage.position_m
-        self._camera.lookat[2] = _LOOK_AT_HEIGHT_M
+        self._camera.lookat[2] = 0.07
         self._image = np.zeros((height, width, 3), dtype=np.uint8)
         self._toes = [model.geom(f"{leg}_toe").id for leg in stage.elements.layout.legs]
         model.geom_matid[self._toes] = -1
@@ -149,9 +141,13 @@ class EnginePainter:
     def paint(self, stage: Stage) -> Pixels:
         """Paint what is set up, feet that touch in red."""
         model, data = stage.model, stage.data
-        model.geom_rgba[self._toes] = np.where(stage.touching[:, None], TOUCHING_RGBA, FREE_RGBA)
+        model.geom_rgba[self._toes] = np.where(
+            stage.touching[:, None], (0.93, 0.16, 0.14, 1.0), (0.16, 0.55, 0.88, 1.0)
+        )
         centre = stage.position_m
-        self._camera.lookat[:2] += (centre[:2] - self._camera.lookat[:2]) / _FOLLOW_FRAMES
+        # The camera follows the body with this lag, in frames, so that steps do not shake the
+        # picture.
+        self._camera.lookat[:2] += (centre[:2] - self._camera.lookat[:2]) / 8.0
         self._context.make_current()
         mujoco.mjv_updateScene(
             model,
@@ -178,9 +174,6 @@ def _line(error: BaseException) -> str:
 
 # File kind -> width, height, control ticks per frame.
 _KINDS: Final = {".png": (960, 720, 1), ".gif": (480, 360, 4), ".mp4": (800, 600, 2)}
-_GIF_COLOURS: Final = 96
-# Painting takes three times the time that was filmed, and a gif grows by 0.3 MB per second.
-_LONGEST_S: Final = 300.0
 
 
 class Film:
@@ -206,7 +199,8 @@ class Film:
             importlib.import_module("PIL")
         self._width, self._height, self._every = _KINDS[self._kind]
         self._frame_s = self._every * sim.settings.period_s
-        self._most = round(_LONGEST_S / self._frame_s)
+        # Painting takes three times the time that was filmed, and a gif grows by 0.3 MB per second.
+        self._most = round(300.0 / self._frame_s)
         if self._kind == ".mp4":
             with needs("rendering to .mp4", "video"):
                 importlib.import_module("imageio.v2")
@@ -239,7 +233,7 @@ class Film:
         else:
             # One palette per frame, no dithering: flat colours stay flat, and compress.
             first, *rest = (
-                self._paint(moment).quantize(_GIF_COLOURS, method=2, dither=0) for moment in moments
+                self._paint(moment).quantize(96, method=2, dither=0) for moment in moments
             )
             data = _encoded(
                 first,

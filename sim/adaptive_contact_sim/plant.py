@@ -25,10 +25,6 @@ _ABSURD_JOINT_RAD_S: Final = 60.0
 _ABSURD_BODY: Final = 20.0
 # A touch is grazing when less than this share of the velocity points into the surface.
 GRAZING_COSINE: Final = 0.35
-# Radius of gyration of a lump of mud, m: a ball of 2.5 cm radius.
-_MUD_GYRATION_M: Final = 0.0158
-# A chattering foot touches every other step; a change of contact is judged 40 ms later.
-_TOUCHES_KEPT: Final = 64
 
 
 class Touch(NamedTuple):
@@ -109,9 +105,8 @@ class Plant:
         # Forces of the last tick's physics steps, and when parts came into contact.
         self.sensed = np.zeros((self.substeps, model.nsensordata))
         self.forces = np.zeros((self.substeps, legs))
-        self.touches: tuple[deque[Touch], ...] = tuple(
-            deque(maxlen=_TOUCHES_KEPT) for _ in layout.legs
-        )
+        # A chattering foot touches every other step; a change of contact is judged 40 ms later.
+        self.touches: tuple[deque[Touch], ...] = tuple(deque(maxlen=64) for _ in layout.legs)
         self._touching = [False] * legs
         self._contacts = 0
         self._velocity6 = np.zeros(6)
@@ -222,7 +217,8 @@ class Plant:
         # masses above zero.
         mass = np.maximum(self._mass_kg, 1e-9)
         self.model.body_mass[self.elements.payloads] = mass
-        self.model.body_inertia[self.elements.payloads] = mass[:, None] * _MUD_GYRATION_M**2
+        # Radius of gyration of a lump of mud, m: a ball of 2.5 cm radius.
+        self.model.body_inertia[self.elements.payloads] = mass[:, None] * 0.0158**2
         mujoco.mj_setConst(self.model, self._scratch)
 
     def _note_contacts(self) -> None:

@@ -33,10 +33,6 @@ from adaptive_contact_sim.walk import WalkMotion, WalkSettings
 
 MotionSettings: TypeAlias = PoseSettings | PoseGroupSettings | WalkSettings
 
-# Standing still before time zero, so that a run does not start with a fall.
-_SETTLE_S: Final = 1.0
-# Above the ground at first, m: a height field is touched nowhere at the start.
-_DROP_M: Final = 0.01
 # Streams of randomness of one run.  Their order is part of what a seed means: only append.
 _STREAMS: Final = ("encoder", "motion", "obstacles", "drift")
 
@@ -335,10 +331,12 @@ class Simulation:
         plant, g = self.plant, self.geometry
         feet = g.to_body(g.feet(self.motion.start_joints))
         ground = float(self.terrain.height_at(feet[:, 0], feet[:, 1]).max())
-        height = ground + self.motion.start_height_m + _DROP_M
+        # Above the ground at first, m: a height field is touched nowhere at the start.
+        height = ground + self.motion.start_height_m + 0.01
         plant.place(np.array([0.0, 0.0, height]), np.array([1.0, 0.0, 0.0, 0.0]), joints)
         plant.servos.write_goal(joints)
-        for _ in range(round(_SETTLE_S / self.settings.period_s)):
+        # Standing still before time zero, so that a run does not start with a fall.
+        for _ in range(round(1.0 / self.settings.period_s)):
             plant.advance()
         plant.start_clock()
         return self.truth.start(plant.forces.mean(axis=0), 0)

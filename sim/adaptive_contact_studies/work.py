@@ -42,8 +42,6 @@ LEARNER: Final = (
 )
 _CONNECT_S: Final = 10.0
 _IDLE_S: Final = 20
-# Between two lines of progress where there is no terminal.
-_LINE_S: Final = 20.0
 
 
 def rests_on(*sources: str) -> Callable[[F], F]:
@@ -195,7 +193,8 @@ class Work:
                 done += amount
                 bar.update(task, advance=amount)
                 now = time.monotonic()
-                if bar.disable and now - last > _LINE_S:
+                # Between two lines of progress where there is no terminal.
+                if bar.disable and now - last > 20.0:
                     last, minutes = now, (now - start) / 60
                     left = minutes * (total / done - 1.0)
                     share = f"{100 * done / total:.0f} % in {minutes:.0f} min"

@@ -40,9 +40,6 @@ from adaptive_contact.wire import MSGPACK, ContactTruth, encode, servo_key, trut
 _SHOWN: Final = 6
 # Begins a message that its recorder compressed by itself, and no CDR.
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
-_MOST_BYTES: Final = 1 << 20  # of such a message
-_PIECE_BYTES: Final = 1 << 20
-_NAME: Final = 60  # characters of a file's name in that of what it unpacks to
 # A file of a bag, packed or not, and what orders the files of one that was split.
 _FILE: Final = re.compile(r".*?(\d*)\.(?:mcap|db3)(?:\.zstd)?")
 _QUERY: Final = """
@@ -203,7 +200,8 @@ def _unpacked_file(path: Path) -> Iterator[Path]:
     if path.suffix != ".zstd":
         yield path
         return
-    with tempfile.NamedTemporaryFile(suffix=f"-{path.stem}"[-_NAME:]) as file:
+    # As many characters of a file's name are in that of what it unpacks to.
+    with tempfile.NamedTemporaryFile(suffix=f"-{path.stem}"[-60:]) as file:
         # Half of the disk is left to others.
         most = min(
             max(MAX_CHUNK_BYTES, MAX_RATIO * path.stat().st_size),
@@ -213,7 +211,7 @@ def _unpacked_file(path: Path) -> Iterator[Path]:
         try:
             with path.open("rb") as packed:
                 source = unpacker.stream_reader(packed, read_across_frames=True)
-                while piece := source.read(_PIECE_BYTES):
+                while piece := source.read(1 << 20):
                     if file.tell() + len(piece) > most:
                         raise RecordingError(
                             f"{path}: unpacks to more than {most >> 20} MB, expected at most "
@@ -240,7 +238,7 @@ def _unpacked(payload: bytes) -> bytes:
     if payload.startswith(_ZSTD):
         with contextlib.suppress(zstandard.ZstdError):
             unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
-            return unpacker.stream_reader(payload).read(_MOST_BYTES)
+            return unpacker.stream_reader(payload).read(1 << 20)
     return payload
 
 

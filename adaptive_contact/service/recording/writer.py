@@ -23,9 +23,6 @@ from adaptive_contact.wire import MSGPACK, Message, Rejected, decode, encode
 if TYPE_CHECKING:
     from adaptive_contact.service.recording.scene import Scene
 
-# 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small enough that a
-# damaged chunk costs little, large enough that zstd still halves it.
-CHUNK_BYTES: Final = 32 * 1024
 # A slow stream fills no chunk; it is written out once its oldest message is this old (log time).
 FLUSH_NS: Final = 1_000_000_000
 MAX_TIME_NS: Final = (1 << 64) - 1
@@ -94,7 +91,9 @@ class RecordingWriter:
         except OSError as error:
             raise self._failed(error) from error
         try:
-            self._writer = started_writer(self._file, CHUNK_BYTES, about or {})
+            # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small
+            # enough that a damaged chunk costs little, large enough that zstd still halves it.
+            self._writer = started_writer(self._file, 32 * 1024, about or {})
             self._file.flush()
         except OSError as error:
             self._abandon()

@@ -118,7 +118,6 @@ def _wanted(record: Record, identity: Identity) -> Record | Refused:
     return record
 
 
-_DIGEST_HEX: Final = 16
 # Formats of the file and of what the learner puts into it that a digest does not name.  Any later
 # one is part of it: a version with another format has files of its own, and a step back finds what
 # the version before has left.
@@ -167,4 +166,4 @@ def settings_digest(
     facts: tuple[object, ...] = (robot.period_s, robot.servo, leg, shape, baseline)
     if formats != _UNNAMED:
         facts += (formats,)
-    return hashlib.sha256(msgspec.json.encode(facts)).hexdigest()[:_DIGEST_HEX]
+    return hashlib.sha256(msgspec.json.encode(facts)).hexdigest()[:16]

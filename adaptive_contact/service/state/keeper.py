@@ -34,7 +34,6 @@ HANGS_S: Final = 10.0
 _END_S: Final = 4.0
 # Refusals listed in ServiceStatus; more than a robot has legs would not fit its 4 kB.
 _MOST: Final = 4
-_LINE: Final = 160
 _ERROR_LINE: Final = 320
 
 
@@ -157,7 +156,7 @@ class StateKeeper:
                 if found.seq is None:
                     return None
                 return Position(found.run, found.seq, found.missed_down, found.superseded)
-            why = " ".join(str(why).split())[:_LINE]
+            why = " ".join(str(why).split())[:160]
             _log.warning("state refused", leg=leg, file=path.name, why=why)
             self._refused.append(f"{path.name}: {why}")
             self._store.set_aside(path)

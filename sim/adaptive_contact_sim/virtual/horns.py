@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from adaptive_contact_sim.virtual.quadruped import QuadrupedPlant
 
 STEP_S: Final = 0.001
-# Steps made at one call: more would keep the bus waiting.
-_MOST_STEPS: Final = 5
 # Further behind than this, lost time is let go.
 LET_GO_S: Final = 0.5
 
@@ -106,7 +104,7 @@ class OnStand(Backend):
         if behind * STEP_S > LET_GO_S:
             self._start_s += behind * STEP_S
             behind = 0
-        for _ in range(min(behind, _MOST_STEPS)):
+        for _ in range(min(behind, 5)):  # Steps made at one call: more would keep the bus waiting.
             self.step()
         return self._start_s + (self._plant.steps + 1) * STEP_S
 

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -31,8 +31,6 @@ from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.horns import LET_GO_S, STEP_S, Horns
-
-_END_S: Final = 5.0
 
 
 class MadeTick(NamedTuple):
@@ -94,7 +92,7 @@ class ProcessSource:
 
     def __exit__(self, *_: object) -> None:
         self._pipe.close()
-        self._process.join(_END_S)
+        self._process.join(5.0)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()

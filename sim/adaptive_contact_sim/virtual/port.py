@@ -28,9 +28,7 @@ from adaptive_contact.bridge.tables import BAUDS
 from adaptive_contact_sim.virtual.faults import FaultSchedule
 from adaptive_contact_sim.virtual.servo import Refusal, VirtualServo
 
-_ALERT: Final = 0x80
 _INSTRUCTION_ERROR: Final = {1: 0x40, 2: 0x02}
-_BITS_PER_BYTE: Final = 10
 # Terminals' constants of rates.
 _SPEEDS: Final = {
     baud: s for baud in BAUDS if (s := getattr(termios, f"B{baud}", None)) is not None
@@ -75,7 +73,7 @@ class VirtualPort:
         self.requests = 0
         self.master = -1
         self._slave = -1
-        self._byte_s = _BITS_PER_BYTE / baud if wire_time else 0.0
+        self._byte_s = 10 / baud if wire_time else 0.0
         self._wire_time = wire_time
         self._listening = self.servos
         protocol = servos[0].model.protocol if servos else 1
@@ -256,7 +254,7 @@ class VirtualPort:
         spec = self.faults.strike("error", servo.id, elapsed_s)
         alert = servo.set_errors(0 if spec is None else spec.error(servo.model))
         if servo.model.protocol == 2:
-            alert = _ALERT if alert else 0
+            alert = 0x80 if alert else 0
         return status._replace(error=status.error | alert)
 
     def _answer_of(

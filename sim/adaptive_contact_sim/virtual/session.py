@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Final
 
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.errors import ConfigurationError
@@ -29,8 +28,6 @@ from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend
 from adaptive_contact_sim.virtual.physics import GaitedBackend, ProcessSource
-
-_LOCK: Final = ".in-use"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +88,7 @@ def _alone(directory: Path) -> Iterator[None]:
     """Two buses would take each other's links away; the lock of one that was killed is gone."""
     try:
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-        lock = os.fdopen(os.open(directory / _LOCK, flags, 0o600), "r+")
+        lock = os.fdopen(os.open(directory / ".in-use", flags, 0o600), "r+")
     except OSError as error:
         raise ConfigurationError(
             f"{directory}: cannot be written ({error.strerror}); give another --dir"

@@ -16,7 +16,6 @@ from adaptive_contact_studies.family.trials import table, trials
 from adaptive_contact_studies.work import Work
 
 _USAGE = "expected `learn FILE` or `try FOLDER`"
-_OUT = "out/prior"
 
 
 def main(arguments: list[str]) -> int:
@@ -24,7 +23,7 @@ def main(arguments: list[str]) -> int:
     console = Console(stderr=True)
     match arguments:
         case ["learn", file, *folder]:
-            family = learn_family(Work(Path(*folder or [_OUT]), 2, console=console))
+            family = learn_family(Work(Path(*folder or ["out/prior"]), 2, console=console))
             save_family(family, Path(file))
             print(f"{file}: {family.origin}")
         case ["try", folder]:

@@ -34,9 +34,7 @@ from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 # Legs the family is learned from; trials take seeds from 10,000 on.
 SEEDS: Final = range(400)
 _SWINGS: Final = 60
-_LEAST_TICKS: Final = 400
 _ROUNDS: Final = 40
-_FEW: Final = 1e-8  # added to a covariance, so that it can be inverted
 
 
 @dataclass(eq=False)
@@ -113,7 +111,8 @@ def maximise(joints: Sequence[JointRows]) -> FamilyFile:
             np.add.at(of_others, joint.kind, np.stack([rest, np.ones_like(rest)], axis=1))
         mean = np.linalg.solve(z.T @ z + 1e-3 * np.eye(z.shape[1]), z.T @ at).T
         away = at - z @ mean.T
-        covariance = (away.T @ away + (spread + spread.T) / 2) / len(joints) + _FEW * np.eye(own)
+        # The last term lets the covariance be inverted.
+        covariance = (away.T @ away + (spread + spread.T) / 2) / len(joints) + 1e-8 * np.eye(own)
         common = np.sqrt(of_common[:, 0] / of_common[:, 1])
         others = np.sqrt(of_others[:, 0] / np.maximum(of_others[:, 1], 1.0))
     quanta, slopes = _noise(joints)
@@ -150,7 +149,7 @@ def joints_of(_: Work, seed: int) -> list[JointRows]:
     free = untouched(run.t_ns, arrays.changes, round(robot.period_s * 1e9))
     judged = free & (swing_ticks(arrays.swing) > LIFT_OFF_TICKS)
     use = judged[rows.tick] & judged[rows.tick + 1]
-    if int(use.sum()) < _LEAST_TICKS:
+    if int(use.sum()) < 400:
         return []
     theta = library.evaluate(rows.measured[use], rows.desired[use], rows.preview[use])
     increment, tick = rows.increment[use] / library.slope_rad, rows.tick[use]

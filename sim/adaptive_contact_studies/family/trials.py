@@ -45,7 +45,6 @@ KINDS: Final = {
     "second generator stepping": 18,
 }
 EARLY: Final = 100  # swings
-_FIRST_SEED: Final = 20_000
 _PLATES: Final = {"pose": 0.5, "gait": 0.9}
 # Of the hexapod outside the family: friction over stall torque, twice the family's most, and the
 # slope over the one described, where the family's deviate by 8 %.
@@ -104,7 +103,7 @@ def table(found: Sequence[LegTrial]) -> str:
 def legs_of_run(_: Work, wanted: tuple[str, int]) -> list[LegTrial]:
     """Try the legs of a run of a kind."""
     kind, number = wanted
-    run, robot, baseline = _recorded(kind, _FIRST_SEED + number)
+    run, robot, baseline = _recorded(kind, 20_000 + number)
     played = play(run, robot, None)
     known: dict[str, LegOutcome] = {}
     if baseline is not None:

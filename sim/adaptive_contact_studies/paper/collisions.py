@@ -35,17 +35,11 @@ from adaptive_contact_studies.paper.plan import Plan
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
-_SEED: Final = 13
 # λ of both models, in units of the residual: the plateau of the identification study.
 _THRESHOLD: Final = 0.1
-_LONGEST_S: Final = 60.0
 _TICK_MS: Final = 1e3 * PERIOD_S
 # An event so late is none of the touch's.
 _LATEST_MS: Final = 120.0
-# What a drawing shows, ticks: the hold before the swing (no more, or the collision before would
-# be drawn), and some ticks from its last on.
-_BEFORE: Final = 3
-_MARGIN: Final = 10
 
 
 @rests_on(
@@ -111,8 +105,8 @@ def _recorded(train: Stream) -> Run:
     plates = ObstacleSettings(probability=1.0, shapes=("plate",))
     motion = PoseSettings(legs=(train.leg,), obstacles=plates)
     robot = train.piece.leg_run.robot_seed
-    settings = SimulationSettings(motion=motion, seed=_SEED, robot_seed=robot)
-    return record_run(simulation_of(settings), _LONGEST_S, legs=(train.leg,))
+    settings = SimulationSettings(motion=motion, seed=13, robot_seed=robot)
+    return record_run(simulation_of(settings), 60.0, legs=(train.leg,))
 
 
 def _latency(ticks: Ints, onset_ms: float) -> float | None:
@@ -127,7 +121,9 @@ def _trace(
 ) -> dict[str, Any]:
     """One collision's swing, in ms of the recording."""
     inside = np.flatnonzero(number == number[int(onset_ms // _TICK_MS)])
-    ticks = np.arange(max(inside[0] - _BEFORE, 0), min(inside[-1] + _MARGIN, len(number) - 1) + 1)
+    # What a drawing shows, ticks: the hold before the swing (no more, or the collision before would
+    # be drawn), and some ticks from its last on.
+    ticks = np.arange(max(inside[0] - 3, 0), min(inside[-1] + 10, len(number) - 1) + 1)
     return {
         "tick_ms": _TICK_MS * ticks,
         "tracking_deg": np.degrees(desired[np.maximum(ticks - 1, 0)] - measured[ticks]),

@@ -39,10 +39,6 @@ from adaptive_contact_studies.work import SIMULATOR, Work, rests_on
 TICK_NS: Final = 20_000_000
 # Ways drawn in vain before one is bent: the acceptance elsewhere is above a tenth.
 _TRIES: Final = 500
-# Stream of randomness of the motion, apart from the simulation's own.
-_MOTION_STREAM: Final = 0x90F3
-_HEIGHT_M: Final = 1.0
-_SETTLE_TICKS: Final = 50
 
 
 class PatientGeometry(LegGeometry):
@@ -128,7 +124,8 @@ def simulation_of(settings: SimulationSettings) -> Simulation:
     # Its own motion is made, and thrown away: over the paper's subspaces that always succeeds.
     harmless = replace(motion, workspace="paper", approach="descent")
     sim = Simulation(replace(settings, motion=harmless))
-    rng = np.random.default_rng([settings.seed, _MOTION_STREAM])
+    # Stream of randomness of the motion, apart from the simulation's own.
+    rng = np.random.default_rng([settings.seed, 0x90F3])
     sim.motion = PoseMotion(motion, PatientGeometry(), sim.courses[0], rng)
     return sim
 
@@ -180,7 +177,7 @@ def join(streams: Sequence[Stream]) -> Stream:
 def _hung_up(settings: GantrySettings, seconds: float) -> dict[str, LegArrays]:
     """Simulate all six legs in free air; no leg ever touches anything."""
     plant = Plant(
-        on_a_stand(_HEIGHT_M).compile(),
+        on_a_stand(1.0).compile(),
         manufactured(settings.robot_seed),
         period_s=PERIOD_S,
         supply_resistance_ohm=settings.supply_resistance_ohm,
@@ -196,7 +193,7 @@ def _hung_up(settings: GantrySettings, seconds: float) -> dict[str, LegArrays]:
     plant.joint_angles[:] = start
     mujoco.mj_forward(plant.model, plant.data)
     plant.servos.write_goal(start)
-    for _ in range(_SETTLE_TICKS):
+    for _ in range(50):
         plant.advance()
     n = round(seconds / PERIOD_S)
     measured, desired, angle = (np.zeros((n, N_SERVOS)) for _ in range(3))

@@ -27,8 +27,6 @@ from adaptive_contact.errors import RecordingError
 from adaptive_contact.service.recording.reader import MAX_CHUNK_BYTES, MAX_RATIO
 
 PERIOD_S: Final = 0.02
-# A recorded rate this far off 50 Hz is resampled.
-_RATE_TOLERANCE: Final = 0.05
 # Shorter than this says nothing.
 _MIN_ROWS: Final = 50
 # A hole in the time stamps ends a stretch.
@@ -214,7 +212,8 @@ def _repair(pos: Array) -> tuple[Array, int]:
 
 def _resample(t: Array, pos: Array, goal: Array) -> tuple[Array, Array]:
     """To 50 Hz: readings by interpolation, commands by holding the last one written."""
-    if abs(np.median(np.diff(t)) / PERIOD_S - 1.0) < _RATE_TOLERANCE:
+    # A recorded rate this far off 50 Hz is resampled.
+    if abs(np.median(np.diff(t)) / PERIOD_S - 1.0) < 0.05:
         return pos, goal
     grid = np.arange(t[0], t[-1], PERIOD_S)
     measured = np.stack([np.interp(grid, t, column) for column in pos.T], axis=1)

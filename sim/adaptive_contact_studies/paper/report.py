@@ -55,7 +55,6 @@ _LOOKS: Final = {
     "tracking": (PURPLE, "-", 1.4),
     "naive": (GREY, "-", 1.4),
 }
-_LIMITED: Final = ("default", "servo ratio", "paper rule", "tracking")
 # Of Figure 4: line and mark distinguish curves that lie on each other.
 _CURVES: Final = {
     "all": ("black", "-", "o"),
@@ -306,7 +305,7 @@ def _limits(data: Any) -> Figure:
         (left, "by_speed", "speed at touch (m/s), hard ground"),
         (right, "by_force", "force, mean over 20 ms (N)"),
     ):
-        for offset, name in enumerate(_LIMITED):
+        for offset, name in enumerate(("default", "servo ratio", "paper rule", "tracking")):
             bins = [b for b in data["figures"][name][field] if b["touches"]]
             # The last bin of the forces has no upper end.
             ends = np.array([(max(b["low"], 0.01), b["high"] or 2.5 * b["low"]) for b in bins])

@@ -20,8 +20,6 @@ from adaptive_contact_studies.paper.data import Stream
 PAPER_WINDOW: Final = Window(past_measured=2, past_desired=2, preview=1)
 # Rows whose regressors are held at once: 295 doubles each, some tens of megabytes.
 BLOCK: Final = 20_000
-# What a joint that never moves leaves as its residual, rad.
-_LEAST: Final = 1e-9
 # Fits that end so leave nothing but zeros: an error of theirs would be that of no prediction.
 NO_MODEL: Final = frozenset({FitStatus.TOO_FEW_ROWS, FitStatus.NOT_FINITE})
 _SEVERITY: Final = (
@@ -99,7 +97,8 @@ def worst(statuses: Iterable[FitStatus]) -> FitStatus:
 
 def residual_unit(least_squares: Fit) -> tuple[float, ...]:
     """(J,) the least-squares residual that λ is measured in, where there is one."""
-    return tuple(np.maximum(least_squares.rms, _LEAST).tolist())
+    # What a joint that never moves leaves as its residual, rad.
+    return tuple(np.maximum(least_squares.rms, 1e-9).tolist())
 
 
 def noise_floor() -> float:

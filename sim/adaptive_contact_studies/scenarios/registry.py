@@ -66,8 +66,6 @@ STEPS: Final = {
     "offset3": ("a horn slips by three steps", What("offset", 0.0153, turning=True)),
     "dropout3": ("3 % of readings stop coming", What("dropout", 0.03)),
 }
-# Those that walk, too.
-WALKING_STEPS: Final = ("friction4", "supply94", "compliance2", "joint6")
 
 
 def _without_drift(spec: RecordingSpec) -> RecordingSpec:
@@ -83,7 +81,7 @@ def steps(sizes: Sizes) -> list[Scenario]:
         _change(f"step-{name}", about, at_s, end_s, poses, what)
         for name, (about, what) in STEPS.items()
     ]
-    for name in WALKING_STEPS:
+    for name in ("friction4", "supply94", "compliance2", "joint6"):  # Those that walk, too.
         about, what = f"walking, all legs: {STEPS[name][0]}", STEPS[name][1]
         made.append(
             _change(f"walk-{name}", about, walk_at_s, walk_end_s, walks, what, swing_s=WALK_SWING_S)

@@ -24,15 +24,9 @@ _LEARNERS: Final = {
     Variant.FULL: (BLUE, 6, "full: the product"),
 }
 _STYLE: Final = {"font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False}
-# Recall lies close to one: drawn as the share missed, on a log scale that ends where a figure of
-# some thousand touches ends, too.
-_LEAST_MISSED: Final = 0.1
-_LEAST_RATE: Final = 0.5
 # Where no swing at all stands on a log scale, and where no end of them does.
 _NO_SWING: Final = 0.5
 _NEVER: Final = 400.0
-# Between the learners of a scenario, so that none hides another.
-_SPREAD: Final = 0.2
 
 
 def plain_number(value: float | None) -> str:
@@ -99,12 +93,15 @@ def draw_summary(results: Tree, path: Path) -> None:
     for row, tree in enumerate(trees.values()):
         for variant, own in tree["variants"].items():
             colour, size, label = _LEARNERS[Variant(variant)]
-            y = row + _SPREAD * (list(_LEARNERS).index(Variant(variant)) - 1)
+            # Between the learners of a scenario, so that none hides another.
+            y = row + 0.2 * (list(_LEARNERS).index(Variant(variant)) - 1)
             missed, alarms = own["judged"]["recall"], own["judged"]["per_robot_hour"]
             recovery: Tree = next(iter(own["recovery"].values()), {})
+            # Recall lies close to one: drawn as the share missed, on a log scale that ends where a
+            # figure of some thousand touches ends, too.
             x = (
-                None if missed is None else max(100.0 * (1.0 - missed), _LEAST_MISSED),
-                None if alarms is None else max(alarms, _LEAST_RATE),
+                None if missed is None else max(100.0 * (1.0 - missed), 0.1),
+                None if alarms is None else max(alarms, 0.5),
                 None if not recovery else _place(recovery["swings_median"]),
             )
             for ax, at in zip(axes, x, strict=True):

@@ -28,8 +28,6 @@ ALL_VARIANTS: Final = tuple(Variant)
 
 # What the learners start from: the shipped baseline, none, or that of the leg diagonally opposite.
 BaselineChoice = Literal["shipped", "none", "other_leg"]
-# A learner's second against a simulated one.
-_LEARNER_SHARE: Final = 0.06
 
 
 class Expect(enum.StrEnum):
@@ -103,7 +101,8 @@ class ReplaySpec:
     def work(self) -> float:
         """How long it takes, roughly: simulated seconds, and those that learners go through."""
         learners = len(self.variants) * len(self.recording.legs)
-        return self.recording.seconds * (1.0 + _LEARNER_SHARE * learners)
+        # A learner's second against a simulated one.
+        return self.recording.seconds * (1.0 + 0.06 * learners)
 
 
 @dataclass(frozen=True)
