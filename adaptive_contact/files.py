@@ -25,7 +25,6 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 
 # Of the name of a file in the name of the one beside it: a file system allows 255 bytes.
 _NAME_CHARACTERS: Final = 40
-_STANDARD_STREAMS: Final = (1, 2)
 _ADVICE: Final = "give a path in a folder that exists, is writable and has room"
 # Of a text that a person writes; 64 legs of 16 joints, with all that robot.toml says, have 174 kB.
 _MOST_TEXT_BYTES: Final = 256_000
@@ -199,7 +198,7 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
 
 def _standard_stream(found: os.stat_result) -> int | None:
     """The standard stream that goes to a file, if one does."""
-    for stream in _STANDARD_STREAMS:
+    for stream in (1, 2):
         with contextlib.suppress(OSError):  # it may be closed
             if os.path.samestat(os.fstat(stream), found):
                 return stream

@@ -5,10 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from typing import Final
-
-# Among real-time threads, below those of the kernel's interrupts (50).
-_PRIORITY: Final = 20
 
 
 def take_priority(below: int = 0) -> str | None:
@@ -23,7 +19,8 @@ def take_priority(below: int = 0) -> str | None:
     if not hasattr(os, "sched_setscheduler"):
         return "this system lets no process run before others; leave --realtime out"
     try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_PRIORITY - below))
+        # Among real-time threads, below those of the kernel's interrupts (50).
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(20 - below))
     except PermissionError:
         return (
             "no right to real-time priority; give it with: sudo setcap cap_sys_nice+ep "

@@ -39,12 +39,8 @@ _TIMEOUT: Final = -3001
 MODEL_NUMBER: Final = Block(0, 2)
 # For what has to succeed, outside the cycle.
 _TRIES: Final = 4
-# What arrives is waited out for so long at the most, before something is asked again.
-_SETTLE_S: Final = 0.5
-_QUIET_MS: Final = 100.0
 # Answers that came too late are waited for longer: twice as long each time, up to this.
 MOST_PATIENT_MS: Final = 400.0
-_SETTLE_BYTES: Final = 256
 # Of so many reads, so many garbled ones are no accident.
 _LOOKS, _GARBLED = 5, 3
 # What an answer takes at the least, with some wire and a computer in between.
@@ -222,7 +218,7 @@ class Bus:
         """Ask a servo for registers some times in a row."""
         return [self._ask(servo, block) for _ in range(_LOOKS)]
 
-    def settle(self, quiet_ms: float = _QUIET_MS) -> None:
+    def settle(self, quiet_ms: float = 100.0) -> None:
         """Wait until nothing arrives any more, outside the cycle.
 
         Where answers have come too late since the last time, it waits longer for all from now on.
@@ -235,10 +231,11 @@ class Bus:
         """
 
         def work() -> None:
-            end = time.monotonic() + _SETTLE_S
+            # What arrives is waited out for so long at the most, before something is asked again.
+            end = time.monotonic() + 0.5
             while time.monotonic() < end:
                 self._port.setPacketTimeoutMillis(quiet_ms)
-                if not self._port.readPort(_SETTLE_BYTES):
+                if not self._port.readPort(256):
                     return
                 self._count_late()
 

@@ -34,8 +34,6 @@ _RETRY_SHARE: Final = 0.4
 # Readings end this share of the period after the tick was due, also if servos are silent, so that
 # goals and samples go out in time; a tick that began late has the other share at the least.
 _END_SHARE, _LEAST_SHARE = 0.9, 0.4
-# A servo that has shut itself down is looked at again after so long.
-_LOOK_S: Final = 1.0
 # Settings of servos that are to be woken are read within this share of the period.
 _LEARN_SHARE: Final = 0.25
 # What alarms are about is asked for this share of the period at most, after the tick's own work.
@@ -102,7 +100,8 @@ class Cycle:
         # by leg; none where the port only observes
         self.drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
         self._lacking: dict[str, list[int]] = {}
-        self._look_every = round(_LOOK_S / plan.period_s)
+        # A servo that has shut itself down is looked at again after so long.
+        self._look_every = round(1.0 / plan.period_s)
         self._until_s = self._end_s = 0.0
         self._count = 0
         self._hurry_until = 0

@@ -34,7 +34,6 @@ from adaptive_contact.robot import Port
 
 # Start, eight data bits, stop.
 _BITS_PER_BYTE: Final = 10
-_FLUSH_BYTES: Final = 4096
 _ADAPTERS: Final = Path("/sys/bus/usb-serial/devices")
 
 
@@ -137,7 +136,7 @@ class SdkPort(PortHandler):
         # The SDK's way, tcflush, waits for the kernel's worker that hands bytes over, which on a
         # busy computer may wait itself: a cycle of 84 ms was seen.
         with contextlib.suppress(BlockingIOError):
-            while data := os.read(self._fd, _FLUSH_BYTES):
+            while data := os.read(self._fd, 4096):
                 self.arrived += data
 
     def readPort(self, length: int) -> bytes:

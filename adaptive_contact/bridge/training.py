@@ -37,9 +37,6 @@ HELD_TICKS, HELD_SWINGS = 25, 8
 _RISE_M: Final = 0.025
 # Ticks of an ascent and of a descent.
 _TICKS: Final = (9, 18)
-# Limits are kept off by this share of the range between them.
-_MARGIN: Final = 0.05
-_TRIES: Final = 400
 
 
 def free_swings(
@@ -66,7 +63,7 @@ def free_swings(
     lower, upper = home - amplitude_rad, home + amplitude_rad
     if leg.limits is not None:
         low, high = np.array(leg.limits.lower_rad), np.array(leg.limits.upper_rad)
-        margin = _MARGIN * (high - low)
+        margin = 0.05 * (high - low)  # Limits are kept off by this share of the range between them.
         # A joint that is found outside its limits may stay, and go no further out.
         lower = np.maximum(lower, np.minimum(low + margin, home))
         upper = np.minimum(upper, np.maximum(high - margin, home))
@@ -82,7 +79,7 @@ def free_swings(
 
 def _pair(leg: Leg, lower: Array, upper: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     assert leg.chain is not None
-    for _ in range(_TRIES):
+    for _ in range(400):
         one, other = rng.uniform(lower, upper), rng.uniform(lower, upper)
         heights = leg.chain.foot(np.stack([one, other]))[:, 2]
         if abs(heights[1] - heights[0]) >= _RISE_M:
@@ -107,9 +104,6 @@ def _move(
 
 # Goals of a leg, one per tick, given the first sample of it.
 Script = Callable[[ServoSample], Iterator[list[float]]]
-_END_S: Final = 5.0
-_FIRST_S: Final = 5.0  # for the first sample; ports wake their servos in a tenth of it
-_LOOK_S: Final = 0.1
 
 
 class _Basket:
@@ -190,12 +184,13 @@ def collect(
         threading.Thread(target=work, args=pair, name=f"port-{pair[0].name}", daemon=True)
         for pair in zip(plans, baskets, strict=True)
     ]
-    until = time.monotonic() + _FIRST_S + seconds
+    # Five for the first sample; ports wake their servos in a tenth of it
+    until = time.monotonic() + 5.0 + seconds
     for thread in threads:
         thread.start()
     try:
         swinging = False
-        while time.monotonic() < until and not end.wait(_LOOK_S):
+        while time.monotonic() < until and not end.wait(0.1):
             kept = _all(baskets)
             look(kept)
             if not swinging and any(kept.values()):
@@ -205,7 +200,7 @@ def collect(
     finally:
         halt.set()
         for thread in threads:
-            thread.join(_END_S)
+            thread.join(5.0)
     for basket in baskets:
         if basket.error is not None:
             raise basket.error

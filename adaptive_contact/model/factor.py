@@ -14,16 +14,11 @@ downdated, which would be numerically unsafe.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
 
 import numpy as np
 import scipy.linalg
 
 from adaptive_contact.arrays import Array
-
-# Raw rows wait until there are so many, or until they are needed: a tick that hands its rows over
-# does not pay for the factorisation, and one of a thousand rows costs less than ten of a hundred.
-COMPRESS_ROWS: Final = 4096
 
 
 class Factor:
@@ -87,7 +82,10 @@ class Factor:
 
     def _absorb(self, block: Array) -> None:
         self._waiting.append(block)
-        if sum(map(len, self._waiting)) > COMPRESS_ROWS:
+        # Raw rows wait until there are so many, or until they are needed: a tick that hands its
+        # rows over does not pay for the factorisation, and one of a thousand rows costs less than
+        # ten of a hundred.
+        if sum(map(len, self._waiting)) > 4096:
             self._compress()
 
     @property

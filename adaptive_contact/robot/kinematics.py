@@ -46,10 +46,6 @@ AXES: Final[dict[str, Vector]] = {
 }
 # Reach of the leg on which limits of lengths were measured: the PhantomX-class hexapod's.
 HEXAPOD_REACH_M: Final = 0.256
-# A joint that raises the foot by less than this share of the leg's reach per rad does not.
-_LEAST_RISE: Final = 1e-9
-# Postures that are looked at to find out; no joint is at a singularity in all of them.
-_POSTURES: Final = 16
 
 
 def axis_text(axis: str | Vector) -> str:
@@ -102,10 +98,10 @@ class Chain:
             return self._pitched
         joints = len(self.axes)
         # Multiples of irrational steps: spread over all postures, the same each time.
-        at = np.arange(1, _POSTURES + 1)[:, None] * np.sqrt(np.arange(2, 2 + joints))
-        return np.asarray(
-            np.abs(self.height_gradients(at)).max(axis=0) > _LEAST_RISE * self.reach_m
-        )
+        # Postures that are looked at to find out; no joint is at a singularity in all of them.
+        at = np.arange(1, 17)[:, None] * np.sqrt(np.arange(2, 2 + joints))
+        # A joint that raises the foot by less than this share of the leg's reach per rad does not.
+        return np.asarray(np.abs(self.height_gradients(at)).max(axis=0) > 1e-9 * self.reach_m)
 
     @cached_property
     def _pitched(self) -> Mask:

@@ -13,8 +13,6 @@ from adaptive_contact.score.outcome import Row
 from adaptive_contact.score.score import Score
 from adaptive_contact.score.summary import Interval, RowFigures, Summary
 
-JSON_VERSION: Final = 1
-
 _MEANING: Final = {
     Row.HEADLINE: "headline: hard, 0.2 m/s and more",
     Row.MID: "hard, 0.1 to 0.2 m/s",
@@ -31,7 +29,7 @@ _MEANING: Final = {
 def as_json(score: Score) -> dict[str, Any]:
     """Everything in a score, as a tree of numbers and texts; what is not known is None."""
     return {
-        "v": JSON_VERSION,
+        "v": 1,
         **summary_json(score.total),
         "legs": {leg: summary_json(summary) for leg, summary in score.legs.items()},
         "rejects": score.rejects,
