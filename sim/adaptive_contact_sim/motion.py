@@ -49,6 +49,3 @@ class Motion(Protocol):
 
     def step(self, world: World) -> Goal:
         """Goals to be written in this tick."""
-
-    def preview(self, ticks: int) -> Array:
-        """(L, ticks, J) rad, goals now planned for the ticks after this one."""

@@ -240,21 +240,6 @@ class PoseMotion:
             phase[leg] = "swing"
         return Goal(goal, tuple(phase))
 
-    def preview(self, ticks: int) -> Array:
-        """(L, ticks, J) rad, goals planned after this tick; the last repeats where none are."""
-        ahead = np.repeat(self._goals[:, None, :], ticks, axis=1)
-        plan, upcoming = self._plan, self._upcoming
-        own = plan.joints[plan.tick :]
-        if plan.frozen is not None:
-            own = np.repeat(plan.frozen[None], len(own), axis=0)
-        if upcoming.leg == plan.leg:
-            own = np.concatenate([own, upcoming.joints])
-        own = own[:ticks]
-        if len(own):
-            ahead[plan.leg] = own[-1]
-            ahead[plan.leg, : len(own)] = own
-        return ahead
-
     def _react(self, plan: _Plan, world: World, leg: int) -> None:
         """Stop the leg some time after a touch; the command until then goes on."""
         assert self.settings.react_ms is not None

@@ -10,9 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
-from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
 from adaptive_contact_sim.elements import LEGS
@@ -67,10 +64,3 @@ class PoseGroup:
             goal, leg = member.step(world), member.leg
             joints[leg], phase[leg] = goal.joints_rad[leg], goal.phase[leg]
         return Goal(joints, tuple(phase))
-
-    def preview(self, ticks: int) -> Array:
-        """(6, ticks, 3) rad, goals planned after this tick; the last repeats where none are."""
-        ahead = np.repeat(self.start_joints[:, None, :], ticks, axis=1)
-        for member in self.members:
-            ahead[member.leg] = member.preview(ticks)[member.leg]
-        return ahead

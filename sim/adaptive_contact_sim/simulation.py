@@ -50,7 +50,6 @@ class SimulationSettings:
     terrain: TerrainSettings = field(default_factory=lambda: TerrainSettings(kind="flat"))
     encoder: EncoderSettings = field(default_factory=EncoderSettings)  # reading noise and faults
     drift: tuple[Injection, ...] = ()  # what changes during the run
-    preview_ticks: int = 0  # goals to come that every sample carries
     epoch_ns: int = 0  # time stamp of tick 0
     run: int | None = None  # the `run` of the samples
     supply_resistance_ohm: float = 0.1  # of battery and wiring
@@ -72,8 +71,6 @@ class SimulationSettings:
                     f"robot '{self.robot}' does not move in workspace '{found}'; expected "
                     f"{own or 'a walk'}"
                 )
-        if not 0 <= self.preview_ticks <= 50:
-            raise ConfigurationError(f"preview of {self.preview_ticks} ticks; expected 0 to 50")
         if not 0.0 <= self.servo_spread <= 0.5:
             raise ConfigurationError(
                 f"servo spread is {self.servo_spread}; expected 0 to 0.5 (0.12 is typical)"
@@ -274,16 +271,12 @@ class Simulation:
         valid: list[list[bool]] | None = None
         if not self.reading.valid.all():
             valid = self.reading.valid.reshape(self._legs, -1).tolist()
-        preview: list[list[list[float]]] | None = None
-        if self.settings.preview_ticks:
-            preview = self.motion.preview(self.settings.preview_ticks).tolist()
         samples = {
             leg: ServoSample(
                 t_ns=t_ns,
                 seq=seq,
                 measured=measured[i],
                 desired=desired[i],
-                preview=None if preview is None else preview[i],
                 phase=self.phase[i],
                 valid=None if valid is None else valid[i],
                 run=self.settings.run,

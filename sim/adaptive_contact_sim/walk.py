@@ -223,27 +223,6 @@ class WalkMotion:
         phase: tuple[Phase, ...] = tuple("swing" if s else "stance" for s in self._swinging)
         return Goal(goal, phase)
 
-    def preview(self, ticks: int) -> Array:
-        """(L, ticks, J) rad, goals if nothing is touched: swings go on, stance feet stay."""
-        ahead = np.repeat(self._feet[:, None, :], ticks, axis=1)
-        own = self._own_clock()
-        for k in range(ticks):
-            progress = np.minimum((own + (k + 1) * self._rate * self._period_s) / self._share, 1.0)
-            points = self._swings.feet(progress)
-            if self._planned:  # the turn comes first
-                down = progress > DESCENT
-                points[down, 2] = np.maximum(points[down, 2], self._floor_m[down])
-            ahead[self._swinging, k] = points[self._swinging]
-            if self._sway is not None:
-                clock = self._clock + (k + 1) * self._rate * self._period_s
-                ahead[:, k] -= self._sway_at(clock)
-        return np.stack(
-            [self._geometry.joints(self._geometry.to_leg(ahead[:, k])) for k in range(ticks)],
-            axis=1,
-        )
-
-    # -- steering ------------------------------------------------------------------------------
-
     def _draw_waypoint(self) -> Array:
         return self._rng.uniform(-self._bound_m, self._bound_m, 2)
 

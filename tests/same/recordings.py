@@ -127,7 +127,10 @@ def _no_lengths() -> Recording:
 
 def _preview_library() -> Recording:
     """A baseline whose library looks one command ahead, learned here from free swings."""
-    recording = hexapod_pose(5204, preview_ticks=2, drift=change("supply", 9.5))
+    recording = hexapod_pose(5204, drift=change("supply", 9.5))
+    commands = [samples["rf"]["desired"] for samples in recording.rounds]
+    for number, samples in enumerate(recording.rounds[:-2]):
+        samples["rf"]["preview"] = commands[number + 1 : number + 3]
     robot = parse_robot(recording.robot, source="hexapod")
     run = record_arrays(SimulationSettings(seed=5205), 300.0)
     training = learn(

@@ -158,7 +158,6 @@ def hexapod_pose(
     drift: tuple[Injection, ...] = (),
     encoder: EncoderSettings | None = None,
     staging: Staging | None = None,
-    preview_ticks: int = 0,
 ) -> Recording:
     settings = SimulationSettings(
         motion=PoseSettings(
@@ -169,7 +168,6 @@ def hexapod_pose(
         seed=seed,
         drift=drift,
         encoder=encoder or EncoderSettings(),
-        preview_ticks=preview_ticks,
     )
     return hexapod(simulated(settings, seconds, ("rf",), staging))
 

@@ -62,9 +62,7 @@ def test_other_settings_another_trajectory(change: dict[str, float]) -> None:
 
 
 def test_samples_are_what_the_wire_promises() -> None:
-    sim = Simulation(
-        dataclasses.replace(EVERYTHING["walk"], epoch_ns=10**18, run=7, preview_ticks=3)
-    )
+    sim = Simulation(dataclasses.replace(EVERYTHING["walk"], epoch_ns=10**18, run=7))
     previous: dict[str, ServoSample] = {}
     invalid = 0
     for tick in sim.run(2.0):
@@ -73,7 +71,6 @@ def test_samples_are_what_the_wire_promises() -> None:
             assert decode(encode(sample), ServoSample, MSGPACK) == sample
             assert sample.run == 7
             assert sample.phase in ("swing", "stance")
-            assert np.shape(sample.preview) == (3, 3)
             steps = np.array(sample.desired) / QUANTUM_RAD
             assert np.allclose(steps, np.rint(steps))
             if leg in previous:
@@ -101,21 +98,6 @@ def test_dropped_readings_are_marked() -> None:
                     assert ok or now == last
             before[leg] = sample
     assert marked > 50
-
-
-def test_preview_of_a_pose_comes_true() -> None:
-    sim = Simulation(SimulationSettings(preview_ticks=2))
-    told: dict[int, list[float]] = {}
-    checked = 0
-    for tick in sim.run(4.0):
-        sample = tick.samples["rf"]
-        assert sample.preview is not None
-        if sample.seq in told and sample.phase == "swing":
-            # The preview is the goal before its register rounds it.
-            assert np.abs(np.array(told[sample.seq]) - sample.desired).max() <= QUANTUM_RAD
-            checked += 1
-        told[sample.seq + 1] = sample.preview[0]
-    assert checked > 60
 
 
 def test_truth_tells_what_was_touched() -> None:
@@ -152,8 +134,6 @@ def test_truth_is_told_in_order_and_soon() -> None:
 
 
 def test_settings_are_checked() -> None:
-    with pytest.raises(ConfigurationError, match="preview"):
-        SimulationSettings(preview_ticks=-1)
     with pytest.raises(ConfigurationError, match="spread"):
         SimulationSettings(servo_spread=2.0)
     with pytest.raises(ConfigurationError, match="whole number"):

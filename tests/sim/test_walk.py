@@ -151,27 +151,6 @@ def test_a_stale_word_of_the_service_does_not_stop_the_next_swing() -> None:
         assert free.phase == stale.phase
 
 
-def test_preview_continues_swings() -> None:
-    sim = Simulation(
-        SimulationSettings(
-            motion=WalkSettings(stop_on="never"),
-            terrain=TerrainSettings(kind="flat"),
-            preview_ticks=1,
-        )
-    )
-    errors = []
-    before = None
-    for tick in sim.run(4.0):
-        if before is not None:
-            for leg in LEGS:
-                now, last = tick.samples[leg], before[leg]
-                if now.phase == last.phase == "swing" and last.preview is not None:
-                    errors.append(np.abs(np.array(last.preview[0]) - now.desired).max())
-        before = tick.samples
-    assert len(errors) > 300
-    assert np.percentile(errors, 95) < 0.01
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
