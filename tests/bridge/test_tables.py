@@ -9,25 +9,10 @@ import pytest
 
 from adaptive_contact.bridge.tables import (
     MODELS,
-    ServoModel,
-    model_of_number,
     models_named,
     number_name,
 )
 from adaptive_contact.errors import ConfigurationError
-
-
-def test_every_model_has_a_number_of_its_own_and_a_manual() -> None:
-    assert len({model.number for model in MODELS}) == len({m.name for m in MODELS}) == len(MODELS)
-    assert all(model.manual.startswith("https://emanual.robotis.com/docs/en/") for model in MODELS)
-    assert all(model_of_number(model.number) is model for model in MODELS)
-    assert all(models_named(model.name) == (model,) for model in MODELS)
-
-
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
-def test_registers_of_a_model_do_not_overlap(model: ServoModel) -> None:
-    taken = [at for r in model.registers.values() for at in range(r.address, r.address + r.size)]
-    assert len(taken) == len(set(taken))
 
 
 def test_every_register_is_where_others_tools_have_it() -> None:

@@ -105,14 +105,6 @@ def test_time_that_was_lost_is_let_go() -> None:
     assert due == pytest.approx(30.0, abs=0.01)
 
 
-@pytest.mark.parametrize(("name", "protocol"), [("AX-12A", 1), ("XL330-M288", 2)])
-def test_mounting_is_undone_by_the_description(name: str, protocol: int) -> None:
-    text_horns = Horns(np.array([-1.0]), np.array([0.3]))
-    assert text_horns.joint(0, text_horns.horn(0, 0.77)) == pytest.approx(0.77)
-    servo = VirtualServo(1, models_named(name)[0], KinematicBackend(1), 0, np.random.default_rng(1))
-    assert servo.model.protocol == protocol
-
-
 def test_registers_refuse_what_real_ones_refuse() -> None:
     backend = KinematicBackend(1)
     model = models_named("XL330-M288")[0]
@@ -206,17 +198,6 @@ def test_torque_on_an_x_servo_does_not_jump() -> None:
     assert backend.angle(0) == pytest.approx(-0.5, abs=0.01)
 
 
-def test_the_light_backend_agrees_with_small_steps() -> None:
-    """Its closed form against the same law integrated slowly."""
-    fast, slow = KinematicBackend(1), 0.0
-    fast.set_goal(0, 1.0)
-    fast.advance(0.0)
-    fast.advance(0.3)
-    for _ in range(300_000):
-        slow += 1e-6 * np.clip((1.0 - slow) / 0.03, -5.0, 5.0)
-    assert fast.angle(0) == pytest.approx(slow, abs=1e-3)
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -247,13 +228,6 @@ def test_faults_strike_when_and_whom_they_should() -> None:
     assert schedule.strike("silent", 3, 7.0) is None
 
 
-@pytest.mark.parametrize("ports", range(1, 7))
-def test_a_robot_gets_as_many_ports_as_were_asked_for(ports: int) -> None:
-    plans = plan_ports(with_ports(shipped_robot(), Path("x"), ports))
-    assert len(plans) == ports
-    assert sum(len(plan.legs) for plan in plans) == 6
-
-
 def test_the_quadrupeds_description_fits_its_model() -> None:
     robot = shipped_robot("quadruped")
     rng = np.random.default_rng(3)
@@ -279,18 +253,6 @@ def test_the_quadruped_follows_its_bus() -> None:
         now += 0.001
         backend.advance(now)
     assert [backend.angle(i) for i in range(8)] == pytest.approx([-0.8] * 8, abs=0.1)
-
-
-def test_quadruped_scenarios_are_permanent_and_repeat() -> None:
-    assert [s.name for s in SCENARIOS] == [
-        "quadruped-free",
-        "quadruped-collisions",
-        "quadruped-soft",
-        "quadruped-worn",
-        "quadruped-battery",
-    ]
-    short = dataclasses.replace(SCENARIOS[1], seconds=3.0)
-    assert record(short) == record(short)
 
 
 def test_the_shipped_quadruped_baseline_detects() -> None:

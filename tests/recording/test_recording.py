@@ -333,12 +333,6 @@ def test_an_error_in_the_block_still_leaves_a_whole_file(tmp_path: Path) -> None
     assert not recording.truncated
 
 
-def test_the_same_messages_make_the_same_file(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        write_walk(tmp_path / name, 60)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 def test_a_ring_of_files_keeps_the_newest(tmp_path: Path) -> None:
     scene = Scene(shipped_robot("hexapod"))
     with SplitWriter(tmp_path / "walk.mcap", {"key": "robot/**"}, scene, 1.0, 2) as writer:

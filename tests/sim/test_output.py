@@ -52,12 +52,6 @@ def test_a_recording_is_the_run(tmp_path: Path) -> None:
     assert drift.log_time_ns == 1_000_000_000
 
 
-def test_the_same_run_is_the_same_file(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        record_file(WALK, 2.0, tmp_path / name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 def test_a_recording_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot be written"):
         record_file(WALK, 1.0, tmp_path / "none" / "walk.mcap")

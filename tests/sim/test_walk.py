@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.gait import GAITS, Swings
+from adaptive_contact_sim.gait import Swings
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
@@ -23,20 +23,6 @@ def walk(gait: str = "tripod", kind: str = "rough", seconds: float = 20.0, **mot
         ),
         seconds,
     )
-
-
-@pytest.mark.parametrize(("name", "most"), [("tripod", 3), ("ripple", 2), ("wave", 1)])
-def test_gaits_never_lift_too_many(name: str, most: int) -> None:
-    gait = GAITS[name]
-    for clock in np.linspace(0.0, 1.0, 1000, endpoint=False):
-        up = [(clock + offset) % 1.0 < gait.share for offset in gait.offsets]
-        assert sum(up) <= most
-        if name == "tripod" and any(up):
-            assert up in ([True, False] * 3, [False, True] * 3)
-        if name == "ripple":
-            # Never two neighbours on one side.
-            for a, b in ((0, 1), (1, 2), (3, 4), (4, 5)):
-                assert not (up[a] and up[b])
 
 
 def test_swing_lifts_then_moves_then_comes_down() -> None:
