@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,28 +11,23 @@ import typer
 
 from adaptive_contact.cli._options import (
     Commands,
-    ForceOption,
     JsonOption,
     StateOption,
-    check_output,
     option,
 )
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError, reason_of
-from adaptive_contact.files import write_file
 from adaptive_contact.printable import printable
 from adaptive_contact.service.settings import shown_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from rich.table import Table
 
-    from adaptive_contact.service.state import Record, Stored
+    from adaptive_contact.service.state import Stored
 
-app = Commands(
-    help="Show, export or forget what the service has learned and kept.", no_args_is_help=True
-)
+app = Commands(help="Show or forget what the service has learned and kept.", no_args_is_help=True)
 
 RobotOption = Annotated[str | None, option("--robot", "Only of this robot.", "NAME")]
 LegOption = Annotated[str | None, option("--leg", "Only of this leg.", "ID")]
@@ -93,36 +86,6 @@ def _table(found: Sequence[Stored], rows: Sequence[dict[str, Any]]) -> Table:
 
 
 @app.command()
-def export(
-    out: Annotated[Path, typer.Argument(metavar="FILE.json", help="Where to.")],
-    state: StateOption = None,
-    robot: RobotOption = None,
-    leg: LegOption = None,
-    force: ForceOption = False,
-) -> None:
-    """Write the newest sound state of every leg as JSON, for people and other programs.
-
-    Arrays become lists.  To move state to another computer, copy the folder instead.
-    """
-    check_output(out, "FILE", force=force)
-    import msgspec
-
-    newest: dict[tuple[str, ...], Record] = {}
-    for record in _records(_found(state, robot, leg)):
-        key = tuple(msgspec.structs.astuple(record.identity))
-        if key not in newest or record.saved_ns > newest[key].saved_ns:
-            newest[key] = record
-    if not newest:
-        raise ConfigurationError(f"nothing to export: no sound state in {_folder(state)}")
-    legs = [
-        _plain(msgspec.to_builtins(record, builtin_types=(bytes,))) for record in newest.values()
-    ]
-    data = msgspec.json.encode({"format": 1, "legs": legs})
-    write_file(out, data)
-    say(f"wrote {len(legs)} legs to {shown_path(out)} ({len(data) / 1e6:.1f} MB)")
-
-
-@app.command()
 def reset(
     state: StateOption = None,
     robot: RobotOption = None,
@@ -170,7 +133,8 @@ def reset(
 
 def _nothing_of(state: Path | None, root: Path, robot: str | None, leg: str | None) -> str:
     """One line for a robot or a leg that nothing is kept of, with what there is."""
-    kept = sorted({(r.identity.robot, r.identity.leg) for r in _records(_found(state, None, None))})
+    rows = map(_row, _found(state, None, None))
+    kept = sorted({(row["robot"], row["leg"]) for row in rows if row["refused"] is None})
     asked = " of ".join(
         [*([f"leg '{leg}'"] if leg else []), *([f"robot '{robot}'"] if robot else [])]
     )
@@ -221,17 +185,6 @@ def _is_named(path: Path, root: Path, robot: str | None, leg: str | None) -> boo
     return of_robot and (leg is None or is_of_leg(path, leg))
 
 
-def _records(found: Iterable[Stored]) -> Iterable[Record]:
-    """The sound ones; of those that the service set aside, the learner knows why."""
-    from adaptive_contact.service.state import Refused
-
-    return [
-        stored.record
-        for stored in found
-        if not isinstance(stored.record, Refused) and stored.path.suffix != ".refused"
-    ]
-
-
 def _row(stored: Stored) -> dict[str, Any]:
     from adaptive_contact.service.state import Refused
 
@@ -252,21 +205,6 @@ def _row(stored: Stored) -> dict[str, Any]:
     if stored.path.suffix == ".refused":
         row["refused"] = "refused by the service; the log says why"
     return row
-
-
-def _plain(value: Any) -> Any:
-    """A snapshot without bytes: arrays of float64 with their shape become lists, others base64."""
-    import numpy as np
-
-    if isinstance(value, dict):
-        shape = value.get("shape")
-        data = [item for item in value.values() if isinstance(item, bytes)]
-        if isinstance(shape, list) and len(data) == 1 and len(data[0]) == 8 * math.prod(shape):
-            return np.frombuffer(data[0], "<f8").reshape(shape).tolist()
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    return base64.b64encode(value).decode() if isinstance(value, bytes) else value
 
 
 def _duration(seconds: float) -> str:

@@ -32,7 +32,6 @@ WRITTEN: dict[tuple[str, ...], tuple[str, ...]] = {
     ("robot", "check", "picture"): ("--picture", "FILE"),
     ("robot", "learn", "out"): ("--out", "FILE"),
     ("robot", "learn", "recording"): ("--recording", "FILE"),
-    ("state", "export", "out"): ("FILE",),
     ("demo", "out"): ("--out", "FOLDER/summary.json"),
     ("bench", "out"): ("--out", "FOLDER/bench.json"),
     ("paper", "docs"): ("--docs", "FILE"),

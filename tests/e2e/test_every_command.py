@@ -52,7 +52,6 @@ sim walk &
 sim inject friction --value 2
 kill
 state show
-state export state.json
 state reset
 """
 # What is wrong, and what the one line says; it ends with code 2, and no file is left.
@@ -99,7 +98,6 @@ REFUSED = {
     "sim list extra": "unexpected extra argument",
     "sim pose --leg zz --offline --seconds 1": "legs to move are ['zz']",
     "sim walk --gait nosuch --offline": "no gait 'nosuch'",
-    "state export x.json --state nosuch": "nosuch is no folder",
     "state reset --state nosuch": "nosuch is no folder",
     "state show --state nosuch": "nosuch is no folder",
     "watch --once --wait 1:30": "such as 90s, 10m or 1h30m",

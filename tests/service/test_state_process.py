@@ -1,4 +1,4 @@
-"""`serve --state` and `state show|export|reset` as processes, killed and restarted."""
+"""`serve --state` and `state show|reset` as processes, killed and restarted."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ def test_contradictory_options_get_one_line(serve: Any, tmp_path: Path) -> None:
     assert "--state and --no-state contradict each other" in served.log.read_text()
 
 
-def test_show_export_and_reset(
+def test_show_and_reset(
     serve: Any, join: Join, inbox: Any, sample: Sample, state: Any, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -257,20 +257,12 @@ def test_show_export_and_reset(
     ]
     assert max(map(len, out.splitlines()[1:5])) <= 80
 
-    exported = tmp_path / "out.json"
-    code, out, _ = state("export", str(exported), "--state", str(folder))
-    assert (code, out.startswith("wrote 1 legs")) == (0, True)
-    (leg,) = json.loads(exported.read_text())["legs"]
-    assert (leg["identity"]["leg"], leg["body"]["contacts"]) == ("rf", 2)
-
     # What the learner refused is no state to go on from, whole as it may be.
     whole = Path(rows[1]["file"])
     aside = whole.with_name(f"{whole.name}.refused")
     whole.rename(aside)
     for before in folder.glob("*/*.before"):
         before.unlink()
-    code, _, error = state("export", str(exported), "--state", str(folder), "--force")
-    assert (code, "nothing to export" in error) == (2, True)
     _, out, _ = state("show", "--state", str(folder), "--leg", "rf")
     assert "state.refused" in out
     aside.rename(whole)
