@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from adaptive_contact.cli._output import say_waiting
 from adaptive_contact.errors import LinkError
+from adaptive_contact.service.settings import Finding, LinkSettings
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import Link
-    from adaptive_contact.service.settings import Finding, LinkSettings
 
 
 def open_link(

@@ -23,7 +23,12 @@ from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content, why_not_writable
 from adaptive_contact.learn.mode import WhenAmbiguous
-from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
+from adaptive_contact.service.settings import (
+    DEFAULT_ENDPOINT,
+    LinkSettings,
+    client_settings,
+    shown_path,
+)
 
 if TYPE_CHECKING:
     from adaptive_contact.model import Baseline
@@ -414,7 +419,6 @@ def learned_of(
     """What is learned of a robot already, by ``--baseline`` or with its description; its origin."""
     from adaptive_contact.model.model_file import load_baseline, shipped_baseline
     from adaptive_contact.robot.load import is_shipped
-    from adaptive_contact.service.settings import shown_path
 
     if baseline is not None:
         return load_baseline(baseline), shown_path(baseline)

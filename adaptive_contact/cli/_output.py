@@ -20,11 +20,10 @@ import sys
 from typing import TYPE_CHECKING, Final, TextIO
 
 from adaptive_contact.printable import printable, printable_json
+from adaptive_contact.service.settings import Finding
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
-
-    from adaptive_contact.service.settings import Finding
 
 
 _LONGEST: Final = 2000  # characters of a line

@@ -10,6 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from rich import box
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import (
@@ -19,20 +24,18 @@ from adaptive_contact.cli._bus import (
     plans_of,
     shake_hands,
 )
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.settings import LinkSettings
+from adaptive_contact.wire import ALL_SERVO, Rejected, ServoSample, decode, leg_of_key
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.livecheck import LegView, LiveReport
-    from adaptive_contact.service.settings import LinkSettings
-    from adaptive_contact.wire import ServoSample
 
 # What a leg at rest gives way by, mm; less is friction and rounding.
 _LEAST_SAG_MM: Final = 1.0
@@ -59,12 +62,8 @@ def check_live(
     Raises:
         NoRouterError: there is no router.
     """
-    from rich.live import Live
-
-    from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.livecheck import LiveCheck
-    from adaptive_contact.wire import ALL_SERVO
 
     waiting: deque[Received] = deque(maxlen=50_000)
     check = LiveCheck(robot)
@@ -116,7 +115,6 @@ def collect_live(
         ConfigurationError: no samples of these legs came.
     """
     from adaptive_contact.service.link import Link
-    from adaptive_contact.wire import ALL_SERVO, Rejected, ServoSample, decode, leg_of_key
 
     waiting: deque[Received] = deque()
     kept: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
@@ -150,7 +148,6 @@ def collect_live(
 
 
 def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
-    from rich.text import Text
 
     from adaptive_contact.cli.doctor import print_findings
 
@@ -214,9 +211,6 @@ def report_lines(report: LiveReport) -> list[str]:
 def legs_table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Table:
     """Every joint as it is now, and where the foot is by the description, in so many columns."""
     import numpy as np
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), caption_justify="left")
     columns = ["leg", "Hz", "joint", "wire", "angle", "range", "goal", "sign", "limits", "foot"]
@@ -353,10 +347,6 @@ def _check_bus(
         from adaptive_contact.bridge.compare import compare, read_servos
         from adaptive_contact.bridge.training import collect
 
-    from rich.live import Live
-
-    from adaptive_contact.cli._console import table_console
-
     plans = plans_of(robot, config, device)
     shake_hands(plans)
     for line in compare(read_servos(plans)):
@@ -388,8 +378,6 @@ def _check_bus(
 def _joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]]) -> Table:
     """Every joint as it is now, and how far it was moved."""
     import numpy as np
-    from rich import box
-    from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("leg", "joint", "id", "angle", "moved", "goal", "sign", "offset", "limits"):

@@ -15,6 +15,7 @@ from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, shake_h
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
+from adaptive_contact.wire import ServoSample, servo_key
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.fit.train import Stretch, Training
     from adaptive_contact.robot import Robot
-    from adaptive_contact.wire import ServoSample
 
 # Free ticks per term of the library below which a fit is refused (adapt.training).
 _LEAST_ROWS: Final = 4
@@ -262,7 +262,6 @@ def keep(samples: Mapping[str, Sequence[ServoSample]], path: Path, robot: Robot)
     """
     from adaptive_contact.service.recording import RecordingWriter
     from adaptive_contact.service.recording.scene import Scene
-    from adaptive_contact.wire import servo_key
 
     about = {"robot": robot.name, "by": "adaptive-contact robot learn"}
     rows = [(row.t_ns, leg, row) for leg, of_leg in samples.items() for row in of_leg]

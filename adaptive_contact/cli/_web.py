@@ -15,9 +15,9 @@ from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, stoppable
 from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.settings import Finding, LinkSettings
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.settings import Finding, LinkSettings
     from adaptive_contact.web import LivePage, WebSettings
 
 WEB_PANEL = "Live page"

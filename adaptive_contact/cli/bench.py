@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
+from rich.table import Table
+
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import (
     BaselineOption,
     ForceOption,
@@ -15,6 +18,7 @@ from adaptive_contact.cli._options import (
 )
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._sim_options import needs_studies
+from adaptive_contact.errors import BaselineError
 from adaptive_contact.files import write_file
 
 if TYPE_CHECKING:
@@ -44,9 +48,7 @@ def bench(
     import dataclasses
 
     import msgspec
-    from rich.table import Table
 
-    from adaptive_contact.errors import BaselineError
     from adaptive_contact.model.model_file import load_baseline, shipped_baseline
     from adaptive_contact.robot import shipped_robot
     from adaptive_contact.score.tables import summary_json
@@ -59,8 +61,6 @@ def bench(
         from adaptive_contact_studies.paper.plan import FULL
         from adaptive_contact_studies.speed import tick_speed
         from adaptive_contact_studies.work import Work
-
-    from adaptive_contact.cli._console import table_console
 
     robot = shipped_robot()
     known = shipped_baseline(robot.name) if baseline is None else load_baseline(baseline)
@@ -118,9 +118,7 @@ def bench(
 
 
 def _print_rows(rows: dict[str, Summary]) -> None:
-    from rich.table import Table
 
-    from adaptive_contact.cli._console import table_console
     from adaptive_contact.score import Row
 
     console = table_console()

@@ -19,11 +19,12 @@ from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import ConfigurationError, needs
+from adaptive_contact.priority import take_priority
+from adaptive_contact.service.settings import Finding
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.service.link import LinkSettings
-    from adaptive_contact.service.settings import Finding
     from adaptive_contact_sim.virtual.session import VirtualPlan
 
 
@@ -56,7 +57,6 @@ def ros2(
     """Relay joint states of ROS 2 (rmw_zenoh) to the service, and contacts back; no ROS needed."""
     make_stdout_optional()
     stop = opt.stoppable()
-    from adaptive_contact.priority import take_priority
     from adaptive_contact.service.link import Link
 
     robot = opt.described_robot(config)
@@ -346,8 +346,6 @@ def virtual(*, bus: VirtualOptions) -> None:
 
         plan = bus.plan()
     if bus.realtime:
-        from adaptive_contact.priority import take_priority
-
         refused = take_priority()
         if refused is not None:
             say(f"adaptive-contact bridge virtual: {refused}", err=True)

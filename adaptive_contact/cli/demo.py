@@ -16,7 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
+from rich.console import Group
+from rich.live import Live
 
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import (
     ForceOption,
     flatten,
@@ -29,6 +32,7 @@ from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.cli._web import WEB_PANEL, Page, live_page
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
+from adaptive_contact.files import write_file
 
 if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
@@ -199,7 +203,6 @@ class _Demo:
         import msgspec
 
         from adaptive_contact.cli._replay_plot import write_plot
-        from adaptive_contact.files import write_file
         from adaptive_contact.learn.mode import LearnerMode
         from adaptive_contact.score.tables import as_json
 
@@ -277,9 +280,6 @@ class _Table:
     _EVERY_S: Final = 5.0
 
     def __init__(self, words: Any) -> None:
-        from rich.live import Live
-
-        from adaptive_contact.cli._console import table_console
 
         self._words, self._console, self._next_s = words, table_console(), 0.0
         self._live = Live(console=self._console, auto_refresh=False)
@@ -294,8 +294,6 @@ class _Table:
 
     def look(self, view: Any, walked_s: float) -> None:
         """Redraw the table, or print a line if one is due."""
-        from rich.console import Group
-
         from adaptive_contact.service.watch_table import table
 
         words = self._words(walked_s)

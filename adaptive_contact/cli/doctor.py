@@ -5,20 +5,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import seconds_option
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.printable import printable
+from adaptive_contact.service.findings import Finding, Level
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rich.console import Console
-    from rich.table import Table
-
     from adaptive_contact.service.doctor import Diagnosis
-    from adaptive_contact.service.findings import Finding, Level
 
 _COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
@@ -54,10 +56,6 @@ def doctor(
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """What was found, for a person."""
-    from rich.text import Text
-
-    from adaptive_contact.cli._console import table_console
-
     console = table_console(pipe_width=140)
     if diagnosis.router != "connected":
         console.print(Text(f"router   {diagnosis.router_line}", style="bold red"))
@@ -79,8 +77,6 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
     """What is wrong, each with its remedy."""
-    from rich.text import Text
-
     for finding in findings:
         line = Text(f"{finding.level}: ", style=_COLOURS[finding.level])
         legs = printable(" ".join(finding.legs))
@@ -92,10 +88,6 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 def traffic_table(diagnosis: Diagnosis) -> Table:
     """Make the table of the keys that were heard."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
     shown = Table(box=box.SIMPLE_HEAD)
     shown.add_column("key", no_wrap=True)  # the others give way on a narrow terminal
     for name in ("messages/s", "bytes/s", "mean size"):

@@ -7,18 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from rich.table import Table
 
 from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
+from adaptive_contact.service.findings import REFUSED_FOR, SPOILS, Cause, Finding, of_legs
+from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
 if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.fit.train import LegFigures, Training
     from adaptive_contact.robot import Robot
-    from adaptive_contact.service.findings import Finding
-    from adaptive_contact.wire import Rejected, ServoSample
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -122,10 +124,8 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> Gath
         ConfigurationError: no tick of a recording shows how a leg moves.
     """
     from adaptive_contact.fit.recordings import LegGatherer
-    from adaptive_contact.service.findings import of_legs
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.recording import read_recording
-    from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
     legs = Gathered({leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs})
     strangers: set[str] = set()
@@ -181,8 +181,6 @@ def _tell_unused(
     legs: Mapping[str, LegGatherer], causes: Mapping[str, set[str]], period_s: float
 ) -> None:
     """One line for samples that were left out, but for those whose cause was said."""
-    from adaptive_contact.service.findings import REFUSED_FOR, Cause, of_legs
-
     left_out: dict[str, dict[str, int]] = {}
     for name, leg in legs.items():
         found = {Cause(cause) for cause in causes.get(name, ())}
@@ -220,7 +218,6 @@ def check_streams(
     Raises:
         ConfigurationError: something is wrong with every tick, so that there is nothing to learn.
     """
-    from adaptive_contact.service.findings import SPOILS, Cause, of_legs
     from adaptive_contact.service.legcheck import check_recording
 
     spoilt: dict[str, None] = {}
@@ -243,8 +240,6 @@ def check_streams(
 
 def say_finding(finding: Finding, of: str = "") -> None:
     """Say one thing that is wrong, after what it is of."""
-    from adaptive_contact.service.findings import of_legs
-
     legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
     say_note(f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}")
 
@@ -317,9 +312,6 @@ def print_training(training: Training, robot: Robot, *, json: bool, equations: b
         }
         say_json(text, indent=2)
         return
-    from rich.table import Table
-
-    from adaptive_contact.cli._console import table_console
 
     console = table_console()
     for leg, entry in training.baseline.legs.items() if equations else ():

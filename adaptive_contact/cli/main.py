@@ -1,6 +1,6 @@
 """``adaptive-contact``: one thin file per command, gathered here.
 
-Command files import what they need inside the function, so that ``--help`` and every command
+Command files import what takes long inside the function, so that ``--help`` and every command
 that does not fit starts without PySINDy (1.6 s), MuJoCo or matplotlib.
 """
 

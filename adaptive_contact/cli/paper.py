@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import ForceOption, option, refuse_to_replace
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
@@ -48,7 +49,6 @@ def paper(
     import dataclasses
     import os
 
-    from adaptive_contact.cli._console import table_console
     from adaptive_contact_studies.paper.report import write_document, write_report
 
     unknown = [name for name in stage or () if name not in STAGES]

@@ -20,12 +20,13 @@ from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
 from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.service.findings import Cause, Fault, explained
+from adaptive_contact.wire import JSON, encode
 
 if TYPE_CHECKING:
     from adaptive_contact.bank import LearnerBank
     from adaptive_contact.model.model_file import Baseline
     from adaptive_contact.robot import Robot
-    from adaptive_contact.service.findings import Fault
     from adaptive_contact.service.link import LinkSettings
     from adaptive_contact.service.recording import Recording
     from adaptive_contact.service.replay import Counts
@@ -135,7 +136,6 @@ def _to_events(
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events
-    from adaptive_contact.wire import JSON, encode
 
     if plot is not None:
         check_plot(plot)
@@ -201,7 +201,6 @@ def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[s
         Legs that say that their angles are counted otherwise.
     """
     from adaptive_contact.conventions.judge import speaks_of_angles
-    from adaptive_contact.service.findings import Cause, explained
 
     known = {leg for leg, fault in faults if Cause.LEG_NOTE in explained(fault)}
     signs = []

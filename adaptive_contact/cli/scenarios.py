@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich import box
+from rich.table import Table
 
+from adaptive_contact.cli._console import print_markdown, table_console
 from adaptive_contact.cli._options import (
     Commands,
     ForceOption,
@@ -56,10 +59,6 @@ def list_(json: JsonOption = False) -> None:
         ]
         say_json(jsonlib.dumps(rows, indent=2))
         return
-    from rich import box
-    from rich.table import Table
-
-    from adaptive_contact.cli._console import table_console
 
     console = table_console()
     table = Table(
@@ -106,8 +105,6 @@ def run(
         from adaptive_contact_studies.scenarios.results import measure, write_results
         from adaptive_contact_studies.scenarios.runs import FULL_SIZES, QUICK_SIZES
         from adaptive_contact_studies.work import Work
-
-    from adaptive_contact.cli._console import print_markdown, table_console
 
     if not names and not everything:
         raise ConfigurationError(

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
 
 from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
-
-if TYPE_CHECKING:
-    from adaptive_contact.wire import ContactEvent
+from adaptive_contact.wire import JSON, MAX_PAYLOAD_BYTES, ContactEvent, Rejected, decode
 
 # Of a file of events: some 17 hours of a hexapod that walks, and 300 MB of memory.
 _MOST_LINES: Final = 500_000
@@ -76,7 +75,6 @@ def score(
         about = {"recording": str(recording), "truncated": source.truncated}
         say_json(about | as_json(result), indent=2)
         return
-    from adaptive_contact.cli._console import table_console
 
     table_console().print(as_table(result))
 
@@ -93,8 +91,6 @@ def read_events(path: Path) -> list[ContactEvent]:
     Raises:
         RecordingError: it cannot be read, a line is no event, or there are too many of them.
     """
-    from adaptive_contact.wire import JSON, MAX_PAYLOAD_BYTES, ContactEvent, Rejected, decode
-
     events: list[ContactEvent] = []
     try:
         with path.open("rb") as file:

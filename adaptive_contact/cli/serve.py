@@ -19,6 +19,7 @@ from adaptive_contact.cli._output import make_stdout_optional, say, say_note
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.priority import cores, take_priority
+from adaptive_contact.service.settings import shown
 
 if TYPE_CHECKING:
     from adaptive_contact.model import Baseline
@@ -189,7 +190,6 @@ def keeper_of(
 
 
 def _ready_line(link: Link, robot: Robot, origin: str | None) -> str:
-    from adaptive_contact.service.settings import shown
 
     where = [f"listening on {', '.join(map(shown, link.endpoints))}"] if link.endpoints else []
     if link.settings.mode == "client":  # let in by one of them, or there would be no link

@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich import box
+from rich.table import Table
 
 from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_json, say_waiting
 from adaptive_contact.cli._sim_options import (
@@ -22,6 +25,7 @@ from adaptive_contact.cli._sim_options import (
     needs_studies,
 )
 from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.wire import SIM_DRIFT, Drift, DriftReply, Rejected, decode, encode
 
 
 def baseline(
@@ -39,7 +43,6 @@ def baseline(
     opt.check_output(out, "--out", force=force)
     from threadpoolctl import threadpool_limits
 
-    from adaptive_contact.cli._console import table_console
     from adaptive_contact.cli.fit import print_training
     from adaptive_contact.model import save_baseline
 
@@ -162,7 +165,6 @@ def inject(
 ) -> None:
     """Let something drift in a running simulator, and print what now holds."""
     from adaptive_contact.service.link import Link
-    from adaptive_contact.wire import SIM_DRIFT, Drift, DriftReply, Rejected, decode, encode
 
     drift: Drift | None = None
     if kind is not None:
@@ -212,10 +214,6 @@ def list_(json: opt.JsonOption = False) -> None:
         }
         say_json(jsonlib.dumps(table, indent=2))
         return
-    from rich import box
-    from rich.table import Table
-
-    from adaptive_contact.cli._console import table_console
 
     console = table_console()
     shown = Table("scenario", "about", "seconds", box=box.SIMPLE_HEAD, pad_edge=False)

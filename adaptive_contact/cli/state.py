@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich import box
+from rich.table import Table
+from rich.text import Text
 
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import (
     Commands,
     JsonOption,
@@ -22,8 +26,6 @@ from adaptive_contact.service.settings import shown_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from rich.table import Table
 
     from adaptive_contact.service.state import Stored
 
@@ -48,7 +50,6 @@ def show(
     if not found:
         say(f"no state in {shown_path(_folder(state))}")
         return
-    from adaptive_contact.cli._console import table_console
 
     console = table_console(pipe_width=160)
     for folder in sorted({stored.path.parent for stored in found}):
@@ -64,10 +65,6 @@ def show(
 
 def _table(found: Sequence[Stored], rows: Sequence[dict[str, Any]]) -> Table:
     """The files of one robot; their names hold leg, library of terms and settings."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for name in ("leg", "model", "age", "size", "state"):
         table.add_column(name, no_wrap=True)

@@ -7,7 +7,11 @@ import sys
 import time
 from typing import TYPE_CHECKING, Annotated, Final
 
+from rich.console import Group
+from rich.live import Live
+
 from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_json
@@ -17,8 +21,6 @@ from adaptive_contact.errors import ConfigurationError
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
-
-    from rich.console import Group
 
     from adaptive_contact.service.watch import View
 
@@ -95,9 +97,7 @@ def _look_for(seconds: float, look: Look, stop: threading.Event) -> bool:
 
 
 def _live(look: Look, stop: threading.Event) -> None:
-    from rich.live import Live
 
-    from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
 
     console = table_console()
@@ -114,7 +114,6 @@ def _print(view: View, json: bool) -> None:
     if json:
         say_json(view)
         return
-    from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
 
     console = table_console(pipe_width=160)
