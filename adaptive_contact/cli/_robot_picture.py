@@ -26,6 +26,7 @@ _TOP: Final = 62
 _MARGIN: Final = 40
 _HEADING: Final = 80
 _LINE: Final = 15
+_LEAST_SPAN: Final = 0.5
 _ROWS, _COLUMNS = 2, 4
 _COLOURS: Final = ("#1f6fb4", "#c8691b", "#3b8a3f", "#8a3b86", "#a33c3c", "#5d6d7e")
 _GREY, _PALE, _INK = "#7f8c8d", "#d5d8dc", "#2c3e50"
@@ -36,11 +37,13 @@ _TO_DO: Final = (
 )
 # The arrow around a joint: at half of its link, within these, px; it goes so far, rad.
 _ARC_PX: Final = (16.0, 40.0)
+_ARC_RAD: Final = 0.9
 _ZERO_PX: Final = 62
 _HEAD_PX: Final = 6
 # A joint's turn is drawn where its axis points this much towards the eye, and from a link that is
 # no shorter than this share of the leg.
 _FACING: Final = 0.5
+_LEAST_LINK: Final = 0.05
 
 # A joint, where its link points at 0, rad from the right, and 1 or -1, the way its angle grows.
 _Turn = tuple[int, float, int]
@@ -211,7 +214,7 @@ def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _Vi
     # Room for arrows all around, the heading above, and the joints' lines below.
     room = _CELL - 2 * _MARGIN, _CELL - _HEADING - _MARGIN - _LINE * len(leg.joints)
     # Never so large that a leg that stretches looks another one than a leg that stands.
-    span = np.maximum(np.ptp(flat, axis=0), 0.5 * leg.chain.reach_m)
+    span = np.maximum(np.ptp(flat, axis=0), _LEAST_SPAN * leg.chain.reach_m)
     scale = float((np.array(room) / span).min())
     middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
     x0 = left + _CELL / 2 - scale * middle[0]
@@ -261,7 +264,7 @@ def _flat_any(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, li
     for j in np.flatnonzero(np.abs(towards) > _FACING).tolist():
         at_zero = [0.0 if k == j else angle for k, angle in enumerate(angles)]
         beyond = seen(leg.chain.frames(at_zero)[0])[j:]
-        far = np.hypot(*(beyond - beyond[0]).T) > 0.05 * leg.chain.reach_m
+        far = np.hypot(*(beyond - beyond[0]).T) > _LEAST_LINK * leg.chain.reach_m
         if far.any():
             x, y = (beyond - beyond[0])[int(np.argmax(far))]
             turns.append((j, float(np.arctan2(y, x)), 1 if towards[j] > 0 else -1))
@@ -286,7 +289,7 @@ def _turning(
     x, y = joint
     length = float(np.hypot(tip[0] - x, tip[1] - y))
     radius = float(np.clip(length / 2, *_ARC_PX))
-    end = zero_rad + way * 0.9
+    end = zero_rad + way * _ARC_RAD
     x0, y0 = x + radius * np.cos(zero_rad), y - radius * np.sin(zero_rad)
     x1, y1 = x + radius * np.cos(end), y - radius * np.sin(end)
     far = _ZERO_PX if length > _ZERO_PX else radius + _HEAD_PX
