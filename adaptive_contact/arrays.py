@@ -1,10 +1,28 @@
-"""Types of arrays, for annotations."""
+"""Types of arrays, for annotations, and numpy for modules that need it in a few functions only."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import importlib
+from typing import TYPE_CHECKING, Any
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+else:
+    Array = ArrayLike = Ints = Mask = Any
+
+    class _Numpy:
+        """Loads numpy with the first function that is used: programs that only listen lack it."""
+
+        def __getattr__(self, name: str) -> Any:
+            found = getattr(importlib.import_module("numpy"), name)
+            setattr(self, name, found)
+            return found
+
+    np = _Numpy()
+
+__all__ = ["Array", "ArrayLike", "Ints", "Mask", "np"]

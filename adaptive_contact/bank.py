@@ -10,6 +10,7 @@ Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
@@ -320,6 +321,8 @@ class LearnerBank:
 
 def compile_ahead() -> None:
     """Compile what a tick needs, or load it, before the first one; safe to call again."""
+    for part in ("scipy.linalg", "scipy.special"):  # else they load in the tick that needs them
+        importlib.import_module(part)
     joints = ("coxa", "femur", "tibia")
     leg = Leg(id="any", joints=joints)
     plain = Library("servo", joints, leg.joint_axes)

@@ -21,7 +21,12 @@ Bad *samples* never raise; they are counted by :class:`adaptive_contact.wire.Rej
 from __future__ import annotations
 
 import contextlib
+import json
+import os
 from collections.abc import Iterator, Sequence
+from importlib import metadata
+from typing import Final
+from urllib.parse import unquote
 
 
 class AdaptiveContactError(Exception):
@@ -44,11 +49,51 @@ class MissingExtraError(ConfigurationError):
         found, again = "is not installed", ""
         if broken:
             found, again = f"cannot be loaded ({broken})", "--force-reinstall "
-        super().__init__(
-            f"{what} needs the extra '{extra}', which {found}; "
-            f"run: pip install {again}'adaptive-contact[{extra}]'"
-        )
+        source = installed_from()
+        how = f"run: pip install {again}'{source}[{extra}]'"
+        if source is None:
+            how = (
+                f"run: pip install {again}'.[{extra}]' in a clone, or with the name of the wheel "
+                "in place of the dot"
+            )
+        super().__init__(f"{what} needs the extra '{extra}', which {found}; {how}")
         self.extra = extra
+
+
+# Either may be what is installed; the second lacks what learns (packaging/listen).
+_DISTRIBUTIONS: Final = ("adaptive-contact", "adaptive-contact-listen")
+# What only the first brings.
+_OF_THE_WHOLE: Final = (
+    *("numpy", "scipy", "numba", "pysindy", "sklearn", "threadpoolctl"),
+    *("adaptive_contact_sim", "adaptive_contact_studies", "adaptive_contact_bullet"),
+)
+
+
+def installed_from() -> str | None:
+    """The folder or wheel that this package was installed from; None where it is not there.
+
+    No index has its name, so that pip takes extras from there only.
+    """
+    for name in _DISTRIBUTIONS:
+        with contextlib.suppress(metadata.PackageNotFoundError, ValueError, KeyError):
+            url = json.loads(metadata.distribution(name).read_text("direct_url.json") or "")["url"]
+            path = unquote(url.removeprefix("file://"))
+            if url.startswith("file://") and os.path.exists(path):  # noqa: PTH110
+                return path
+    return None
+
+
+def missing_of_the_whole(error: ImportError) -> str | None:
+    """A line on what to install, where the part that listens is installed alone; else None."""
+    module = (error.name or "").partition(".")[0]
+    if module not in _OF_THE_WHOLE:
+        return None
+    if module == "numpy":
+        return "needs numpy, which is not installed; run: pip install numpy"
+    return (
+        f"needs the whole package, as '{module}' is not installed; run: pip uninstall "
+        "adaptive-contact-listen, then in a clone: pip install . (or with the name of the wheel)"
+    )
 
 
 @contextlib.contextmanager

@@ -60,7 +60,7 @@ def ros2(
     from adaptive_contact.service.link import Link
 
     robot = opt.described_robot(config)
-    with needs("ROS 2", "ros2", "rosbags"):
+    with needs("ROS 2", "ros2", "rosbags", "numpy"):
         from adaptive_contact.ros2.intake import check_mapped
         from adaptive_contact.service.ros2 import Gateway, shown_of_ros
     check_mapped(robot, described_in(config))

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
+from adaptive_contact import __version__
 from adaptive_contact.cli._options import Commands
 from adaptive_contact.cli._output import (
     OutputLost,
@@ -26,7 +27,7 @@ from adaptive_contact.cli._output import (
     say_note,
 )
 from adaptive_contact.cli._signals import on_signals
-from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.errors import AdaptiveContactError, missing_of_the_whole
 
 app = Commands(
     name="adaptive-contact",
@@ -68,9 +69,7 @@ _GROUPS: Final = ("sim", "bridge", "robot", "state", "scenarios")
 
 def _print_version(asked: bool) -> None:
     if asked:
-        from importlib.metadata import version
-
-        say(f"adaptive-contact {version('adaptive-contact')}")
+        say(f"adaptive-contact {__version__}")
         raise typer.Exit
 
 
@@ -97,7 +96,12 @@ def load_commands(asked: str = "") -> None:
         return
     known = asked in _COMMANDS or asked in _GROUPS
     for name in [asked] if known else [*_COMMANDS, *_GROUPS]:
-        module = importlib.import_module(f"adaptive_contact.cli.{name}")
+        try:
+            module = importlib.import_module(f"adaptive_contact.cli.{name}")
+        except ModuleNotFoundError as error:
+            if known or missing_of_the_whole(error) is None:
+                raise
+            continue  # the help lists what is there
         if name in _GROUPS:
             app.add_typer(module.app, name=name)
         else:
@@ -165,6 +169,12 @@ def run() -> int:
         say_note(first)
         for line in others:
             say(line, err=True)
+        return 2
+    except ModuleNotFoundError as error:
+        why = missing_of_the_whole(error)
+        if why is None:
+            raise
+        say_note(f"{' '.join(sys.argv[1:2])} {why}")
         return 2
     except OSError as error:
         if error.errno not in _FULL:

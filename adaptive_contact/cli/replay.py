@@ -200,7 +200,7 @@ def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[s
     Returns:
         Legs that say that their angles are counted otherwise.
     """
-    from adaptive_contact.conventions.judge import speaks_of_angles
+    from adaptive_contact.notes import speaks_of_angles
 
     known = {leg for leg, fault in faults if Cause.LEG_NOTE in explained(fault)}
     signs = []

@@ -31,6 +31,7 @@ from adaptive_contact.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.conventions.rigid import BETTER, FLOOR, RIGID, Reading
 from adaptive_contact.conventions.sign_choices import SURE_SHARE, Alone, LegChoices
 from adaptive_contact.conventions.together import LAG_S, LOOSE, OPEN_RAD, SLOW_LAGS, Pairs, choose
+from adaptive_contact.notes import IN_ORDER, WRONG_WAY, ZEROS
 from adaptive_contact.robot.description import AngleFrame, Leg, Mount, Robot, angles_text
 
 __all__ = [
@@ -41,7 +42,6 @@ __all__ = [
     "choose_signs",
     "judge_hanging",
     "judge_motion",
-    "speaks_of_angles",
 ]
 
 _UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
@@ -56,9 +56,6 @@ LEAST_PARTNERS: Final = 1
 # More choices than these explain a motion that shows nothing.
 MOST_OTHERS: Final = 2
 # What every message of a finding has one of.
-_WRONG_WAY: Final = "grow the wrong way"
-_IN_ORDER: Final = "do not come in the order of robot.toml"
-_ZEROS: Final = "zeros are not where robot.toml says"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,11 +115,6 @@ class Verdict:
     # legs that are described wrong, in the robot's order
     findings: tuple[ConventionFinding, ...] = ()
     fits: tuple[str, ...] = ()  # legs whose description the motion confirms
-
-
-def speaks_of_angles(note: str) -> bool:
-    """Whether a leg's note is the message of a finding."""
-    return any(words in note for words in (_WRONG_WAY, _IN_ORDER, _ZEROS))
 
 
 def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
@@ -236,7 +228,7 @@ def _order_finding(leg: Leg, reading: Reading) -> ConventionFinding:
     if any(sign < 0 for sign in reading.directions):
         turned = _listed([n for n, s in zip(leg.joints, reading.directions, strict=True) if s < 0])
         advice += f"; then look at the signs of {turned}"
-    message = f"the joints {_IN_ORDER}: they seem to come as {', '.join(came)}; {_AGAINST}"
+    message = f"the joints {IN_ORDER}: they seem to come as {', '.join(came)}; {_AGAINST}"
     return ConventionFinding(
         leg.id,
         moved,
@@ -260,8 +252,8 @@ def _zero_finding(leg: LegChoices, reading: Reading) -> ConventionFinding:
     )
     zeros = _listed([f"{name} by {offset:+.2f} rad" for name, _, offset in off if offset])
     turned = [name for name, sign, _ in off if sign < 0]
-    grows = f", and the angles of {_listed(turned)} {_WRONG_WAY}" if turned else ""
-    message = f"{_ZEROS}: {zeros}{grows}; {_AGAINST}"
+    grows = f", and the angles of {_listed(turned)} {WRONG_WAY}" if turned else ""
+    message = f"{ZEROS}: {zeros}{grows}; {_AGAINST}"
     advice = "write " + angles_text(directions, offsets, "[leg.angles]")
     advice += (
         "; zeros are found to some 0.05 rad; where they are right, measure lengths_m and mount"
@@ -289,7 +281,7 @@ def _sign_finding(
     for other in others:
         turned = [s * d for s, d in zip(other, frame.directions, strict=True)]
         advice += f"; if that does not help, directions = {turned}"
-    message = f"the angles of {_listed(joints)} {_WRONG_WAY}: {reason}"
+    message = f"the angles of {_listed(joints)} {WRONG_WAY}: {reason}"
     assert leg.chain is not None
     lifting = {name for name, lifts in zip(leg.joints, leg.chain.lifts, strict=True) if lifts}
     return ConventionFinding(

@@ -30,12 +30,10 @@ from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.fit.train import cautious
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.window import stack
+from adaptive_contact.notes import SWAPPED
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ServoSample
-
-# Words of every note of this kind.
-SWAPPED: Final = "the samples are those of leg"
 
 # When the samples are judged, s: a tripod's tenth swing ends after 14 s.  Two verdicts must agree.
 TIMES_S: Final = (12.0, 20.0, 28.0, 40.0, 60.0)

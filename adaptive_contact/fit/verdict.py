@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from scipy.special import chdtri  # scipy.stats takes half a second to import
+import scipy  # its parts load where they are used
 
 from adaptive_contact.fit.train import Training
 from adaptive_contact.robot import Robot
@@ -109,7 +109,8 @@ def _thresholds(robot: Robot, training: Training) -> Iterator[str]:
     if not training.figures:
         return
     least = min(
-        float(chdtri(len(robot.leg(leg).joints), _LEAST_EXCEEDANCE)) for leg in training.figures
+        float(scipy.special.chdtri(len(robot.leg(leg).joints), _LEAST_EXCEEDANCE))
+        for leg in training.figures
     )
     lowest = float(training.baseline.thresholds(robot.detector.false_alarms_per_hour).min())
     if not lowest >= least:

@@ -15,7 +15,7 @@ import functools
 from collections import deque
 from typing import Any, Final, NamedTuple
 
-from scipy.special import chdtri  # scipy.stats takes half a second to import
+import scipy  # its parts load where they are used
 
 from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
 from adaptive_contact.model.noise import UNFIT_LEVEL
@@ -447,4 +447,4 @@ def _in_range(level: float) -> float:
 @functools.cache
 def _suspicion_limit(dof: int) -> float:
     """Mean level of so many degrees of freedom above which a lift is suspected."""
-    return float(chdtri(dof, SUSPICION_PROBABILITY)) / dof
+    return float(scipy.special.chdtri(dof, SUSPICION_PROBABILITY)) / dof

@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
-from scipy.special import chdtri  # scipy.stats takes half a second to import
+import scipy  # its parts load where they are used
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import ConfigurationError
@@ -182,8 +182,8 @@ def prior_tails(joints: int) -> tuple[Tail, ...]:
     little heavier, as real ones are.
     """
     rate = 0.01
-    level = float(chdtri(joints, rate))
+    level = float(scipy.special.chdtri(joints, rate))
     # Mean excess of the chi-square tail over its level.
-    beyond = chdtri(joints, rate * (np.arange(200) + 0.5) / 200)
+    beyond = scipy.special.chdtri(joints, rate * (np.arange(200) + 0.5) / 200)
     scale = float(np.mean(beyond) - level)
     return tuple(Tail(level, rate, scale, PRIOR_SHAPE, 0) for _ in WINDOWS)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import chdtri  # scipy.stats takes half a second to import
+import scipy  # its parts load where they are used
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.model.noise import AFTER, DIRECTIONS, LIFT, WINDOWS
@@ -62,13 +62,15 @@ class Peaks(NamedTuple):
         """
         per_tick = false_alarms_per_hour / ROBOT_HOUR_TICKS / len(WINDOWS)
         seen = 1.0 / np.maximum(self.ticks, LEAST_TICKS)
-        further = chdtri(self.joints, np.minimum(per_tick, seen))
-        factor = further / chdtri(self.joints, seen)
+        further = scipy.special.chdtri(self.joints, np.minimum(per_tick, seen))
+        factor = further / scipy.special.chdtri(self.joints, seen)
         factor[:AFTER] *= MARGIN
         return np.asarray(self.largest * factor[:, None])
 
     def excess(self, value: float, ticks: int) -> float:
         """Compute how large the largest of so many ticks of a lift is, over what it should be."""
         counts = np.array([ticks, self.ticks[LIFT]])
-        here, there = chdtri(self.joints, 1.0 - 0.5 ** (1.0 / counts))  # medians of largest values
+        here, there = scipy.special.chdtri(
+            self.joints, 1.0 - 0.5 ** (1.0 / counts)
+        )  # the medians of largest values
         return value / float(self.largest[LIFT, 0] * here / there)

@@ -23,7 +23,7 @@ import math
 from typing import Final
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load where they are used: 0.2 s
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import IdentificationError

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import math
 from collections import deque
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from adaptive_contact.arrays import Array, Ints, Mask, np
 from adaptive_contact.robot.description import Leg
 from adaptive_contact.wire import Phase
 
@@ -45,7 +44,7 @@ class PhaseTracker:
     phase: Phase = "stance"  # at the last tick
     size: float = 1.0  # of the leg, in the hexapod's
     _heights: deque[float] = dataclasses.field(default_factory=lambda: deque(maxlen=LOW_TICKS))
-    _apex: float = -np.inf
+    _apex: float = -math.inf
     _still: int = 0
 
     def update(self, height: float) -> Phase:
@@ -74,7 +73,7 @@ class PhaseTracker:
         return self.phase
 
 
-def infer_phase(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.bool_] | None:
+def infer_phase(desired: Array, leg: Leg) -> Mask | None:
     """Swing mask of a stream of commands, (n, J) rad to (n,) bool; None without geometry."""
     if leg.chain is None:
         return None
@@ -83,7 +82,7 @@ def infer_phase(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.bool_] | N
     return np.array([tracker.update(height) == "swing" for height in heights], dtype=bool)
 
 
-def directions(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.int64]:
+def directions(desired: Array, leg: Leg) -> Ints:
     """Direction of every tick from the height of its command against the one before.
 
     Args:

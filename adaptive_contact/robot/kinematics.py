@@ -30,10 +30,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Final
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from adaptive_contact.arrays import Array, Mask
+from adaptive_contact.arrays import Array, ArrayLike, Mask, np
 from adaptive_contact.errors import ConfigurationError
 
 Vector = tuple[float, float, float]
@@ -79,7 +76,7 @@ class Chain:
     @cached_property
     def vectors(self) -> Array:
         """(J, 3) the axes, all as vectors."""
-        return np.array([AXES[axis] if isinstance(axis, str) else axis for axis in self.axes])
+        return np.array(self.axis_vectors)
 
     @cached_property
     def reach_m(self) -> float:
@@ -90,6 +87,19 @@ class Chain:
     def size(self) -> float:
         """Reach in those of the hexapod's legs, whose limits in m hold for others in proportion."""
         return self.reach_m / HEXAPOD_REACH_M
+
+    @cached_property
+    def raises_foot(self) -> bool:
+        """Whether any joint can raise the foot in any posture; looked at without numpy."""
+        joints = range(len(self.axes))
+        least_m = _LEAST_RISE * self.reach_m
+        for k in range(1, _POSTURES + 1):
+            q = [k * math.sqrt(2 + j) for j in joints]
+            z = self.point(q)[2]
+            turned_by_one = ([*q[:j], q[j] + 1.0, *q[j + 1 :]] for j in joints)
+            if any(abs(self.point(other)[2] - z) > least_m for other in turned_by_one):
+                return True
+        return False
 
     @cached_property
     def lifts(self) -> Mask:
@@ -144,7 +154,7 @@ class Chain:
         if not self.is_straight:
             x = y = z = 0.0
             for i in range(len(self.axes) - 1, -1, -1):
-                origin, (a, b, c) = self.origins_m[i], self._axes[i]
+                origin, (a, b, c) = self.origins_m[i], self.axis_vectors[i]
                 x, y, z = x + origin[0], y + origin[1], z + origin[2]
                 cos, sin = math.cos(q[i]), math.sin(q[i])
                 along = (a * x + b * y + c * z) * (1.0 - cos)
@@ -175,8 +185,9 @@ class Chain:
         return x, y, z
 
     @cached_property
-    def _axes(self) -> tuple[Vector, ...]:
-        return tuple((a, b, c) for a, b, c in self.vectors.tolist())
+    def axis_vectors(self) -> tuple[Vector, ...]:
+        """(J,) the axes, all as vectors, of plain floats."""
+        return tuple(AXES[axis] if isinstance(axis, str) else axis for axis in self.axes)
 
     def height_gradients(self, q: ArrayLike) -> Array:
         """How the foot rises with each joint, (..., J) rad to (..., J) m per rad.

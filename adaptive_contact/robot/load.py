@@ -229,7 +229,7 @@ def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
             f"{where}: origins_m ends with [0, 0, 0], so that '{leg.joints[-1]}' moves nothing; "
             "expected the way from this joint to the foot's tip, m"
         )
-    if not chain.lifts.any():
+    if not chain.raises_foot:
         if chain.is_straight:
             fail(f"{where}: no joint pitches, so that its foot never rises; leave lengths_m out")
         key = "lengths_m" if origins is None else "origins_m"

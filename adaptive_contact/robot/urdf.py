@@ -23,9 +23,7 @@ from pathlib import Path
 from typing import Final
 from xml.parsers import expat
 
-import numpy as np
-
-from adaptive_contact.arrays import Array
+from adaptive_contact.arrays import Array, np
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import read_file
 from adaptive_contact.printable import did_you_mean, printable
@@ -420,7 +418,7 @@ class Urdf:
             limits=_limits(joints),
         )
         assert made.chain is not None
-        if not made.chain.lifts.any():
+        if not made.chain.raises_foot:
             raise self._error(
                 f"leg '{leg}': no joint raises its foot; is z of link '{body}' up? give --base a "
                 "link whose z is"

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+import scipy  # its parts load where they are used
 from numpy.typing import NDArray
-from scipy.special import betaincinv, gammaincinv
 
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score.outcome import ROWS, LegOutcome, Row, SwingTable, TouchTable
@@ -50,8 +50,14 @@ def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE)
     if not 0 <= successes <= trials:
         raise ValueError(f"{successes} of {trials} is no share; expected 0 <= successes <= trials")
     tail = (1.0 - confidence) / 2.0
-    low = betaincinv(successes, trials - successes + 1, tail) if successes > 0 else 0.0
-    high = betaincinv(successes + 1, trials - successes, 1.0 - tail) if successes < trials else 1.0
+    low = (
+        scipy.special.betaincinv(successes, trials - successes + 1, tail) if successes > 0 else 0.0
+    )
+    high = (
+        scipy.special.betaincinv(successes + 1, trials - successes, 1.0 - tail)
+        if successes < trials
+        else 1.0
+    )
     return Interval(float(low), float(high))
 
 
@@ -64,8 +70,8 @@ def poisson_mean(count: int) -> Interval:
     if count < 0:
         raise ValueError(f"a count cannot be {count}; expected 0 or more")
     tail = (1.0 - CONFIDENCE) / 2.0
-    low = gammaincinv(count, tail) if count > 0 else 0.0
-    return Interval(float(low), float(gammaincinv(count + 1, 1.0 - tail)))
+    low = scipy.special.gammaincinv(count, tail) if count > 0 else 0.0
+    return Interval(float(low), float(scipy.special.gammaincinv(count + 1, 1.0 - tail)))
 
 
 _NS_PER_MS: Final = 1e6

@@ -6,8 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from adaptive_contact.conventions.judge import speaks_of_angles
-from adaptive_contact.diagnose.leg_ids import SWAPPED
+from adaptive_contact.notes import SWAPPED, speaks_of_angles
 from adaptive_contact.service.findings import REFUSED_FOR, Cause, Fault, Level
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.wire import LearnerStatus

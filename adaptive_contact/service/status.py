@@ -13,7 +13,6 @@ from typing import Final
 import msgspec
 
 from adaptive_contact.robot import AngleFrame, Robot
-from adaptive_contact.service.state.keeper import StateFacts
 from adaptive_contact.wire import Message
 
 _NS_PER_MS: Final = 1e6
@@ -53,6 +52,20 @@ class Latency:
             max=ordered[-1] / _NS_PER_MS,
             count=self._count,
         )
+
+
+class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """How keeping state goes, for people."""
+
+    folder: str  # where
+    restored: list[str]  # legs that went on from a saved state
+    # one line for each state that was not used; of many, the first and how many more
+    refused: list[str]
+    saved: int  # states written
+    failed: int  # states that could not be written
+    # why the last one could not, or what the one under way waits for; None when all is well
+    error: str | None
+    exposed: str | None = None  # what other users may write to, None when there is no such thing
 
 
 SERVICE_STATUS: Final = "robot/service/status"

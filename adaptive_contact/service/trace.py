@@ -13,8 +13,7 @@ from collections.abc import Iterable
 from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
-
+from adaptive_contact.arrays import np
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.gait_phase import PhaseTracker
 from adaptive_contact.service.link import Link

@@ -16,9 +16,9 @@ from adaptive_contact.conventions.judge import (
     Verdict,
     judge_hanging,
     judge_motion,
-    speaks_of_angles,
 )
 from adaptive_contact.model import shipped_baseline
+from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Mount, Robot, shipped_robot
 from adaptive_contact.wire import ContactEvent, ServoSample
 

@@ -29,8 +29,8 @@ from adaptive_contact.detect.stream import (
     StreamGuard,
 )
 from adaptive_contact.service.sample_queue import Raw, read
-from adaptive_contact.service.state import Identity, Record, StateFacts, pack
-from adaptive_contact.service.status import LatencyMs, LegFacts, ServiceStatus
+from adaptive_contact.service.state import Identity, Record, pack
+from adaptive_contact.service.status import LatencyMs, LegFacts, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     JSON,
     MAX_SAMPLE_BYTES,

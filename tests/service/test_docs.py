@@ -17,8 +17,7 @@ import pytest
 import zenoh
 
 from adaptive_contact import wire
-from adaptive_contact.service.state import StateFacts
-from adaptive_contact.service.status import LegFacts, ServiceStatus
+from adaptive_contact.service.status import LegFacts, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     JSON,
     ContactEvent,

@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_check import legs_table, report_lines
-from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, NoRouterError

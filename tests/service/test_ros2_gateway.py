@@ -452,5 +452,5 @@ def test_the_extra_is_named(command, config: Path) -> None:
     )
     _, said = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "adaptive-contact[ros2]" in said
+    assert "[ros2]'" in said
     assert len(said.splitlines()) == 1

@@ -18,8 +18,7 @@ from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue
 from adaptive_contact.service.server import Service
-from adaptive_contact.service.state import StateFacts
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 from views import S, drawn, event, heartbeat, service, status, truth
 
-from adaptive_contact.service.state import StateFacts
+from adaptive_contact.service.status import StateFacts
 from adaptive_contact.service.watch import LegView, View, Watch
 from adaptive_contact.service.watch_table import counts_of, headline, table
 from adaptive_contact.wire import (

@@ -112,4 +112,4 @@ def test_without_mujoco_it_says_which_extra(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setitem(sys.modules, "mujoco", None)
     result = RUN.invoke(app, ["list"])
     assert isinstance(result.exception, MissingExtraError)
-    assert "adaptive-contact[sim]" in str(result.exception)
+    assert "[sim]'" in str(result.exception)

@@ -134,14 +134,12 @@ class _DrawnLeg:
         _place(mount.translation, leg.mount.xyz_m)
         mount.rotation.z, mount.rotation.w = math.sin(half), math.cos(half)
         self._add_link(scene, BODY, leg.mount.xyz_m, reach_m, parent)
-        for joint, axis, way in zip(
-            leg.joints, chain.vectors.tolist(), chain.origins_m, strict=True
-        ):
+        for joint, axis, way in zip(leg.joints, chain.axis_vectors, chain.origins_m, strict=True):
             frame = f"{leg.id}/{joint}"
             transform = transforms.transforms.add(parent_frame_id=parent, child_frame_id=frame)
             _place(transform.translation, place)
             transform.rotation.w = 1.0
-            self._turns.append((transform.rotation, (axis[0], axis[1], axis[2])))
+            self._turns.append((transform.rotation, axis))
             entity = self._add_link(scene, frame, way, reach_m, frame)
             parent, place = frame, way
         self._foot = entity

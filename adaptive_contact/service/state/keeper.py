@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import msgspec
 import structlog
 
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.state.format import Identity, Record, Refused
 from adaptive_contact.service.state.store import StateStore
+from adaptive_contact.service.status import StateFacts
 
 if TYPE_CHECKING:
     from adaptive_contact.leg_learner import ContactLearner
@@ -35,20 +35,6 @@ _END_S: Final = 4.0
 # Refusals listed in ServiceStatus; more than a robot has legs would not fit its 4 kB.
 _MOST: Final = 4
 _ERROR_LINE: Final = 320
-
-
-class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """How keeping state goes, for people."""
-
-    folder: str  # where
-    restored: list[str]  # legs that went on from a saved state
-    # one line for each state that was not used; of many, the first and how many more
-    refused: list[str]
-    saved: int  # states written
-    failed: int  # states that could not be written
-    # why the last one could not, or what the one under way waits for; None when all is well
-    error: str | None
-    exposed: str | None = None  # what other users may write to, None when there is no such thing
 
 
 class Position(NamedTuple):
