@@ -92,8 +92,8 @@ class Chain:
     def raises_foot(self) -> bool:
         """Whether any joint can raise the foot in any posture; looked at without numpy."""
         joints = range(len(self.axes))
-        least_m = _LEAST_RISE * self.reach_m
-        for k in range(1, _POSTURES + 1):
+        least_m = 1e-9 * self.reach_m  # as of `lifts`, and its postures
+        for k in range(1, 17):
             q = [k * math.sqrt(2 + j) for j in joints]
             z = self.point(q)[2]
             turned_by_one = ([*q[:j], q[j] + 1.0, *q[j + 1 :]] for j in joints)
