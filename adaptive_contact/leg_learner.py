@@ -29,6 +29,7 @@ from adaptive_contact.detect.layout import (
     TOPPED,
     TOUCH_KEPT,
     TOUCHED,
+    TURNED,
     WEIGHED,
 )
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
@@ -57,7 +58,7 @@ ROWS_PER_TICK: Final = 3
 # Flags of a tick that make an event; few ticks have one.
 EVENTS: Final = DECIDED | RELEASE_PENDING
 # Flags that change nothing of what the next tick is judged by.
-WAITING: Final = EVENTS | WEIGHED | TOUCH_KEPT
+WAITING: Final = EVENTS | WEIGHED | TOUCH_KEPT | TURNED
 
 
 def check_sample(sample: object) -> None:
@@ -331,13 +332,17 @@ class ContactLearner:
             self._assessed = False
             if flags & SOURCE:
                 self._faulty = self.report.source.cause is not None
+        if flags & (BEGAN | TURNED | RESTARTED):
+            self.report.source.look(flags, known=adapter is not None and adapter.known)
         if self._misread or self._faulty or adapter is None or not adapter.learning:
             if assessed:
                 self.report.read_status()
             return False
         moved = adapter.tick(ROWS_PER_TICK) if adapter.busy else adapter.pass_tick()
         if assessed:
-            if adapter.monitor.unfit and self.place.leg.ticks:
+            # Of readings that may be copies, the model would be learned anew.
+            suspected = self.report.source.suspected
+            if adapter.monitor.unfit and self.place.leg.ticks and not suspected:
                 # Taken up behind the tick: its command is then the first of the next model's past.
                 lifecycle.forget()
                 self._let_go()
@@ -418,6 +423,8 @@ class ContactLearner:
             self._assess(flags)
         if flags & TOUCHED:
             self._learn(self._labels.alarm())
+        if flags & BEGAN and adapter is not None and self.report.source.cause is None:
+            adapter.keep(self.place.leg.at_ns)
         if flags & RATE_OFF and adapter is not None:
             adapter.distrust(self.report.rate.since_ns)
         if flags & SOURCE and self.report.source.cause is not None:
@@ -452,10 +459,8 @@ class ContactLearner:
 
     def _retract(self) -> None:
         """Retract what was learned from a faulty source."""
-        leg, lifecycle = self.place.leg, self.lifecycle
-        # The fault may have begun in the swing before, too late in it to be detected.
-        if lifecycle.adapter is not None:
-            lifecycle.adapter.retract(leg.began_ns)
+        if self._adapter is not None:
+            self._adapter.retract(self.report.source.since_ns)
 
     @property
     def _adapter(self) -> Adapter | None:

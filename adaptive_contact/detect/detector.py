@@ -50,6 +50,7 @@ from adaptive_contact.detect.layout import (
     RESTARTED,
     TOPPED,
     TOUCHED,
+    TURNED,
     kept_of,
     model_of,
     noise_of,
@@ -64,14 +65,12 @@ from adaptive_contact.detect.source import (
     NONE,
     PAUSE,
     UNJUDGED_TURNS,
-    begin_echo,
     count_turns,
     follow_clock,
     follow_source,
     keep_sample,
     restart_clock,
     restart_phase,
-    take_command,
     take_phase,
     vote_late,
 )
@@ -136,7 +135,7 @@ def judge_tick(handed):
         noise, kept = noise_of(batch, i), kept_of(batch, i)
         connect(leg, sample, source, past, model, kept)
         follow_swing(leg, sample, source, swing, past, model)
-        watch_source(leg, sample, source, past)
+        watch_source(leg, past)
         if leg.has_model and read(leg, sample, swing, past, model, kept):
             weigh(leg, sample, swing, past, noise)
             was_free, past_lift = decide(leg, swing, past, model, noise, kept)
@@ -172,16 +171,12 @@ def connect(leg, sample, source, past, model, kept):
             restart_history(leg, past.suspects)
             break_off(leg)
             leg.loaded, leg.calm = True, 0
-    if restart or missed:
-        leg.echo_n = 0
-        begin_echo(source.echo_runs)
 
 
 @stage
 def follow_swing(leg, sample, source, swing, past, model):
     """Follow the swing by its commands: it goes on, ends, or the next one begins."""
     desired = sample.desired
-    take_command(leg, desired, source.echo_commands)
     height = 0.0
     if leg.has_lengths:
         place_foot(desired, swing.links, swing.axis_kinds, swing.now)
@@ -189,8 +184,10 @@ def follow_swing(leg, sample, source, swing, past, model):
     lifts = count_turns(leg, desired, height, source.turn_at, source.turning, source.turns)
     take_phase(leg, leg.phase, desired, height, source.phase_before, source.parts)
     awaited = leg.has_model and not (leg.loaded or leg.contact)
-    whole = leg.whole
+    whole, swung = leg.whole, leg.ticks > 0 and leg.after == 0
     ends = follow_command(leg, swing, sample.measured, desired, awaited)
+    if swung and (leg.after > 0 or leg.ticks == 0):
+        leg.found |= TURNED
     if leg.weighed and (lifts or ends or leg.after or leg.ticks == 0):
         leg.weighed, leg.unjudged = False, 0
         source.turns[:] = 0
@@ -222,16 +219,13 @@ def follow_swing(leg, sample, source, swing, past, model):
 
 
 @stage
-def watch_source(leg, sample, source, past):
-    """Watch for copied commands and swapped phases.
+def watch_source(leg, past):
+    """Watch for false readings and swapped phases.
 
     A contact is released under them, where angles are misread, and where contacts are withheld or
     nothing is judged.
     """
-    follow_source(
-        leg, sample.measured, sample.valid, leg.has_valid, source.echo_commands, source.echo_runs,
-        source.echo_off, source.echoing, past.suspects,
-    )  # fmt: skip
+    follow_source(leg, past.suspects)
     unjudged = leg.unjudged >= UNJUDGED_TURNS and not leg.weighed
     leg.release_pending |= leg.reported and (is_void(leg) or leg.withholds or unjudged)
     if leg.release_pending:

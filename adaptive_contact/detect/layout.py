@@ -42,7 +42,8 @@ DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
 TOUCH_KEPT: Final = 256  # the first ticks of a contact are kept, all of them
 RATE_OFF: Final = 512  # ticks are not as far apart as described
-SOURCE: Final = 2048  # the source begins or ceases to copy commands or swap phases
+SOURCE: Final = 2048  # its readings or phases begin or cease to be false
+TURNED: Final = 4096  # the command turns to stance
 RELEASE_PENDING: Final = 1024  # a contact is to end that no tick can decide any more
 
 f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
@@ -88,7 +89,6 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
     i8: {
         "lengths_ticks": SWINGS,
         "counts": VALUES + 1,  # of refused values
-        "echo_off": "J",  # ticks in a row that match no command
         "stale": "J",  # ticks in a row that a reading was taken for stale
         "turning": "J",  # where the command of that is: 0 low, 1 lifted, 2 being lowered
         "turns": "J",  # lifts and lowerings commanded since a swing that was judged
@@ -96,7 +96,6 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
     },
     b1: {
         "valid": "J",  # readings of the sample
-        "echoing": "J",
         "suspects": "J",  # suspect readings of the tick before
         "refused": "J",  # readings refused
     },
@@ -251,10 +250,8 @@ LEG: Final = np.dtype(
         ("weighed", b1),  # the descent of the swing is judged
         ("slow_swings", i4),  # in a row whose command is slower than in the stance
         ("has_before", b1),  # a command before is known
-        ("echo_n", i4),  # commands known
-        ("echoes", b1),  # a joint copies its command
-        ("echo_suspected", b1),  # a joint may copy its command, by the swing so far
-        ("cause", i4),  # 0 none, 1 echo, 2 phase
+        ("false_readings", i4),  # by the last looks: 0 none, 1 copies, 3 old or held ones
+        ("cause", i4),  # 0 none, 1 echo, 2 phase, 3 stale
         ("began_ns", i8),  # of the last swing but one
         ("began_n", i8),  # samples until then
         ("began_next_ns", i8),  # and of the last
@@ -315,7 +312,7 @@ SHARED: Final = tuple(_SHARED)  # by all legs: their library, and scratch
 TICK: Final = Handover(
     legs=(LEG, 1), floats=(f8, 2), ints=(i8, 2), bools=(b1, 2), places=(i8, 2),
     preview_in=(f8, 3), ring=(i8, 3), kept_angles=(f8, 3), kept_stamps=(i8, 3),
-    echo_commands=(f8, 3), echo_runs=(f8, 4), parts=(f8, 3), links=(f8, 3), path=(f8, 3),
+    parts=(f8, 3), links=(f8, 3), path=(f8, 3),
     history=(f8, 4), thetas=(f8, 3), xi0=(f8, 3), coefficients=(f8, 3), whiten=(f8, 5),
     limits=(f8, 3), index=(i8, 3), per_scale=(f8, 3), root=(f8, 4), domain=(f8, 3), rows=(ROW, 2),
     row_values=(f8, 3), free_ring=(f8, 3), **_SHARED,
@@ -328,8 +325,7 @@ receive_tick: Final = TICK.receive
 Sample = namedtuple("Sample", "measured desired valid preview_in seam command before")
 Source = namedtuple(
     "Source",
-    "ring kept_angles kept_stamps echo_commands echo_runs echo_off echoing parts phase_before "
-    "turn_at turning turns",
+    "ring kept_angles kept_stamps parts phase_before turn_at turning turns",
 )
 Swing = namedtuple(
     "Swing",

@@ -31,7 +31,6 @@ from adaptive_contact.detect.layout import (
     vectors,
 )
 from adaptive_contact.detect.regressors import term_table
-from adaptive_contact.detect.source import COMMANDS, LAGS
 from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
 from adaptive_contact.model.labelled_swing import ROW, Touch
@@ -62,8 +61,7 @@ class LegBatch:
         ring: (101, 3) time, number and scheduled time of the newest samples, ns.
         kept_angles, kept_stamps: (3000, 2 J) rad, measured and desired, and (3000, 3) time, number
             and phase of the newest samples, a ring.
-        echo_commands: (5, J) rad, the newest commands.
-        echo_runs, parts: see :mod:`adaptive_contact.detect.source`.
+        parts: see :mod:`adaptive_contact.detect.source`.
         links: (J, 6), see :func:`~adaptive_contact.detect.swing.tabulate`.
         path: (400, J) rad, commands of the swing.
         history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
@@ -88,7 +86,6 @@ class LegBatch:
     measured: Array
     desired: Array
     valid: Mask
-    echoing: Mask
     asked: Array
     start: Array
     foot: Array
@@ -131,9 +128,6 @@ class LegBatch:
         # Stream, source and swing.
         self.ring = zeros(RING, 3, dtype=i)
         self.kept_angles, self.kept_stamps = zeros(KEPT, 2 * joints), zeros(KEPT, 3, dtype=i)
-        self.echo_commands = zeros(COMMANDS, joints)
-        self.echo_runs = zeros(joints, LAGS, 5)
-        self.echo_runs[..., 4] = -1.0
         self.parts = zeros(3, 4)
         self.links, self.path = zeros(joints, 6), zeros(PATH_TICKS, joints)
         # History.

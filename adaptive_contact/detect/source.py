@@ -1,9 +1,7 @@
-"""Follows what a leg's source sends, compiled: its clock, copied commands, swapped phases.
+"""Follows what a leg's source sends, compiled: its clock, swapped phases, what else is wrong.
 
 The reasons and the evidence stand in ``source_watch.py``.
 
-An echo's runs are (J, lags, 5): lowest and highest error, slowest and fastest step of the command,
-all in position steps, and ticks in which the command moved, below zero where there is no run.
 Parts, swings and stances, are (3, 4): ticks, travel, the furthest fall and the peak of the
 commanded foot; the part in hand first, then the last stance and the last swing.
 """
@@ -64,26 +62,6 @@ ON_TIME_SHARE: Final = 0.4
 
 PAUSE: Final = -1
 
-# A copy may be of the command of so many ticks before.
-ECHO_TICKS: Final = 3
-# Rounding to a grid, down, up or to the nearest step, leaves an echo within an interval of one
-# step.  Less than one, so that of commands that lie on the grid nothing but equality is left.
-ECHO_WIDTH: Final = 0.998
-# A command moves in a tick when it goes further than this, in steps.
-MOVED: Final = 0.5
-# A run of so many moved ticks, over such a range of speeds (steps a tick), of so much evidence, is
-# an echo.  Of 4,537 simulated swings the longest run of a servo over a range of 8 has 6 such
-# ticks; real servos have 5 over 3.5, or hundreds at one speed, over 0.4 (decision 24).
-LEAST_MOVED: Final = 10
-LEAST_RANGE: Final = 3.0
-ECHO_EVIDENCE: Final = 90.0
-# With so much evidence it is likely enough not to learn from a lift: at the top of a free one, runs
-# of servos have none.
-SUSPECT_MOVED: Final = 3
-SUSPECT_EVIDENCE: Final = 20.0
-# It has ended after so many ticks in a row that match no command.
-ECHO_OVER: Final = 3
-
 # Mean speed of a swing's command over that of the stance beside it: 1.28 and more of correct
 # phases, at most 0.61 of swapped ones (decision 24).
 SWAPPED_RATIO: Final = 0.8
@@ -104,11 +82,10 @@ SLOW_SWINGS: Final = 2
 LEAST_TICKS: Final = 3
 BEGINNING: Final = 8
 
-LAGS: Final = ECHO_TICKS + 1
-COMMANDS: Final = ECHO_TICKS + 2  # one more than is compared, as steps are between two
 NONE: Final = 0  # causes
 ECHO: Final = 1
 PHASE: Final = 2
+STALE: Final = 3
 LOW: Final = 0  # of a command, see `count_turns`
 LIFTED: Final = 1
 LOWERED: Final = 2
@@ -291,65 +268,6 @@ def follow_one(legs, ring, t_ns, seq, restart):
 
 
 @compiled
-def begin_echo(runs):
-    """Restart the counts: a swing begins, or what comes does not connect."""
-    runs[:, :, 4] = -1.0
-
-
-@compiled
-def take_command(leg, desired, commands):
-    """Take in a sample's command, before its readings."""
-    for lag in range(COMMANDS - 1, 0, -1):
-        commands[lag] = commands[lag - 1]
-    for j in range(len(desired)):
-        commands[0, j] = desired[j]
-    leg.echo_n = min(leg.echo_n + 1, COMMANDS)
-
-
-@compiled
-def take_readings(
-    leg, measured, valid, has_valid, step_rad, most_rad, commands, runs, off, echoing
-):
-    """Compare readings with the commands up to their own."""
-    leg.echo_suspected = False
-    for j in range(len(measured)):
-        if not (has_valid and not valid[j]):
-            matched = False
-            for lag in range(leg.echo_n - 1):
-                error = measured[j] - commands[lag, j]
-                run = runs[j, lag]
-                if abs(error) > most_rad:
-                    run[4] = -1.0
-                    continue
-                matched = True
-                step = (commands[lag, j] - commands[lag + 1, j]) / step_rad
-                error /= step_rad
-                low, high = min(run[0], error), max(run[1], error)
-                if run[4] < 0.0 or high - low > ECHO_WIDTH:
-                    run[0] = run[1] = error
-                    run[2], run[3], run[4] = np.inf, -np.inf, 0.0
-                    continue
-                run[0], run[1] = low, high
-                run[2], run[3] = min(run[2], step), max(run[3], step)
-                run[4] += abs(step) > MOVED
-                width = run[3] - run[2]
-                if run[4] >= LEAST_MOVED and width >= LEAST_RANGE:
-                    echoing[j] |= run[4] * width >= ECHO_EVIDENCE
-            leg.echoes = echoing.any()
-            if leg.echoes:
-                off[j] = 0 if matched else off[j] + 1
-                if off[j] >= ECHO_OVER:
-                    echoing[j] = False
-        for lag in range(LAGS):
-            moved = runs[j, lag, 4]
-            if moved >= SUSPECT_MOVED:
-                leg.echo_suspected |= (
-                    moved * (runs[j, lag, 3] - runs[j, lag, 2]) >= SUSPECT_EVIDENCE
-                )
-    leg.echoes = echoing.any()
-
-
-@compiled
 def restart_phase(leg, parts):
     """Forget the parts of swings: what comes does not connect to what was."""
     leg.has_before = False
@@ -455,17 +373,9 @@ def count_turns(leg, desired, height, turn_at, turning, turns):
 
 
 @stage
-def follow_source(
-    leg, measured, valid, has_valid, commands, runs, off, echoing, suspects
-):  # fmt: skip
-    """Stop judging a leg whose source copies its commands or swaps its phases, or go on."""
-    if leg.ticks == 1:
-        begin_echo(runs)
-    if leg.ticks or leg.echoes:
-        step = leg.quantum
-        most = ECHO_WIDTH * step
-        take_readings(leg, measured, valid, has_valid, step, most, commands, runs, off, echoing)
-    cause = ECHO if leg.echoes else PHASE if leg.swapped else NONE
+def follow_source(leg, suspects):
+    """Stop judging a leg whose readings are false or whose phases are swapped, or go on."""
+    cause = leg.false_readings if leg.false_readings else PHASE if leg.swapped else NONE
     if cause == leg.cause:
         return
     leg.cause = cause

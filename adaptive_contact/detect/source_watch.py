@@ -1,13 +1,7 @@
-r"""Reports what a source's samples show of it: copied commands, swapped phases, rate, seams.
+"""Reports what a source's samples show of it: false readings, swapped phases, rate, seams.
 
-*Echo*: a joint's reading is a copy of its command, of the same tick or of up to three before.  With
-:math:`e_k = (y_k - u_{k-L}) / q` in position steps, an echo keeps :math:`e` within one step,
-whatever its rounding, while the command speeds up and slows down.  A servo at a steady speed may
-do so, too; one that accelerates moves off.  The evidence of a run of such ticks is
-
-.. math:: n \, (\max \dot u - \min \dot u),
-
-with n ticks in which the command moved and :math:`\dot u` in steps a tick (decision 24).
+*False readings*: copies of commands, held and old readings are found by
+:mod:`adaptive_contact.checks.information`, twice a stride.
 
 *Swapped phase*: ``swing`` is published for stance and the reverse.  A leg goes as far in its swing
 as in its stance, in less time; where the command moves slower in swings than in stances, and comes
@@ -19,34 +13,40 @@ down less, they are swapped.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.checks.information import NEEDED_SAMPLES, InformationCheck, Kind, Samples
 from adaptive_contact.detect.detector import unwrap
-from adaptive_contact.detect.layout import RING, new_legs, scalars_of
-from adaptive_contact.detect.leg_batch import LegPlace
-from adaptive_contact.detect.source import (
-    COMMANDS,
-    ECHO_WIDTH,
-    LAGS,
-    PAUSE,
-    begin_echo,
-    follow_one,
-    take_command,
-    take_readings,
+from adaptive_contact.detect.layout import (
+    BEGAN,
+    KEPT,
+    RESTARTED,
+    RING,
+    TURNED,
+    new_legs,
+    scalars_of,
 )
+from adaptive_contact.detect.leg_batch import LegPlace
+from adaptive_contact.detect.source import ECHO, NONE, PAUSE, PHASE, STALE, follow_one
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import Doubt, ServoSample
 
-SOURCE_CAUSES: Final[tuple[Doubt | None, ...]] = (None, "echo", "phase")
-# Step of the coarsest servo known here (AX-12A), by which movements are counted where a servo's own
-# is not known; copies are then detected by equality, to the precision of a 32-bit float.
-UNKNOWN_STEP_RAD: Final = 0.005118
-EQUAL_RAD: Final = 2e-6
+SOURCE_CAUSES: Final[tuple[Doubt | None, ...]] = (None, "echo", "phase", "stale")
+_FALSE: Final[dict[Kind, int]] = {"copy": ECHO, "held": STALE, "old": STALE}
+_SAID: Final[dict[Kind, str]] = {
+    "copy": "measured copies desired ({names}): publish the positions that the servos report",
+    "held": (
+        "readings are held for three ticks and more ({names}): read every servo in every tick"
+    ),
+    "old": (
+        "measured follows an earlier desired, or another leg's: publish the positions that this "
+        "leg's servos report now"
+    ),
+}
 # Deviations above this, root mean square in periods, are worth a line to a person.
 NOTED_JITTER: Final = 0.15
 _JITTER_CAUSES: Final[dict[bool | None, str]] = {
@@ -56,86 +56,67 @@ _JITTER_CAUSES: Final[dict[bool | None, str]] = {
 }
 
 
-class EchoWatch:
-    """Detects joints whose readings copy their commands, of one leg.
-
-    Args:
-        joints: J.
-        quantum_rad: position step of the servos; None if not known, then only copies without
-            rounding are found.
-    """
-
-    def __init__(self, joints: int, quantum_rad: float | None) -> None:
-        self._legs = new_legs(1)
-        self._step_rad = UNKNOWN_STEP_RAD if quantum_rad is None else quantum_rad
-        self._most_rad = EQUAL_RAD if quantum_rad is None else ECHO_WIDTH * self._step_rad
-        self._commands = np.zeros((COMMANDS, joints))
-        self._runs = np.zeros((joints, LAGS, 5))
-        self._off = np.zeros(joints, dtype=np.int64)
-        self._echoing = np.zeros(joints, dtype=np.bool_)
-        self.begin()
-
-    @property
-    def echoing(self) -> set[int]:
-        """Joints, by number, found to echo and not yet to have stopped."""
-        return set(np.flatnonzero(self._echoing).tolist())
-
-    def begin(self) -> None:
-        """Restart the counts: a swing begins, or what comes does not connect."""
-        begin_echo(self._runs)
-
-    def restart(self) -> None:
-        """Forget the commands before, which are not known."""
-        self.begin()
-        self._legs[0]["echo_n"] = 0
-
-    def command(self, desired: Sequence[float]) -> None:
-        """Take in a sample's command; to be called for every sample, before :meth:`take`."""
-        take_command(self._legs[0], np.array(desired), self._commands)
-
-    def take(self, measured: Sequence[float], valid: Sequence[bool] | None = None) -> None:
-        """Compare a sample's readings with the commands up to its own.
-
-        Args:
-            measured: (J,) rad.
-            valid: (J,) False where nothing was read.
-        """
-        flags = np.ones(len(measured), dtype=np.bool_) if valid is None else np.array(valid)
-        take_readings(
-            self._legs[0], np.array(measured), flags, valid is not None, self._step_rad,
-            self._most_rad, self._commands, self._runs, self._off, self._echoing,
-        )  # fmt: skip
-
-
 class SourceWatch:
     """Reports what is wrong with the source of one leg's samples."""
 
     def __init__(self, leg: Leg, place: LegPlace) -> None:
         self._leg = leg
         self._place = place
+        self._check = InformationCheck(len(leg.joints), place.leg.quantum)
+        self._since_ns = 0
 
     @property
     def cause(self) -> Doubt | None:
-        """``echo`` or ``phase`` while the samples say nothing of the leg, else None."""
+        """``echo``, ``stale`` or ``phase`` while samples say nothing of the leg, else None."""
         return SOURCE_CAUSES[int(self._place.leg.cause)]
+
+    @property
+    def suspected(self) -> bool:
+        """Whether readings may be copies, by the last look."""
+        return self._check.suspected
+
+    @property
+    def since_ns(self) -> int:
+        """Time since which samples have been false."""
+        leg = self._place.leg
+        return int(leg.began_ns) if leg.cause == PHASE else self._since_ns
+
+    def look(self, flags: int, *, known: bool) -> None:
+        """Look at the readings as a swing begins or ends.
+
+        Args:
+            flags: of the tick.
+            known: the leg's model, which was there before, predicts its lifts.
+        """
+        leg, check = self._place.leg, self._check
+        if flags & RESTARTED:
+            check.restart()
+        if not flags & (BEGAN | TURNED):
+            return
+        batch, row = self._place.batch, self._place.row
+        at = np.arange(max(leg.kept_n - NEEDED_SAMPLES, 0), leg.kept_n) % KEPT
+        stamps = batch.kept_stamps[row, at]
+        measured, desired = np.split(batch.kept_angles[row, at], 2, axis=1)
+        samples = Samples(stamps[:, 1], measured, desired)
+        if check.look(leg.kept_n, samples, begins=bool(flags & BEGAN), known=known):
+            found = check.found
+            leg.false_readings = NONE if found is None else _FALSE[found.kind]
+            if found is not None:
+                self._since_ns = int(stamps[-min(found.since, len(stamps)), 0]) - leg.period_ns
 
     @property
     def note(self) -> str | None:
         """One line for a person, None when all is well."""
-        cause = self.cause
-        if cause == "echo":
-            echoing = np.flatnonzero(self._place.batch.echoing[self._place.row]).tolist()
-            names = ", ".join(self._leg.joints[joint] for joint in echoing)
-            return (
-                f"measured copies desired ({names}): publish the positions that the servos report; "
-                "no contacts are reported until then"
-            )
+        cause, found = self.cause, self._check.found
         if cause == "phase":
             return (
                 "phase is swapped: the foot swings while the samples say stance; no contacts are "
                 "reported until it is right"
             )
-        return None
+        if cause is None or found is None:
+            return None
+        names = ", ".join(self._leg.joints[joint] for joint in found.joints)
+        return f"{_SAID[found.kind].format(names=names)}; no contacts are reported until then"
 
 
 class RateWatch:

@@ -177,7 +177,7 @@ class SwingLabels:
         if count - first < MIN_LIFT_ROWS:
             return found
         leg.fits |= total <= UNFIT_LEVEL * (count - first)
-        if swing.lifted and not leg.echo_suspected:
+        if swing.lifted:
             self._unobserved = 0
             self._region = self._regions.of(batch.desired[row].tolist())
             rows = moving(self._rows(first, count))

@@ -79,7 +79,7 @@ class FirstSwings:
         return f"{self.swings} swings, and its model is still uncertain"
 
 
-class _Good(NamedTuple):
+class Good(NamedTuple):
     """Holds a model that fitted, as the recursion that went on from it."""
 
     version: int
@@ -114,8 +114,8 @@ class ActiveModel:
         self.most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
         self.as_made = start.model
         self._moved = False  # the recursion has, since it was made
-        self._start = _Good(start.model.version, self._begun_with(start.spread), self._of_prior)
-        self._good: _Good | None = None
+        self._start = Good(start.model.version, self._begun_with(start.spread), self._of_prior)
+        self._good: Good | None = None
         self._go_on_from(self._start)
         self._better_baseline = 0  # lifts in a row
 
@@ -179,17 +179,18 @@ class ActiveModel:
 
     def remember(self) -> None:
         """Keep the model in force as the last good one."""
-        before = self._good
-        rls = self.recursion.copy(None if before is None else before.rls)
-        self._good = _Good(self.version, rls, self.inflated)
+        self._good = self.good(self._good)
 
-    def recall(self) -> None:
-        """Restore the last good model: what was learned since was of something else."""
-        good = self._good
-        if good is None or good.version != self.version:
-            return
+    def good(self, spare: Good | None = None) -> Good:
+        """Return the model in force with its recursion; ``spare`` may be written over."""
+        rls = self.recursion.copy(None if spare is None else spare.rls)
+        return Good(self.version, rls, self.inflated)
+
+    def return_to(self, good: Good) -> None:
+        """Restore a model: what was learned since was of something else."""
         self._put(self.as_made.moved(good.rls.coefficients, good.version))
         self._go_on_from(good)
+        self._good = good
 
     def replace(self, model: LegModel) -> None:
         """Put another model in force; the recursion restarts from it."""
@@ -255,7 +256,7 @@ class ActiveModel:
         rls.inflate(spread)
         return rls
 
-    def _go_on_from(self, good: _Good) -> None:
+    def _go_on_from(self, good: Good) -> None:
         self.recursion, self.inflated = good.rls.copy(), good.inflated
 
     def _recursion(self, model: LegModel, more: Mask | None = None) -> RecursiveLeastSquares:

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, NamedTuple
 from adaptive_contact.arrays import Array
 from adaptive_contact.diagnose.change_classifier import ChangeClassifier
 from adaptive_contact.fit.refit_job import Refitter
-from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel, FirstSwings
+from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel, FirstSwings, Good
 from adaptive_contact.learn.candidate import Candidate, rows_for_refit
 from adaptive_contact.learn.drift import (
     SETTLED_LEVEL,
@@ -53,11 +53,24 @@ REFRESH_SWINGS: Final = 4
 REFRESH_TICKS: Final = 16
 
 
+# Swings that can be taken back: a false source is found within three.
+KEPT_SWINGS: Final = 6
+
+
 # What a tick of the learning may have moved of what the next one is judged by.
 Moved = Literal[0, 1, 2]
 NOTHING: Final = 0
 COEFFICIENTS: Final = 1
 ANYTHING: Final = 2
+
+
+class _Kept(NamedTuple):
+    """Holds what was known of a leg as a swing began."""
+
+    t_ns: int
+    era: int
+    good: Good
+    parts: tuple[dict[str, Any] | None, ...]  # of what follows the leg
 
 
 class EventStatus(NamedTuple):
@@ -119,6 +132,7 @@ class Adapter:
         self._learned_swing = False
         self._refresh_in: int | None = None  # ticks
         self._renewed = False  # covariances were, since the last `tick`
+        self._kept = deque[_Kept](maxlen=KEPT_SWINGS)
         self.busy = True
         self.candidate = Candidate(
             leg, self._noise, self._scale, refitter, start.domain, self.active.most_rad
@@ -259,11 +273,42 @@ class Adapter:
         kept = [t_ns for t_ns in self.confirmed_ns if t_ns < since_ns]
         self.confirmed_ns = deque(kept, maxlen=CONFIRMED_TICKS)
 
+    @property
+    def known(self) -> bool:
+        """Whether a model that was there before the leg's first swing has fitted all its lifts."""
+        lifts, far = self.monitor.lifts_assessed
+        return self._era == 0 and self.status == "valid" and lifts > far
+
+    def keep(self, t_ns: int) -> None:
+        """Keep what is known of the leg as a swing begins, for :meth:`retract`."""
+        if self.learning:
+            spare = self._kept[0].good if len(self._kept) == KEPT_SWINGS else None
+            good = self.active.good(spare)
+            parts = tuple(None if of is None else _state_of(of) for of in self._followers)
+            self._kept.append(_Kept(t_ns, self._era, good, parts))
+
     def retract(self, since_ns: int) -> None:
         """Drop what was confirmed and learned since a time: those ticks were not of this leg."""
         self.distrust(since_ns)
-        if self._learned_ns >= since_ns:
-            self.active.recall()
+        while len(self._kept) > 1 and self._kept[-1].t_ns > since_ns:
+            self._kept.pop()
+        if not self._kept:
+            return
+        kept = self._kept.pop()
+        self.active.return_to(kept.good)
+        if self.first is None and kept.parts[-1] is not None:
+            self.first = FirstSwings()
+        for of, state in zip(self._followers, kept.parts, strict=True):
+            if of is not None and state is not None:
+                vars(of).update(_copied(state))
+        self._era, self._evidence = kept.era, None
+        self.candidate.withdraw()
+        self.candidate.contacts.clear()
+        self._refresh()
+
+    @property
+    def _followers(self) -> tuple[object | None, ...]:
+        return self.monitor, self.early, self._noise_tracker, self.first
 
     def new_source(self) -> None:
         """Follow a restart of the source: times from before do not compare with its own."""
@@ -271,6 +316,7 @@ class Adapter:
             self._learn()
         self._suspected = NO_ROWS
         self._learned_ns = -1
+        self._kept.clear()
         self.confirmed_ns.clear()
         self.buffer.new_source()
         self.monitor.new_clock()
@@ -478,3 +524,12 @@ class Adapter:
         self.candidate.withdraw()
         self.candidate.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
         self._refresh()
+
+
+def _state_of(of: object) -> dict[str, Any]:
+    return _copied(vars(of))
+
+
+def _copied(state: dict[str, Any]) -> dict[str, Any]:
+    """Copy a state; its arrays are replaced, never written to."""
+    return {name: of.copy() if isinstance(of, deque) else of for name, of in state.items()}

@@ -69,6 +69,7 @@ class Cause(enum.StrEnum):
     UNITS = "units"
     ECHO = "echo"
     NEAR_ECHO = "near_echo"
+    OLD = "old"
     TWINS = "twins"
     FROZEN = "frozen"
     HELD = "held"

@@ -13,12 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.detect.source_watch import EQUAL_RAD, EchoWatch
+from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.checks.information import Samples, held_share, survey
 from adaptive_contact.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
 from adaptive_contact.service.findings import Fault
-from adaptive_contact.service.position_step import LEAST_STEP_RAD, STEP_TOLERANCE, position_step
+from adaptive_contact.service.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.wire import ServoSample
 from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
 
@@ -40,18 +40,14 @@ _FAR_RAD: Final = 0.4
 _BEYOND_RAD: Final = 2 * math.pi + 0.1
 _BEYOND_TURNS_RAD: Final = 8 * math.pi
 _BACKWARDS_CORRELATION: Final = -0.7
-# Copies of the command of up to so many ticks before: of the ticks in which it moves, at speeds
-# that differ by so many steps a tick, this share is within one step, which is what rounding leaves.
-# A servo that follows within a step for whole swings is outside in one tick of ten and more.
-_COPY_LAGS: Final = 12
-_COPY_SHARE: Final = 0.98
-_COPY_SPEEDS: Final = 3.0
-_FEWEST_MOVING: Final = 50  # also of all that compares a joint's motion with its command's
+# Ticks that comparing a joint's motion with its command's needs.
+_FEWEST_MOVING: Final = 50
 # Readings that are held: of the ticks in which a joint goes a step a tick and more, over so many
 # ticks on each side, more than this share read the same as the tick before.  Held for two ticks it
 # is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions 0.24 at most.
-_HELD_AROUND: Final = 6
 _HELD_SHARE: Final = 0.4
+# Where the step of the encoder is not known, readings on no grid are copies if they are this near.
+_EQUAL_RAD: Final = 2e-6
 _SAME_RAD: Final = 1e-9  # that one step, computed in two ways, may be off
 # Readings that follow another joint's command: so much nearer than their own, and this near.
 _ORDER_SHARE: Final = 0.35
@@ -116,7 +112,6 @@ def check_readings(
     answered = np.array([s.valid is None or all(s.valid) for s in samples])
     kept = finite & answered
     seq = np.array([s.seq for s in samples])[kept]
-    swings = np.array([s.phase != "stance" for s in samples])[kept]
     measured, desired = measured[kept], desired[kept]
     if len(measured) < _FEWEST:
         return
@@ -127,19 +122,20 @@ def check_readings(
     if units is not None:
         yield units
         return
-    joints = list(zip(measured.T, desired.T, strict=True))
-    copied = [_copied(*joint, seq, swings, quantum_rad) for joint in joints]
-    near = _echoing(samples, len(names), quantum_rad)
-    for name, found in (
-        ("echo", {j for j, sure in enumerate(copied) if sure}),
-        ("near_echo", {j for j, sure in enumerate(copied) if sure is False} | near),
-    ):
-        if found:
-            every = len(found) == len(names)
-            which = None if every else ", ".join(names[j] for j in sorted(found))
-            yield Fault.of(name, which, key="" if every else "some")
-            if name == "echo":
+    phases = [s.phase for s, usable in zip(samples, kept, strict=True) if usable]
+    known = None if None in phases else np.array([phase == "swing" for phase in phases])
+    found = survey(Samples(seq, measured, desired), known, quantum_rad or _EQUAL_RAD)
+    for cause, always in (("echo", True), ("near_echo", False)):
+        of_cause = [j for j, never in found.copies.items() if never is always]
+        if of_cause:
+            every = len(of_cause) == len(names)
+            which = None if every else ", ".join(names[j] for j in of_cause)
+            yield Fault.of(cause, which, key="" if every else "some")
+            if always:
                 return
+    if found.old:
+        yield Fault.of("old")
+        return
     for j, name in enumerate(names):
         turns = round(float(np.median(measured[:, j] - desired[:, j])) / math.tau)
         if turns:
@@ -153,7 +149,7 @@ def check_readings(
         yield Fault.of("order", " and ".join(follows))
         return
     if quantum_rad is not None:
-        yield from _held(measured, desired, seq, names, quantum_rad)
+        yield from _held(Samples(seq, measured, desired), names, quantum_rad)
     begun = _begun(desired, 0.0)
     if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
         by_rad = float(np.ptp(measured, axis=0).max())
@@ -196,98 +192,18 @@ def _far_out(angles: Array) -> Array:
     return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
 
 
-def _echoing(samples: Sequence[ServoSample], joints: int, quantum_rad: float | None) -> set[int]:
-    """Joints, by number, whose readings copy their commands: as the learner judges it."""
-    watch = EchoWatch(joints, quantum_rad)
-    found: set[int] = set()
-    before: ServoSample | None = None
-    for sample in samples:
-        follows = before is not None and (before.run, before.seq + 1) == (sample.run, sample.seq)
-        if not follows:
-            watch.restart()
-        if all(map(math.isfinite, itertools.chain(sample.measured, sample.desired))):
-            watch.command(sample.desired)
-            # As each swing is judged by itself: at one speed a servo may follow for long.
-            if sample.phase == "swing" and (before is None or before.phase != "swing"):
-                watch.begin()
-            if sample.phase != "stance":
-                watch.take(sample.measured, sample.valid)
-                found |= watch.echoing
-            before = sample
-        else:
-            before = None
-    return found
-
-
-def _copied(
-    measured: Array, desired: Array, seq: Ticks, swings: Mask, step_rad: float | None
-) -> bool | None:
-    """Whether a joint's readings are commands of some ticks before, exact or rounded.
-
-    Returns:
-        False where they are as near as that only by the step that was said, and their own is finer
-        or none: a servo may follow so closely; None where they are not.
-    """
-    if step_rad is not None and not _within(measured, desired, seq, swings, step_rad):
-        return None
-    fine = step_rad is not None and step_rad < LEAST_STEP_RAD  # no finer one can be found
-    own_rad = position_step(measured, step_rad) or (step_rad if fine else None) or 2.0 * EQUAL_RAD
-    return _within(measured, desired, seq, swings, own_rad) or (None if step_rad is None else False)
-
-
-def _within(measured: Array, desired: Array, seq: Ticks, swings: Mask, step_rad: float) -> bool:
-    """Whether readings are within one step of the commands of some ticks before.
-
-    In all ticks, or in those of swings.
-    """
-    lags = range(min(_COPY_LAGS, len(seq) - 2) + 1)
-    for lag, looked_at in itertools.product(lags, (np.ones_like(swings), swings)):
-        # Rows whose command ``lag`` ticks before is known, and had moved.
-        k = np.arange(lag + 1, len(seq))
-        speeds = np.abs(desired[k - lag] - desired[k - lag - 1]) / step_rad
-        known = (seq[k] - seq[k - lag - 1] == lag + 1) & (speeds > 0.5) & looked_at[k]
-        k, speeds = k[known], speeds[known]
-        if len(k) < _FEWEST_MOVING:
-            continue
-        slow, fast = np.quantile(speeds, (0.05, 0.95))
-        off = np.sort(measured[k] - desired[k - lag])
-        inside = math.ceil(_COPY_SHARE * len(k))
-        width = (off[inside - 1 :] - off[: len(k) - inside + 1]).min()
-        if fast - slow > _COPY_SPEEDS and width <= step_rad:
-            return True
-    return False
-
-
-def _held(
-    measured: Array, desired: Array, seq: Ticks, names: Sequence[str], step_rad: float
-) -> Iterator[Fault]:
+def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[Fault]:
     shares: dict[str, float] = {}
-    for name, commanded, read in zip(names, desired.T, measured.T, strict=True):
+    for joint, name in enumerate(names):
         # With coarser steps than was said, a joint takes some ticks to go one.
-        gaps = np.diff(np.unique(read))
+        gaps = np.diff(np.unique(samples.measured[:, joint]))
         coarser = float(gaps.min(initial=np.inf, where=gaps > _SAME_RAD))
-        share = _held_share(read, commanded, seq, max(step_rad, coarser))
+        share = held_share(samples, joint, max(step_rad, coarser))
         if share > _HELD_SHARE:
             shares[name] = share
     if shares:
         most = max(shares.values())
         yield Fault.of("held", f"{', '.join(shares)} in up to {most:.0%} of ticks", most)
-
-
-def _held_share(measured: Array, desired: Array, seq: Ticks, step_rad: float) -> float:
-    """Share of ticks, of those in which a joint and its command move, that read as the one before.
-
-    Returns:
-        0 where there are too few such ticks.
-    """
-    around = _HELD_AROUND
-    k = np.arange(around, len(seq) - around)
-    moves = np.abs(measured[k + around] - measured[k - around]) > 2 * around * step_rad
-    commanded = np.abs(desired[k] - desired[k - 1]) > step_rad
-    k = k[moves & commanded & (seq[k + around] - seq[k - around] == 2 * around)]
-    if len(k) < _FEWEST_MOVING:
-        return 0.0
-    return float(np.mean(measured[k] == measured[k - 1]))
 
 
 def _without_turns(angles: Array) -> tuple[Array, Ints]:

@@ -23,7 +23,16 @@ Phase = Literal["swing", "stance"]
 Status = Literal["learning", "valid", "adapting", "ambiguous", "silent"]
 # Why a leg is ambiguous.
 Doubt = Literal[
-    "angles", "echo", "phase", "held", "far", "unsettled", "descents", "publishers", "unjudged"
+    "angles",
+    "echo",
+    "stale",
+    "phase",
+    "held",
+    "far",
+    "unsettled",
+    "descents",
+    "publishers",
+    "unjudged",
 ]
 DriftKind = Literal[
     "mass",

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.detect.source import ECHO_EVIDENCE, ECHO_TICKS
-from adaptive_contact.detect.source_watch import EchoWatch
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.leg_learner import ContactLearner as Learner
 from adaptive_contact.model import Baseline
@@ -63,105 +61,9 @@ def swapped(stream: list[ServoSample], begin: int, end: int) -> list[ServoSample
     ]
 
 
-def told(watch: EchoWatch, stream: list[ServoSample]) -> set[int]:
-    found: set[int] = set()
-    for sample in stream:
-        watch.command(sample.desired)
-        watch.take(sample.measured)
-        found |= watch.echoing
-    return found
-
-
 def swings(count: int, *, seed: int = 5, **of: float) -> list[ServoSample]:
     measured, desired, swing, _ = FakeLeg(seed=seed, **of).run(count)  # type: ignore[arg-type]
     return samples(measured, desired, swing)
-
-
-# -- the watches by themselves ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("rounding", ROUNDINGS.values(), ids=ROUNDINGS.keys())
-@pytest.mark.parametrize("lag", range(ECHO_TICKS + 1))
-def test_a_copy_is_told_within_one_swing(lag: int, rounding: Rounding) -> None:
-    stream = swings(4)
-    for begin in (PERIOD, 2 * PERIOD, 3 * PERIOD):
-        made = echoed(stream, begin - lag, begin + SWING, lag=lag, rounding=rounding)
-        watch = EchoWatch(3, STEP)
-        for sample in made[:begin]:
-            watch.command(sample.desired)
-        assert told(watch, made[begin : begin + SWING]) >= {1, 2}
-
-
-@pytest.mark.parametrize("joint", [1, 2])
-def test_one_joint_that_copies_is_named(joint: int) -> None:
-    made = echoed(swings(3), PERIOD, 2 * PERIOD, lag=1, joints=(joint,))
-    assert told(EchoWatch(3, STEP), made[: 2 * PERIOD]) == {joint}
-
-
-@pytest.mark.parametrize(
-    ("gain", "noise"),
-    [(0.1, 0.0), (0.2, 0.0), (0.35, 0.0), (0.6, 0.0), (0.35, 0.003), (0.9, 0.003), (0.9, 0.006)],
-)
-def test_no_servo_is_told_to_copy(gain: float, noise: float) -> None:
-    assert told(EchoWatch(3, STEP), swings(100, gain=gain, noise=noise)) == set()
-
-
-def test_one_speed_is_no_evidence() -> None:
-    """A servo that follows at one speed, so many ticks late, lies on its commands for long."""
-    watch = EchoWatch(1, STEP)
-    for k in range(500):
-        watch.command([k * 0.01])
-        watch.take([max(k - 3, 0) * 0.01])
-        if k == 10:
-            watch.begin()
-    assert watch.echoing == set()
-
-
-def test_evidence_is_that_of_the_definition() -> None:
-    """Against a slow reference: every stretch of ticks, each lag, ranges of errors and steps."""
-    rng = np.random.default_rng(3)
-    for _ in range(30):
-        steps = rng.integers(-6, 7, 40)
-        desired = np.cumsum(steps) * STEP
-        # On a grid errors are whole steps, and a stretch is one of equal errors below one.
-        off = rng.choice([0, 0, 0, 0, 0, 0, 0, 3], 40) * STEP
-        watch = EchoWatch(1, STEP)
-        found = False
-        for command, reading in zip(desired, desired + off, strict=True):
-            watch.command([command])
-            watch.take([reading])
-            found |= bool(watch.echoing)
-        expected = False
-        for lag in range(ECHO_TICKS + 1):
-            error = (desired + off)[lag:] - desired[: 40 - lag]
-            for a in range(len(error)):
-                b = a
-                while b < len(error) and abs(error[b]) < 0.5 * STEP:
-                    b += 1
-                    inner = steps[a + 1 : b] if lag == 0 else np.diff(desired)[a : b - 1] / STEP
-                    inner = np.round(inner)
-                    moved = int(np.count_nonzero(inner))
-                    span = float(np.ptp(inner)) if len(inner) else 0.0
-                    expected |= moved >= 10 and span >= 3 and moved * span >= ECHO_EVIDENCE
-        assert found == expected
-
-
-def test_readings_that_did_not_come_are_no_evidence() -> None:
-    watch = EchoWatch(3, STEP)
-    for sample in echoed(swings(3), 0, 3 * PERIOD, lag=0):
-        watch.command(sample.desired)
-        watch.take(sample.measured, [True, False, True])
-    assert 1 not in watch.echoing
-    assert 2 in watch.echoing
-
-
-def test_a_copy_ends_with_three_ticks_that_are_none() -> None:
-    stream = swings(6)
-    made = echoed(stream, PERIOD, 3 * PERIOD, lag=0)
-    watch = EchoWatch(3, STEP)
-    assert told(watch, made[: 3 * PERIOD]) == {0, 1, 2}
-    told(watch, made[3 * PERIOD : 4 * PERIOD])
-    assert watch.echoing == set()
 
 
 # -- the learner -----------------------------------------------------------------------------------
@@ -187,7 +89,7 @@ def test_a_copy_is_told_teaches_nothing_and_passes(
     robot: Robot, baseline: Baseline, case: dict[str, object], offset: int
 ) -> None:
     begin, end = 30 * PERIOD + offset, 36 * PERIOD + offset
-    first = (30 if offset < 8 else 31) * PERIOD + SWING  # the end of the first swing
+    third = (33 if offset else 32) * PERIOD + SWING  # the end of the third whole swing
     stream = echoed(swings(45), begin, end, **case)  # type: ignore[arg-type]
     learner = learner_of(robot, baseline)
     play(learner, stream[:begin])
@@ -196,19 +98,19 @@ def test_a_copy_is_told_teaches_nothing_and_passes(
     before = learner.model
     assert before is not None
     version = learner.status.model_version
-    play(learner, stream[begin:first])
+    play(learner, stream[begin : third + 1])
     status = learner.status
     assert (status.status, status.doubt) == ("ambiguous", "echo")
     assert "measured copies desired" in (status.note or "")
     learned = [at for at in learner.drain_confirmed() if at >= begin * 20_000_000]
-    assert play(learner, stream[first:end]) == []
+    assert play(learner, stream[third + 1 : end]) == []
     assert learned == []
     assert learner.drain_confirmed() == []
-    assert learner.status.model_version == version
-    two = (38 if offset < 8 else 39) * PERIOD
-    play(learner, stream[end:two])
+    assert learner.status.model_version <= version
+    after = (39 if offset < 8 else 40) * PERIOD
+    play(learner, stream[end:after])
     assert learner.status.status == "valid", learner.status.note
-    assert play(learner, stream[two:]) == []
+    assert play(learner, stream[after:]) == []
 
 
 def test_what_was_learned_of_a_copy_is_taken_back(

@@ -23,7 +23,6 @@ import pytest
 
 from adaptive_contact import ContactEvent, ServoSample
 from adaptive_contact.bank import LearnerBank
-from adaptive_contact.detect.source_watch import EchoWatch
 from adaptive_contact.fit.recordings import LegGatherer
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.model.factor import Factor
@@ -93,7 +92,6 @@ class World:
     def __init__(self, saved: Sequence[dict[str, bytes]] = ({}, {})) -> None:
         self.robot = shipped_robot()
         self.gatherer = LegGatherer(self.robot.leg("rf"), self.robot.period_s)
-        self.echo = EchoWatch(3, self.robot.quantum("rf"))
         self.factor = Factor(3, 3)
         self.banks = []
         for baseline, legs in zip((shipped_baseline(self.robot.name), None), saved, strict=True):
@@ -122,8 +120,6 @@ class World:
             self.factor.add(angles, angles)
             if bad:
                 self.factor.add(angles * math.nan, angles)
-            self.echo.command(samples["rf"]["desired"])
-            self.echo.take(samples["rf"]["measured"])
         return Went(events, objects(self))
 
 

@@ -1,0 +1,1 @@
+"""Checks of what a source sends: one file per fault."""

@@ -1,0 +1,371 @@
+r"""Judges whether a leg's readings carry information that its commands do not have.
+
+An honest reading departs from every function of the commands: by load, by touches, by friction, by
+its encoder's noise.  What a program makes of the commands does not.  With :math:`y` a joint's
+readings and :math:`u` its commands, the least squares of
+
+.. math:: y_k = c + \sum_{l=0}^{12} a_l u_{k-l} + \sum_p b_p (F_p u)_k
+
+over two strides, :math:`F_p` low-passes, leave a copy of any delay, scale, offset or filter within
+its rounding: a root mean square of 0.29 steps while the command moves.  Readings of other faults:
+
+- *held*: a joint that moves reads the same as in the tick before, more often than not;
+- *old*: the commands of the last 12 ticks explain less of the readings than those of a time before.
+
+A leg that carries nothing may be a function of its commands, too.  Where it has never departed from
+them it is *unproved*, not false.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from adaptive_contact.arrays import Array, Ints, Mask
+
+# Ticks from a command to its copy, and low-passes by the share of their past that they keep.
+LAGS: Final = 13
+POLES: Final = (0.5, 0.75, 0.9)
+# A joint is a copy below the first, and shows itself as the leg's own above the second, in steps.
+# Rounding leaves 0.29, in 100 ticks up to 0.36.  Least of walking joints: 0.58 and more on two
+# simulators (2,700 windows with noise of 0.3 steps and more), real legs 1.1 to 3; a robot arm's
+# wrist in slow sines 0.36.
+COPY_STEPS: Final = 0.42
+OWN_STEPS: Final = 1.0
+# Ticks in which the command moves, by half a step and more, and how its speed must vary, steps a
+# tick: at one speed, a servo follows as exactly.
+LEAST_MOVING: Final = 30
+MOVING: Final = 0.5
+LEAST_SPREAD: Final = 2.0
+# A reading that goes less of its command's way is frozen, which others name.
+LEAST_SHARE: Final = 0.05
+# Two strides are judged, but no more ticks than the second number where one is as long; the first
+# number is what the least squares need.
+LEAST_TICKS: Final = 44
+ENOUGH_TICKS: Final = 100
+MOST_TICKS: Final = 600
+# Ticks after which a low-pass has forgotten what was before; and what keeps least squares of
+# commands that are alike from rounding errors, as a share of their squares.
+SETTLE_TICKS: Final = 100
+RIDGE: Final = 1e-11
+# Readings that a bus has spoilt are left out, so many of them.
+SPOILT: Final = 2
+# Of ticks in which a joint goes a step a tick and more, the share that reads as the tick before:
+# 0.67 where each reading is held for three ticks, 0.5 for two (which can be judged), at most 0.24
+# by itself.
+HELD_SHARE: Final = 0.58
+HELD_AROUND: Final = 6
+# Readings are old where recent commands leave so much of their variance, and earlier ones, up to
+# so many ticks, so small a share of that: 0.25 at most for readings of a second before, 0.5 and
+# more for walking legs.
+OLD_REST: Final = 0.1
+OLD_LOOK: Final = 0.03  # nothing is old where all functions of the commands leave less
+OLD_RATIO: Final = 0.25
+OLD_TICKS: Final = 109
+BAND: Final = 6
+LEAST_TRAVEL_RAD: Final = 0.02
+# What a look needs at most.
+NEEDED_SAMPLES: Final = MOST_TICKS + LAGS + OLD_TICKS
+# Looks in a row, two a stride, that find a fault, or none, before it counts.
+LOOKS: Final = 2
+# Steps by which a tick before may be off and belong to the fault.
+SINCE_STEPS: Final = 2.0
+# Readings are on a grid where so many are, to a tenth of its step.
+GRID_SHARE: Final = 0.95
+GRID_RAD: Final = 1e-5
+
+Kind = Literal["copy", "held", "old"]
+
+
+class Samples(NamedTuple):
+    """Holds n samples in a row, the newest last."""
+
+    seq: Ints  # (n,)
+    measured: Array  # (n, J) rad
+    desired: Array  # (n, J) rad
+
+    def part(self, first: int, last: int | None = None) -> Samples:
+        """Return some of them."""
+        at = slice(first, last)
+        return Samples(self.seq[at], self.measured[at], self.desired[at])
+
+
+class Finding(NamedTuple):
+    """Holds what is wrong with a leg's readings."""
+
+    kind: Kind
+    joints: tuple[int, ...]
+    since: int  # samples before the newest for which it has been so
+
+
+class InformationCheck:
+    """Follows whether one leg's readings carry information, look by look.
+
+    Args:
+        joints: J.
+        step_rad: of the encoder; what lies on another grid is judged by that.
+
+    Attributes:
+        found: what is wrong, None where nothing is.
+        proved: (J,) whether a joint has departed from its commands since it was last at fault.
+        suspected: whether the last look found a fault, or a joint that no look has proved.
+    """
+
+    def __init__(self, joints: int, step_rad: float) -> None:
+        self._step_rad = step_rad
+        self.found: Finding | None = None
+        self.proved = np.zeros(joints, dtype=np.bool_)
+        self.suspected = False
+        self._strides = deque[int](maxlen=2)  # samples at which the last swings began
+        self._agreed = 0  # looks in a row that say other than `found`
+
+    def restart(self) -> None:
+        """Forget the strides: what comes does not connect."""
+        self._strides.clear()
+        self._agreed = 0
+
+    def look(self, count: int, samples: Samples, *, begins: bool, known: bool = False) -> bool:
+        """Judge the last two strides.
+
+        Args:
+            count: samples since the source began.
+            samples: the newest of them.
+            begins: a swing begins with the newest; else one has ended.
+            known: a model that was there before predicts the leg: what was never proved stays open.
+
+        Returns:
+            Whether ``found`` is another now.
+        """
+        ticks = self._ticks(count)
+        if begins:
+            self._strides.append(count)
+        if ticks < LEAST_TICKS or len(samples.seq) < ticks + LAGS:
+            return False
+        finding, decided = self._judge(samples, ticks, known=known)
+        if not decided or (finding is None) == (self.found is None):
+            self._agreed = 0 if decided else self._agreed
+            return False
+        self._agreed += 1
+        if self._agreed < LOOKS:
+            return False
+        self._agreed = 0
+        self.found = finding
+        if finding is not None:
+            self.proved[list(finding.joints)] = False
+        return True
+
+    def _ticks(self, count: int) -> int:
+        """Ticks to judge: two strides, or one that is long."""
+        if len(self._strides) < 2:
+            return 0
+        two, one = (count - at for at in self._strides)
+        return min(two, max(ENOUGH_TICKS, one), MOST_TICKS)
+
+    def _judge(self, samples: Samples, ticks: int, *, known: bool) -> tuple[Finding | None, bool]:
+        """Judge so many ticks: what is wrong, and whether they show anything."""
+        steps = np.array([step_of(y[-MOST_TICKS:], self._step_rad) for y in samples.measured.T])
+        newest = samples.part(-ticks)
+        held = [j for j, s in enumerate(steps) if held_share(newest, j, s) > HELD_SHARE]
+        if held:
+            return Finding("held", tuple(held), 2 * ticks), True
+        off = departure(samples, ticks, steps)
+        if off is None:
+            return None, False
+        copies = np.flatnonzero(off.rms < COPY_STEPS)
+        self.suspected = bool(len(copies))
+        open_ = known and self.found is None and not self.proved[copies].any()
+        if len(copies) and not open_:
+            return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
+        if off.rest > OLD_LOOK and is_old(samples, ticks):
+            return Finding("old", tuple(range(len(steps))), 2 * ticks), True
+        self.proved |= off.rms > OWN_STEPS
+        return None, bool(np.isfinite(off.rms).any())
+
+
+class Departure(NamedTuple):
+    """Holds how far readings are off a function of their commands."""
+
+    rms: Array  # (J,) steps, while the command moves; NaN where it moves too little to say
+    rest: float  # share of the readings' variance that is no function of the commands
+    coefficients: Array  # (J, p)
+    constants: Array  # (J,) rad
+    steps: Array  # (J,) rad
+
+    def since(self, samples: Samples, joints: Ints) -> int:
+        """Count the samples up to the newest of which the same function holds for joints."""
+        off = samples.measured - self.constants
+        off -= np.einsum("tpj,jp->tj", basis(samples.desired), self.coefficients)
+        beyond = np.flatnonzero((np.abs(off) > SINCE_STEPS * self.steps)[:, joints].any(axis=1))
+        # A single reading that a bus has spoilt is no beginning.
+        beyond = beyond[1:][np.diff(beyond) <= 2]
+        return len(off) - (int(beyond[-1]) + 1 if len(beyond) else 0)
+
+
+def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
+    """Compute how far the readings of the last ticks are off any function of the commands.
+
+    Args:
+        samples: as many, and those before that are known.
+        ticks: to judge.
+        steps: (J,) rad, of the encoders.
+
+    Returns:
+        None where too few ticks know the commands before them.
+    """
+    first = max(len(samples.seq) - ticks - LAGS - SETTLE_TICKS, 0)
+    seq, desired = samples.seq[first:], samples.desired[first:]
+    use = np.zeros(len(seq), dtype=np.bool_)
+    use[max(len(seq) - ticks, LAGS) :] = True
+    for at in (np.flatnonzero(np.diff(seq) != 1) + 1).tolist():
+        use[at : at + LAGS] = False
+    if use.sum() < LEAST_TICKS:
+        return None
+    columns, y = basis(desired)[use], samples.measured[first:][use]
+    speeds = (np.diff(desired, axis=0, prepend=desired[:1]) / steps)[use]
+    moving = np.abs(speeds) > MOVING
+    known = np.ones(y.shape)
+    for last in (False, True):
+        # A joint's readings and columns, off their means; what is left out weighs nothing.
+        count = known.sum(axis=0)
+        means = np.einsum("tpj,tj->pj", columns, known) / count
+        level = (y * known).sum(axis=0) / count
+        x = ((columns - means) * known[:, None]).transpose(2, 0, 1)
+        z = ((y - level) * known).T[:, :, None]
+        gram = x.transpose(0, 2, 1) @ x
+        ridge = RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300
+        coefficients = np.linalg.solve(gram + ridge * np.eye(x.shape[2]), x.transpose(0, 2, 1) @ z)
+        off = (z - x @ coefficients)[:, :, 0].T
+        if not last:
+            np.put_along_axis(known, np.argsort(np.abs(off), axis=0)[-SPOILT:], 0.0, axis=0)
+    # Few ticks that move are what the coefficients were fitted to.
+    free = np.maximum((moving * known).sum(axis=0) - x.shape[2] - 1, 1.0)
+    rms = np.sqrt((np.square(off) * moving).sum(axis=0) / free) / steps
+    still = np.ptp(y, axis=0) < LEAST_SHARE * np.ptp(desired[use], axis=0)
+    few = (moving.sum(axis=0) < LEAST_MOVING) | (speeds.std(axis=0) < LEAST_SPREAD)
+    rms[few | still] = np.nan
+    travels = np.ptp(desired[use], axis=0) > LEAST_TRAVEL_RAD
+    rest = (off**2).sum(axis=0) / np.maximum((z[:, :, 0] ** 2).sum(axis=1), 1e-12)
+    constants = level - np.einsum("pj,jp->j", means, coefficients[:, :, 0])
+    share = float(rest[travels].mean()) if travels.any() else 0.0
+    return Departure(rms, share, coefficients[:, :, 0], constants, steps)
+
+
+def basis(commands: Array) -> Array:
+    """Compute (n, p, J) functions of (n, J) commands: the last ones, and low-passes."""
+    n, joints = commands.shape
+    columns = np.empty((n, LAGS + len(POLES), joints))
+    lagged = np.concatenate([np.repeat(commands[:1], LAGS - 1, axis=0), commands])
+    for lag in range(LAGS):
+        columns[:, lag] = lagged[LAGS - 1 - lag :][:n]
+    for number, pole in enumerate(POLES, LAGS):
+        columns[:, number] = low_pass(commands, pole)
+    return columns
+
+
+def low_pass(commands: Array, pole: float) -> Array:
+    """Compute the low-pass of (n, J) commands that keeps so much of its past in a tick."""
+    # f_k + pole^m f_(k-m) reaches twice as far back as f does.
+    passed, ticks = (1.0 - pole) * (commands - commands[0]), 1
+    while ticks < len(commands) and pole**ticks > 1e-12:
+        passed[ticks:] += pole**ticks * passed[:-ticks].copy()
+        ticks *= 2
+    return np.asarray(passed + commands[0])
+
+
+def held_share(samples: Samples, joint: int, step_rad: float) -> float:
+    """Compute the share of ticks, of those in which a joint moves, that read as the one before.
+
+    Returns:
+        0 where there are too few such ticks.
+    """
+    around = HELD_AROUND
+    y, u, seq = samples.measured[:, joint], samples.desired[:, joint], samples.seq
+    k = np.arange(around, len(y) - around)
+    moves = np.abs(y[k + around] - y[k - around]) > 2 * around * step_rad
+    commanded = np.abs(u[k] - u[k - 1]) > step_rad
+    k = k[moves & commanded & (seq[k + around] - seq[k - around] == 2 * around)]
+    return float(np.mean(y[k] == y[k - 1])) if len(k) >= LEAST_MOVING else 0.0
+
+
+def is_old(samples: Samples, ticks: int) -> bool:
+    """Whether earlier commands explain the readings that recent ones do not."""
+    n = len(samples.seq)
+    most = min(OLD_TICKS, n - ticks - 2 * BAND)
+    joints = [j for j in range(samples.desired.shape[1]) if _travel(samples, j, ticks)]
+    if most < LAGS or not joints:
+        return False
+
+    def rest(lag: int) -> float:
+        return float(np.mean([_rest(samples, j, ticks, lag) for j in joints]))
+
+    recent = rest(0)
+    if recent < OLD_REST:
+        return False
+    return min(rest(lag) for lag in range(LAGS, most, BAND)) < OLD_RATIO * recent
+
+
+def _travel(samples: Samples, joint: int, ticks: int) -> bool:
+    return float(np.ptp(samples.desired[-ticks:, joint])) > LEAST_TRAVEL_RAD
+
+
+def _rest(samples: Samples, joint: int, ticks: int, lag: int) -> float:
+    """Share of the readings' variance that commands from ``lag`` ticks before on leave."""
+    y, u = samples.measured[-ticks:, joint], samples.desired[:, joint]
+    first = len(u) - ticks - lag
+    columns = np.stack([u[first - by :][:ticks] for by in range(0, 2 * BAND + 1, 2)], axis=1)
+    columns, y = columns - columns.mean(axis=0), y - y.mean()
+    off = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-10)[0]
+    return float(off @ off) / max(float(y @ y), 1e-12)
+
+
+def step_of(readings: Array, described_rad: float) -> float:
+    """Compute the step of the grid that readings lie on; the described one where they do not."""
+    values = np.unique(readings)
+    gaps = np.diff(values)
+    gaps = gaps[gaps > GRID_RAD]
+    if not len(gaps):
+        return described_rad
+    own = float(gaps.min())
+    phases = (values - values[0]) / own
+    on_grid = np.abs(phases - np.round(phases)) < 0.1
+    return own if float(on_grid.mean()) >= GRID_SHARE else described_rad
+
+
+class Survey(NamedTuple):
+    """Holds what the looks at a recording have found."""
+
+    copies: dict[int, bool]  # joints that were copies, and whether they never showed themselves
+    old: bool
+
+
+def survey(samples: Samples, swings: Mask | None, step_rad: float) -> Survey:
+    """Look at a whole recording as the tick does.
+
+    Args:
+        samples: all.
+        swings: (n,) whether the leg is in a swing; without, half of :data:`ENOUGH_TICKS` passes for
+            a stride.
+        step_rad: of the encoder.
+    """
+    check = InformationCheck(samples.measured.shape[1], step_rad)
+    n, copies, old = len(samples.seq), set[int](), False
+    turns = () if swings is None else np.flatnonzero(np.diff(swings.astype(np.int8))).tolist()
+    looks = {at + 2: bool(swings[at + 1]) for at in turns} if swings is not None else {}
+    if not looks:
+        looks = dict.fromkeys(range(ENOUGH_TICKS // 2, n + 1, ENOUGH_TICKS // 2), True)
+    shown = np.zeros(samples.measured.shape[1], dtype=np.bool_)
+    for count, begins in looks.items():
+        newest = samples.part(max(count - NEEDED_SAMPLES, 0), count)
+        if check.look(count, newest, begins=begins) and check.found is not None:
+            old |= check.found.kind == "old"
+            copies |= set(check.found.joints) if check.found.kind == "copy" else set()
+        shown |= check.proved
+    # Few strides as one.
+    ticks = min(n - LAGS, MOST_TICKS)
+    if ticks >= LEAST_TICKS:
+        steps = np.array([step_of(y[-MOST_TICKS:], step_rad) for y in samples.measured.T])
+        off = departure(samples, ticks, steps)
+        copies |= set() if off is None else set(np.flatnonzero(off.rms < COPY_STEPS).tolist())
+    return Survey({j: not shown[j] for j in sorted(copies)}, old)

@@ -1,0 +1,247 @@
+"""Readings that are the leg's own, and such that a program made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from adaptive_contact.checks.information import (
+    NEEDED_SAMPLES,
+    RIDGE,
+    InformationCheck,
+    Samples,
+    Survey,
+    basis,
+    departure,
+    held_share,
+    low_pass,
+    step_of,
+    survey,
+)
+
+STEP = 0.005
+SWING, STRIDE = 24, 40  # ticks
+
+
+def commands(strides: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Commands (n, 2) rad of strides to places at random, and which ticks swing."""
+    rng = np.random.default_rng(seed)
+    at, rows, swing = np.zeros(2), list[np.ndarray](), list[bool]()
+    for _ in range(strides):
+        top, end = rng.uniform(0.3, 0.6, 2), rng.uniform(-0.3, 0.0, 2)
+        for k in range(STRIDE):
+            lift = math.sin(math.pi * min(k / SWING, 1.0))
+            way = (1.0 - math.cos(math.pi * k / (STRIDE - 1))) / 2.0
+            rows.append(at + way * (end - at) + lift * top)
+            swing.append(k < SWING)
+        at = end
+    return np.array(rows), np.array(swing)
+
+
+def servo(
+    u: np.ndarray, swing: np.ndarray, *, gain: float, delay: int = 0, load: float = 0.03,
+    play: float = 0.0, seed: int = 2,
+) -> np.ndarray:  # fmt: skip
+    """A servo of first order that its load in stance pushes back, with play at its output."""
+    rng = np.random.default_rng(seed)
+    y, motor, out = np.zeros_like(u), u[0].copy(), u[0].copy()
+    push = 0.0
+    for k in range(len(u)):
+        y[k] = out
+        push += 0.4 * ((0.0 if swing[k] else load * rng.uniform(0.5, 1.5)) - push)
+        motor = motor + gain * (u[max(k - delay, 0)] - motor)
+        out = np.clip(out, motor - push - play / 2, motor - push + play / 2)
+    return y
+
+
+def grid(y: np.ndarray, step: float = STEP, noise: float = 0.1, seed: int = 3) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.asarray(np.round((y + rng.normal(0.0, noise * step, y.shape)) / step) * step)
+
+
+def delayed(u: np.ndarray, ticks: float) -> np.ndarray:
+    k = np.arange(len(u)) - ticks
+    return np.stack([np.interp(k, np.arange(len(u)), of) for of in u.T], axis=1)
+
+
+def played(
+    y: np.ndarray, u: np.ndarray, swing: np.ndarray, *, known: bool = False, step: float = STEP
+) -> tuple[InformationCheck, list[tuple[int, str | None]]]:
+    """A check that has followed a stream, and what it said when."""
+    check, said = InformationCheck(y.shape[1], step), list[tuple[int, str | None]]()
+    all_of = Samples(np.arange(len(y)), y, u)
+    for at in (np.flatnonzero(np.diff(swing.astype(int))) + 2).tolist():
+        newest = all_of.part(max(at - NEEDED_SAMPLES, 0), at)
+        if check.look(at, newest, begins=bool(swing[at - 1]), known=known):
+            said.append((at, check.found and check.found.kind))
+    return check, said
+
+
+Lie = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of readings and commands
+RNG = np.random.default_rng(5)
+COPIES: dict[str, Lie] = {
+    **{f"{ticks} ticks late": lambda _, u, t=ticks: delayed(u, t) for ticks in (0, 2.5, 4, 12)},
+    "rounded": lambda _, u: grid(delayed(u, 3), noise=0.0),
+    "moved": lambda _, u: delayed(u, 1) + 0.02,
+    "scaled": lambda _, u: 0.5 * u,
+    "noisy": lambda _, u: delayed(u, 5) + RNG.normal(0.0, 1e-4, u.shape),
+    "filtered": lambda _, u: grid(low_pass(delayed(u, 2), 0.6), noise=0.0),
+    "nearly all of it": lambda y, u: grid(0.95 * delayed(u, 2) + 0.05 * y, noise=0.0),
+}
+STALE: dict[str, Lie] = {
+    "held": lambda y, _: y[3 * (np.arange(len(y)) // 3)],
+    "a second old": lambda y, _: y[np.maximum(np.arange(len(y)) - 50, 0)],
+}
+
+
+@pytest.mark.parametrize("begin", [8 * STRIDE, 8 * STRIDE + 7, 8 * STRIDE + 30])
+@pytest.mark.parametrize("name", [*COPIES, *STALE])
+def test_what_carries_nothing_is_found_in_three_strides_and_over_in_five(
+    name: str, begin: int
+) -> None:
+    u, swing = commands(24)
+    own = grid(servo(u, swing, gain=0.4))
+    end = begin + 6 * STRIDE
+    y = own.copy()
+    y[begin:end] = (COPIES | STALE)[name](own, u)[begin:end]
+    kinds = ["copy"] if name in COPIES else ["held" if name == "held" else "old"]
+    _, said = played(y, u, swing)
+    assert [kind for _, kind in said] == [*kinds, None]
+    (found, _), (over, _) = said
+    whole = -(-begin // STRIDE) * STRIDE  # of the first whole stride
+    assert begin < found <= whole + 3 * STRIDE + 2
+    assert end < over <= end + 5 * STRIDE
+
+
+@pytest.mark.parametrize("name", COPIES)
+def test_when_it_began_is_known(name: str) -> None:
+    u, swing = commands(14)
+    own = grid(servo(u, swing, gain=0.4))
+    y, begin = own.copy(), 8 * STRIDE + 5
+    y[begin:] = COPIES[name](own, u)[begin:]
+    check, said = played(y, u, swing)
+    assert check.found is not None
+    assert begin - 20 <= said[-1][0] - check.found.since <= begin + 2
+
+
+@pytest.mark.parametrize("gain", [0.3, 0.6, 0.95])
+@pytest.mark.parametrize("delay", range(5))
+@pytest.mark.parametrize("step", [0.005, 0.0015, 1e-7])
+def test_a_servo_that_carries_load_is_its_own(gain: float, delay: int, step: float) -> None:
+    u, swing = commands(20)
+    y = grid(servo(u, swing, gain=gain, delay=delay), step)
+    check, said = played(y, u, swing, step=max(step, 0.0005))
+    assert said == []
+    assert check.proved.all()
+
+
+@pytest.mark.parametrize("play", [0.5, 2.0])
+def test_play_is_no_copy(play: float) -> None:
+    u, swing = commands(20)
+    y = grid(servo(u, swing, gain=0.95, play=math.radians(play)))
+    assert played(y, u, swing)[1] == []
+
+
+def test_a_leg_that_carries_nothing_is_open_where_a_model_knows_it() -> None:
+    """And once it carries load it is its own."""
+    u, swing = commands(24)
+    light = grid(servo(u, swing, gain=0.95, load=0.0))
+    assert [kind for _, kind in played(light, u, swing)[1]] == ["copy"]
+    check, said = played(light, u, swing, known=True)
+    assert (said, check.suspected, check.proved.any()) == ([], True, False)
+    loaded = grid(servo(u, swing, gain=0.95))
+    y = np.concatenate([light[: 10 * STRIDE], loaded[10 * STRIDE :]])
+    check, said = played(y, u, swing)
+    assert [kind for _, kind in said] == ["copy", None]
+    assert check.proved.all()
+
+
+def test_a_leg_that_has_shown_itself_is_not_open() -> None:
+    u, swing = commands(24)
+    y = grid(servo(u, swing, gain=0.95))
+    y[10 * STRIDE :] = delayed(u, 1)[10 * STRIDE :]
+    assert [kind for _, kind in played(y, u, swing, known=True)[1]] == ["copy"]
+
+
+def test_one_joint_is_named() -> None:
+    u, swing = commands(12)
+    y = grid(servo(u, swing, gain=0.4))
+    y[:, 1] = delayed(u, 2)[:, 1]
+    check, _ = played(y, u, swing)
+    assert check.found is not None
+    assert check.found.joints == (1,)
+    assert survey(Samples(np.arange(len(y)), y, u), swing, STEP) == Survey({1: True}, old=False)
+
+
+def test_lost_samples_and_spoilt_readings_hide_nothing_and_accuse_nobody() -> None:
+    u, swing = commands(30)
+    kept = np.random.default_rng(4).random(len(u)) > 0.01
+    for y, kinds in ((grid(servo(u, swing, gain=0.4)), []), (delayed(u, 3), ["copy"])):
+        y = y.copy()
+        y[::97, 0] = -math.pi
+        check, said = InformationCheck(2, STEP), list[str]()
+        rows = Samples(np.flatnonzero(kept), y[kept], u[kept])
+        for at in (np.flatnonzero(np.diff(swing[kept].astype(int))) + 2).tolist():
+            newest = rows.part(max(at - NEEDED_SAMPLES, 0), at)
+            if check.look(at, newest, begins=bool(swing[kept][at - 1])) and check.found:
+                said.append(check.found.kind)
+        assert said == kinds
+
+
+def test_a_frozen_joint_is_no_copy() -> None:
+    u, swing = commands(12)
+    y = grid(servo(u, swing, gain=0.4))
+    y[:, 0] = y[0, 0]
+    assert played(y, u, swing)[1] == []
+
+
+def test_least_squares_against_a_slow_reference() -> None:
+    """Its coefficients by a singular value decomposition, with the ridge as rows of its own."""
+    u, swing = commands(6)
+    y = grid(servo(u, swing, gain=0.4))
+    ticks, steps = 90, np.array([STEP, STEP])
+    found = departure(Samples(np.arange(len(y)), y, u), ticks, steps)
+    assert found is not None
+    for joint in range(2):
+        columns, read = basis(u)[-ticks:, :, joint], y[-ticks:, joint]
+        rows = np.ones(ticks, dtype=bool)
+        for last in (False, True):
+            x, z = columns - columns[rows].mean(axis=0), read - read[rows].mean()
+            ridge = np.sqrt(RIDGE * np.sum(x[rows] ** 2)) * np.eye(x.shape[1])
+            rest = np.zeros(x.shape[1])
+            weights = np.linalg.pinv(np.vstack([x[rows], ridge])) @ np.concatenate([z[rows], rest])
+            off = np.where(rows, z - x @ weights, 0.0)
+            if not last:
+                rows[np.argsort(np.abs(off))[-2:]] = False
+        moving = np.abs(np.diff(u[-ticks - 1 :, joint])) > 0.5 * STEP
+        square = sum(e * e for e, m in zip(off, moving, strict=True) if m)
+        free = int((moving & rows).sum()) - columns.shape[1] - 1
+        assert found.rms[joint] == pytest.approx(math.sqrt(square / free) / STEP, rel=1e-3)
+
+
+@pytest.mark.parametrize("pole", [0.5, 0.9])
+def test_a_low_pass_is_its_recursion(pole: float) -> None:
+    u, _ = commands(3)
+    f = u[0].copy()
+    for of, passed in zip(u, low_pass(u, pole), strict=True):
+        f = pole * f + (1.0 - pole) * of
+        assert passed == pytest.approx(f, abs=1e-9)
+
+
+def test_steps_are_those_of_the_readings() -> None:
+    y = np.random.default_rng(1).uniform(-1.0, 1.0, 400)
+    assert step_of(y, 0.005) == 0.005
+    assert step_of(np.round(y / 0.02) * 0.02, 0.005) == pytest.approx(0.02)
+    assert step_of(np.round(y / 0.001) * 0.001, 0.005) == pytest.approx(0.001)
+    assert step_of(np.zeros(9), 0.005) == 0.005
+
+
+def test_held_readings_have_their_share() -> None:
+    u, _ = commands(6)
+    for ticks, share in ((1, 0.0), (2, 0.5), (3, 2 / 3), (4, 0.75)):
+        y = u[ticks * (np.arange(len(u)) // ticks)]
+        found = held_share(Samples(np.arange(len(u)), y, u), 0, STEP)
+        assert found == pytest.approx(share, abs=0.06)
