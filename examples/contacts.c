@@ -5,24 +5,32 @@
 
    KEY is that of all legs' contacts where it is left out; -DZENOH_LINUX names the platform to
    zenoh-pico's headers.  No other library is needed: msgpack is read below, as far as a
-   ContactEvent uses it.  The last contact of each leg is asked for at the start and once a second,
-   so that what a cut link has lost is known when it is back.  zenoh-pico calls back from one thread
-   of its own: nothing here needs a lock. */
+   ContactEvent and a Heartbeat use it.  The last contact of each leg is asked for at the start and
+   once a second, so that what a cut link has lost is known when it is back.
+
+   No contact outlives its source: heartbeats say how old each leg's newest sample is.  A leg whose
+   sample is older than 0.5 s, by them and the time since they came, is not known, whatever its last
+   contact said (docs/messages.md, "When a leg is not known").  zenoh-pico calls back from a thread
+   of its own, and main() watches the time: one lock is held by whoever prints. */
 
 #define _POSIX_C_SOURCE 200809L
 
 #include <ctype.h>
 #include <inttypes.h>
+#include <pthread.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
-#include <unistd.h>
+#include <time.h>
 #include <zenoh-pico.h>
 
 #define MOST_LEGS 64
 #define MOST_NAME 32
-#define MOST_BYTES 1024 /* of an event; one of eight joints has some 250 */
+#define MOST_BYTES 4096 /* of a heartbeat of 64 legs; an event of eight joints has some 250 */
 #define MOST_DEPTH 8
+#define KNOWN_S 0.5 /* a leg's newest sample is not older */
+#define LOOK_S 0.1  /* from one look at the time to the next */
+#define ASK_LOOKS 10
 
 typedef struct {
     const uint8_t *at, *end;
@@ -155,28 +163,58 @@ static bool read_event(const uint8_t *data, size_t size, event_t *event) {
     return reader.good && found == 7;
 }
 
-/* The last event of each leg: what is asked for again is no news. */
-static event_t last[MOST_LEGS];
-static size_t legs;
+/* What is known of each leg.  An event that is asked for again is no news. */
+typedef struct {
+    event_t event;
+    double sampled_s; /* when its newest sample came to the service, by this clock, or before */
+    bool known;
+} leg_t;
+
+static leg_t legs[MOST_LEGS];
+static size_t count;
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
+
+static double now_s(void) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* The leg of that name, made if need be; NULL where there is no room for another. */
+static leg_t *leg_of(const char *name) {
+    size_t i = 0;
+    while (i < count && strcmp(legs[i].event.leg, name) != 0) i++;
+    if (i == MOST_LEGS) return NULL;
+    if (i == count) {
+        legs[count++] = (leg_t){.sampled_s = now_s(), .known = true}; /* until heartbeats say more */
+        strcpy(legs[i].event.leg, name);
+    }
+    return &legs[i];
+}
 
 static bool is_news(const event_t *event) {
-    size_t i = 0;
-    while (i < legs && strcmp(last[i].leg, event->leg) != 0) i++;
-    if (i == MOST_LEGS) return true;
-    bool known = i < legs && last[i].t_ns == event->t_ns && last[i].contact == event->contact;
-    legs += i == legs;
-    last[i] = *event;
+    leg_t *leg = leg_of(event->leg);
+    if (leg == NULL) return true;
+    bool known = leg->event.t_ns == event->t_ns && leg->event.contact == event->contact;
+    leg->event = *event;
     return !known;
+}
+
+/* A payload of at most MOST_BYTES; its size, 0 for a larger one. */
+static size_t payload_of(const z_loaned_sample_t *sample, uint8_t *data) {
+    z_bytes_reader_t reader = z_bytes_get_reader(z_sample_payload(sample));
+    size_t size = z_bytes_reader_read(&reader, data, MOST_BYTES);
+    return z_bytes_reader_remaining(&reader) > 0 ? 0 : size;
 }
 
 static void print_contact(const z_loaned_sample_t *sample) {
     uint8_t data[MOST_BYTES];
-    z_bytes_reader_t reader = z_bytes_get_reader(z_sample_payload(sample));
-    size_t size = z_bytes_reader_read(&reader, data, sizeof data);
+    size_t size = payload_of(sample, data);
     event_t event;
+    pthread_mutex_lock(&lock);
     if (size > 0 && data[0] == '{') {
         fprintf(stderr, "contacts: an event is JSON; run serve without --json\n");
-    } else if (z_bytes_reader_remaining(&reader) > 0 || !read_event(data, size, &event)) {
+    } else if (!read_event(data, size, &event)) {
         fprintf(stderr, "contacts: a payload of %zu bytes is no contact event\n",
                 z_bytes_len(z_sample_payload(sample)));
     } else if (is_news(&event)) {
@@ -185,6 +223,55 @@ static void print_contact(const z_loaned_sample_t *sample) {
                event.t_ns / 1000000000, event.t_ns / 1000000 % 1000, event.score);
         fflush(stdout);
     }
+    pthread_mutex_unlock(&lock);
+}
+
+/* Take the ages of a heartbeat in; a leg that it lacks is not known, nor is any of one that is
+   broken. */
+static void take_heartbeat(const uint8_t *data, size_t size) {
+    reader_t reader = {data, data + size, true};
+    value_t map = next(&reader);
+    double arrived_s = now_s();
+    for (size_t i = 0; i < count; i++) legs[i].sampled_s = arrived_s - 2 * KNOWN_S;
+    if (map.kind != MAP) return;
+    for (int64_t i = 0; i < map.integer && reader.good; i++) {
+        value_t key = next(&reader), value = next(&reader);
+        if (!is(key, "legs") || value.kind != MAP) {
+            skip(&reader, value, 0);
+            continue;
+        }
+        for (int64_t j = 0; j < value.integer && reader.good; j++) {
+            value_t name = next(&reader), beat = next(&reader);
+            char id[MOST_NAME + 1] = {0};
+            double age_s = 2 * KNOWN_S;
+            bool named = name.kind == TEXT && is_name(name);
+            if (named) memcpy(id, name.text, (size_t)name.integer);
+            for (int64_t k = 0; beat.kind == MAP && k < beat.integer && reader.good; k++) {
+                value_t field = next(&reader), of = next(&reader);
+                if (is(field, "age_s") && of.kind == REAL) age_s = of.real;
+                if (is(field, "age_s") && of.kind == INTEGER) age_s = (double)of.integer;
+                skip(&reader, of, 0);
+            }
+            if (beat.kind != MAP) skip(&reader, beat, 0);
+            leg_t *leg = named && reader.good ? leg_of(id) : NULL;
+            if (leg != NULL && age_s >= 0.0) leg->sampled_s = arrived_s - age_s;
+        }
+    }
+}
+
+/* Print which legs are not known any more, and which are again. */
+static void look(void) {
+    pthread_mutex_lock(&lock);
+    double at_s = now_s();
+    for (size_t i = 0; i < count; i++) {
+        bool known = at_s - legs[i].sampled_s <= KNOWN_S;
+        if (known != legs[i].known) {
+            printf("%s is %s\n", legs[i].event.leg, known ? "known again" : "not known");
+            fflush(stdout);
+        }
+        legs[i].known = known;
+    }
+    pthread_mutex_unlock(&lock);
 }
 
 static void on_sample(z_loaned_sample_t *sample, void *context) {
@@ -192,16 +279,36 @@ static void on_sample(z_loaned_sample_t *sample, void *context) {
     print_contact(sample);
 }
 
+static void on_heartbeat(z_loaned_sample_t *sample, void *context) {
+    uint8_t data[MOST_BYTES];
+    size_t size = payload_of(sample, data);
+    (void)context;
+    pthread_mutex_lock(&lock);
+    take_heartbeat(data, size);
+    pthread_mutex_unlock(&lock);
+}
+
 static void on_reply(z_loaned_reply_t *reply, void *context) {
     (void)context;
     if (z_reply_is_ok(reply)) print_contact(z_reply_ok(reply));
 }
 
+/* The key of the heartbeats beside contacts: robot/service, with the namespace of theirs. */
+static bool heartbeat_key(const char *key, char *made, size_t size) {
+    const char *at = strstr(key, "robot/leg/");
+    int prefix = at == NULL ? 0 : (int)(at - key);
+    int length = snprintf(made, size, "%.*srobot/service", prefix, key);
+    return length > 0 && (size_t)length < size;
+}
+
 int main(int argc, char **argv) {
     const char *endpoint = argc > 1 ? argv[1] : "tcp/127.0.0.1:7447";
     const char *key = argc > 2 ? argv[2] : "robot/leg/*/contact";
-    z_view_keyexpr_t contacts;
-    if (z_view_keyexpr_from_str(&contacts, key) < 0) {
+    char service[256];
+    z_view_keyexpr_t contacts, heartbeats;
+    if (!heartbeat_key(key, service, sizeof service) ||
+        z_view_keyexpr_from_str(&heartbeats, service) < 0 ||
+        z_view_keyexpr_from_str(&contacts, key) < 0) {
         fprintf(stderr, "contacts: '%s' is no key; give one such as robot/leg/*/contact\n", key);
         return 2;
     }
@@ -221,12 +328,23 @@ int main(int argc, char **argv) {
         fprintf(stderr, "contacts: the router refuses a subscriber to %s\n", key);
         return 2;
     }
+    z_owned_closure_sample_t beat;
+    z_closure(&beat, on_heartbeat, NULL, NULL);
+    z_owned_subscriber_t beats;
+    if (z_declare_subscriber(z_loan(session), &beats, z_loan(heartbeats), z_move(beat), NULL)) {
+        fprintf(stderr, "contacts: the router refuses a subscriber to %s\n", service);
+        return 2;
+    }
     printf("contacts: listening to %s at %s\n", key, endpoint);
     fflush(stdout);
-    for (;;) {
-        z_owned_closure_reply_t asked;
-        z_closure(&asked, on_reply, NULL, NULL);
-        z_get(z_loan(session), z_loan(contacts), "", z_move(asked), NULL);
-        sleep(1);
+    const struct timespec pause = {.tv_nsec = (long)(LOOK_S * 1e9)};
+    for (int looks = 0;; looks++) {
+        if (looks % ASK_LOOKS == 0) {
+            z_owned_closure_reply_t asked;
+            z_closure(&asked, on_reply, NULL, NULL);
+            z_get(z_loan(session), z_loan(contacts), "", z_move(asked), NULL);
+        }
+        nanosleep(&pause, NULL);
+        look();
     }
 }

@@ -133,7 +133,7 @@ def test_standard_output_that_is_a_file_keeps_what_was_printed(tmp_path: Path) -
     )
     out = tmp_path / "out"
     with out.open("wb") as file:
-        subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)
+        subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=600)
     assert out.read_text() == "before\ncontent\nafter\n"
 
 

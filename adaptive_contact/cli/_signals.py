@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable, Iterable
 from typing import Final
 
 ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# For so long after a Ctrl-C another one is not heeded: what is half written is being removed.
+CLEANING_S: Final = 2.0
 
 
 def on_signals(
@@ -19,3 +22,24 @@ def on_signals(
     for number in numbers:
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
+
+
+def interrupt_once() -> None:
+    """Raise KeyboardInterrupt at a Ctrl-C, but at no second one while that cleans up.
+
+    It would end the removal of what is half written, and the file would stay.  Who presses it
+    again after :data:`CLEANING_S` is heeded.  Where Ctrl-C is ignored it stays so.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return
+    before_s = float("-inf")
+
+    def interrupt(_: int, __: object) -> None:
+        nonlocal before_s
+        now_s = time.monotonic()
+        if now_s - before_s < CLEANING_S:
+            return
+        before_s = now_s
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)

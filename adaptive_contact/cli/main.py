@@ -26,7 +26,7 @@ from adaptive_contact.cli._output import (
     say,
     say_note,
 )
-from adaptive_contact.cli._signals import on_signals
+from adaptive_contact.cli._signals import interrupt_once, on_signals
 from adaptive_contact.errors import AdaptiveContactError, missing_of_the_whole
 
 app = Commands(
@@ -118,6 +118,7 @@ def main() -> None:
     """
     protect_output()
     on_signals(_end, (signal.SIGTERM, signal.SIGHUP))
+    interrupt_once()
     try:
         code = run()
         sys.stdout.flush()

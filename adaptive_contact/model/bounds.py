@@ -11,7 +11,7 @@ from typing import Annotated, Final, TypeGuard
 from msgspec import Meta
 
 from adaptive_contact.model.peaks import LEAST_TICKS
-from adaptive_contact.model.tail import SHAPE_RANGE
+from adaptive_contact.model.tail import MIN_EXCEEDANCES, SHAPE_RANGE
 from adaptive_contact.robot.load import MAX_JOINTS, MAX_LEGS
 
 # Of anything: coefficients have up to 7.3, factors of a domain 375, readings 12.
@@ -25,11 +25,12 @@ Number = Annotated[float, Meta(ge=-MOST, le=MOST)]
 Size = Annotated[float, Meta(ge=1e-9, le=MOST)]  # root mean square of a regressor: 0.005 to 1.9
 Inflation = Annotated[float, Meta(ge=0, le=MOST)]
 Variance = Annotated[float, Meta(ge=-1e3, le=1e3)]  # rad²: up to 1.3e-4
-Level = Annotated[float, Meta(ge=0, le=1e4)]  # of the statistic: 9 to 16
+Level = Annotated[float, Meta(ge=1e-2, le=1e4)]  # of the statistic: 9 to 16
 Excess = Annotated[float, Meta(ge=1e-9, le=1e4)]  # its mean above that: 2.2 to 5.2
 Peak = Annotated[float, Meta(ge=1e-3, le=1e4)]  # the largest free statistic: 8 to 120
 PeakTicks = Annotated[int, Meta(ge=LEAST_TICKS, le=_MOST_COUNT)]
-Share = Annotated[float, Meta(gt=0, lt=1)]
+Share = Annotated[float, Meta(ge=1e-6, lt=1)]  # of free ticks above a level: 0.01
+TailTicks = Annotated[int, Meta(ge=MIN_EXCEEDANCES, le=_MOST_COUNT)]  # 14,000 to 400,000
 Shape = Annotated[float, Meta(ge=SHAPE_RANGE[0], le=SHAPE_RANGE[1])]
 Quantum = Annotated[float, Meta(ge=1e-6, le=0.2)]  # rad
 Period = Annotated[float, Meta(ge=1e-4, le=1.0)]  # s

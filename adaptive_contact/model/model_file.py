@@ -143,7 +143,7 @@ class _TailFile(msgspec.Struct, forbid_unknown_fields=True):
     rate: bounds.Share
     scale: bounds.Excess
     shape: bounds.Shape
-    ticks: bounds.Count
+    ticks: bounds.TailTicks
 
 
 class _Head(msgspec.Struct):
@@ -341,6 +341,9 @@ def _domain(entry: _LegFile, library: Library, scale: Array) -> Domain | None:
 
 def _baseline(file: _File) -> Baseline:
     legs = {leg: _leg(leg, entry, file.library) for leg, entry in file.legs.items()}
+    for leg, entry in file.legs.items():
+        if entry.rows == 0:
+            raise IdentificationError(f"leg '{leg}': fitted to 0 rows; fit a new one")
     tails = tuple(Tail(t.level, t.rate, t.scale, t.shape, t.ticks) for t in file.tails)
     return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails)
 

@@ -210,7 +210,7 @@ def test_samples_commands_and_status_pass(start: Callable[..., Process], tmp_pat
     stepped = subprocess.run(
         [sys.executable, "examples/gait_controller.py", "--config", str(tmp_path / "rig.toml"),
          "--leg", "fl", "--steps", "1", "--connect", endpoint],
-        cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=60, check=False,
+        cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert stepped.returncode == 0, stepped.stderr
     assert "step 1: no contact, foot at -" in stepped.stdout

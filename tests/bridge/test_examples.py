@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import shutil
 import signal
 import subprocess
@@ -10,7 +11,7 @@ import sys
 import threading
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -19,8 +20,9 @@ import pytest
 from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.link import Link, router_settings
+from adaptive_contact.service.link import Link, Publisher, router_settings
 from adaptive_contact.wire import (
+    HEARTBEAT,
     MSGPACK,
     BridgeStatus,
     Command,
@@ -52,7 +54,7 @@ def test_the_examples_are_in_the_source_distribution() -> None:
 
 def ended(process: subprocess.Popen[str], code: int) -> str:
     """What a process that ends by itself has said; a traceback is none of it."""
-    said = process.communicate(timeout=60)[0]
+    said = process.communicate(timeout=600)[0]
     assert process.returncode == code, said
     assert "Traceback" not in said
     return said
@@ -147,8 +149,12 @@ def contacts_in_c(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return [made]
 
 
-@pytest.mark.e2e
-def test_the_subscriber_in_c_prints_contacts(contacts_in_c: list[str]) -> None:
+Reading = tuple[Link, Publisher, Callable[[], str]]
+
+
+@pytest.fixture
+def reading_in_c(contacts_in_c: list[str]) -> Iterator[Reading]:
+    """A router that has an event, whose publisher, and the next line of the subscriber in C."""
     with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
         contacts = link.publisher(contact_key("rf"), reliable=True, history=1)
         contacts.put(event("rf", 1_040_000_000, contact=True))
@@ -156,21 +162,64 @@ def test_the_subscriber_in_c_prints_contacts(contacts_in_c: list[str]) -> None:
             [*contacts_in_c, link.endpoints[0]],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
+        assert process.stdout is not None
         try:
-            assert process.stdout is not None
-            said = process.stdout.readline
-            assert "listening to robot/leg/*/contact" in said()
-            assert said() == "rf touches at 1.040 s, score 1.5\n"  # though it came later
-            contacts.put(event("rf", 2**62, contact=False))
-            assert said() == f"rf lets go at {2**62 // 10**9}.427 s, score 1.5\n"
-            contacts.put(event("rf", 2**62 + 10**9, contact=False, withheld=True, doubt="held"))
-            assert " is withheld at " in said()
-            contacts.put_raw(msgspec.msgpack.encode({"v": 1, "leg": "rf"}), MSGPACK)
-            assert "is no contact event" in said()
+            yield link, contacts, process.stdout.readline
         finally:
             process.kill()
             process.wait(60)
             process.stdout.close()
+
+
+@pytest.mark.e2e
+def test_the_subscriber_in_c_prints_contacts(reading_in_c: Reading) -> None:
+    _, contacts, line = reading_in_c
+
+    def said() -> str:
+        """The next line but those on a leg that is not known: nothing beats here."""
+        while "known" in (words := line()):
+            pass
+        return words
+
+    assert "listening to robot/leg/*/contact" in said()
+    assert said() == "rf touches at 1.040 s, score 1.5\n"  # though it came later
+    contacts.put(event("rf", 2**62, contact=False))
+    assert said() == f"rf lets go at {2**62 // 10**9}.427 s, score 1.5\n"
+    contacts.put(event("rf", 2**62 + 10**9, contact=False, withheld=True, doubt="held"))
+    assert " is withheld at " in said()
+    contacts.put_raw(msgspec.msgpack.encode({"v": 1, "leg": "rf"}), MSGPACK)
+    assert "is no contact event" in said()
+
+
+@pytest.mark.e2e
+def test_no_contact_outlives_its_source_in_c(reading_in_c: Reading) -> None:
+    """A leg is not known where heartbeats call it old, lack it, are broken, or end."""
+    link, _, line = reading_in_c
+    heartbeats = link.publisher(HEARTBEAT)
+
+    def beat_until(words: str, legs: object) -> None:
+        come = threading.Event()
+
+        def beat() -> None:
+            while not come.wait(0.1):
+                heartbeats.put_raw(msgspec.msgpack.encode({"v": 1, "legs": legs}), MSGPACK)
+
+        beating = threading.Thread(target=beat)
+        beating.start()
+        try:
+            assert line() == words
+        finally:
+            come.set()
+            beating.join()
+
+    young = {"t_ns": 1, "age_s": 0.02, "contact": True}
+    old = [{"rf": {**young, "age_s": age}} for age in (0.6, 7, -1.0, math.nan)]
+    assert "listening" in line()
+    assert line() == "rf touches at 1.040 s, score 1.5\n"
+    assert line() == "rf is not known\n"  # nothing beats
+    for legs in (*old, {}, {"rf": 3}, {"rf": {}}, {"r\x1bf": young}, [1], None):
+        beat_until("rf is known again\n", {"rf": young})
+        beat_until("rf is not known\n", legs)
 
 
 @pytest.mark.e2e

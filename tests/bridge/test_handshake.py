@@ -101,7 +101,8 @@ def test_a_servo_that_has_shut_itself_down(rig: Callable, kind: dict) -> None:
     r.servo(2).set_errors(0x20)
     findings = check_ports(r.plans, full=False)
     assert findings.errors == []
-    [line] = findings.advice
+    # A computer that is too busy advises of late answers, too.
+    [line] = [line for line in findings.advice if "come too late" not in line]
     assert "servo 2: shut down" in line
     assert "power off and on" in line
 

@@ -22,7 +22,7 @@ WIDE = {**os.environ, "PYTHONPATH": SOURCES, "COLUMNS": "200", "TERM": "xterm"}
 def ran(*words: str, **options: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, *words]
     given = {"capture_output": True, **options}
-    return subprocess.run(command, text=True, env=WIDE, timeout=60, check=False, **given)  # type: ignore[call-overload,no-any-return]
+    return subprocess.run(command, text=True, env=WIDE, timeout=600, check=False, **given)  # type: ignore[call-overload,no-any-return]
 
 
 def ours(*words: str, **options: object) -> subprocess.CompletedProcess[str]:
@@ -93,7 +93,7 @@ def test_a_stop_while_the_tick_is_compiled_is_clean(tmp_path: Path, number: sign
         assert serve.stderr is not None
         assert "compiling the arithmetic" in serve.stderr.readline()
         os.killpg(serve.pid, number)
-        out, err = serve.communicate(timeout=120)
+        out, err = serve.communicate(timeout=600)
     assert (serve.returncode, out, err) == (0, "", "")
     assert not list(cache.glob("compiled-*/whole"))
 
@@ -174,3 +174,39 @@ def until(master: int, mark: bytes, timeout_s: float = 60.0) -> bytes:
         except OSError:  # it has ended
             raise AssertionError(f"{mark!r} is not in {shown!r}") from None
     return shown
+
+
+CLEANING = """
+import os, signal, sys
+from adaptive_contact.cli import _signals
+_signals.CLEANING_S = float(sys.argv[1])
+_signals.interrupt_once()
+try:
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    finally:
+        os.kill(os.getpid(), signal.SIGINT)
+        print("cleaned up")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.parametrize(
+    ("cleaning_s", "said"), [("60", "cleaned up\ninterrupted\n"), ("0", "interrupted\n")]
+)
+def test_a_second_ctrl_c_waits_until_the_first_has_cleaned_up(cleaning_s: str, said: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CLEANING, cleaning_s], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == said
+
+
+def test_where_ctrl_c_is_ignored_it_stays_so() -> None:
+    code = CLEANING.replace(
+        "_signals.interrupt", "signal.signal(2, signal.SIG_IGN); _signals.interrupt"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "0"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "cleaned up\n"

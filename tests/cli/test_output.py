@@ -37,7 +37,7 @@ each_printer = pytest.mark.parametrize(
 def ran(*words: str, env: dict[str, str] = BUFFERED, **streams: object) -> tuple[int, str]:
     """Exit code and standard error of a command of ours."""
     options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, **streams}
-    done = subprocess.run([*OURS, *words], env=env, text=True, timeout=60, check=False, **options)  # type: ignore[call-overload]
+    done = subprocess.run([*OURS, *words], env=env, text=True, timeout=600, check=False, **options)  # type: ignore[call-overload]
     return done.returncode, done.stderr or ""
 
 
@@ -86,7 +86,7 @@ def test_streams_closed_by_the_caller_are_not_missed(
         cwd=tmp_path,
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, b"")
@@ -103,7 +103,7 @@ def test_streams_closed_by_the_caller_are_not_missed(
     )
     shell = closed(*numbers).replace("-m adaptive_contact", "-c")
     done = subprocess.run(
-        ["sh", "-c", shell, sys.executable, script], env=BUFFERED, timeout=60, check=False
+        ["sh", "-c", shell, sys.executable, script], env=BUFFERED, timeout=600, check=False
     )
     assert done.returncode == 0
     assert out.read_text() == ""
@@ -140,7 +140,7 @@ def test_an_unexpected_fault_keeps_its_code() -> None:
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
-            timeout=60,
+            timeout=600,
             check=False,
         )
     assert done.returncode == 1
@@ -161,7 +161,7 @@ def test_a_file_on_a_full_disk_is_named() -> None:
         env=BUFFERED,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     says = "adaptive-contact: a.json cannot be written (No space left on device); make room\n"
@@ -208,7 +208,7 @@ def test_letters_that_the_locale_lacks_are_escaped(errors: str) -> None:
     )
     env = {**BUFFERED, "PYTHONIOENCODING": f"ascii{errors}", "PYTHONUTF8": "0"}
     done = subprocess.run(
-        [sys.executable, "-c", script], env=env, capture_output=True, timeout=60, check=False
+        [sys.executable, "-c", script], env=env, capture_output=True, timeout=600, check=False
     )
     assert done.stderr == b"adaptive-contact: k\\xe4fer\n"
     line, told = done.stdout.splitlines()

@@ -47,7 +47,7 @@ def test_systemd_understands_a_unit(unit: Path, tmp_path: Path) -> None:
         ["systemd-analyze", "verify", "--man=no", str(tmp_path / unit.name)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     ours = [line for line in said.stderr.splitlines() if "adaptive-contact" in line]

@@ -159,11 +159,11 @@ def _install(
         if re.split(r"[.-]", name)[0] not in without:
             (packages / name).symlink_to(entry)
     venv = folder / "venv"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", venv], check=True, timeout=60)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", venv], check=True, timeout=600)
     python = venv / "bin" / "python"
     pip = [sys.executable, "-m", "pip", "--python", python, "--disable-pip-version-check"]
     install = [*pip, "install", "--quiet", "--no-deps", "--no-index", wheel]
-    subprocess.run(install, check=True, timeout=120, env=_bare_variables())
+    subprocess.run(install, check=True, timeout=600, env=_bare_variables())
     (site,) = (venv / "lib").glob("python*/site-packages")
     (site / "linked.pth").write_text(f"{packages}\n", encoding="utf-8")
     # What it compiles is of no use to any other installation, so none of it stays.
@@ -182,7 +182,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("hatchling is not installed; it comes with the extra 'dev'")
     out = tmp_path_factory.mktemp("dist")
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", out, ROOT]
-    done = subprocess.run(build, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(build, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     (built,) = out.glob("*.whl")
     return built

@@ -65,7 +65,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("echo")
     walk = folder / "walk.mcap"
     run = ["sim", "walk", "--seconds", str(SECONDS), "--seed", "12", "--offline", "--record"]
-    subprocess.run([*COMMAND, *run, str(walk)], check=True, capture_output=True, timeout=120)
+    subprocess.run([*COMMAND, *run, str(walk)], check=True, capture_output=True, timeout=600)
     messages = m.read(walk)
     copies = m.echoed(1)(messages, np.random.default_rng(1))
     other = {"swing": "stance", "stance": "swing"}
@@ -102,12 +102,12 @@ def heard(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[In
             link.subscribe(ALL_CONTACT, got, history=True)
             link.subscribe(ALL_LEARNER, got)
             replay = ["replay", str(source), "--speed", "3", "--connect", endpoint]
-            subprocess.run([*COMMAND, *replay], check=True, capture_output=True, timeout=180)
+            subprocess.run([*COMMAND, *replay], check=True, capture_output=True, timeout=600)
             got.wait_until((SECONDS - 1) * S)
             yield got
     finally:
         service.terminate()
-        service.communicate(timeout=60)
+        service.communicate(timeout=600)
 
 
 @pytest.mark.parametrize(("leg", "doubt"), [(ECHOES, "echo"), (SWAPS, "phase")])

@@ -29,7 +29,7 @@ from . import mistakes as m
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     full = [sys.executable, "-m", "adaptive_contact", *map(str, arguments)]
-    return subprocess.run(full, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(full, capture_output=True, text=True, timeout=600, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> list[m.Sent]:
     run = ["sim", "walk", "--seconds", f"{WHOLE_S:.0f}", "--seed", "4", "--offline", "--record"]
     # A process of its own: the command takes signals over.
     full = [sys.executable, "-m", "adaptive_contact", *run, str(path)]
-    subprocess.run(full, check=True, capture_output=True, timeout=120)
+    subprocess.run(full, check=True, capture_output=True, timeout=600)
     return m.read(path)
 
 

@@ -212,7 +212,7 @@ def command(*arguments: str | Path, **options: Any) -> subprocess.CompletedProce
         [sys.executable, "-m", "adaptive_contact", "export", *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
         **options,
     )

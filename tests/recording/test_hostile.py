@@ -42,7 +42,7 @@ def read_in_a_child(path: Path) -> str:
         preexec_fn=limited,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -221,7 +221,7 @@ def test_a_bag_that_unpacks_to_gigabytes_fills_neither_memory_nor_disk(
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100 << 20, 100 << 20)),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -27,7 +27,7 @@ def test_the_notebook_goes_from_a_recording_to_events(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="needs the extra 'sim'")
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     nbclient.NotebookClient(
-        notebook, timeout=200, resources={"metadata": {"path": str(tmp_path)}}
+        notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}
     ).execute()
     told = "".join(
         output.get("text", "")

@@ -126,7 +126,7 @@ def test_the_safe_subscriber_acts_on_no_old_contact_and_on_none_without_a_servic
         f"{contacts_code()}\nimport zenoh\nconfig = zenoh.Config.from_json5({str(config)!r})\n"
         "contacts = Contacts(zenoh.open(config))\ncontacts.look('rf', 0)"
     )
-    subprocess.run([sys.executable, "-c", own], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", own], check=True, timeout=600)
     with (
         zenoh.open(config) as session,
         closing(rig.Robot50(served.endpoint, touch=lambda _: True)),

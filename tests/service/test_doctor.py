@@ -396,7 +396,7 @@ def test_the_command(
         free.bind(("127.0.0.1", 0))
         nobody = f"127.0.0.1:{free.getsockname()[1]}"
     process = cli(*arguments, nobody)
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=600)
     assert process.returncode == 2
     assert f"unreachable: nobody listens on tcp/{nobody}" in out
 
@@ -412,7 +412,7 @@ def test_the_command(
                 sample(seq, phase="swing", measured=[0.1] * joints, desired=[0.1] * joints)
             )
         seq += 1
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=600)
     diagnosis = json.loads(out)
     assert process.returncode == 1
     assert diagnosis["router"] == "connected"

@@ -69,7 +69,7 @@ class Client:
         self._socket = self._stack.enter_context(
             connect(f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")])
         )
-        self.info = json.loads(self._socket.recv(timeout=60))
+        self.info = json.loads(self._socket.recv(timeout=600))
         self.channels: dict[str, dict[str, Any]] = {}
         self._subscribed: dict[int, str] = {}
 
@@ -78,7 +78,7 @@ class Client:
 
     def wait_channel(self, topic: str) -> dict[str, Any]:
         while topic not in self.channels:
-            self._take(self._socket.recv(timeout=60))
+            self._take(self._socket.recv(timeout=600))
         return self.channels[topic]
 
     def subscribe(self, topic: str) -> None:
@@ -93,7 +93,7 @@ class Client:
 
     def message(self) -> tuple[str, int, Any]:
         """Topic, log time and the decoded message."""
-        while (found := self._take(self._socket.recv(timeout=60))) is None:
+        while (found := self._take(self._socket.recv(timeout=600))) is None:
             pass
         return found
 
@@ -258,7 +258,7 @@ def test_the_command_says_where_and_ends_on_a_signal(router: Link, command: Any)
     assert client.info["op"] == "serverInfo"
     client.close()
     process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=60)[0] == ""
+    assert process.communicate(timeout=600)[0] == ""
     assert process.returncode == 0
 
 

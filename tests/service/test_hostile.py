@@ -175,7 +175,7 @@ def test_files_that_are_nested_deeply_get_one_line(
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    out, error = process.communicate(timeout=60)
+    out, error = process.communicate(timeout=600)
     process.stderr.close()
     assert process.returncode == 2, error[-500:]
     assert out == ""

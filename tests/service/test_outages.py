@@ -136,7 +136,7 @@ def read_rows(form: str, forms: Forms, views: Iterator[dict[str, Any]]) -> None:
 
 
 def read_page(forms: Forms, url: str) -> None:
-    with urllib.request.urlopen(f"{url}stream", timeout=60) as answer:
+    with urllib.request.urlopen(f"{url}stream", timeout=600) as answer:
         lines = (json.loads(line[6:]) for line in answer if line.startswith(b'data: {"legs"'))
         read_rows("page", forms, lines)
 

@@ -433,7 +433,7 @@ def test_a_robot_without_topics_is_refused(command, tmp_path: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=600)
     assert process.returncode == 2
     assert len(said.splitlines()) == 1
     assert "write [ros2]" in said
@@ -450,7 +450,7 @@ def test_the_extra_is_named(command, config: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=600)
     assert process.returncode == 2
     assert "[ros2]'" in said
     assert len(said.splitlines()) == 1

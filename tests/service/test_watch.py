@@ -250,7 +250,7 @@ def test_the_command_over_zenoh(
             real.put(truth(20 * seq - 5, True))
         servo.put(sample(seq, contact=seq >= 29))
     standing = rig.Robot50(served.endpoint, epoch_ns=0, first=40, touch=lambda _: True)
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=600)
     assert process.returncode == 0
     view = json.loads(out)
     assert view["alive"]
@@ -259,7 +259,7 @@ def test_the_command_over_zenoh(
     assert (leg["contact"], leg["touches"], leg["seen"]) == (True, 1, 1)
     assert leg["latency_ms"] == 5.0
     table_process = cli(*arguments, "--seconds", "0.3")
-    out, _ = table_process.communicate(timeout=60)
+    out, _ = table_process.communicate(timeout=600)
     standing.close()
     assert "mini" in out
     assert "CONTACT" in out
@@ -269,7 +269,7 @@ def test_the_command_over_zenoh(
 def test_looking_once_ends_where_there_is_no_router(command: Any) -> None:
     words = ("watch", "--connect", "tcp/127.0.0.1:1", "--once", "--wait", "0.3")
     process = command("-m", "adaptive_contact", *words, stderr=subprocess.PIPE)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=600)
     process.stderr.close()
     assert process.returncode == 2
     assert "no router within 0.3 s: unreachable: nobody listens on tcp/127.0.0.1:1; start" in said

@@ -10,7 +10,11 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.cli.sim import app
-from adaptive_contact.errors import AdaptiveContactError, MissingExtraError
+from adaptive_contact.errors import (
+    AdaptiveContactError,
+    ConfigurationError,
+    MissingExtraError,
+)
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact_sim.drift import KINDS
 
@@ -68,6 +72,8 @@ def test_an_offline_pose_is_pictured(tmp_path: Path) -> None:
          "0.5", "--approach", "slow", "--workspace", "whole", "--path", "joint", "--react-ms",
          "60", "--render", str(picture)],
     )  # fmt: skip
+    if isinstance(result.exception, ConfigurationError) and "libegl1" in str(result.exception):
+        pytest.skip(f"no EGL on this machine: {result.exception}")
     assert result.exit_code == 0, result.output
     assert picture.stat().st_size > 10_000
 

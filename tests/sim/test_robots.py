@@ -158,7 +158,7 @@ def test_a_recording_names_its_robot(tmp_path: Path) -> None:
         ("score", str(path), "--events", str(events), "--json"),
     ):
         done = subprocess.run(
-            [*command, *arguments], capture_output=True, text=True, timeout=120, check=True
+            [*command, *arguments], capture_output=True, text=True, timeout=600, check=True
         )
         assert "taken for the shipped robot 'leg5' (leg; 20 ms)" in done.stderr
         out = done.stdout
