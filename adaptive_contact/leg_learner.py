@@ -50,7 +50,14 @@ from adaptive_contact.model.library import ChangeLibrary
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.noise import DESCENT, SPEEDS
 from adaptive_contact.robot import AngleFrame, Leg, Robot
-from adaptive_contact.wire import ContactEvent, LearnerStatus, ModelReport, Reject, ServoSample
+from adaptive_contact.wire import (
+    ContactEvent,
+    LearnerStatus,
+    LegState,
+    ModelReport,
+    Reject,
+    ServoSample,
+)
 
 # Confirmed rows learned per tick, at most (a valid leg learns one): a swing's dozen are spread over
 # the stance that follows.
@@ -206,7 +213,9 @@ class ContactLearner:
         sample = self._sample
         if sample is None:
             return None
-        return msgspec.structs.replace(self._release(sample), status="silent", withheld=True)
+        return msgspec.structs.replace(
+            self._release(sample), status="silent", withheld=True, p=None
+        )
 
     @property
     def contact(self) -> bool:
@@ -238,6 +247,11 @@ class ContactLearner:
         times = list(self._adapter.confirmed_ns)
         self._adapter.confirmed_ns.clear()
         return times
+
+    @property
+    def state(self) -> LegState:
+        """Whether the leg touches in its newest tick, stance included, and how probably."""
+        return self.report.state
 
     @property
     def status(self) -> LearnerStatus:

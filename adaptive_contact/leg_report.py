@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import Any, Final
 
@@ -24,6 +25,7 @@ from adaptive_contact.wire import (
     Doubt,
     DriftLevel,
     LearnerStatus,
+    LegState,
     RefitCounts,
     Reject,
     ServoSample,
@@ -143,6 +145,16 @@ class LegReport:
             model_version=self._learning.version,
             withheld=withheld,
             doubt=doubt,
+            p=self.state.p,
+        )
+
+    @property
+    def state(self) -> LegState:
+        """Whether the leg touches in its newest tick, stance included."""
+        leg = self._place.leg
+        known = not math.isnan(leg.p)
+        return LegState(
+            t_ns=leg.t_ns, seq=leg.seq, contact=leg.touches, p=leg.p if known else None, known=known
         )
 
     @property

@@ -74,6 +74,7 @@ from adaptive_contact.detect.source import (
     take_phase,
     vote_late,
 )
+from adaptive_contact.detect.state import follow_state, forget_state
 from adaptive_contact.detect.swing import (
     QUIET_SCORE,
     RECENT_TICKS,
@@ -141,6 +142,7 @@ def judge_tick(handed):
             was_free, past_lift = decide(leg, swing, past, model, noise, kept)
             leg.weighed |= past_lift and leg.usable > 0 and not leg.loaded
             hold_back(leg, swing, past, noise, kept, was_free, past_lift)
+        follow_state(leg, sample, swing, past, noise)
         found |= leg.found
     return found
 
@@ -180,7 +182,7 @@ def follow_swing(leg, sample, source, swing, past, model):
     height = 0.0
     if leg.has_lengths:
         place_foot(desired, swing.links, swing.axis_kinds, swing.now)
-        height = swing.now[2]
+        height = leg.command_m = swing.now[2]
     lifts = count_turns(leg, desired, height, source.turn_at, source.turning, source.turns)
     take_phase(leg, leg.phase, desired, height, source.phase_before, source.parts)
     awaited = leg.has_model and not (leg.loaded or leg.contact)
@@ -374,6 +376,7 @@ def restart_leg(leg, command, before, desired, suspects):
     """Forget the past of a leg whose source has started again."""
     leg.found |= RESTARTED
     let_go(leg)
+    forget_state(leg)
     leg.whole = leg.stood = False
     leg.ticks = leg.after = 0
     leg.obstructed = False
@@ -453,11 +456,14 @@ def finish_tick(handed):
                     for j in range(joints):
                         past.window[begin + k * joints + j] = sample.preview_in[k, j]
             leg.lacking = RECENT_TICKS if full and not ready else max(leg.lacking - 1, 0)
-        leg.predicted = False
-        if ready and leg.ticks:
+        leg.predicted = leg.foreseen = False
+        if ready:
             regressors(
                 past.window, model.kind, model.first, model.entry, model.weight, model.knee,
                 model.law, model.xi0, past.theta, model.forms,
             )  # fmt: skip
-            leg.predicted = predict(past.theta, model.coefficients, past.increment)
+            if leg.ticks:
+                leg.predicted = predict(past.theta, model.coefficients, past.increment)
+            elif leg.has_lengths:  # for the state alone: no contact is decided here
+                leg.foreseen = predict(past.theta, model.coefficients, past.ahead)
     return most

@@ -83,6 +83,8 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "shrink": "J",  # reciprocal roots of `unit`
         "gradient": "J",  # m per rad, of the foot's height
         "target": "J",  # rad, movement of this tick
+        "ahead": "J",  # rad, movement predicted in a stance
+        "lever": "J",  # m per rad, of the foot's height as it was read
         # of the command since it last turned: the furthest, m or rad, see `count_turns`
         "turn_at": "J",
     },
@@ -257,6 +259,25 @@ LEG: Final = np.dtype(
         ("began_next_ns", i8),  # and of the last
         ("began_next_n", i8),
         ("began_count", i4),  # of these that are known, 1 or 2
+        # State in every tick, see `state.py`.
+        ("foreseen", b1),  # the reading to come has a prediction in a stance
+        ("command_m", f8),  # height of the commanded foot
+        ("lowest_command_m", f8),  # and its range of late
+        ("highest_command_m", f8),
+        ("high_ticks", i8),  # ticks by which the free sizes are known, and the loaded one
+        ("low_ticks", i8),
+        ("push_size", f8),  # m, of free motion; of the loaded leg
+        ("loaded_push", f8),
+        ("misfit_size", f8),
+        ("push_sum", f8),  # of late, in its size
+        ("misfit", f8),  # of this tick
+        ("command_odds", f8),  # nats
+        ("pressed_n", i4),  # ticks in a row that depart from the free path, low
+        ("idle_n", i4),  # ticks of low commands without that
+        ("kept_ticks", i4),  # ticks in a row that were not judged
+        ("carried", b1),  # a stance has departed from the free path
+        ("p", f8),  # probability that the foot carries; NaN while unknown
+        ("touches", b1),  # the state, by hysteresis
         # What is reported of contacts.
         ("reported", b1),  # the contact by the last event
         ("withholds", b1),  # contacts are not reported
@@ -330,12 +351,12 @@ Source = namedtuple(
 Swing = namedtuple(
     "Swing",
     "links axis_kinds low lengths_ticks last_desired last_measured last_read path asked commanded "
-    "foot start heights gradient now",
+    "foot start heights gradient lever now",
 )
 Past = namedtuple(
     "Past",
     "window began_window history thetas theta increment reach last_good last suspects stale "
-    "refused values counts reading some room",
+    "refused values counts reading ahead some room",
 )
 Model = namedtuple("Model", "kind first entry weight knee law xi0 coefficients domain depths forms")
 Noise = namedtuple(
@@ -395,4 +416,5 @@ _BEGINNING: Final = {
     "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,
     "apex": -np.inf, "asked_n": 1, "lowest_m": np.inf, "untouched_ns": -1, "phase_part": -1,
     "resolved_fallen": np.nan, "began_count": 1,
+    "lowest_command_m": 1e3, "highest_command_m": -1e3, "p": np.nan,
 }  # fmt: skip

@@ -15,6 +15,7 @@ from adaptive_contact.wire.messages import LEG_MESSAGES
 ALL_SERVO: Final = "robot/leg/*/servo"
 ALL_CONTACT: Final = "robot/leg/*/contact"
 ALL_LEARNER: Final = "robot/leg/*/learner"
+ALL_STATE: Final = "robot/leg/*/state"
 ALL_TRUTH: Final = "robot/leg/*/truth"
 SIM_DRIFT: Final = "robot/sim/drift"
 HEARTBEAT: Final = "robot/service"
@@ -100,6 +101,11 @@ def model_key(leg: str) -> str:
 def trace_key(leg: str) -> str:
     """Key of a leg's queryable :class:`~adaptive_contact.wire.LegTrace`."""
     return f"robot/leg/{leg}/trace"
+
+
+def state_key(leg: str) -> str:
+    """Key of a leg's :class:`~adaptive_contact.wire.LegState` stream."""
+    return f"robot/leg/{leg}/state"
 
 
 def truth_key(leg: str) -> str:

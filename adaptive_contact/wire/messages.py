@@ -88,6 +88,7 @@ class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
         withheld: ``contact`` is False because the leg is ambiguous, whatever its residuals say, or
             because its samples have stopped (``status`` is ``silent``).
         doubt: why the leg is ambiguous.
+        p: probability that the foot carries, as in :class:`LegState`; None while unknown.
     """
 
     leg: str
@@ -101,6 +102,24 @@ class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
     model_version: int
     withheld: bool = False
     doubt: Doubt | None = None
+    p: float | None = None
+
+
+class LegState(Message, frozen=True, kw_only=True):
+    """Whether a leg touches in one tick, stance included; published while somebody subscribes.
+
+    Attributes:
+        t_ns, seq: of the sample.
+        contact: whether the foot carries, by ``p`` with hysteresis; False while unknown.
+        p: probability that it carries, None while unknown.
+        known: whether ``contact`` and ``p`` say anything.
+    """
+
+    t_ns: int
+    seq: int
+    contact: bool
+    p: float | None
+    known: bool
 
 
 class BufferCounts(msgspec.Struct, frozen=True, kw_only=True):
@@ -381,6 +400,7 @@ class BridgeStatus(Message, frozen=True, kw_only=True):
 LEG_MESSAGES: Final[dict[str, type[Message]]] = {
     "servo": ServoSample,
     "contact": ContactEvent,
+    "state": LegState,
     "learner": LearnerStatus,
     "model": ModelReport,
     "trace": LegTrace,
