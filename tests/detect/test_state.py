@@ -1,0 +1,118 @@
+"""The state in every tick, against the simulator's truth."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from adaptive_contact.bank import LegGroup
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.robot import Robot
+from adaptive_contact.wire import ContactEvent, LegState, ServoSample
+from adaptive_contact_sim import (
+    PoseSettings,
+    SimulationSettings,
+    WalkSettings,
+    record_arrays,
+    simulated_robot,
+)
+from adaptive_contact_sim.arrays import Run
+from adaptive_contact_studies.evaluate import samples_of
+
+Walked = tuple[Run, dict[str, list[LegState]], dict[str, list[ContactEvent]]]
+
+
+def played(
+    robot: Robot, run: Run, legs: list[str]
+) -> tuple[dict[str, list[LegState]], dict[str, list[ContactEvent]]]:
+    learners = [ContactLearner(robot, leg, shipped_baseline(robot.name)) for leg in legs]
+    group = LegGroup(learners)
+    states: dict[str, list[LegState]] = {leg: [] for leg in legs}
+    events: dict[str, list[ContactEvent]] = {leg: [] for leg in legs}
+    for samples in zip(*(samples_of(run, leg) for leg in legs), strict=True):
+        for leg, learner, event in zip(legs, learners, group.advance(samples), strict=True):
+            states[leg].append(learner.state)
+            if event is not None:
+                events[leg].append(event)
+    return states, events
+
+
+@pytest.fixture(scope="module")
+def walk() -> Walked:
+    """A walk whose commands know nothing of the ground."""
+    robot = simulated_robot("hexapod").description
+    settings = SimulationSettings.of("hexapod", "walk")
+    motion = WalkSettings(stop_on="never", phase="planned")
+    run = record_arrays(dataclasses.replace(settings, motion=motion, seed=77), 25.0)
+    return (run, *played(robot, run, ["lf", "rm"]))
+
+
+def test_it_is_right_in_stance_and_swing_where_the_gait_s_phase_is_not(walk: Walked) -> None:
+    run, states, _ = walk
+    for leg, own in states.items():
+        known = np.array([state.known for state in own])
+        said = np.array([state.contact for state in own])
+        truth, phase = run.legs[leg].contact, ~run.legs[leg].swing
+        assert known[len(known) // 2 :].all()
+        right = (said == truth)[known].mean()
+        assert right >= 0.9
+        assert right > (phase == truth)[known].mean()
+        p = np.array([state.p for state in own if state.p is not None])
+        assert np.square(p - truth[known]).mean() < 0.08
+
+
+def test_a_foot_that_is_lifted_is_released_within_three_ticks(walk: Walked) -> None:
+    run, states, _ = walk
+    late = []
+    for leg, own in states.items():
+        truth = run.legs[leg].contact
+        for k in np.flatnonzero(truth[:-1] & ~truth[1:]) + 1:
+            if own[k - 1].contact and not truth[k : k + 5].any():
+                late.append(next(n for n in range(50) if not own[k + n].contact))
+    assert len(late) >= 10
+    assert np.median(late) <= 3
+
+
+def test_an_event_has_the_p_of_its_tick(walk: Walked) -> None:
+    _, states, events = walk
+    compared = 0
+    for leg, own in states.items():
+        of = {state.seq: state.p for state in own}
+        for event in events[leg]:
+            assert event.p == of[event.seq]
+            compared += event.p is not None
+    assert compared >= 10
+
+
+def test_a_leg_that_hangs_has_no_state() -> None:
+    robot = simulated_robot("leg5").description
+    settings = SimulationSettings.of("leg5", "pose")
+    assert isinstance(settings.motion, PoseSettings)
+    run = record_arrays(dataclasses.replace(settings, seed=3), 30.0)
+    states, _ = played(robot, run, ["leg"])
+    assert not run.legs["leg"].contact.any()
+    assert {(state.known, state.contact, state.p) for state in states["leg"]} == {
+        (False, False, None)
+    }
+
+
+def test_a_new_source_has_to_stand_first(walk: Walked) -> None:
+    robot = simulated_robot("hexapod").description
+    learner = ContactLearner(robot, "lf", shipped_baseline(robot.name))
+    samples = samples_of(walk[0], "lf")
+    for sample in samples:
+        learner.update(sample)
+    assert learner.state.known
+    last = samples[-1]
+    learner.update(
+        ServoSample(
+            t_ns=last.t_ns + 20_000_000, seq=0, run=9, measured=last.measured,
+            desired=last.desired, phase="stance",
+        )
+    )  # fmt: skip
+    assert learner.state == LegState(
+        t_ns=last.t_ns + 20_000_000, seq=0, contact=False, p=None, known=False
+    )
