@@ -33,6 +33,7 @@ from adaptive_contact.wire import (
     Status,
     contact_key,
     learner_key,
+    state_key,
 )
 
 if TYPE_CHECKING:
@@ -164,6 +165,7 @@ class LegEndpoint:
         self._link = link
         self.contact = link.publisher(contact_key(leg), reliable=True, history=1)
         self._status = link.publisher(learner_key(leg))
+        self.state = link.publisher(state_key(leg))
         self._token: Declared | None = None
         self._withdrawn = False  # its contact, as it is silent
         self._since_ns = now_ns

@@ -27,7 +27,7 @@ from adaptive_contact.detect.stream import fault_of
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.leg_endpoint import LegEndpoint
-from adaptive_contact.service.link import Link, Request
+from adaptive_contact.service.link import Link, Publisher, Request
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.network_health import NetworkHealth, UnreadKeys
 from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue, read
@@ -41,6 +41,7 @@ from adaptive_contact.wire import (
     HEARTBEAT,
     ContactEvent,
     Heartbeat,
+    LegState,
     Reject,
     Rejected,
     ServoSample,
@@ -144,6 +145,7 @@ class Service:
         self._asked: list[Request] = []
         self._tracer = Tracer(robot)
         self._untraced: list[tuple[str, ServoSample]] = []  # samples that a page asks for
+        self._states: list[tuple[Publisher, LegState]] = []  # that somebody subscribes to
         self._refused: set[str] = set()  # legs whose sample in hand the learner refuses
         self._throttle = LogThrottle()
         self._keeper = keeper
@@ -244,6 +246,9 @@ class Service:
 
     def finish(self) -> None:
         """Learn from what was worked on, once its events are on their way, and answer queries."""
+        for publisher, state in self._states:
+            publisher.put(state)
+        self._states.clear()
         if self._unfinished:
             self._bank.finish()
         if self._untraced:
@@ -392,6 +397,10 @@ class Service:
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
         for event in self._bank.judge(samples):
             self._post(event, raws[event.leg].arrival_ns)
+        for leg in samples.keys() - self._refused:
+            endpoint = self._endpoints[leg]
+            if endpoint.state.matched:
+                self._states.append((endpoint.state, endpoint.learner.state))
         self._unfinished += [raws[leg].arrival_ns for leg in samples]
         if self._tracer.wanted(time.monotonic_ns()):
             self._untraced += [pair for pair in samples.items() if pair[0] not in self._refused]

@@ -20,6 +20,7 @@ from adaptive_contact.wire import (
     ContactEvent,
     DriftLevel,
     LearnerStatus,
+    LegState,
     ModelReport,
     ModelTerm,
     RefitCounts,
@@ -66,6 +67,11 @@ class FakeLearner:
         self.contacts = snapshot["contacts"]
         self.guard.restore(snapshot.get("stream"))
         return None
+
+    @property
+    def state(self) -> LegState:
+        p = 0.9 if self.contact else 0.1
+        return LegState(t_ns=self.t_ns, seq=self.seq, contact=self.contact, p=p, known=True)
 
     def judged(self) -> None:
         """There is no residual."""

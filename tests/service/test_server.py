@@ -22,10 +22,12 @@ from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus, State
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    ALL_STATE,
     MAX_SAMPLE_BYTES,
     MSGPACK,
     ContactEvent,
     LearnerStatus,
+    LegState,
     ModelReport,
     Reject,
     ServoSample,
@@ -111,6 +113,28 @@ def test_contacts_and_releases_come_out(step: Lockstep, inbox: Any, sample: Samp
     figures = step.service.status(4)
     assert (figures.samples, figures.events) == (6, 3)
     assert figures.event_latency is not None
+
+
+def test_states_are_published_while_somebody_subscribes(
+    step: Lockstep, inbox: Any, sample: Sample
+) -> None:
+    got = inbox(LegState)
+    step.work(1, lf=sample(1))
+    subscribed = step.client.subscribe(ALL_STATE, got)
+    step.settle()
+    step.work(2, lf=sample(2), rf=sample(2, contact=True))
+    step.work(3, lf=sample(2), rf=sample(3))  # the first is refused: there is no state of it
+    states = got.wait(3)
+    assert sorted((one.seq, one.contact, one.p) for one in states) == [
+        (2, False, 0.1),
+        (2, True, 0.9),
+        (3, False, 0.1),
+    ]
+    subscribed.close()
+    step.settle()
+    step.work(4, lf=sample(4))
+    step.settle()
+    assert len(got.items) == 3
 
 
 def test_one_round_is_one_judgement_of_all_legs(
