@@ -31,7 +31,7 @@ from adaptive_contact.detect.contact import context_of
 from adaptive_contact.detect.swing import height_gradient
 
 # Log-odds: constant, sum of pushes, misfit.
-WEIGHTS: Final = (-3.9, 0.51, 0.83)
+WEIGHTS: Final = (-4.0, 0.43, 1.2)
 FORGETTING: Final = 0.5  # of the sum, a tick
 BOUND: Final = 4.0  # sizes; a larger push is no surer
 # The command's odds: at most so many nats, and none at this share of the leg's range.
