@@ -42,7 +42,7 @@ FAULTS: Final = (
     ),
     Fault(
         "the first tick of a swing is not predicted", "detect/detector.py",
-        "if ready and leg.ticks:", "if ready and leg.ticks > 4:",
+        "            if leg.ticks:", "            if leg.ticks > 4:",
     ),
     Fault(
         "ticks before an onset", "detect/swing_labels.py",
