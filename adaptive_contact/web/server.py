@@ -42,10 +42,14 @@ _CHUNK_BYTES: Final = 64 * 1024
 _PAGES: Final = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/uPlot.css": ("uPlot.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
     **{
         f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
-        for name in ("page", "data", "dom", "look", "panel", "plots", "stream", "table", "theme")
+        for name in (
+            *("page", "charts", "data", "dom", "look", "panel", "plots", "stream", "table"),
+            *("theme", "uPlot"),
+        )
     },
 }
 

@@ -24,8 +24,9 @@ def test_it_installs_our_packages_and_nothing_else(wheel: Path, installed: Any) 
     tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(OURS)
     page = {path.name for path in (installed.site / "adaptive_contact/web/static").iterdir()}
-    scripts = ("page", "data", "dom", "look", "panel", "plots", "stream", "table", "theme")
-    assert page == {"index.html", "page.css", "icon.svg", *(f"{name}.js" for name in scripts)}
+    scripts = ("page", "charts", "data", "dom", "look", "panel", "plots", "stream", "table")
+    others = {"index.html", "page.css", "icon.svg", "uPlot.css", "uPlot.LICENSE"}
+    assert page == {*others, *(f"{name}.js" for name in (*scripts, "theme", "uPlot"))}
     found = {path.name for path in installed.site.iterdir() if path.is_dir()}
     assert {name for name in found if not name.endswith(".dist-info")} == set(OURS)
     assert (installed.site.parents[2] / "bin" / "adaptive-contact").is_file()

@@ -37,11 +37,10 @@ LEGS = ["lf", "lm", "lr", "rf", "rm", "rr"]
 
 # What the page's modules keep and do, by the names that they give it.
 _MODULES = """
-Promise.all(['data', 'stream', 'theme', 'plots'].map((name) => import(`/${name}.js`))).then(
-  ([data, stream, theme, plots]) => {
-    Object.assign(globalThis, { ...data, stream, theme, plots });
-  },
-)
+Promise.all(['data', 'stream', 'theme', 'plots', 'charts'].map((name) => import(`/${name}.js`)))
+  .then(([data, stream, theme, plots, charts]) => {
+    Object.assign(globalThis, { ...data, stream, theme, plots, panel: charts });
+  })
 """
 
 
@@ -221,12 +220,58 @@ _HAS_COLOUR = """(name) => {
 def test_a_leg_opens_with_its_joints_and_equations(tab: Tab) -> None:
     tab.value("document.querySelector('.leg').click()")
     tab.wait("document.querySelectorAll('.equation').length === 3")
-    assert tab.value("document.querySelectorAll('#detail-plots canvas').length") == 3
+    assert tab.value("document.querySelectorAll('#detail-plots canvas').length") == 4
+    _values_can_be_read(tab)
     refit = tab.value("document.getElementById('detail-refit').textContent")
     assert re.match(r"Version \d+\. Refits: \d+ promoted, .* Last: .+\.", refit)
     assert "coxa" in tab.value("document.querySelector('.equation').textContent")
     tab.value("document.getElementById('detail-close').click()")
     assert tab.value("document.getElementById('detail').open") is False
+
+
+def _values_can_be_read(tab: Tab) -> None:
+    """One cursor over all plots of the leg: each says its values at the same time."""
+    tab.wait("panel.charts.length === 4 && panel.charts[0].data[0].length > 50")
+    tab.value("document.getElementById('live').click()")  # what is looked at stays
+    tab.value(
+        """(() => {
+          const over = panel.charts[0].over;
+          const box = over.getBoundingClientRect();
+          const at = { clientX: box.left + 0.6 * box.width, clientY: box.top + 20, bubbles: true };
+          over.dispatchEvent(new MouseEvent('mouseenter', at));
+          over.dispatchEvent(new MouseEvent('mousemove', at));
+        })()"""
+    )
+    tab.wait("panel.charts.every((one) => one.cursor.idx !== null)")
+    shown = tab.value(
+        "panel.charts.map((one) => [...one.root.querySelectorAll('.u-value')].map("
+        "(value) => value.textContent))"
+    )
+    assert len({values[0] for values in shown}) == 1, shown
+    assert re.fullmatch(r"-?\d+\.\d\d s", shown[0][0])
+    for _, predicted, command, reading in shown[1:]:
+        assert re.fullmatch(r"–|-?\d+\.\d\d°", predicted)
+        assert abs(float(command[:-1]) - float(reading[:-1])) < 60
+    held = tab.value(
+        "(() => { const one = panel.charts[1], i = one.cursor.idx;"
+        " return [one.data[0][i], one.data[3][i]]; })()"
+    )
+    assert shown[1][0] == f"{held[0]:.2f} s"
+    assert float(shown[1][3][:-1]) == pytest.approx(held[1], abs=0.006)
+    tab.value("document.getElementById('live').click()")
+
+
+def test_six_legs_fill_a_large_screen(tab: Tab) -> None:
+    tab.size(2560, 1440)
+    tab.wait("innerWidth === 2560 && document.querySelectorAll('.leg').length === 6")
+    boxes = tab.value(
+        "[...document.querySelectorAll('.leg canvas')].map((one) => {"
+        " const box = one.getBoundingClientRect(); return [box.left, box.top, box.right,"
+        " box.bottom]; })"
+    )
+    area = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)
+    assert area > 0.75 * 2560 * 1440
+    assert max(bottom for *_, bottom in boxes) < 1440, "no leg has to be scrolled to"
 
 
 def test_it_looks_back(tab: Tab) -> None:
@@ -307,6 +352,7 @@ def test_an_outage_is_drawn_as_a_gap(tab: Tab, tmp_path: Path) -> None:
     """No event says that the contact of a source that died in stance is not known."""
     tab.value("stream.source.close(); state.over = 'test'; forget(); state.span = 20000")
     tab.value(_OUTAGE)
+    tab.wait("document.getElementById('legs').style.getPropertyValue('--columns') === '1'")
     for drawn in ("rf", "panel"):
         if drawn == "panel":
             tab.value("state.legs.get('rf').card.root.click()")
@@ -336,11 +382,13 @@ for (let t = 100; t <= 14000; t += 100) {
   takeFrame({ t, k, ...once });
 }
 globalThis.coloursOf = (begin, end, drawn) => {
+  const chart = drawn === 'panel' && panel.charts[1];
   const canvas = drawn === 'panel'
-    ? document.querySelector('#detail-plots canvas') : state.legs.get(drawn).card?.canvas;
+    ? document.querySelectorAll('#detail-plots canvas')[1] : state.legs.get(drawn).card?.canvas;
   if (!canvas) return [];
   const axis = plots.scale(canvas.clientWidth);
-  const [left, right] = [begin, end].map((t) => Math.round(axis.x(t)));
+  const x = chart ? (t) => chart.valToPos((t - state.now) / 1000, 'x', true) : axis.x;
+  const [left, right] = [begin, end].map((t) => Math.round(x(t)));
   const { data } = canvas.getContext('2d').getImageData(left, 0, right - left, canvas.height);
   const probe = document.createElement('canvas').getContext('2d');
   return Object.keys(theme.colour).filter((name) => {

@@ -45,6 +45,7 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" && $("detail").open) closePanel();
 });
 window.addEventListener("resize", schedule);
+new ResizeObserver(schedule).observe($("legs")); // a banner comes, and plots have less room
 window.addEventListener("scroll", schedule, { passive: true });
 setInterval(drawTable, 100);
 drawnBy(draw);

@@ -1,10 +1,8 @@
 // The panel of one leg: plots of all its joints, figures, the equations of its model.
 
+import { drawCharts } from "./charts.js";
 import { state } from "./data.js";
 import { $, make, schedule, setText } from "./dom.js";
-import { dragged } from "./look.js";
-import { DEG, drawChanges, drawGaps, drawJoint, drawTime, prepared, scale } from "./plots.js";
-import { colour } from "./theme.js";
 
 let modelShown = "";
 
@@ -90,43 +88,5 @@ function listed(counts) {
 
 export function drawPanel() {
   const leg = state.legs.get(state.opened);
-  if (!leg || !$("detail").open) return;
-  const plots = $("detail-plots");
-  const joints = leg.ticks ? leg.ticks.joints : 0;
-  while (plots.children.length > joints) plots.lastChild.remove();
-  while (plots.children.length < joints) {
-    const box = make("section");
-    const head = make("h3");
-    head.append(make("b"), make("span"));
-    const canvas = make("canvas");
-    canvas.height = 120;
-    box.append(head, canvas);
-    plots.append(box);
-    dragged(canvas);
-  }
-  for (let joint = 0; joint < joints; joint += 1) {
-    const [head, canvas] = plots.children[joint].children;
-    const row = leg.row || {};
-    setText(head.children[0], (row.joints || [])[joint] || `joint ${joint + 1}`);
-    const rms = (row.rms || [])[joint];
-    const noise = (row.noise || [])[joint];
-    setText(
-      head.children[1],
-      noise ? `residual ${(rms * DEG).toFixed(2)}°, at the start ${(noise * DEG).toFixed(2)}°` : "",
-    );
-    const drawn = prepared(canvas);
-    if (!drawn) continue;
-    const { pen, width, height } = drawn;
-    const axis = scale(width);
-    const ticks = leg.ticks;
-    const from = Math.max(ticks.since(axis.begin) - 1, 0);
-    const to = ticks.since(axis.end + 1);
-    const gaps = ticks.gaps(from, to);
-    drawGaps(pen, axis, gaps, height - 16);
-    drawTime(pen, axis, 0, height - 16);
-    pen.globalAlpha = 0.25;
-    drawChanges(pen, axis, leg.contacts, gaps, 0, height - 16, colour.contact);
-    pen.globalAlpha = 1;
-    drawJoint(pen, axis, ticks, from, to, joint, 4, height - 24);
-  }
+  if (leg && $("detail").open) drawCharts($("detail-plots"), leg);
 }

@@ -79,7 +79,7 @@ export function drawGaps(pen, axis, gaps, height) {
 export function drawChanges(pen, axis, list, gaps, top, height, fill) {
   let since = null;
   const block = (from, to) => {
-    const left = Math.max(axis.x(from), GUTTER);
+    const left = Math.max(axis.x(from), axis.left ?? GUTTER);
     const right = Math.min(axis.x(to), axis.right);
     if (right >= left) pen.fillRect(left, top, Math.max(right - left, 1), height);
   };
@@ -212,7 +212,7 @@ function drawRatio(pen, axis, ticks, from, to, top, height) {
   pen.setLineDash([]);
   pen.fillStyle = colour.dim;
   pen.textAlign = "right";
-  pen.fillText("1", GUTTER - 4, y(1));
+  for (const value of height > 90 ? [0.1, 1, 10] : [1]) pen.fillText(String(value), GUTTER - 4, y(value));
   pen.strokeStyle = colour.ratio;
   pen.lineWidth = 1.4;
   drawLine(pen, axis, ticks, from, to, (at) => ticks.ratio[at], y);
@@ -260,14 +260,19 @@ export function drawLeg(leg) {
     label(pen, "truth", 35);
     drawChanges(pen, axis, leg.truth, gaps, 32, 6, colour.truth);
   }
+  pen.fillStyle = colour.withheld;
+  for (const [time, , , withheld] of leg.contacts) {
+    if (withheld && time >= axis.begin && time <= axis.end) pen.fillRect(axis.x(time) - 1.5, 16, 3, 12);
+  }
   drawMarks(pen, axis, leg.marks, 22, 35);
   const names = leg.row && leg.row.joints.length ? leg.row.joints : [];
   const top = state.truth ? 48 : 34;
-  const ratioTop = bottom - 44;
+  const tall = Math.max(42, (bottom - top) * 0.35); // of the test ratio
+  const ratioTop = bottom - tall - 2;
   if (ticks) {
     label(pen, names[joint] || `joint ${joint + 1}`, (top + ratioTop - 8) / 2);
     drawJoint(pen, axis, ticks, from, to, joint, top, ratioTop - 8 - top);
-    drawRatio(pen, axis, ticks, from, to, ratioTop, 42);
+    drawRatio(pen, axis, ticks, from, to, ratioTop, tall);
   }
-  label(pen, "test ratio", ratioTop + 36);
+  label(pen, "test ratio", ratioTop + tall - 6);
 }

@@ -1,7 +1,7 @@
 // A card of each leg, the banner above them, and the line on top.
 
 import { state } from "./data.js";
-import { $, make, setClass, setText } from "./dom.js";
+import { $, make, schedule, setClass, setText } from "./dom.js";
 import { dragged } from "./look.js";
 import { fillPanel, openPanel } from "./panel.js";
 import { framesStopped, silence } from "./stream.js";
@@ -150,6 +150,12 @@ export function drawTable() {
     fillCard(leg);
   }
   place();
+  const count = state.legs.size;
+  const columns = String(count === 4 ? 2 : Math.min(Math.max(count, 1), 3));
+  if ($("legs").style.getPropertyValue("--columns") !== columns) {
+    $("legs").style.setProperty("--columns", columns);
+    schedule(); // plots have another size now
+  }
   drawBanner();
   drawSummary();
   drawJoints();

@@ -6,7 +6,7 @@ import { $, schedule, setText } from "./dom.js";
 export let colour = {};
 const COLOURS = [
   "stance", "contact", "truth", "command", "reading", "predicted", "ratio", "threshold", "grid",
-  "dim", "bad",
+  "dim", "bad", "withheld",
 ];
 
 function readColours() {
