@@ -294,7 +294,7 @@ def is_old(samples: Samples, ticks: int) -> bool:
     n = len(samples.seq)
     most = min(OLD_TICKS, n - ticks - 2 * BAND)
     joints = [j for j in range(samples.desired.shape[1]) if _travel(samples, j, ticks)]
-    if most < LAGS or not joints:
+    if most <= LAGS or not joints:
         return False
 
     def rest(lag: int) -> float:

@@ -17,6 +17,7 @@ from adaptive_contact.checks.information import (
     basis,
     departure,
     held_share,
+    is_old,
     low_pass,
     step_of,
     survey,
@@ -245,3 +246,13 @@ def test_held_readings_have_their_share() -> None:
         y = u[ticks * (np.arange(len(u)) // ticks)]
         found = held_share(Samples(np.arange(len(u)), y, u), 0, STEP)
         assert found == pytest.approx(share, abs=0.06)
+
+
+@pytest.mark.parametrize("before", range(60))
+def test_commands_of_any_past_are_looked_at(before: int) -> None:
+    """However few samples there are before the ticks that are judged: of exchanged joints here."""
+    u, swing = commands(6)
+    y = grid(servo(u, swing, gain=0.35))[:, ::-1]
+    ticks = 100
+    samples = Samples(np.arange(len(u)), y, u).part(-(ticks + before))
+    assert is_old(samples, ticks) in (True, False)
