@@ -15,8 +15,11 @@ from typing import Any, get_type_hints
 import msgspec
 import pytest
 
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.foxglove_live import JudgedTick
+from adaptive_contact.service.recording.scene import BODY, Scene
 from adaptive_contact.service.recording.schemas import kind_of_key, parts_of
+from adaptive_contact.wire import ServoSample, servo_key
 
 LAYOUT = json.loads(
     (Path(__file__).parents[2] / "examples" / "foxglove_layout.json").read_text("utf-8")
@@ -69,7 +72,7 @@ def test_it_has_what_a_layout_has() -> None:
     assert sorted(shown) == sorted(PANELS), "each panel has its place, and each place its panel"
     for panel in PANELS:
         kind, _, name = panel.partition("!")
-        assert kind in ("Plot", "StateTransitions", "RawMessages")
+        assert kind in ("Plot", "StateTransitions", "RawMessages", "3D")
         assert name
 
 
@@ -90,3 +93,18 @@ def test_raw_messages_are_of_a_topic() -> None:
     for panel, config in PANELS.items():
         if panel.startswith("RawMessages!"):
             assert kind_of_key(config["topicPath"]) is not None
+
+
+def test_the_robot_is_drawn_from_a_topic_and_a_frame_of_recordings() -> None:
+    scene = Scene(shipped_robot())
+    sample = ServoSample(t_ns=1, seq=1, measured=[0.0] * 3, desired=[0.0] * 3)
+    topics = {
+        topic: (schema, content)
+        for leg in shipped_robot().leg_ids
+        for topic, content, (schema, _) in scene.take(servo_key(leg), sample, 1)
+    }
+    (panel,) = (config for name, config in PANELS.items() if name.startswith("3D!"))
+    (shown,) = panel["topics"]
+    assert topics[shown][0] == "foxglove.SceneUpdate"
+    assert panel["followTf"] == BODY
+    assert BODY.encode() in topics["/tf"][1]

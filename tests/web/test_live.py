@@ -252,13 +252,16 @@ def _values_can_be_read(tab: Tab) -> None:
     for _, predicted, command, reading in shown[1:]:
         assert re.fullmatch(r"–|-?\d+\.\d\d°", predicted)
         assert abs(float(command[:-1]) - float(reading[:-1])) < 60
-    held = tab.value(
-        "(() => { const one = panel.charts[1], i = one.cursor.idx;"
-        " return [one.data[0][i], one.data[3][i]]; })()"
-    )
-    assert shown[1][0] == f"{held[0]:.2f} s"
-    assert float(shown[1][3][:-1]) == pytest.approx(held[1], abs=0.006)
     tab.value("document.getElementById('live').click()")
+    begin = tab.value("state.now")
+    tab.wait(f"state.now > {begin + 1000}")  # the lines have gone on under the pointer
+    time_s, reading, said = tab.value(
+        "(() => { const one = panel.charts[1], i = one.posToIdx(one.cursor.left);"
+        " const said = [...one.root.querySelectorAll('.u-value')].map((v) => v.textContent);"
+        " return [one.data[0][i], one.data[3][i], said]; })()"
+    )
+    assert said[0] == f"{time_s:.2f} s"
+    assert float(said[3][:-1]) == pytest.approx(reading, abs=0.006)
 
 
 def test_six_legs_fill_a_large_screen(tab: Tab) -> None:

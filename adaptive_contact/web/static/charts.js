@@ -79,7 +79,7 @@ function chart(box, height, y, series) {
       width: Math.max(box.clientWidth, 100),
       height,
       legend: { live: true, markers: { width: 2 } },
-      cursor: { sync: { key: "leg", setSeries: false, scales: ["x", null] }, y: false, drag: { x: false, y: false } },
+      cursor: { sync: { key: "leg", setSeries: false, scales: ["x", null] }, y: false, points: { show: false }, drag: { x: false, y: false } },
       scales: { x: { time: false, auto: false }, y: y.scale },
       axes: [times, y.axis],
       series: [
@@ -193,5 +193,11 @@ export function drawCharts(root, of) {
       made.setData([found[0], ...lines], false);
       made.setScale("x", { min: (end - state.span - state.now) / 1000, max: (end - state.now) / 1000 });
     });
+    // The pointer rests, and the lines go on under it: say what is there now.
+    const { left, top } = made.cursor;
+    if (left >= 0) {
+      made.setCursor({ left, top }, false, false);
+      made.setLegend({ idx: made.cursor.idx }, false); // the same place of other data, often
+    }
   });
 }
