@@ -45,8 +45,6 @@ MOST_PATIENT_MS: Final = 400.0
 _LOOKS, _GARBLED = 5, 3
 # What an answer takes at the least, with some wire and a computer in between.
 _ASK_S: Final = 0.0005
-# Bytes of a status packet around its data, protocol 2.0's; 1.0 has fewer.
-_STATUS_BYTES: Final = 11
 # Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err;
 # of 1.0: FF FF id len err.
 _ID2, _LENGTH2, _ERROR2, _DATA2 = 4, 5, 8, 9
@@ -261,7 +259,8 @@ class Bus:
 
     def cost_s(self, block: Block) -> float:
         """How long a servo's answer to a read takes, about, in a common one or alone."""
-        return _ASK_S + (block.size + _STATUS_BYTES) * self._port.byte_s
+        # Bytes of a status packet around its data, protocol 2.0's; 1.0 has fewer.
+        return _ASK_S + (block.size + 11) * self._port.byte_s
 
     def get(self, servo: int, register: Register) -> int | None:
         """One register's value, None if the servo does not send it within some tries."""

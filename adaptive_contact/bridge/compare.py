@@ -50,9 +50,6 @@ _NAMES: Final = {
     "upper_margin": "CCW compliance margin",
     "pwm_limit": "PWM limit",
 }
-# All of it, as the servo's own unit has it: e-manual AX-12A "Torque Limit(34)", XM430-W350 "PWM
-# Limit(36)".
-_FULL: Final = {"torque_limit": 1023, "pwm_limit": 885}
 # 214.577 rev/min², in rad/s².
 _ACCELERATION_RAD_S2: Final = 214.577 * 2 * math.pi / 3600
 
@@ -164,7 +161,9 @@ def _acceleration(servo: Servo, register: str) -> str:
 
 
 def _weaker(servo: Servo, register: str) -> str | None:
-    value, full = servo.values[register], _FULL[register]
+    # All of it, as the servo's own unit has it: e-manual AX-12A "Torque Limit(34)", XM430-W350 "PWM
+    # Limit(36)".
+    value, full = servo.values[register], {"torque_limit": 1023, "pwm_limit": 885}[register]
     if value >= full:
         return None
     return f"is {value} of {full}: it drives with {100 * value / full:.0f} % of what it has"

@@ -180,14 +180,6 @@ class Punctuality:
 
 # Alarms of the servo; the others are of a packet, and counted.
 _TOLD: Final = {"overload", "overheating", "voltage", "electrical_shock", "encoder"}
-# A servo that was silent answers again when it has done so for this many looks, a second each: one
-# that comes and goes is not a line a second.
-_BACK_LOOKS: Final = 2
-# Looks without a crowd of late servos after which a computer is no longer too busy.
-_CALM_LOOKS: Final = 10
-# On a computer that is too busy, a servo is named after so many looks without any answer of it, not
-# even a late one; else after one.  It is asked five times a look at the least, at 50 Hz.
-_MUTE_LOOKS: Final = 3
 # A servo whose answers keep coming too late, where few do, is named after so many looks.
 _LATE_LOOKS: Final = 3
 _LATE: Final = (
@@ -263,7 +255,7 @@ class News:
                 )
         elif self._busy:
             self._calm += 1
-            if self._calm >= _CALM_LOOKS:
+            if self._calm >= 10:  # looks without a crowd of late servos: not too busy any more
                 self._busy = False
                 said.append(f"port {self._plan.name}: answers come in time again")
         return now_late
@@ -280,7 +272,10 @@ class News:
         for servo in self._names:
             self._belated[servo] = self._belated[servo] + 1 if servo in belated else 0
             self._mute[servo] = self._mute[servo] + 1 if servo in mute else 0
-        looks = _MUTE_LOOKS if self._busy else 1
+        # On a computer that is too busy, a servo is named after so many looks without any answer of
+        # it, not even a late one; else after one.  It is asked five times a look at the least, at
+        # 50 Hz.
+        looks = 3 if self._busy else 1
         dead = {servo for servo, count in self._mute.items() if count >= looks}
         self._say(said, sorted(dead - self._silent), "no answer; check its cable and power")
         if not self._busy:
@@ -290,7 +285,8 @@ class News:
         back = []
         for servo in sorted(self._silent & answering):
             self._answered[servo] = self._answered.get(servo, 0) + 1
-            if self._answered[servo] >= _BACK_LOOKS:
+            # For this many looks, a second each: one that comes and goes is not a line a second.
+            if self._answered[servo] >= 2:
                 back.append(servo)
         for servo in [*self._answered]:
             if servo in mute or servo in back:

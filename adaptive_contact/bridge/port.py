@@ -224,8 +224,6 @@ def _explain(name: str, device: str, error: serial.SerialException) -> str:
 
 
 _PROCESSES: Final = Path("/proc")
-# Major device numbers of pseudo-terminals; Documentation/admin-guide/devices.txt of Linux.
-_PSEUDO: Final = range(136, 144)
 
 
 class _Device(NamedTuple):
@@ -272,7 +270,8 @@ def _device(file: Path) -> _Device | None:
         return None
     if not status.st_rdev:
         return None
-    pseudo = os.major(status.st_rdev) in _PSEUDO
+    # Major device numbers of pseudo-terminals; Documentation/admin-guide/devices.txt of Linux.
+    pseudo = os.major(status.st_rdev) in range(136, 144)
     return _Device(status.st_rdev, status.st_dev if pseudo else None)
 
 

@@ -45,7 +45,6 @@ _Misunderstood: Final[type[Exception]] = next(
 )
 _INTERRUPTED: Final = 130  # as a shell has it
 _READER_GONE: Final = 141  # likewise: 128 + SIGPIPE
-_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 # Command -> module with a function of the same name; order is the help's.
 _COMMANDS: Final = (
@@ -178,7 +177,7 @@ def run() -> int:
         say_note(f"{' '.join(sys.argv[1:2])} {why}")
         return 2
     except OSError as error:
-        if error.errno not in _FULL:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
         say_note(f"{error.filename or 'a file'} cannot be written ({error.strerror}); make room")
         return 2

@@ -45,8 +45,6 @@ NOISY: Final = 1.28
 PRIOR_SHAPE: Final = 0.1
 # Where the covariates are 0.
 _PERIOD_S, _SLOPE_RAD = 0.02, 0.17
-# Terms that are angles: over the slope they have no unit.
-_ANGLES: Final = ("θ", "v_", "Δu")
 
 
 class FamilyFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -111,7 +109,8 @@ def columns_of(library: Library, joint: int) -> OwnColumns:
     slope, names = library.slope_rad, library.names
 
     def unit(form: str) -> float:
-        return slope if form.startswith(_ANGLES) else 1.0
+        # Terms that are angles: over the slope they have no unit.
+        return slope if form.startswith(("θ", "v_", "Δu")) else 1.0
 
     first = {group.form: group.first for group in library.groups}
     common = [0, *(i for i, name in enumerate(names) if name.startswith(("cos φ", "sin φ")))]

@@ -45,8 +45,6 @@ CHANGE_KNEES_RAD_S: Final = (0.3, 1.0, 3.0)
 # The library offers the control law at the described slope and at its neighbours, so that wear
 # or a wrong register value stays inside its span.
 SLOPE_FACTORS: Final = (1.0, 0.5, 2.0)
-# Forms of terms that grow with the command, however far it steps.
-_UNBOUNDED: Final = ("e_", "Δu_", "u_")
 
 
 class _ServoShape(NamedTuple):
@@ -247,8 +245,9 @@ class Library:
         ahead = [f"u_{{}}{_at(lead)}-u_{{}}" for lead in range(1, w.preview + 1)]
         behind = 1 + joints * len(forms) + 2 * len(self.gravity)
         firsts += [behind + joints * i for i in range(len(ahead))]
+        # Forms of terms that grow with the command, however far it steps.
         return tuple(
-            TermGroup(form, first, not form.startswith(_UNBOUNDED))
+            TermGroup(form, first, not form.startswith(("e_", "Δu_", "u_")))
             for form, first in zip(forms + ahead, firsts, strict=True)
         )
 

@@ -253,15 +253,6 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         raise BaselineError(f"{source}: {error}") from error
 
 
-def leg_tree(known: LegBaseline) -> dict[str, object]:
-    """Return one leg's baseline as plain maps, lists, numbers and texts, for a snapshot."""
-    library = known.model.library
-    return {
-        "library": msgspec.to_builtins(_library_file(library)),
-        "leg": msgspec.to_builtins(_leg_file(known)),
-    }
-
-
 def _library_file(library: Library) -> _LibraryFile:
     return _LibraryFile(
         name=library.name,

@@ -48,7 +48,6 @@ MAX_SERVO_ID: Final = 252
 
 # Names of ROS: chunks of letters, digits and '_' that begin with no digit.
 _CHUNK: Final = r"[A-Za-z_][A-Za-z0-9_]*"
-_NODE: Final = re.compile(_CHUNK)
 _TOPIC: Final = re.compile(rf"/{_CHUNK}(?:/{_CHUNK})*")
 # ROS 2 maps a domain to UDP ports; beyond 232 there are none left.
 _MOST_DOMAINS: Final = 232
@@ -241,7 +240,7 @@ def _check_ros2(robot: Robot, fail: _Fail) -> None:
     if shared is not None:
         if not 0 <= shared.domain <= _MOST_DOMAINS:
             fail(f"[ros2] domain is {shared.domain}; expected 0 to {_MOST_DOMAINS} (ROS_DOMAIN_ID)")
-        if _NODE.fullmatch(shared.node) is None:
+        if re.fullmatch(_CHUNK, shared.node) is None:
             fail(f"[ros2] node is '{shared.node}'; expected letters, digits and '_'")
         for key in _TOPICS:
             _check_topic(getattr(shared, key), f"[ros2] {key}", fail, leg="leg")

@@ -62,7 +62,6 @@ DEFAULT_PORT: Final = 8765
 _MOST_WAITING: Final = 20_000
 # A tick placed further from now was taken before its source's clock jumped.
 _MOST_AGE_NS: Final = 60_000_000_000
-_HISTORY: Final = (ALL_CONTACT, SERVICE_STATUS)
 _STREAMS: Final = (
     HEARTBEAT, ALL_SERVO, ALL_LEARNER, ALL_TRUTH, command_key("*"), bridge_status_key("*"),
 )  # fmt: skip
@@ -144,7 +143,7 @@ class FoxgloveServer:
 
     def run(self, stop: threading.Event) -> None:
         """Serve until ``stop`` is set."""
-        for key in _HISTORY:
+        for key in (ALL_CONTACT, SERVICE_STATUS):
             self._link.subscribe(key, self._enqueue, history=True)
         for key in _STREAMS:
             self._link.subscribe(key, self._enqueue)

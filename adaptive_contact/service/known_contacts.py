@@ -19,7 +19,6 @@ import msgspec
 from adaptive_contact.service.settings import SILENT_AFTER_S
 from adaptive_contact.wire import ContactEvent, Heartbeat, LegHeartbeat
 
-_KNOWN_NS: Final = int(SILENT_AFTER_S * 1e9)
 _OLD_S: Final = 1e6  # in place of an age that is none
 
 
@@ -37,7 +36,7 @@ class KnownContacts:
 
     def is_known(self, leg: str, now_ns: int) -> bool:
         """Whether a leg is watched now."""
-        return leg in self._beats and now_ns - self._beats[leg][0] <= _KNOWN_NS
+        return leg in self._beats and now_ns - self._beats[leg][0] <= int(SILENT_AFTER_S * 1e9)
 
     def heartbeat(self, heartbeat: Heartbeat, arrival_ns: int) -> None:
         """Take a heartbeat in; a leg that it lacks is not known."""

@@ -65,7 +65,6 @@ __all__ = [
 
 # As rmw_zenoh's publishers have it: after a message, not all the time.
 _HEARTBEAT_S: Final = 0.5
-_NOTHING_ASKED: Final = Finding(Reach.UNKNOWN, "")
 
 
 class Request:
@@ -272,7 +271,9 @@ class Link:
         reported: Finding | None = None
         while True:
             config, facts = configure(settings)
-            finding = probe(facts.connect) if settings.mode == "client" else _NOTHING_ASKED
+            finding = (
+                probe(facts.connect) if settings.mode == "client" else Finding(Reach.UNKNOWN, "")
+            )
             try:
                 if not finding.certain:
                     return cls(zenoh.open(config), settings, facts)

@@ -20,7 +20,6 @@ from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key, mea
 
 # Of each leg, samples and refusals that are looked at.
 _KEPT: Final = 1000
-_STRAYS: Final = 100  # keys of which each is counted
 _SHOWN: Final = 3
 
 # Faults of what was sent, not of how the robot moves: sure, and the reason why samples are refused;
@@ -69,7 +68,8 @@ class OneRobot:
         """The key without what stands before it; None where it is of another robot."""
         namespace = namespace_of(key)
         if namespace is None:
-            if meant_key(key) is not None and len(self._strays) < _STRAYS:
+            # keys of which each is counted
+            if meant_key(key) is not None and len(self._strays) < 100:
                 self._strays[key] = 0
             return key
         if self.namespace is None:

@@ -30,8 +30,6 @@ HURRY: Final = "--hurry"
 UNPREPARED: Final = "--unprepared"
 
 _LENGTH: Final = struct.Struct(">Q")
-# What fits need, seconds to import: before the first job, not while it waits.
-_NEEDED: Final = ("pysindy.optimizers", "adaptive_contact.fit.refit_job")
 # A robot's other core is the tick loop's; a refit can wait.
 _NICE: Final = 5
 
@@ -60,7 +58,8 @@ def main() -> None:
     hurry = HURRY in sys.argv
     yield_priority(0 if hurry else _NICE)
     if UNPREPARED not in sys.argv:
-        for module in _NEEDED:
+        # What fits need, seconds to import: before the first job, not while it waits.
+        for module in ("pysindy.optimizers", "adaptive_contact.fit.refit_job"):
             importlib.import_module(module)
         if hurry:
             yield_priority(_NICE)

@@ -21,9 +21,6 @@ from adaptive_contact_bullet.robots import Shape
 _LIFTED: Final = 0.35  # share of a swing after which the foot is up
 _DOWN: Final = 0.55  # share after which it comes down
 _LEVELS_S: Final = 0.5  # in which a stance that began too high or low returns to the body's height
-_DAMPING: Final = 1e-4  # of the inverse kinematics, m²
-_REST: Final = 1e-6  # pull to the posture at rest, m²
-_ITERATIONS: Final = 3
 _LARGEST_RAD: Final = 0.3  # step of one iteration
 
 
@@ -58,10 +55,10 @@ class Inverse:
 
     def to(self, foot_m: Array) -> Array:
         """Angles (J,) rad that bring the foot to a point of the leg's frame, (3,) m, or near it."""
-        for _ in range(_ITERATIONS):
+        for _ in range(3):
             place, jacobian = _forward(self._axes, self._links, self.angles)
-            square = jacobian.T @ jacobian + _DAMPING * np.eye(len(self.angles))
-            back = _REST * (self._rest - self.angles)  # where joints are more than a foot needs
+            square = jacobian.T @ jacobian + 1e-4 * np.eye(len(self.angles))  # m²
+            back = 1e-6 * (self._rest - self.angles)  # m², where joints are more than a foot needs
             step = np.linalg.solve(square, jacobian.T @ (foot_m - place) + back)
             self.angles = self.angles + np.clip(step, -_LARGEST_RAD, _LARGEST_RAD)
         return self.angles
@@ -200,7 +197,6 @@ class Walker:
 
 
 _TRIPOD: Final = (0.0, 0.5, 0.0, 0.5, 0.0, 0.5)  # lf lm lr rf rm rr
-_RIPPLE: Final = (0.0, 0.333, 0.667, 0.5, 0.833, 0.167)
 _TROT: Final = (0.0, 0.5, 0.5, 0.0)  # fl fr bl br
 GAITS: Final = {
     gait.name: gait
@@ -208,7 +204,7 @@ GAITS: Final = {
         Gait("tripod", _TRIPOD, 1.2, 0.52, 0.06, 0.04, 0.03),
         Gait("tripod-slow", _TRIPOD, 2.4, 0.52, 0.06, 0.04, 0.03),
         Gait("tripod-fast", _TRIPOD, 0.84, 0.52, 0.06, 0.035, 0.03),
-        Gait("ripple", _RIPPLE, 2.0, 0.68, 0.05, 0.04, 0.03),
+        Gait("ripple", (0.0, 0.333, 0.667, 0.5, 0.833, 0.167), 2.0, 0.68, 0.05, 0.04, 0.03),
         Gait("tripod-planned", _TRIPOD, 1.2, 0.52, 0.06, 0.04, 0.004, "never"),
         Gait("trot", _TROT, 0.45, 0.52, 0.04, 0.03, 0.015, linger_s=0.08),
         Gait("trot-slow", _TROT, 0.6, 0.52, 0.04, 0.04, 0.015, linger_s=0.08),

@@ -21,7 +21,6 @@ _G: Final = 9.81
 _HUNG_M: Final = 1.0  # a body that hangs
 _PARKED: Final = (0.0, 0.0, -3.0)
 _PLATE_M: Final = (0.06, 0.06, 0.005)  # half extents
-_BUMPS: Final = 220
 _AREA_M: Final = 1.6
 
 Kind = Literal["hard", "soft", "tilted", "rough", "none"]
@@ -137,7 +136,7 @@ class Plant:
         laid = [engine.createMultiBody(0.0, plane, basePosition=[0.0, 0.0, -0.5])]
         if ground.kind != "rough":
             return laid
-        for _ in range(_BUMPS):
+        for _ in range(220):
             height = rng.uniform(0.3, 1.0) * ground.bump_m
             sides = rng.uniform(0.03, 0.1, 2)
             box = engine.createCollisionShape(

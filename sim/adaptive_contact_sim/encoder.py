@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,6 @@ from adaptive_contact_sim.servo import QUANTUM_RAD
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-_BOGUS_RAD: Final = -math.pi
 
 
 @dataclass(frozen=True)
@@ -101,6 +99,6 @@ class Encoder:
         reading = np.where(stale, self._last, fresh)
         # The bus buffer keeps the last true value, so a stale reading never repeats a bogus one.
         self._last = reading.copy()
-        reading[bogus] = _BOGUS_RAD
+        reading[bogus] = -math.pi
         self._last[bogus] = fresh[bogus]
         return Reading(reading, valid & ~dropped)

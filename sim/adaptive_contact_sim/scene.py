@@ -33,7 +33,6 @@ OBSTACLES: Final = {
 }
 # From an obstacle's centre up to its top, upright.
 OBSTACLE_TOP_M: Final = {"plate": 0.10, "sphere": 0.03, "edge": 0.005, "post": 0.10}
-_HARD_SOLIMP: Final = (0.9, 0.95, 0.001, 0.5, 2.0)
 # Where obstacles wait: out of sight, far from everything.
 PARKED_M: Final = (0.0, 0.0, -3.0)
 
@@ -116,7 +115,7 @@ def set_surface(
 ) -> None:
     """Make a geom hard (None), or as stiff as a spring under a body of that inverse mass, 1/kg."""
     model.geom_solref[geom], model.geom_solimp[geom] = (
-        (HARD_SOLREF, _HARD_SOLIMP)
+        (HARD_SOLREF, (0.9, 0.95, 0.001, 0.5, 2.0))
         if stiffness_n_m is None
         else soft_contact(stiffness_n_m, inverse_mass)
     )

@@ -44,8 +44,6 @@ from adaptive_contact_sim.elements import N_SERVOS
 
 FULL_SCALE_STEPS: Final = 1023
 QUANTUM_RAD: Final = math.radians(300.0) / FULL_SCALE_STEPS
-# Register value at joint angle zero (e-manual: 512 is the centre, 150 degrees).
-CENTRE_STEPS: Final = 512
 # Of all kinds here.
 NOMINAL_SUPPLY_V: Final = 12.0
 
@@ -90,7 +88,6 @@ class ServoKind(NamedTuple):
     name: str  # of the maker
     quantum_rad: float  # a step of position and goal
     full_scale_steps: int  # largest value of the goal register
-    centre_steps: int  # the register's value at joint angle zero
     nominal: ServoParameters  # servo constants, (1,) each
 
     def of(self, servos: int) -> ServoParameters:
@@ -106,7 +103,7 @@ def _nominal(**values: float) -> ServoParameters:
     return ServoParameters(**left | {name: np.array([value]) for name, value in values.items()})
 
 
-AX12A: Final = ServoKind("AX-12A", QUANTUM_RAD, FULL_SCALE_STEPS, CENTRE_STEPS, _nominal())
+AX12A: Final = ServoKind("AX-12A", QUANTUM_RAD, FULL_SCALE_STEPS, _nominal())
 _STEP_4096_RAD: Final = 2.0 * math.pi / 4096
 # Stall torque, speed and current: ROBOTIS e-manual at 12 V.  Friction and armature: between those
 # identified of an XL-330 and an MX-64 (Rhoban/bam), nearer to the MX-64, whose motor is larger.
@@ -114,7 +111,6 @@ XM430_W210: Final = ServoKind(
     "XM430-W210",
     _STEP_4096_RAD,
     4095,
-    2048,
     _nominal(
         stall_torque_nm=3.0,
         no_load_speed_rad_s=77.0 * 2.0 * math.pi / 60.0,
@@ -135,7 +131,6 @@ STS3215: Final = ServoKind(
     "STS3215",
     _STEP_4096_RAD,
     4095,
-    2048,
     _nominal(
         stall_torque_nm=2.94,
         no_load_speed_rad_s=45.0 * 2.0 * math.pi / 60.0,
@@ -281,7 +276,8 @@ class ServoBank:
         Returns:
             (S,) rad, what the registers can hold: a whole number of steps within their range.
         """
-        _, quantum, full, centre, _ = self.kind
+        quantum, full = self.kind.quantum_rad, self.kind.full_scale_steps
+        centre = (full + 1) // 2  # the register's value at joint angle zero
         steps = np.rint(goal_rad / quantum)
         np.clip(steps, -centre, full - centre, out=steps)
         self._goal[:] = steps

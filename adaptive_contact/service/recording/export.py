@@ -43,7 +43,6 @@ from adaptive_contact.wire import (
 _ROWS: Final = 20_000
 # Columns of one list; a robot's legs have at most 16 joints.
 _MAX_WIDTH: Final = 64
-_UNKNOWN_KEY: Final = "no message of the contract has this key"
 
 OnRecord = Callable[[Record], None]
 
@@ -331,7 +330,7 @@ def _known(
             kinds[record.key] = kind_of_key(record.key)
         kind = kinds[record.key]
         if kind is None:
-            exported.left_out[record.key, _UNKNOWN_KEY] += 1
+            exported.left_out[record.key, "no message of the contract has this key"] += 1
             continue
         message = _read(record, kind, exported)
         if message is not None:

@@ -55,7 +55,6 @@ _SCAN_BYTES: Final = 1 << 20
 _FRAME: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
 _INDEX: Final = struct.Struct("<HI")
-_INDEX_ENTRY_BYTES: Final = 16
 _CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of compression
 _LENGTH: Final = struct.Struct("<Q")
 _CHUNK_HEAD_BYTES: Final = _CHUNK.size + _MAX_COMPRESSION_NAME + _LENGTH.size  # at most
@@ -83,11 +82,6 @@ _PARSE_ERRORS: Final = (
     *(RuntimeError, EOFError, MemoryError, OverflowError),
 )
 
-# Metadata of a channel of rosbag2: the hash of its type's definition.
-_TYPE_HASH: Final = "topic_type_hash"
-
-# Of what the file holds for viewers only.
-_DRAWN: Final = "foxglove."
 
 # By channel: its key, its Zenoh encoding, and what turns its payloads into the wire's; None for a
 # channel of no key.
@@ -331,7 +325,7 @@ class _Walk:
             self._chunk_used = False
             self._learn_channels()
         if not self._chunk_used:
-            self.lost += (length - _INDEX.size) // _INDEX_ENTRY_BYTES
+            self.lost += (length - _INDEX.size) // 16
 
     def _beyond(self, opcode: int, length: int) -> Iterator[Record]:
         """Messages of a record that ends beyond the file: those of a plain chunk, up to the cut."""
@@ -480,10 +474,12 @@ class _Walk:
         found = Channel.read(ReadDataStream(BytesIO(content)))
         encoding = TO_ZENOH.get(found.message_encoding, found.message_encoding)
         kind, descriptors = self._schemas.get(found.schema_id, ("", b""))
-        self._types[found.topic] = (kind, found.metadata.get(_TYPE_HASH, ""))
+        # Metadata of a channel of rosbag2: the hash of its type's definition.
+        self._types[found.topic] = (kind, found.metadata.get("topic_type_hash", ""))
         message = kind_of_key(found.topic)
         convert = None
-        if encoding == PROTOBUF and kind.startswith(_DRAWN):
+        # What the file holds for viewers only.
+        if encoding == PROTOBUF and kind.startswith("foxglove."):
             self._channels[found.id] = None
             return
         if encoding == PROTOBUF and message is not None and kind == schema_name(message):

@@ -51,7 +51,6 @@ _QUANTA_RAD: Final = (
 )
 _HEIGHT_M: Final = 1.0
 _SOLE_M: Final = 0.008
-_CLEAR_M: Final = 0.003
 _PARKED_M: Final = (0.0, 0.0, -5.0)
 _NEAR_M: Final = 2e-3
 _ABSURD_RAD_S: Final = 200.0
@@ -141,7 +140,7 @@ def draw_leg(seed: int, *, second: bool = False) -> DrawnLeg:
         origins_m=origins,
         masses_kg=masses,
         rest_rad=rest,
-        servo=ServoKind("drawn", quantum, 2 * centre, centre, parameters),
+        servo=ServoKind("drawn", quantum, 2 * centre, parameters),
         parameters=parameters,
         cascade=cascade,
         noise_steps=rng.uniform(0.1, 0.7),
@@ -389,7 +388,7 @@ def _play(leg: DrawnLeg, plan: _Plan, rng: np.random.Generator) -> Run:
         if plan.phases[k] and k and not plan.phases[k - 1]:
             data.mocap_pos[0] = _PARKED_M
         elif k < until and height < before:  # it comes down
-            data.mocap_pos[0] = data.site_xpos[0] - (0.0, 0.0, _SOLE_M + _CLEAR_M + 0.02)
+            data.mocap_pos[0] = data.site_xpos[0] - (0.0, 0.0, _SOLE_M + 0.003 + 0.02)
             until = 0
         before = height
         for j in range(substeps):

@@ -45,7 +45,6 @@ KINDS: Final = {
     "second generator stepping": 18,
 }
 EARLY: Final = 100  # swings
-_PLATES: Final = {"pose": 0.5, "gait": 0.9}
 # Of the hexapod outside the family: friction over stall torque, twice the family's most, and the
 # slope over the one described, where the family's deviate by 8 %.
 _RUBBING: Final = 0.14
@@ -147,7 +146,7 @@ def _recorded(kind: str, seed: int) -> tuple[Run, Robot, Baseline | None]:
     if kind.startswith(("drawn", "second")):
         leg = draw_leg(seed, second=kind.startswith("second"))
         motion: Motion = "gait" if kind.endswith("stepping") else "pose"
-        run = record(leg, motion, 200, seed, plates=_PLATES[motion])
+        run = record(leg, motion, 200, seed, plates={"pose": 0.5, "gait": 0.9}[motion])
         return run, leg.robot, _own_baseline(leg, motion, seed + _FREE_SEEDS)
     name, how = kind.split()[0], kind.split()[1]
     walks = how in ("walking", "trotting", "outside")

@@ -24,7 +24,6 @@ RED: Final = "#D55E00"
 SKY: Final = "#56B4E9"
 PURPLE: Final = "#CC79A7"
 GREY: Final = "#666666"
-YELLOW: Final = "#E6C800"
 INK: Final = "#222222"
 JOINTS: Final = ("coxa", "femur", "tibia")
 JOINT_COLOURS: Final = (BLUE, ORANGE, GREEN)
