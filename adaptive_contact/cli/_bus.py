@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+from adaptive_contact.bridge.plan import DEFAULT_PORT, PortPlan, plan_ports
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say
 from adaptive_contact.errors import ConfigurationError, needs
-
-if TYPE_CHECKING:
-    from adaptive_contact.bridge.plan import PortPlan
-    from adaptive_contact.robot import Robot
+from adaptive_contact.robot import Robot
 
 DeviceOption = Annotated[
     list[str] | None,
@@ -44,7 +42,6 @@ def plans_of(
     Raises:
         ConfigurationError: there is no port, no servo, or something is unknown.
     """
-    from adaptive_contact.bridge.plan import plan_ports
     from adaptive_contact.bridge.tables import BAUDS
 
     if baud is not None and baud not in BAUDS:
@@ -64,8 +61,6 @@ def devices_of(given: list[str] | None) -> dict[str, str]:
     Raises:
         ConfigurationError: a port is given twice.
     """
-    from adaptive_contact.bridge.plan import DEFAULT_PORT
-
     devices: dict[str, str] = {}
     for text in given or ():
         name, equals, path = text.partition("=")

@@ -23,6 +23,8 @@ from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content, why_not_writable
 from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.robot import Robot, load_robot, shipped_robot
+from adaptive_contact.robot.load import is_shipped, recorded_as
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     LinkSettings,
@@ -32,7 +34,6 @@ from adaptive_contact.service.settings import (
 
 if TYPE_CHECKING:
     from adaptive_contact.model import Baseline
-    from adaptive_contact.robot import Robot
     from adaptive_contact.service.recording import Recording
 
 
@@ -395,8 +396,6 @@ def say_damage(recording: Recording) -> None:
 
 def described_robot(config: Path | None, shipped: str = "hexapod") -> Robot:
     """The robot of ``--config``, or a shipped one; said where a robot.toml lies here unused."""
-    from adaptive_contact.robot import load_robot, shipped_robot
-
     if config is not None:
         return load_robot(config)
     robot = shipped_robot(shipped)
@@ -418,7 +417,6 @@ def learned_of(
 ) -> tuple[Baseline | None, str | None]:
     """What is learned of a robot already, by ``--baseline`` or with its description; its origin."""
     from adaptive_contact.model.model_file import load_baseline, shipped_baseline
-    from adaptive_contact.robot.load import is_shipped
 
     if baseline is not None:
         return load_baseline(baseline), shown_path(baseline)
@@ -433,8 +431,6 @@ def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
     Raises:
         ConfigurationError: a recording is of another robot, by its own word.
     """
-    from adaptive_contact.robot import load_robot, shipped_robot
-    from adaptive_contact.robot.load import recorded_as
     from adaptive_contact.service.recording import is_bag, read_recording
 
     if config is not None:

@@ -15,6 +15,7 @@ import typer
 from adaptive_contact.cli._bus import devices_of, needs_sdk
 from adaptive_contact.cli._options import check_output
 from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli.robot import Wishes
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
@@ -26,7 +27,6 @@ from adaptive_contact.wire import is_leg_id
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.discovery import Wanted
-    from adaptive_contact.cli.robot import Wishes
 
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2

@@ -8,23 +8,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
+import numpy as np
 import typer
 
+from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, shake_hands
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
+from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample, servo_key
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.bridge.training import Script
     from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.fit.train import Stretch, Training
-    from adaptive_contact.robot import Robot
 
 # Free ticks per term of the library below which a fit is refused (adapt.training).
 _LEAST_ROWS: Final = 4
@@ -218,8 +217,6 @@ def swings_of(
     robot: Robot, plans: Sequence[PortPlan], amplitude: float, seed: int, home: list[float] | None
 ) -> dict[str, Script]:
     """Free swings of every leg, each with a stream of randomness of its own."""
-    import numpy as np
-
     from adaptive_contact.bridge.training import free_swings
 
     steps = {leg.id: leg.max_step_rad for plan in plans for leg in plan.legs}

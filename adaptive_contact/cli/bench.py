@@ -20,6 +20,7 @@ from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.errors import BaselineError
 from adaptive_contact.files import write_file
+from adaptive_contact.robot import shipped_robot
 
 if TYPE_CHECKING:
     from adaptive_contact.score import Summary
@@ -50,7 +51,6 @@ def bench(
     import msgspec
 
     from adaptive_contact.model.model_file import load_baseline, shipped_baseline
-    from adaptive_contact.robot import shipped_robot
     from adaptive_contact.score.tables import summary_json
 
     with needs_studies():

@@ -12,6 +12,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
+from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, shake_hands
 from adaptive_contact.cli._link import unless_stopped
@@ -23,7 +24,6 @@ from adaptive_contact.priority import take_priority
 from adaptive_contact.service.settings import Finding
 
 if TYPE_CHECKING:
-    from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.service.link import LinkSettings
     from adaptive_contact_sim.virtual.session import VirtualPlan
 

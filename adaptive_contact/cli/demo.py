@@ -33,9 +33,9 @@ from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.cli._web import WEB_PANEL, Page, live_page
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.files import write_file
+from adaptive_contact.robot import Robot
 
 if TYPE_CHECKING:
-    from adaptive_contact.robot import Robot
     from adaptive_contact.score import Score, Summary
     from adaptive_contact.web import LivePage
     from adaptive_contact_sim.robots import SimulatedRobot

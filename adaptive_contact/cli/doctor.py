@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -18,8 +19,6 @@ from adaptive_contact.printable import printable
 from adaptive_contact.service.findings import Finding, Level
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from adaptive_contact.service.doctor import Diagnosis
 
 _COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}

@@ -20,6 +20,7 @@ from adaptive_contact.cli._options import (
 from adaptive_contact.cli._output import overwrite, say
 from adaptive_contact.cli.score import read_events
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import load_robot
 
 if TYPE_CHECKING:
     from adaptive_contact.service.recording import Record
@@ -63,7 +64,6 @@ def export(
     force: ForceOption = False,
 ) -> None:
     """Convert a recording for other programs; nothing is resampled or renamed."""
-    from adaptive_contact.robot import load_robot
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.service.recording.export import ExportFormat, export_recording
 

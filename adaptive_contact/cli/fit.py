@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
+import numpy as np
 import typer
 from rich.table import Table
 
@@ -14,13 +15,13 @@ from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
+from adaptive_contact.robot import Robot
 from adaptive_contact.service.findings import REFUSED_FOR, SPOILS, Cause, Finding, of_legs
 from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
 if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.fit.train import LegFigures, Training
-    from adaptive_contact.robot import Robot
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -299,8 +300,6 @@ def refuse_useless(robot: Robot, training: Training, *, refuse: bool = True) -> 
 
 def print_training(training: Training, robot: Robot, *, json: bool, equations: bool) -> None:
     """Show how well every leg was learned, after its equations where they are wanted."""
-    import numpy as np
-
     thresholds = training.baseline.thresholds(robot.detector.false_alarms_per_hour)
     if json:
         text = {

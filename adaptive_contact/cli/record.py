@@ -18,6 +18,7 @@ from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.printable import printable
+from adaptive_contact.robot import load_robot
 
 
 @opt.flatten
@@ -59,7 +60,6 @@ def record(
     # Before anything that takes time, so that a stop during the start is clean too.
     stop = opt.stoppable()
 
-    from adaptive_contact.robot import load_robot
     from adaptive_contact.service.recording import RecordingWriter
     from adaptive_contact.service.recording.recorder import (
         Recorder,

@@ -20,13 +20,13 @@ from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
 from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.robot import Robot
 from adaptive_contact.service.findings import Cause, Fault, explained
 from adaptive_contact.wire import JSON, encode
 
 if TYPE_CHECKING:
     from adaptive_contact.bank import LearnerBank
     from adaptive_contact.model.model_file import Baseline
-    from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import LinkSettings
     from adaptive_contact.service.recording import Recording
     from adaptive_contact.service.replay import Counts

@@ -19,11 +19,11 @@ from adaptive_contact.cli._output import make_stdout_optional, say, say_note
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.priority import cores, take_priority
+from adaptive_contact.robot import Robot
 from adaptive_contact.service.settings import shown
 
 if TYPE_CHECKING:
     from adaptive_contact.model import Baseline
-    from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.state import StateKeeper
 

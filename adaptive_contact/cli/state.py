@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,8 +26,6 @@ from adaptive_contact.printable import printable
 from adaptive_contact.service.settings import shown_path
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from adaptive_contact.service.state import Stored
 
 app = Commands(help="Show or forget what the service has learned and kept.", no_args_is_help=True)

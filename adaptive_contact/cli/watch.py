@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Final
 
 from rich.console import Group
@@ -19,9 +21,6 @@ from adaptive_contact.cli._web import WEB_PANEL, Page, serve_page
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    import threading
-    from collections.abc import Callable
-
     from adaptive_contact.service.watch import View
 
     Look = Callable[[], View]
