@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -77,19 +77,27 @@ def play(run: Run, robot: Robot, baseline: Baseline | None) -> Played:
 
 
 def feed(
-    learners: Sequence[ContactLearner], streams: Sequence[Sequence[ServoSample]]
+    learners: Sequence[ContactLearner],
+    streams: Sequence[Sequence[ServoSample]],
+    on_tick: Callable[[int], None] = lambda _: None,
 ) -> list[list[ContactEvent]]:
     """Feed each learner its stream with the calls of the service; the events of each.
 
     All of a tick are fed at once, which shares what a tick costs and does not change a number (a
     test compares with one at a time).  Streams may end before others.
+
+    Args:
+        learners: one for each stream.
+        streams: samples, in order.
+        on_tick: called with the number of each tick that has been fed.
     """
     events: list[list[ContactEvent]] = [[] for _ in streams]
     group = LegGroup(learners)
-    for samples in itertools.zip_longest(*streams):
+    for k, samples in enumerate(itertools.zip_longest(*streams)):
         for own, event in zip(events, group.advance(samples), strict=True):
             if event is not None:
                 own.append(event)
+        on_tick(k)
     return events
 
 

@@ -19,18 +19,16 @@ from typing import Final, NamedTuple
 import numpy as np
 from rich.console import Console
 
-from adaptive_contact.bank import LegGroup
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
-from adaptive_contact.wire import ContactEvent
 from adaptive_contact_bullet.gait import GAITS
 from adaptive_contact_bullet.plant import Ground, Kind
 from adaptive_contact_bullet.record import Drift, Plan, Recorded, record
 from adaptive_contact_bullet.robots import SHAPES
-from adaptive_contact_studies.evaluate import samples_of, score_run
+from adaptive_contact_studies.evaluate import feed, samples_of, score_run
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.work import LEARNER, Work, rests_on
 
@@ -158,17 +156,14 @@ def tried(work: Work, trial: Trial) -> Found | None:
     made = work.one(recorded, trial.plan)
     run, robot = made.run, made.shape.description
     learners = [ContactLearner(robot, leg, known) for leg in robot.leg_ids]
-    group = LegGroup(learners)
-    streams = [samples_of(run, leg) for leg in robot.leg_ids]
-    events: dict[str, list[ContactEvent]] = {leg: [] for leg in robot.leg_ids}
     learned: dict[str, list[int]] = {leg: [] for leg in robot.leg_ids}
-    for k, samples in enumerate(zip(*streams, strict=True)):
-        for leg, event in zip(robot.leg_ids, group.advance(samples), strict=True):
-            if event is not None:
-                events[leg].append(event)
-        if k % _DRAIN_TICKS == 0:
-            for learner in learners:
-                learned[learner.leg.id] += learner.drain_confirmed()
+
+    def drain(k: int) -> None:
+        for learner in learners if k % _DRAIN_TICKS == 0 else ():
+            learned[learner.leg.id] += learner.drain_confirmed()
+
+    told = feed(learners, [samples_of(run, leg) for leg in robot.leg_ids], drain)
+    events = dict(zip(robot.leg_ids, told, strict=True))
     outcomes = score_run(run, robot, events)
     touches, found = np.zeros(_PARTS, int), np.zeros(_PARTS, int)
     seen = seen_found = alarms = judged = count = touching = free_ticks = hung = valid = 0

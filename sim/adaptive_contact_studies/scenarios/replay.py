@@ -7,13 +7,13 @@ is at the end of every swing, and which ticks it took for free; these are held a
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 
 from adaptive_contact.arrays import Ints, Mask
-from adaptive_contact.bank import LegGroup
 from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact.errors import BaselineError, SimulationDivergedError
 from adaptive_contact.learn.mode import LearnerMode
@@ -24,7 +24,7 @@ from adaptive_contact.wire import ContactEvent, ContactTruth, Status
 from adaptive_contact_sim.arrays import Run, record_run
 from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import Simulation
-from adaptive_contact_studies.evaluate import NoRefits, leg_stream, samples_of
+from adaptive_contact_studies.evaluate import NoRefits, feed, leg_stream, samples_of
 from adaptive_contact_studies.scenarios.spec import RecordingSpec, ReplaySpec, Variant
 from adaptive_contact_studies.scenarios.staging import stagehand
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
@@ -74,7 +74,10 @@ def recorded(_: Work, spec: RecordingSpec) -> tuple[Run, tuple[int, int] | None]
     return run, hand.held_ns
 
 
-@rests_on(*SIMULATOR, *LEARNER, "adaptive_contact_studies.scenarios.staging")
+@rests_on(
+    *(*SIMULATOR, *LEARNER),
+    *("adaptive_contact_studies.evaluate", "adaptive_contact_studies.scenarios.staging"),
+)
 def replayed(work: Work, spec: ReplaySpec) -> Replayed | str:
     """Replay a recording through the learners; why there is none where its physics blew up."""
     try:
@@ -96,18 +99,19 @@ def replay(
     """Feed a recording to all learners, tick by tick."""
     samples = {leg: samples_of(run, leg) for leg in streams}
     watches = [_Watch(spec, leg, variant) for leg in streams for variant in spec.variants]
-    team = LegGroup([watch.learner for watch in watches])
-    for k in range(len(run.t_ns)):
-        decided = team.advance([samples[watch.leg][k] for watch in watches])
-        for watch, event in zip(watches, decided, strict=True):
-            if event is not None:
-                watch.events.append(event)
+
+    def look(k: int) -> None:
+        for watch in watches:
             swing = streams[watch.leg].swing
             if k and swing[k - 1] and not swing[k]:
                 watch.swing_over()
+
+    told = feed(
+        [watch.learner for watch in watches], [samples[watch.leg] for watch in watches], look
+    )
     found: dict[str, dict[Variant, LegReplay]] = {leg: {} for leg in streams}
-    for watch in watches:
-        found[watch.leg][watch.variant] = watch.result(streams[watch.leg])
+    for watch, events in zip(watches, told, strict=True):
+        found[watch.leg][watch.variant] = watch.result(streams[watch.leg], events)
     return found
 
 
@@ -164,7 +168,6 @@ class _Watch:
             mode=LearnerMode.FROZEN if variant is Variant.FROZEN else LearnerMode.FULL,
             refitter=NoRefits() if variant is Variant.RLS else None,
         )
-        self.events: list[ContactEvent] = []
         self._confirmed: list[int] = []
         self._rows: list[tuple[Any, ...]] = []
 
@@ -175,13 +178,13 @@ class _Watch:
         kind = -1 if status.drift.kind is None else KINDS.index(status.drift.kind)
         self._rows.append((status.t_ns, STATUSES.index(status.status), kind))
 
-    def result(self, stream: LegStream) -> LegReplay:
+    def result(self, stream: LegStream, events: Sequence[ContactEvent]) -> LegReplay:
         """All that was seen."""
         self._confirmed.extend(self.learner.drain_confirmed())
         log = np.array(self._rows, dtype=np.int64).reshape(-1, len(SwingLog._fields)).T
         at = np.searchsorted(stream.t_ns, self._confirmed)
         touched = int(np.count_nonzero(touching(stream)[at]))
-        return LegReplay(Events.of(self.events), SwingLog(*log), len(self._confirmed), touched)
+        return LegReplay(Events.of(events), SwingLog(*log), len(self._confirmed), touched)
 
 
 def touching(stream: LegStream) -> Mask:
