@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import numpy as np
 import typer
 from rich import box
 from rich.console import Console
@@ -29,7 +28,6 @@ from adaptive_contact.cli._bus import (
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_json, say_note
-from adaptive_contact.cli._robot_picture import write_picture
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.interfaces import Received
@@ -101,6 +99,8 @@ def check_live(
     else:
         _print(report, console, moves=drawn)
     if picture is not None:
+        from adaptive_contact.cli._robot_picture import write_picture
+
         write_picture(robot, check.angles(), picture)
     return report.exit_code
 
@@ -210,6 +210,8 @@ def report_lines(report: LiveReport) -> list[str]:
 
 def legs_table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Table:
     """Every joint as it is now, and where the foot is by the description, in so many columns."""
+    import numpy as np
+
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), caption_justify="left")
     columns = ["leg", "Hz", "joint", "wire", "angle", "range", "goal", "sign", "limits", "foot"]
     # A terminal narrower than this has no room for the foot.
@@ -320,6 +322,7 @@ def check(
                 "its device, give --device /dev/ttyUSB0, or give --live to look at the samples of "
                 "its source"
             )
+        from adaptive_contact.cli._robot_picture import write_picture
 
         # Its joint angles are unknown.
         write_picture(robot, {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}, picture)
@@ -364,6 +367,8 @@ def _check_bus(
         )
     console.print(_joints(plans, samples))
     if picture is not None:
+        from adaptive_contact.cli._robot_picture import write_picture
+
         write_picture(robot, {leg: rows[-1].measured for leg, rows in samples.items()}, picture)
     blank = [leg.id for leg in robot.legs if leg.chain is None]
     if blank:
@@ -372,6 +377,8 @@ def _check_bus(
 
 def _joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]]) -> Table:
     """Every joint as it is now, and how far it was moved."""
+    import numpy as np
+
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("leg", "joint", "id", "angle", "moved", "goal", "sign", "offset", "limits"):
         table.add_column(column, justify="left" if column in ("leg", "joint") else "right")

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import numpy as np
 import typer
 
 from adaptive_contact.bridge.plan import PortPlan
@@ -21,6 +20,8 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample, servo_key
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from adaptive_contact.bridge.training import Script
     from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.fit.train import Stretch, Training
@@ -217,6 +218,8 @@ def swings_of(
     robot: Robot, plans: Sequence[PortPlan], amplitude: float, seed: int, home: list[float] | None
 ) -> dict[str, Script]:
     """Free swings of every leg, each with a stream of randomness of its own."""
+    import numpy as np
+
     from adaptive_contact.bridge.training import free_swings
 
     steps = {leg.id: leg.max_step_rad for plan in plans for leg in plan.legs}

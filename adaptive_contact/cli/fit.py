@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import numpy as np
 import typer
 from rich.table import Table
 
@@ -300,6 +299,8 @@ def refuse_useless(robot: Robot, training: Training, *, refuse: bool = True) -> 
 
 def print_training(training: Training, robot: Robot, *, json: bool, equations: bool) -> None:
     """Show how well every leg was learned, after its equations where they are wanted."""
+    import numpy as np
+
     thresholds = training.baseline.thresholds(robot.detector.false_alarms_per_hour)
     if json:
         text = {
