@@ -50,7 +50,6 @@ class Plant:
         parameters: ServoParameters,
         *,
         period_s: float = 0.02,
-        supply_resistance_ohm: float = 0.1,
         layout: Layout = HEXAPOD,
         kind: ServoKind = AX12A,
     ) -> None:
@@ -72,7 +71,6 @@ class Plant:
         self.on_step: Callable[[], None] | None = None
 
         e = self.elements
-        self._supply_resistance_ohm = supply_resistance_ohm
         self._scratch = mujoco.MjData(model)  # mj_setConst overwrites the state of its data
         # (S,) rad and rad/s, views of the engine's state
         self.joint_angles: Array = self.data.qpos[e.qpos]
@@ -156,7 +154,7 @@ class Plant:
         self._check()
         touch = self.sensed[:, self.elements.touch]
         touch.reshape(self.substeps, self._legs, -1).sum(axis=2, out=self.forces)
-        self.servos.sag(self._supply_resistance_ohm)
+        self.servos.sag()
 
     def _substeps(self) -> None:
         model, data = self.model, self.data

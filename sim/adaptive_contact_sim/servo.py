@@ -160,21 +160,18 @@ _SPREAD_FIELDS: Final = (
 )
 
 
-def manufactured(
-    robot_seed: int, *, spread: float = 0.12, nominal: ServoParameters | None = None
-) -> ServoParameters:
+def manufactured(robot_seed: int, nominal: ServoParameters | None = None) -> ServoParameters:
     """Draw the servos of one particular robot.
 
     Args:
         robot_seed: which robot; apart from a run's seed, so that runs share a robot.
-        spread: relative half-width of the uniform spread between servos of one kind.
         nominal: centre of the spread; a hexapod's where left out.
     """
     base = nominal or ServoParameters()
     n = base.stall_torque_nm.size
     rng = np.random.default_rng([robot_seed, 0x5E470])
     drawn = {
-        name: getattr(base, name) * rng.uniform(1.0 - spread, 1.0 + spread, n)
+        name: getattr(base, name) * rng.uniform(0.88, 1.12, n)  # servos of one kind
         for name in _SPREAD_FIELDS
     }
     return replace(base, **drawn)
@@ -316,16 +313,14 @@ class ServoBank:
         np.add(work, load, work)
         np.add(work, self.sliding, self._friction)
 
-    def sag(self, resistance_ohm: float) -> None:
+    def sag(self) -> None:
         """Let the supply sag with the current drawn now; called once a control tick."""
-        if resistance_ohm == 0.0:
-            return
         p = self.parameters
         # Winding current is proportional to torque; the H-bridge takes it for the duty's share.
         share = (self._torque - self.back_emf * self._velocity) / p.stall_torque_nm
         duty = self._torque / (p.stall_torque_nm * (self.supply_v / NOMINAL_SUPPLY_V))
         drawn = float(np.sum(np.abs(p.stall_current_a * share * duty)))
-        target = 1.0 - drawn * resistance_ohm / NOMINAL_SUPPLY_V
+        target = 1.0 - drawn * 0.1 / NOMINAL_SUPPLY_V  # battery and wiring have 0.1 ohm
         # Input capacitors: a tick or two, which also keeps the loop quiet.
         now = float(self._sag[0])
         self._sag[:] = now + 0.5 * (max(target, 0.5) - now)

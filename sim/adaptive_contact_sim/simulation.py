@@ -45,14 +45,12 @@ class SimulationSettings:
     motion: MotionSettings = field(default_factory=PoseSettings)
     seed: int = 0  # of the run: motion, obstacles, noise, faults
     robot_seed: int = 0  # which robot of its kind, see `manufactured`
-    servo_spread: float = 0.12  # relative half-width of the differences between servos
     # ground of a walk; a pose stands on flat ground
     terrain: TerrainSettings = field(default_factory=lambda: TerrainSettings(kind="flat"))
     encoder: EncoderSettings = field(default_factory=EncoderSettings)  # reading noise and faults
     drift: tuple[Injection, ...] = ()  # what changes during the run
     epoch_ns: int = 0  # time stamp of tick 0
     run: int | None = None  # the `run` of the samples
-    supply_resistance_ohm: float = 0.1  # of battery and wiring
     period_s: float = 0.02  # control tick
     robot: str = "hexapod"  # which of `ROBOTS`; `of` has its defaults
 
@@ -71,10 +69,6 @@ class SimulationSettings:
                     f"robot '{self.robot}' does not move in workspace '{found}'; expected "
                     f"{own or 'a walk'}"
                 )
-        if not 0.0 <= self.servo_spread <= 0.5:
-            raise ConfigurationError(
-                f"servo spread is {self.servo_spread}; expected 0 to 0.5 (0.12 is typical)"
-            )
 
     @classmethod
     def of(
@@ -137,14 +131,11 @@ class Simulation:
         self.terrain = Terrain(ground)
         if parameters is None:
             nominal = self.robot.servo.of(self.layout.n_servos)
-            parameters = manufactured(
-                settings.robot_seed, spread=settings.servo_spread, nominal=nominal
-            )
+            parameters = manufactured(settings.robot_seed, nominal)
         self.plant = Plant(
             self.scene(looks=False),
             parameters,
             period_s=settings.period_s,
-            supply_resistance_ohm=settings.supply_resistance_ohm,
             layout=self.layout,
             kind=self.robot.servo,
         )

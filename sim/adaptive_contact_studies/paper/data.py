@@ -180,7 +180,6 @@ def _hung_up(settings: GantrySettings, seconds: float) -> dict[str, LegArrays]:
         on_a_stand(1.0).compile(),
         manufactured(settings.robot_seed),
         period_s=PERIOD_S,
-        supply_resistance_ohm=settings.supply_resistance_ohm,
     )
     geometry = PatientGeometry()
     seeds = np.random.SeedSequence(settings.seed).spawn(len(LEGS) + 1)

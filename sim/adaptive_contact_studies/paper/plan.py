@@ -65,7 +65,6 @@ class GantrySettings:
     # seed, robot_seed: as in `SimulationSettings`
     seed: int = 0
     robot_seed: int = 0
-    supply_resistance_ohm: float = 0.1  # of battery and wiring
     encoder: EncoderSettings = field(default_factory=EncoderSettings)  # reading noise and faults
 
 
