@@ -6,12 +6,15 @@ import math
 from collections import Counter
 from typing import Any, Final
 
+import numpy as np
+
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.source import UNJUDGED_TURNS
 from adaptive_contact.detect.source_watch import SOURCE_CAUSES, RateWatch, SourceWatch
 from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
+from adaptive_contact.detect.touch_point import PUSH_TICKS, TouchPoint, locate
 from adaptive_contact.diagnose.angle_watch import MotionTrack
 from adaptive_contact.diagnose.leg_ids import IdTrack
 from adaptive_contact.learn.adapter import Adapter, EventStatus
@@ -146,7 +149,18 @@ class LegReport:
             withheld=withheld,
             doubt=doubt,
             p=self.state.p,
+            **(self._touch_point()._asdict() if reported and self._leg.chain else {}),
         )
+
+    def _touch_point(self) -> TouchPoint:
+        """Locate the touch that the newest tick shows."""
+        place, chain = self._place, self._leg.chain
+        assert chain is not None
+        step = place.leg.quantum**2 / 12.0
+        deviation = np.sqrt(step + np.square(place.batch.sigma[place.row]) / 2.0)
+        ticks = min(max(place.leg.usable, 1), PUSH_TICKS)
+        off = place.residuals[:ticks].sum(axis=0)
+        return locate(chain, place.window[0].tolist(), off.tolist(), deviation.tolist())
 
     @property
     def state(self) -> LegState:

@@ -89,6 +89,10 @@ class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
             because its samples have stopped (``status`` is ``silent``).
         doubt: why the leg is ambiguous.
         p: probability that the foot carries, as in :class:`LegState`; None while unknown.
+        foot_m, foot_sd_m: (3,) where the foot is at the deciding sample of a contact, in the leg's
+            frame, and its standard deviation; None where the chain is not known.
+        push: (3,) unit vector, by which way the foot is off its predicted place, likewise.
+        push_up: vertical share of the push, 0 to 1.
     """
 
     leg: str
@@ -103,6 +107,10 @@ class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
     withheld: bool = False
     doubt: Doubt | None = None
     p: float | None = None
+    foot_m: list[float] | None = None
+    foot_sd_m: list[float] | None = None
+    push: list[float] | None = None
+    push_up: float | None = None
 
 
 class LegState(Message, frozen=True, kw_only=True):

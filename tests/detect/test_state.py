@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from adaptive_contact.bank import LegGroup
+from adaptive_contact.detect.touch_point import locate
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import Robot
+from adaptive_contact.robot.kinematics import inverse
 from adaptive_contact.wire import ContactEvent, LegState, ServoSample
 from adaptive_contact_sim import (
     PoseSettings,
@@ -85,6 +87,44 @@ def test_an_event_has_the_p_of_its_tick(walk: Walked) -> None:
             assert event.p == of[event.seq]
             compared += event.p is not None
     assert compared >= 10
+
+
+def test_an_event_says_where_the_foot_is_as_sure_as_it_is(walk: Walked) -> None:
+    run, _, events = walk
+    robot = simulated_robot("hexapod").description
+    errors = []
+    for leg, own in events.items():
+        chain = robot.leg(leg).chain
+        assert chain is not None
+        for event in own:
+            if not event.contact:
+                assert event.foot_m is event.foot_sd_m is event.push is event.push_up is None
+                continue
+            assert event.foot_m is not None
+            assert event.foot_sd_m is not None
+            off = np.subtract(event.foot_m, chain.foot(run.legs[leg].angle[event.seq]))
+            errors.append(off / event.foot_sd_m)
+    assert len(errors) >= 15
+    assert 0.5 < np.sqrt(np.square(errors).mean()) < 1.5
+
+
+def test_a_push_is_along_the_way_that_the_foot_was_moved() -> None:
+    chain = simulated_robot("hexapod").description.leg("lf").chain
+    assert chain is not None
+    q = [0.2, 0.4, -0.9]
+    foot = np.array(chain.point(q))
+    for moved in (np.array([0.0, 0.0, 1.0]), np.array([-0.6, 0.8, 0.0])):
+        off = inverse(foot + 1e-6 * moved, [o[0] for o in chain.origins_m])
+        off -= inverse(foot, [o[0] for o in chain.origins_m])
+        point = locate(chain, q, off.tolist(), [0.001, 0.0, 0.0])
+        np.testing.assert_allclose(point.foot_m, foot)
+        np.testing.assert_allclose(point.push, moved, atol=1e-4)
+        assert point.push_up == pytest.approx(moved[2], abs=1e-4)
+        # The first joint turns about the upright: it moves the foot aside, and not up.
+        reach = np.hypot(*foot[:2])
+        assert np.linalg.norm(point.foot_sd_m) == pytest.approx(0.001 * reach, rel=1e-4)
+        assert point.foot_sd_m[2] == pytest.approx(0.0, abs=1e-9)
+    assert locate(chain, q, [0.0] * 3, [0.001] * 3).push is None
 
 
 def test_a_leg_that_hangs_has_no_state() -> None:
