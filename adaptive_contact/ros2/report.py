@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.ros2.rmw import Address, RosType
 from adaptive_contact.ros2.types import Types
-from adaptive_contact.wire import ContactEvent, LearnerStatus
+from adaptive_contact.wire import ContactEvent, LearnerStatus, LegState
 
 _NS: Final = 1_000_000_000
 # Levels of diagnostic_msgs/DiagnosticStatus.
@@ -29,6 +29,7 @@ _MEANS: Final = {
     "silent": "sends no usable samples",
 }
 _INTERFACES: Final = ("contact", "score", "onset_age", "withheld", "valid", "age")
+_OF_STATE: Final = ("contact", "p", "known")
 
 
 def topic_of_leg(node: str, leg: str) -> str:
@@ -49,6 +50,7 @@ class Report:
     Attributes:
         contacts: where each leg's contact goes.
         values: where those of all legs go.
+        states: where the states of a tick of all legs go.
         diagnostics: where the learners' state goes.
 
     Raises:
@@ -68,6 +70,8 @@ class Report:
                 "rename them in robot.toml"
             )
         self.values = self._address(f"/{node}/contacts", RosType.JOINT_VALUES)
+        self.states = self._address(f"/{node}/states", RosType.JOINT_VALUES)
+        self._states: dict[str, LegState] = {}  # of the tick in hand
         self.diagnostics = self._address("/diagnostics", RosType.DIAGNOSTICS)
 
     def _address(self, topic: str, type_name: str) -> Address:
@@ -92,23 +96,43 @@ class Report:
             ages_s: of each leg's newest sample; without those that have had none.
             valid: legs that are watched.
         """
+        rows = [
+            [*_decided(self._last.get(leg)), float(leg in valid), ages_s.get(leg, math.nan)]
+            for leg in self.contacts
+        ]
+        return self._table(self._newest_ns, _INTERFACES, rows)
+
+    def state(self, leg: str, state: LegState) -> bytes | None:
+        """Take the state of a leg in; a ``DynamicJointState`` of a tick once it is whole.
+
+        A leg's values: contact (0 or 1), p and known (0 or 1); p of a leg that is not known is NaN.
+        A tick is whole with its last leg, or where a leg's next state comes before that.
+        """
+        whole = None
+        if leg in self._states:
+            whole = self._tick()
+        self._states[leg] = state
+        return self._tick() if len(self._states) == len(self.contacts) else whole
+
+    def _tick(self) -> bytes:
+        states, self._states = self._states, {}
+        rows = [
+            [0.0, math.nan, 0.0]
+            if (of := states.get(leg)) is None
+            else [float(of.contact), math.nan if of.p is None else of.p, float(of.known)]
+            for leg in self.contacts
+        ]
+        return self._table(max(of.t_ns for of in states.values()), _OF_STATE, rows)
+
+    def _table(self, t_ns: int, names: Sequence[str], rows: Sequence[Sequence[float]]) -> bytes:
+        """A ``DynamicJointState`` with a row per leg."""
         types = self._types.types
         value = types["control_msgs/msg/InterfaceValue"]
         message = types[RosType.JOINT_VALUES](
-            header=header(self._types, self._newest_ns),
+            header=header(self._types, t_ns),
             joint_names=list(self.contacts),
             interface_values=[
-                value(
-                    interface_names=list(_INTERFACES),
-                    values=np.array(
-                        [
-                            *_decided(self._last.get(leg)),
-                            float(leg in valid),
-                            ages_s.get(leg, math.nan),
-                        ]
-                    ),
-                )
-                for leg in self.contacts
+                value(interface_names=list(names), values=np.array(row)) for row in rows
             ],
         )
         return self._types.encode(message)

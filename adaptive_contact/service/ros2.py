@@ -31,15 +31,17 @@ from adaptive_contact.ros2.report import Report
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types
 from adaptive_contact.service.known_contacts import KnownContacts
-from adaptive_contact.service.link import Arrivals, Link, Publisher, Received
+from adaptive_contact.service.link import Arrivals, Declared, Link, Publisher, Received
 from adaptive_contact.service.settings import REMEDY, Finding
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    ALL_STATE,
     HEARTBEAT,
     ContactEvent,
     Heartbeat,
     LearnerStatus,
+    LegState,
     ServoSample,
     decode,
     leg_of_key,
@@ -57,6 +59,7 @@ _EVERY_S: Final = 1.0
 _SERVICE_GONE_S: Final = 3.0
 # After this long without a sample of a leg it is said, and again after ten times as long.
 _SILENT_S: Final = 5.0
+_STATE: Final = "/state"
 _ENCODING: Final = "zenoh/bytes"  # rmw_zenoh declares none, which is this
 
 
@@ -111,12 +114,20 @@ class Inbox:
 
 
 class _RosPublisher:
-    def __init__(self, link: Link, node: rmw.Node, number: int, address: rmw.Address) -> None:
-        token = node.endpoint_token("MP", number, address, rmw.LATCHED)
+    def __init__(
+        self, link: Link, node: rmw.Node, number: int, address: rmw.Address, *, latched: bool = True
+    ) -> None:
+        token = node.endpoint_token("MP", number, address, rmw.LATCHED if latched else rmw.STREAM)
         self._id = rmw.publisher_id(token)
         self._seq = itertools.count(1)
-        self._publisher: Publisher = link.latched(rmw.topic_key(node.domain, address))
+        key = rmw.topic_key(node.domain, address)
+        self._publisher: Publisher = link.latched(key) if latched else link.publisher(key)
         self._token = link.token(token)
+
+    @property
+    def matched(self) -> bool:
+        """Whether somebody subscribes; of one that is latched it is not known."""
+        return self._publisher.matched
 
     def put(self, payload: bytes) -> None:
         attachment = rmw.Attachment(next(self._seq), time.time_ns(), self._id)
@@ -165,6 +176,7 @@ class Gateway:
         self._heard_s: float | None = None  # when the last heartbeat came
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._learners: dict[str, Received] = {}
+        self._asked_states: Declared | None = None  # subscription, while somebody in ROS 2 has one
         self._numbers = itertools.count(1)
         self._shown: set[str] = set()
         self._samples = {leg: service.publisher(servo_key(leg)) for leg in self.intake.legs}
@@ -184,7 +196,8 @@ class Gateway:
         """Topics that are written, for a person."""
         topics = [address.topic for address in self._report.contacts.values()]
         some = ", ".join(topics[:2]) + (", …" if len(topics) > 2 else "")
-        return f"{some}, {self._report.values.topic}, {self._report.diagnostics.topic}"
+        rest = (self._report.values, self._report.states, self._report.diagnostics)
+        return ", ".join([some, *(address.topic for address in rest)])
 
     def run(self, stop: threading.Event) -> None:
         """Declare everything, and relay until ``stop`` is set."""
@@ -224,6 +237,7 @@ class Gateway:
         }
         self._values = _RosPublisher(ros, node, next(numbers), report.values)
         self._diagnostics = _RosPublisher(ros, node, next(numbers), report.diagnostics)
+        self._states = _RosPublisher(ros, node, next(numbers), report.states, latched=False)
         for topic, types in self._topics.items():
             ros.subscribe(rmw.any_type(node.domain, topic), self._arrivals)
             if len(types) == 1:
@@ -304,9 +318,12 @@ class Gateway:
     def _relay(self, received: Received | None, stop: threading.Event) -> None:
         """Pass on what has arrived, and what follows from time passing."""
         now_ns = time.monotonic_ns()
-        events = [] if received is None else self._take(received, now_ns)
+        of_state = received is not None and received.key.endswith(_STATE)
+        events = [] if received is None or of_state else self._take(received, now_ns)
         events += self._known.look(now_ns)
         try:
+            if received is not None and of_state:
+                self._relay_state(received)
             for event in events:
                 changed = self._report.take(event)
                 if changed is not None:
@@ -318,6 +335,22 @@ class Gateway:
         except LinkError as error:
             if not stop.is_set():
                 self._say(str(error))
+
+    def _ask_for_states(self) -> None:
+        """Subscribe to the states of all legs while somebody in ROS 2 does."""
+        wanted = self._states.matched
+        if wanted and self._asked_states is None:
+            self._asked_states = self._service.subscribe(ALL_STATE, self._contacts)
+        elif not wanted and self._asked_states is not None:
+            self._asked_states.close()
+            self._asked_states = None
+
+    def _relay_state(self, received: Received) -> None:
+        leg, state = leg_of_key(received.key), decode(received.payload, LegState, received.encoding)
+        if leg in self._of_leg and isinstance(state, LegState):
+            whole = self._report.state(leg, state)
+            if whole is not None:
+                self._states.put(whole)
 
     def _take(self, received: Received, now_ns: int) -> list[ContactEvent]:
         """Take a heartbeat or an event in; the events to pass on."""
@@ -358,6 +391,7 @@ class Gateway:
                 reported = trouble
                 self._say(trouble or "the service and ROS 2 are there")
             try:
+                self._ask_for_states()
                 self._diagnostics.put(self.diagnosis(trouble))
             except LinkError:
                 if not stop.is_set():

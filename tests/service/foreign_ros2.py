@@ -72,17 +72,20 @@ def main(port: int) -> None:
         listen(
             "/adaptive_contact/rf/contact", BOOL, lambda m: say(topic="rf", contact=bool(m.data))
         ),
-        listen(
-            "/adaptive_contact/contacts",
-            VALUES,
-            lambda m: say(
-                topic="values",
-                stamp=m.header.stamp.sec * 10**9 + m.header.stamp.nanosec,
-                legs={
-                    name: dict(zip(row.interface_names, row.values.tolist(), strict=True))
-                    for name, row in zip(m.joint_names, m.interface_values, strict=True)
-                },
-            ),
+        *(
+            listen(
+                f"/adaptive_contact/{topic}",
+                VALUES,
+                lambda m, name=topic: say(
+                    topic={"contacts": "values"}.get(name, name),
+                    stamp=m.header.stamp.sec * 10**9 + m.header.stamp.nanosec,
+                    legs={
+                        name: dict(zip(row.interface_names, row.values.tolist(), strict=True))
+                        for name, row in zip(m.joint_names, m.interface_values, strict=True)
+                    },
+                ),
+            )
+            for topic in ("contacts", "states")
         ),
         listen(
             "/diagnostics",

@@ -236,7 +236,7 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, command, ros, port)
             if line["topic"] == topic
         ]
 
-    foreign.wait(lambda _: len(told("rf")) >= 6 and told("diagnostics"))
+    foreign.wait(lambda _: len(told("rf")) >= 6 and told("diagnostics") and told("states"))
     assert foreign.process.stdin is not None
     foreign.process.stdin.write("quiet\n")
     foreign.process.stdin.flush()
@@ -258,6 +258,9 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, command, ros, port)
     assert set(values["legs"]["rf"]) == names
     assert any(line["legs"].get("rf", {}).get("score") == 2.0 for line in told("values"))
     assert values["stamp"] in {s.t_ns for s in got}
+    states = told("states")[-1]["legs"]
+    assert set(states) == set(LEGS)
+    assert all(set(of) == {"contact", "p", "known"} for of in states.values())
     rows = told("diagnostics")[-1]["rows"]
     assert {f"adaptive_contact: leg {leg}" for leg in LEGS} <= set(rows)
     graph = told("graph")[0]["topics"]
