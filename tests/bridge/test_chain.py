@@ -64,7 +64,7 @@ class Process:
             self._lines.put(line)
         self._lines.put(None)
 
-    def ready(self, timeout_s: float = 60.0) -> str:
+    def ready(self, timeout_s: float = 300.0) -> str:
         deadline = time.monotonic() + timeout_s
         while True:
             line = self._lines.get(timeout=max(deadline - time.monotonic(), 0.01))
@@ -120,6 +120,19 @@ def router(start: Callable[..., Process]) -> str:
     return serve.ready().split("listening on ")[1].split(";")[0].split(",")[0].strip()
 
 
+def bridge_to(start: Callable[..., Process], *words: str) -> Process:
+    """A bridge that is ready, begun again where this computer was too busy for its servos."""
+    while True:
+        bridge = start("bridge", "dynamixel", *words)
+        try:
+            bridge.ready()
+        except AssertionError:
+            if not any("come too late" in line for line in bridge.said):
+                raise
+        else:
+            return bridge
+
+
 def wait_for(items: queue.Queue, enough: Callable[[Any], bool], timeout_s: float) -> Any:
     deadline = time.monotonic() + timeout_s
     while True:
@@ -143,9 +156,8 @@ def test_a_contact_comes_through_the_whole_chain(start: Callable[..., Process]) 
             "bridge", "virtual", "--dir", "bus", "--ports", "2", "--write-config", "rig.toml",
             "--scenario", "walk-rough", "--no-wire-time",
         ).ready()  # fmt: skip
-        bridge = start("bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint)
-        bridge.ready()
-        wait_for(contacts, touched, 40.0)
+        bridge = bridge_to(start, "--config", "rig.toml", "--connect", endpoint)
+        wait_for(contacts, touched, 300.0)
     assert bridge.stop() == 0
 
 
