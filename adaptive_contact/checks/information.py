@@ -63,7 +63,7 @@ HELD_AROUND: Final = 6
 OLD_REST: Final = 0.1
 OLD_LOOK: Final = 0.03  # nothing is old where all functions of the commands leave less
 OLD_RATIO: Final = 0.25
-OLD_TICKS: Final = 109
+OLD_TICKS: Final = 122
 BAND: Final = 6
 LEAST_TRAVEL_RAD: Final = 0.02
 # What a look needs at most.
@@ -291,33 +291,25 @@ def held_share(samples: Samples, joint: int, step_rad: float) -> float:
 
 def is_old(samples: Samples, ticks: int) -> bool:
     """Whether earlier commands explain the readings that recent ones do not."""
-    n = len(samples.seq)
-    most = min(OLD_TICKS, n - ticks - 2 * BAND)
-    joints = [j for j in range(samples.desired.shape[1]) if _travel(samples, j, ticks)]
-    if most <= LAGS or not joints:
+    u, y = samples.desired, samples.measured[-ticks:]
+    joints = np.ptp(u[-ticks:], axis=0) > LEAST_TRAVEL_RAD
+    # Commands of every second tick before; a band is of seven.
+    count = min(OLD_TICKS, len(u) - ticks) // 2
+    first = np.arange(LAGS // 2 + 1, count - BAND, 3)
+    if not (joints.any() and len(first)):
         return False
-
-    def rest(lag: int) -> float:
-        return float(np.mean([_rest(samples, j, ticks, lag) for j in joints]))
-
-    recent = rest(0)
-    if recent < OLD_REST:
-        return False
-    return min(rest(lag) for lag in range(LAGS, most, BAND)) < OLD_RATIO * recent
-
-
-def _travel(samples: Samples, joint: int, ticks: int) -> bool:
-    return float(np.ptp(samples.desired[-ticks:, joint])) > LEAST_TRAVEL_RAD
-
-
-def _rest(samples: Samples, joint: int, ticks: int, lag: int) -> float:
-    """Share of the readings' variance that commands from ``lag`` ticks before on leave."""
-    y, u = samples.measured[-ticks:, joint], samples.desired[:, joint]
-    first = len(u) - ticks - lag
-    columns = np.stack([u[first - by :][:ticks] for by in range(0, 2 * BAND + 1, 2)], axis=1)
-    columns, y = columns - columns.mean(axis=0), y - y.mean()
-    off = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-10)[0]
-    return float(off @ off) / max(float(y @ y), 1e-12)
+    u, y = u[:, joints], y[:, joints]
+    lagged = np.stack([u[len(u) - ticks - 2 * k :][:ticks] for k in range(count)], axis=1)
+    x, z = (lagged - lagged.mean(axis=0)).transpose(2, 0, 1), (y - y.mean(axis=0)).T[:, :, None]
+    gram, to = x.transpose(0, 2, 1) @ x, (x.transpose(0, 2, 1) @ z)[:, :, 0]
+    band = np.concatenate([[0], first])[:, None] + np.arange(BAND + 1)
+    of_band, to_band = gram[:, band[:, :, None], band[:, None, :]], to[:, band]
+    ridge = RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None, None] * np.eye(BAND + 1)
+    fitted = np.linalg.solve(of_band + ridge + 1e-300 * np.eye(BAND + 1), to_band[..., None])
+    explained = (fitted[..., 0] * to_band).sum(axis=2)
+    square = np.maximum((z[:, :, 0] ** 2).sum(axis=1), 1e-12)
+    rest = (1.0 - explained / square[:, None]).mean(axis=0)
+    return bool(rest[0] > OLD_REST and rest[1:].min() < OLD_RATIO * rest[0])
 
 
 def step_of(readings: Array, described_rad: float) -> float:
