@@ -10,7 +10,8 @@ over two strides, :math:`F_p` low-passes, leave a copy of any delay, scale, offs
 its rounding: a root mean square of 0.29 steps while the command moves.  Readings of other faults:
 
 - *held*: a joint that moves reads the same as in the tick before, more often than not;
-- *old*: the commands of the last 12 ticks explain less of the readings than those of a time before.
+- *old*: the commands of the last 12 ticks explain less of the readings than those of a time before;
+- *twin*: they are another leg's to the last bit, whose commands explain them better.
 
 A leg that carries nothing may be a function of its commands, too.  Where it has never departed from
 them it is *unproved*, not false.
@@ -76,7 +77,7 @@ SINCE_STEPS: Final = 2.0
 GRID_SHARE: Final = 0.95
 GRID_RAD: Final = 1e-5
 
-Kind = Literal["copy", "held", "old"]
+Kind = Literal["copy", "held", "old", "twin"]
 
 
 class Samples(NamedTuple):
@@ -126,7 +127,15 @@ class InformationCheck:
         self._strides.clear()
         self._agreed = 0
 
-    def look(self, count: int, samples: Samples, *, begins: bool, known: bool = False) -> bool:
+    def look(
+        self,
+        count: int,
+        samples: Samples,
+        *,
+        begins: bool,
+        known: bool = False,
+        twin: Samples | None = None,
+    ) -> bool:
         """Judge the last two strides.
 
         Args:
@@ -134,6 +143,7 @@ class InformationCheck:
             samples: the newest of them.
             begins: a swing begins with the newest; else one has ended.
             known: a model that was there before predicts the leg: what was never proved stays open.
+            twin: those of a leg that sends the same readings.
 
         Returns:
             Whether ``found`` is another now.
@@ -143,7 +153,7 @@ class InformationCheck:
             self._strides.append(count)
         if ticks < LEAST_TICKS or len(samples.seq) < ticks + LAGS:
             return False
-        finding, decided = self._judge(samples, ticks, known=known)
+        finding, decided = self._judge(samples, ticks, known=known, twin=twin)
         if not decided or (finding is None) == (self.found is None):
             self._agreed = 0 if decided else self._agreed
             return False
@@ -163,7 +173,9 @@ class InformationCheck:
         two, one = (count - at for at in self._strides)
         return min(two, max(ENOUGH_TICKS, one), MOST_TICKS)
 
-    def _judge(self, samples: Samples, ticks: int, *, known: bool) -> tuple[Finding | None, bool]:
+    def _judge(
+        self, samples: Samples, ticks: int, *, known: bool, twin: Samples | None
+    ) -> tuple[Finding | None, bool]:
         """Judge so many ticks: what is wrong, and whether they show anything."""
         steps = np.array([step_of(y[-MOST_TICKS:], self._step_rad) for y in samples.measured.T])
         newest = samples.part(-ticks)
@@ -178,6 +190,9 @@ class InformationCheck:
         open_ = known and self.found is None and not self.proved[copies].any()
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
+        own = None if twin is None else departure(twin, ticks, steps)
+        if own is not None and own.rest < off.rest:
+            return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
         if off.rest > OLD_LOOK and is_old(samples, ticks):
             return Finding("old", tuple(range(len(steps))), 2 * ticks), True
         self.proved |= off.rms > OWN_STEPS
