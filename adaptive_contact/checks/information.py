@@ -33,7 +33,7 @@ POLES: Final = (0.5, 0.75, 0.9)
 # Rounding leaves 0.29, in 100 ticks up to 0.36.  Least of walking joints: 0.58 and more on two
 # simulators (2,700 windows with noise of 0.3 steps and more), real legs 1.1 to 3; a robot arm's
 # wrist in slow sines 0.36.
-COPY_STEPS: Final = 0.42
+COPY_STEPS: Final = 0.40
 OWN_STEPS: Final = 1.0
 # Ticks in which the command moves, by half a step and more, and how its speed must vary, steps a
 # tick: at one speed, a servo follows as exactly.
@@ -61,14 +61,18 @@ HELD_AROUND: Final = 6
 # Readings are old where recent commands leave so much of their variance, and earlier ones, up to
 # so many ticks, so small a share of that: 0.25 at most for readings of a second before, 0.5 and
 # more for walking legs.
-OLD_REST: Final = 0.1
-OLD_LOOK: Final = 0.03  # nothing is old where all functions of the commands leave less
+OLD_REST: Final = 0.03
+OLD_LOOK: Final = 0.02  # nothing is old where all functions of the commands leave less
 OLD_RATIO: Final = 0.25
+OLD_STAYS: Final = 0.9  # until recent ones leave about as little
+OLD_MOST: Final = 0.15  # left by the earlier ones; a foot that is stopped is a function of none
 OLD_TICKS: Final = 122
 BAND: Final = 6
 LEAST_TRAVEL_RAD: Final = 0.02
 # What a look needs at most.
 NEEDED_SAMPLES: Final = MOST_TICKS + LAGS + OLD_TICKS
+# Readings are another leg's where its commands leave less than this share of what its own leave.
+TWIN_RATIO: Final = 0.5
 # Looks in a row, two a stride, that find a fault, or none, before it counts.
 LOOKS: Final = 2
 # Steps by which a tick before may be off and belong to the fault.
@@ -106,7 +110,7 @@ class InformationCheck:
 
     Args:
         joints: J.
-        step_rad: of the encoder; what lies on another grid is judged by that.
+        step_rad: of the encoder; what lies on a finer grid is judged by that.
 
     Attributes:
         found: what is wrong, None where nothing is.
@@ -191,9 +195,11 @@ class InformationCheck:
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
         own = None if twin is None else departure(twin, ticks, steps)
-        if own is not None and own.rest < off.rest:
+        if own is not None and own.rest < TWIN_RATIO * off.rest:
             return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
-        if off.rest > OLD_LOOK and is_old(samples, ticks):
+        # What is old stays so until it is clearly not.
+        ratio = OLD_STAYS if self.found and self.found.kind == "old" else OLD_RATIO
+        if off.rest > OLD_LOOK and is_old(samples, max(ticks, ENOUGH_TICKS), ratio):
             return Finding("old", tuple(range(len(steps))), 2 * ticks), True
         self.proved |= off.rms > OWN_STEPS
         return None, bool(np.isfinite(off.rms).any())
@@ -304,12 +310,12 @@ def held_share(samples: Samples, joint: int, step_rad: float) -> float:
     return float(np.mean(y[k] == y[k - 1])) if len(k) >= LEAST_MOVING else 0.0
 
 
-def is_old(samples: Samples, ticks: int) -> bool:
+def is_old(samples: Samples, ticks: int, ratio: float) -> bool:
     """Whether earlier commands explain the readings that recent ones do not."""
     u, y = samples.desired, samples.measured[-ticks:]
     joints = np.ptp(u[-ticks:], axis=0) > LEAST_TRAVEL_RAD
     # Commands of every second tick before; a band is of seven.
-    count = min(OLD_TICKS, len(u) - ticks) // 2
+    count = max(min(OLD_TICKS, len(u) - ticks), 0) // 2
     first = np.arange(LAGS // 2 + 1, count - BAND, 3)
     if not (joints.any() and len(first)):
         return False
@@ -324,11 +330,11 @@ def is_old(samples: Samples, ticks: int) -> bool:
     explained = (fitted[..., 0] * to_band).sum(axis=2)
     square = np.maximum((z[:, :, 0] ** 2).sum(axis=1), 1e-12)
     rest = (1.0 - explained / square[:, None]).mean(axis=0)
-    return bool(rest[0] > OLD_REST and rest[1:].min() < OLD_RATIO * rest[0])
+    return bool(rest[0] > OLD_REST and rest[1:].min() < min(ratio * rest[0], OLD_MOST))
 
 
 def step_of(readings: Array, described_rad: float) -> float:
-    """Compute the step of the grid that readings lie on; the described one where they do not."""
+    """Compute the step of the grid that readings lie on, where it is finer than the described."""
     values = np.unique(readings)
     gaps = np.diff(values)
     gaps = gaps[gaps > GRID_RAD]
@@ -337,13 +343,14 @@ def step_of(readings: Array, described_rad: float) -> float:
     own = float(gaps.min())
     phases = (values - values[0]) / own
     on_grid = np.abs(phases - np.round(phases)) < 0.1
-    return own if float(on_grid.mean()) >= GRID_SHARE else described_rad
+    return min(own, described_rad) if float(on_grid.mean()) >= GRID_SHARE else described_rad
 
 
 class Survey(NamedTuple):
     """Holds what the looks at a recording have found."""
 
-    copies: dict[int, bool]  # joints that were copies, and whether they never showed themselves
+    copies: tuple[int, ...]  # joints that are copies, by the newest ticks as one
+    strides: tuple[int, ...]  # joints that were, for some strides
     old: bool
 
 
@@ -357,22 +364,17 @@ def survey(samples: Samples, swings: Mask | None, step_rad: float) -> Survey:
         step_rad: of the encoder.
     """
     check = InformationCheck(samples.measured.shape[1], step_rad)
-    n, copies, old = len(samples.seq), set[int](), False
+    n, strides, old = len(samples.seq), set[int](), False
     turns = () if swings is None else np.flatnonzero(np.diff(swings.astype(np.int8))).tolist()
     looks = {at + 2: bool(swings[at + 1]) for at in turns} if swings is not None else {}
     if not looks:
         looks = dict.fromkeys(range(ENOUGH_TICKS // 2, n + 1, ENOUGH_TICKS // 2), True)
-    shown = np.zeros(samples.measured.shape[1], dtype=np.bool_)
     for count, begins in looks.items():
         newest = samples.part(max(count - NEEDED_SAMPLES, 0), count)
         if check.look(count, newest, begins=begins) and check.found is not None:
             old |= check.found.kind == "old"
-            copies |= set(check.found.joints) if check.found.kind == "copy" else set()
-        shown |= check.proved
-    # Few strides as one.
-    ticks = min(n - LAGS, MOST_TICKS)
-    if ticks >= LEAST_TICKS:
-        steps = np.array([step_of(y[-MOST_TICKS:], step_rad) for y in samples.measured.T])
-        off = departure(samples, ticks, steps)
-        copies |= set() if off is None else set(np.flatnonzero(off.rms < COPY_STEPS).tolist())
-    return Survey({j: not shown[j] for j in sorted(copies)}, old)
+            strides |= set(check.found.joints) if check.found.kind == "copy" else set()
+    steps = np.array([step_of(y, step_rad) for y in samples.measured[-MOST_TICKS:].T])
+    off = departure(samples, min(max(n - LAGS, 0), MOST_TICKS), steps) if n else None
+    copies = () if off is None else tuple(np.flatnonzero(off.rms < COPY_STEPS).tolist())
+    return Survey(copies, tuple(sorted(strides - set(copies))), old)

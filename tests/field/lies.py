@@ -14,7 +14,7 @@ import argparse
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -33,6 +33,7 @@ from . import mistakes
 
 Array = np.ndarray
 FOUND, OVER = 3, 5  # swings
+ROBOTS = ("hexapod", "quadruped12", "leg5")
 
 
 class Stream(NamedTuple):
@@ -93,11 +94,11 @@ def held(y: Array, ticks: int) -> Array:
 # -- honest legs -----------------------------------------------------------------------------------
 
 
-def simulated(seconds: float, seed: int) -> Iterator[Stream]:
+def simulated(seconds: float, seed: int, robots: Sequence[str] = ROBOTS) -> Iterator[Stream]:
     """The shipped robots in the simulator."""
     from adaptive_contact_sim import SimulationSettings, record_arrays, simulated_robot
 
-    for kind in ("hexapod", "quadruped12", "leg5"):
+    for kind in robots:
         robot = simulated_robot(kind).description
         settings = SimulationSettings.of(kind, "pose" if kind == "leg5" else "walk")
         run = record_arrays(dataclasses.replace(settings, seed=seed), seconds)
@@ -167,7 +168,7 @@ def _light(
     for k in range(ticks):
         y[k] = out
         weight = 0.0 if swing[k] else rng.uniform(0.5, 1.5)
-        load += 0.3 * (weight * np.array([0.002, 0.02, 0.02]) - load)
+        load += 0.3 * (weight * np.array([0.01, 0.02, 0.02]) - load)
         motor = motor + 0.95 * (u[max(k - delay, 0)] - motor)
         out = np.clip(out, motor + load - play / 2, motor + load + play / 2)
     return rounded(y + 0.3 * step * rng.standard_normal(y.shape), step), u, np.array(swing[:ticks])
@@ -234,8 +235,10 @@ def follow_honest(stream: Stream, *, fitted: bool) -> Honest:
     return Honest(stream.name, len(stream.samples) * stream.robot.period_s, doubted)
 
 
-def draw(stream: Stream, kind: str, rng: np.random.Generator) -> tuple[list[ServoSample], int, int]:
-    """Lay a lie of a kind over a stream; the samples, and from which to which it lasts."""
+def draw(
+    stream: Stream, kind: str, rng: np.random.Generator
+) -> tuple[list[ServoSample], int, int, list[int]]:
+    """Lay a lie over a stream; the samples, from which to which it lasts, and its joints."""
     n, step = len(stream.samples), stream.robot.quantum(stream.leg)
     u = np.array([s.desired for s in stream.samples])
     y = np.array([s.measured for s in stream.samples])
@@ -252,14 +255,14 @@ def draw(stream: Stream, kind: str, rng: np.random.Generator) -> tuple[list[Serv
         msgspec.structs.replace(s, measured=row)
         for s, row in zip(stream.samples, y.tolist(), strict=True)
     ]
-    return made, begin, end
+    return made, begin, end, joints
 
 
 def tell(stream: Stream, kind: str, rng: np.random.Generator, *, fitted: bool) -> Told:
     """Have a learner follow a leg that lies for a third of the time."""
-    samples, begin, end = draw(stream, kind, rng)
+    samples, begin, end, joints = draw(stream, kind, rng)
     learner = ContactLearner(stream.robot, stream.leg, stream.baseline if fitted else None)
-    swings = over = contacts = 0
+    swings = over = contacts = since = 0
     named = right = False
     before: str | None = None
     for k, sample in enumerate(samples):
@@ -268,15 +271,16 @@ def tell(stream: Stream, kind: str, rng: np.random.Generator, *, fitted: bool) -
         begun = before == "stance" and sample.phase == "swing"
         before = sample.phase
         if begin <= k < end:
-            swings += begun
-            if swings <= FOUND or (swings == FOUND + 1 and begun):
+            swings, since = swings + begun, 0 if begun else since + 1
+            # What is found as the next swing begins holds from the tick after.
+            if swings <= FOUND or (swings == FOUND + 1 and since <= 1):
                 named |= KINDS[kind].words in (learner.report.source.note or "")
             elif event is not None and event.contact:
                 contacts += 1
         elif k >= end:
             over += ended
             right |= over <= OVER and learner.report.source.cause is None
-    where = f"{stream.name}, {'fitted' if fitted else 'cold'}, {'start' if not begin else 'later'}"
+    where = f"{stream.name} {stream.leg}, {'fitted' if fitted else 'cold'}, from {begin}, {joints}"
     return Told(kind, named, contacts, right, where)
 
 
