@@ -310,7 +310,7 @@ def held_share(samples: Samples, joint: int, step_rad: float) -> float:
     return float(np.mean(y[k] == y[k - 1])) if len(k) >= LEAST_MOVING else 0.0
 
 
-def is_old(samples: Samples, ticks: int, ratio: float) -> bool:
+def is_old(samples: Samples, ticks: int, ratio: float = OLD_RATIO) -> bool:
     """Whether earlier commands explain the readings that recent ones do not."""
     u, y = samples.desired, samples.measured[-ticks:]
     joints = np.ptp(u[-ticks:], axis=0) > LEAST_TRAVEL_RAD
