@@ -423,11 +423,14 @@ class Service:
         last = dict(self._untraced)
         self._tracer.take(
             (
-                leg,
-                sample,
-                judged_tick(self._endpoints[leg].learner) if sample is last[leg] else None,
-            )
-            for leg, sample in self._untraced
+                (
+                    leg,
+                    sample,
+                    judged_tick(self._endpoints[leg].learner) if sample is last[leg] else None,
+                )
+                for leg, sample in self._untraced
+            ),
+            {leg: self._endpoints[leg].learner.state for leg in last},
         )
         self._untraced.clear()
 

@@ -9,7 +9,7 @@ taken after the events of a tick are on their way: no contact waits for a page.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -17,7 +17,15 @@ from adaptive_contact.arrays import np
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.gait_phase import PhaseTracker
 from adaptive_contact.service.link import Link
-from adaptive_contact.wire import LegTrace, Rejected, ServoSample, decode, leg_of_key, trace_key
+from adaptive_contact.wire import (
+    LegState,
+    LegTrace,
+    Rejected,
+    ServoSample,
+    decode,
+    leg_of_key,
+    trace_key,
+)
 
 if TYPE_CHECKING:
     from adaptive_contact.leg_learner import ContactLearner
@@ -42,6 +50,7 @@ class _Tick(NamedTuple):
     sample: ServoSample
     swing: bool | None
     judged: Judged | None
+    p: float | None  # that the foot carries
 
 
 class _Leg:
@@ -89,15 +98,21 @@ class Tracer:
         """Whether ticks are to be taken."""
         return now_ns < self._until_ns
 
-    def take(self, samples: Iterable[tuple[str, ServoSample, Judged | None]]) -> None:
-        """Keep the samples of a tick."""
+    def take(
+        self,
+        samples: Iterable[tuple[str, ServoSample, Judged | None]],
+        states: Mapping[str, LegState] | None = None,
+    ) -> None:
+        """Keep the samples of a tick, and the states that follow from them."""
         self._number += 1
         for name, sample, judged in samples:
             leg = self._legs.get(name)
             if leg is None:
                 known = name in self._robot.leg_ids
                 leg = self._legs[name] = _Leg(self._robot.leg(name) if known else None)
-            leg.ticks.append(_Tick(self._number, sample, leg.swing(sample), judged))
+            state = (states or {}).get(name)
+            p = None if state is None or state.seq != sample.seq else state.p
+            leg.ticks.append(_Tick(self._number, sample, leg.swing(sample), judged, p))
 
     def answer(self, legs: Iterable[str], after: str | None, now_ns: int) -> list[LegTrace]:
         """What came after the number that is asked for, as much as one answer holds.
@@ -149,6 +164,7 @@ class Tracer:
                 for tick in ticks
             ],
             test_ratio=[None if tick.judged is None else tick.judged.test_ratio for tick in ticks],
+            p=[tick.p for tick in ticks],
         )
 
 

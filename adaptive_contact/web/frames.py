@@ -3,9 +3,9 @@
 A frame is JSON with what is new since the one before it:
 
 * ``t``: time of the frame, ms since the start of the page's server;
-* ``k``: by leg, ticks ``[t, swing, ratio, d…, m…, p…]``: ms; 1 in swing, 0 in stance, -1 unknown;
-  test ratio in hundredths or null; command, reading and, where there is one, prediction of each
-  joint in 0.1 mrad;
+* ``k``: by leg, ticks ``[t, swing, ratio, c, d…, m…, p…]``: ms; 1 in swing, 0 in stance, -1
+  unknown; test ratio, and probability that the foot carries, in hundredths or null; command,
+  reading and, where there is one, prediction of each joint in 0.1 mrad;
 * ``e``: contact events ``[leg, t, onset, contact, score, withheld]``;
 * ``g``: changes of truth ``[leg, t, contact]``;
 * ``v``: verdicts ``[leg, kind, t]``.
@@ -16,6 +16,7 @@ first tick after a jump says how far the two are apart.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -69,6 +70,7 @@ class Frames:
                 trace.t_ns,
                 trace.swing,
                 trace.test_ratio,
+                trace.p or itertools.repeat(None),  # of a service that has no state
                 trace.desired,
                 trace.measured,
                 trace.predicted,
@@ -81,7 +83,7 @@ class Frames:
         ticks = self._ticks.setdefault(trace.leg, [])
         newest_ms = (now_ns - self._start_ns) // 1_000_000 + _AHEAD_MS
         oldest_ms = newest_ms - _OLDEST_MS
-        for t_ns, swing, ratio, desired, measured, predicted in rows:
+        for t_ns, swing, ratio, p, desired, measured, predicted in rows:
             at_ms = self._ms(trace.leg, t_ns)
             if at_ms is None or not self._last_ms.get(trace.leg, oldest_ms) < at_ms <= newest_ms:
                 continue
@@ -95,6 +97,7 @@ class Frames:
                     at_ms,
                     -1 if swing is None else int(swing),
                     _hundredths(ratio),
+                    _hundredths(p),
                     *(_angle(value) for value in angles),
                 ]
             )

@@ -265,6 +265,7 @@ class LegTrace(Message, frozen=True, kw_only=True):
         predicted: (n, J) rad, likewise, what ``measured`` was expected to be; None for a tick that
             was not judged.
         test_ratio: (n,) statistic over threshold, above 1 for a contact; None likewise.
+        p: (n,) probability that the foot carries, None while unknown.
     """
 
     leg: str
@@ -276,6 +277,7 @@ class LegTrace(Message, frozen=True, kw_only=True):
     desired: list[list[float]] = []
     predicted: list[list[float] | None] = []
     test_ratio: list[float | None] = []
+    p: list[float | None] = []
 
 
 class ContactTruth(Message, frozen=True, kw_only=True, omit_defaults=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Judged, Tracer
-from adaptive_contact.wire import Phase, ServoSample
+from adaptive_contact.wire import LegState, Phase, ServoSample
 
 S = 1_000_000_000
 ROBOT = parse_robot(
@@ -49,6 +49,16 @@ def test_ticks_are_wanted_while_somebody_asks() -> None:
     assert asked(tracer, now_ns=S) == {"rf": [1]}
     assert tracer.wanted(int(LEASE_S * S) + S - 1), "each question asks for more"
     assert asked(tracer, now_ns=100 * S) == {}, "what is old was kept for nobody"
+
+
+def test_a_tick_has_the_p_of_its_own_state() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    state = LegState(t_ns=2, seq=2, contact=True, p=0.9, known=True)
+    tracer.take([("rf", sample(1), None), ("rf", sample(2), None)], {"rf": state})
+    tracer.take([("lf", sample(2), None)])
+    found = {trace.leg: trace.p for trace in tracer.answer(("rf", "lf"), None, 0)}
+    assert found == {"rf": [None, 0.9], "lf": [None]}
 
 
 def test_each_asker_gets_what_it_has_not_had() -> None:

@@ -27,6 +27,7 @@ def trace(leg: str, first_ns: int, count: int = 5, **fields: Any) -> LegTrace:
         "desired": [[0.3, 0.4]] * count,
         "predicted": [[0.1001, 0.2]] * count,
         "test_ratio": [0.25] * count,
+        "p": [0.875] * count,
         **fields,
     }
     return LegTrace(leg=leg, number=given_.pop("number", 7), **given_)
@@ -49,14 +50,14 @@ def test_a_tick_has_time_swing_ratio_and_angles() -> None:
     frames.trace(trace("rf", 5000 * S, 1), 101 * S)
     found = frame(frames, 101 * S)
     assert found["t"] == 1000
-    assert found["k"] == {"rf": [[1000, 1, 25, 3000, 4000, 1000, 2000, 1001, 2000]]}
+    assert found["k"] == {"rf": [[1000, 1, 25, 88, 3000, 4000, 1000, 2000, 1001, 2000]]}
     assert frame(frames, 101 * S + 1) == {"t": 1000}, "each comes once"
 
 
 def test_a_tick_that_was_not_judged_has_no_prediction() -> None:
     frames = Frames(0)
-    frames.trace(trace("rf", 0, 1, predicted=[None], test_ratio=[None], swing=[None]), S)
-    assert frame(frames, S)["k"]["rf"] == [[1000, -1, None, 3000, 4000, 1000, 2000]]
+    frames.trace(trace("rf", 0, 1, predicted=[None], test_ratio=[None], swing=[None], p=[]), S)
+    assert frame(frames, S)["k"]["rf"] == [[1000, -1, None, None, 3000, 4000, 1000, 2000]]
 
 
 def test_events_and_truth_are_placed_by_the_clock_of_their_leg() -> None:

@@ -367,8 +367,8 @@ def test_an_outage_is_drawn_as_a_gap(tab: Tab, tmp_path: Path) -> None:
             for begin, end in ((1100, 3900), (4200, 11800), (12100, 13900))
         )
         assert "predicted" in before
-        assert drawn == "panel" or before >= {"contact", "truth", "stance"}
-        assert not gap & {"contact", "stance", "truth", "predicted", "reading", "ratio"}
+        assert drawn == "panel" or before >= {"contact", "truth", "stance", "carries"}
+        assert not gap & {"contact", "stance", "truth", "predicted", "reading", "ratio", "carries"}
         assert not after & {"contact", "truth"}, "whether the foot stands is not known again yet"
         assert "predicted" in after
     assert "unknown" in tab.value("document.querySelector('.leg .state').textContent")
@@ -379,7 +379,8 @@ _OUTAGE = """
 for (let t = 100; t <= 14000; t += 100) {
   const comes = t < 4000 || t >= 12000;
   const k = comes ? { rf: [0, 20, 40, 60, 80].map((d) => [
-    t + d, 0, 50, ...[0, 1, 2].map((j) => Math.round(1000 * Math.sin((t + d) / 300 + j))),
+    t + d, 0, 50, d % 40 ? 95 : 90,
+    ...[0, 1, 2].map((j) => Math.round(1000 * Math.sin((t + d) / 300 + j))),
     500, 600, 700, 510, 610, 710]) } : {};
   const once = t === 1000 ? { e: [['rf', t, t, 1, 150, 0]], g: [['rf', t, 1]] } : {};
   takeFrame({ t, k, ...once });
@@ -415,7 +416,7 @@ globalThis.feedFrames = (first, count) => {
     for (const name of names) {
       k[name] = [];
       for (let i = 0; i < 5; i += 1) {
-        k[name].push([t + i * 20, n % 2, 12, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
+        k[name].push([t + i * 20, n % 2, 12, 90, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
       }
     }
     const frame = { t: t + 100, k };

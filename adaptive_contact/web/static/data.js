@@ -8,7 +8,7 @@ const MOST_LEGS = 64;
 export const LATE_MS = 500; // what is older says nothing of now: a leg's ticks, the server's frames
 const RAD = 1e-4; // angles come in 0.1 mrad
 
-/** Ticks of one leg in a ring: time, swing, test ratio, and J commands, readings, predictions. */
+/** Ticks of one leg in a ring: time, swing, test ratio, p, and J commands, readings, predictions. */
 class Ticks {
   constructor(joints, capacity) {
     this.joints = joints;
@@ -16,6 +16,7 @@ class Ticks {
     this.time = new Float64Array(capacity);
     this.swing = new Int8Array(capacity);
     this.ratio = new Float32Array(capacity);
+    this.p = new Float32Array(capacity); // probability that the foot carries
     this.angles = new Float32Array(capacity * joints * 3);
     this.first = 0;
     this.count = 0;
@@ -27,7 +28,7 @@ class Ticks {
 
   push(row) {
     const width = this.joints;
-    const given = row.length - 3;
+    const given = row.length - 4;
     if (given !== 2 * width && given !== 3 * width) return;
     if (this.count && row[0] <= this.time[this.at(this.count - 1)]) return;
     let at;
@@ -41,8 +42,9 @@ class Ticks {
     this.time[at] = row[0];
     this.swing[at] = row[1];
     this.ratio[at] = row[2] === null ? NaN : row[2] / 100;
+    this.p[at] = row[3] === null ? NaN : row[3] / 100;
     for (let j = 0; j < 3 * width; j += 1) {
-      const value = j < given ? row[3 + j] : null;
+      const value = j < given ? row[4 + j] : null;
       this.angles[at * width * 3 + j] = value === null ? NaN : value * RAD;
     }
   }
@@ -85,7 +87,7 @@ class Leg {
 
   take(rows) {
     if (this.ticks === null) {
-      const values = rows[0].length - 3;
+      const values = rows[0].length - 4;
       // Three values of a joint, or two before there is a model.
       const named = this.row && this.row.joints ? this.row.joints.length : 0;
       const joints = named || (values % 3 ? values / 2 : values / 3);

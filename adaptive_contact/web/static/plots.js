@@ -216,6 +216,10 @@ function drawRatio(pen, axis, ticks, from, to, top, height) {
   pen.strokeStyle = colour.ratio;
   pen.lineWidth = 1.4;
   drawLine(pen, axis, ticks, from, to, (at) => ticks.ratio[at], y);
+  // The probability that the foot carries, from 0 at the bottom to 1 at the top.
+  pen.strokeStyle = colour.carries;
+  pen.lineWidth = 1;
+  drawLine(pen, axis, ticks, from, to, (at) => ticks.p[at], (p) => top + height * (1 - p));
 }
 
 function drawMarks(pen, axis, marks, y, truthY) {

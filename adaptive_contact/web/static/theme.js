@@ -5,8 +5,8 @@ import { $, schedule, setText } from "./dom.js";
 /** Colours of the plots, by what they show; page.css has them. */
 export let colour = {};
 const COLOURS = [
-  "stance", "contact", "truth", "command", "reading", "predicted", "ratio", "threshold", "grid",
-  "dim", "bad", "withheld",
+  "stance", "contact", "truth", "command", "reading", "predicted", "ratio", "carries",
+  "threshold", "grid", "dim", "bad", "withheld",
 ];
 
 function readColours() {
