@@ -52,6 +52,17 @@ REARM_TICKS: Final = 4
 FREE_LIFT_TICKS: Final = 8
 # A swing longer than this keeps its newest ticks; 400 is a slow descent of 8 s.
 MAX_ROWS: Final = 400
+# Ticks before a touch that are not taken for free: it is seen late by up to two.
+GUARD_TICKS: Final = 3
+# A push goes on where residuals against the motion exceed this in the mean, in deviations; one
+# tick counts for so much at most, and so much in all is no noise.  With these, of 22,000 rows that
+# a hexapod with play in its drives learned, 3.2 % in touch, 0.01 % are left, and 96 % of the free.
+FREE_PUSH, MOST_PUSH, SURE_PUSH = 1.0, 6.0, 4.0
+# In a lift, from so long after the command's first tick on, a foot has struck something where it
+# has lost this share of its predicted way, and its squared residual, whitened, exceeds this.
+STRIKE_NS: Final = 100_000_000
+STRIKE_LOSS: Final = 0.35
+STRIKE_LEVEL: Final = 30.0
 # Fewer free ticks than this say nothing about a lift, nor about the way to a contact.
 MIN_LIFT_ROWS: Final = 3
 # A foot that stops sooner than it has come `LEAST_WAY_M` moved as predicted for so many ticks, went
@@ -102,12 +113,8 @@ def model_uncertainty(theta, index, per_scale, root, size, joint):
 
 
 @stage
-def statistic(leg, noise, history, gradient, against):
+def statistic(leg, noise, history):
     """Fill the (windows,) test ratios, NaN where a window reaches too far back.
-
-    A foot about to stand has arrived, and what it is predicted to do says nothing of where the
-    ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
-    the foot's height.
 
     Returns:
         The squared distance of the last residual from zero, whitened.
@@ -121,23 +128,40 @@ def statistic(leg, noise, history, gradient, against):
         for j in range(joints):
             sums[0, j] += history[0, width, j]
             sums[1, j] += history[1, width, j]
-        square = product = 0.0
+        square = product = way = 0.0
         for r in range(joints):
             of_residual = of_increment = 0.0
             for c in range(joints):
                 w = whiten[leg.context, width, r, c] * shrink[c]
                 of_residual += w * sums[0, c]
-                of_increment += w * (-gradient[c] if against else sums[1, c])
+                of_increment += w * sums[1, c]
             square += of_residual * of_residual
             product += of_residual * of_increment
+            way += of_increment * of_increment
         if width == 0:
             distance = square
+            leg.opposed = -product / math.sqrt(way) if way > 0.0 else 0.0
         if width + 1 > leg.usable:
             scores[width] = np.nan
         else:
             limit = noise.limits[direction_of(leg, width + 1), width]
-            scores[width] = square / limit if product < 0.0 else 0.0
+            scores[width] = product * product / (way * limit) if product < 0.0 else 0.0
     return distance
+
+
+@compiled
+def strikes(leg, history):
+    """Return whether a foot in its lift has lost so much of its way that it has struck something.
+
+    A foot that lets go late, or is slow in what it can do, loses less.
+    """
+    if leg.ticks * leg.period_ns < STRIKE_NS or not leg.sure:
+        return False
+    way = along = 0.0
+    for j in range(history.shape[2]):
+        way += history[1, 0, j] ** 2
+        along += history[0, 0, j] * history[1, 0, j]
+    return leg.squared > STRIKE_LEVEL and -along > STRIKE_LOSS * way
 
 
 @compiled
@@ -210,6 +234,7 @@ def begin_labels(leg):
     leg.lift_n = leg.row_n = leg.commanded_n = 0
     leg.topped = leg.closed = leg.broken = leg.top_seen = False
     leg.fit_n = leg.fit_before = 0
+    leg.push = 0.0
 
 
 @compiled
@@ -243,6 +268,25 @@ def note_hole(leg, rows):
     """Note lost or bad readings: what went on meanwhile shows in no residual."""
     if leg.row_n > leg.lift_n:
         leg.hole_ns = rows[leg.row_n - 1].t_ns
+
+
+@compiled
+def note_push(leg, rows):
+    """Drop what a push that goes on may have made, from where it began.
+
+    A push that no window shows adds up (Page's cumulative sum).  What is not learned of a descent
+    is cheap; a touch that is learned hides the next one.
+    """
+    before = leg.push
+    leg.push = max(before + min(leg.opposed, MOST_PUSH) - FREE_PUSH, 0.0)
+    if before == 0.0:
+        leg.push_ns = leg.at_ns
+    if leg.push <= SURE_PUSH or leg.from_prior:
+        return
+    last_ns = leg.push_ns - GUARD_TICKS * leg.period_ns
+    while leg.row_n > leg.lift_n and rows[leg.row_n - 1].t_ns > last_ns:
+        leg.row_n -= 1
+    leg.closed = True
 
 
 @compiled
@@ -310,7 +354,7 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient):
 
 
 @stage
-def enter_row(leg, swing, past, noise, kept, value, was_free, past_lift):
+def enter_row(leg, swing, past, noise, kept, value, ratio, was_free, past_lift):
     """Hold a judged tick back until its swing is resolved.
 
     Args:
@@ -321,6 +365,7 @@ def enter_row(leg, swing, past, noise, kept, value, was_free, past_lift):
         kept: where the row goes; one of ``row_values`` is as
             :class:`~adaptive_contact.model.labelled_swing.Rows` has it.
         value: the statistic of one tick.
+        ratio: the test ratio, the largest over the windows.
         was_free: the leg had been free before this tick, and does not touch.
         past_lift: the command is past the lift.
     """
@@ -331,7 +376,7 @@ def enter_row(leg, swing, past, noise, kept, value, was_free, past_lift):
     if leg.broken or not (leg.topped or leg.rising or past_lift):
         return
     if leg.rising and not leg.topped:
-        if not (was_free or leg.ticks >= FREE_LIFT_TICKS):
+        if leg.closed or not (was_free or leg.ticks >= FREE_LIFT_TICKS):
             return
     elif leg.closed:
         leg.topped = True
@@ -350,6 +395,7 @@ def enter_row(leg, swing, past, noise, kept, value, was_free, past_lift):
     row = rows[at]
     row.nis = leg.squared * leg.variance_scale / joints
     row.value = value
+    row.ratio = ratio
     row.context = leg.context
     row.t_ns = leg.at_ns
     row.was_free, row.cleared, row.push, row.repeats = was_free, leg.cleared, False, leg.repeats

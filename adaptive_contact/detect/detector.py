@@ -24,8 +24,10 @@ from adaptive_contact.detect.contact import (
     note_contact,
     note_fit,
     note_hole,
+    note_push,
     onset,
     statistic,
+    strikes,
     swing_tick,
 )
 from adaptive_contact.detect.history import (
@@ -74,7 +76,7 @@ from adaptive_contact.detect.source import (
     take_phase,
     vote_late,
 )
-from adaptive_contact.detect.state import follow_state, forget_state
+from adaptive_contact.detect.state import follow_state, forget_state, hangs
 from adaptive_contact.detect.swing import (
     QUIET_SCORE,
     RECENT_TICKS,
@@ -82,7 +84,6 @@ from adaptive_contact.detect.swing import (
     follow_command,
     follow_foot,
     forget_phase,
-    height_gradient,
     place_foot,
 )
 from adaptive_contact.model.noise import DESCENT, LIFT
@@ -138,7 +139,7 @@ def judge_tick(handed):
         follow_swing(leg, sample, source, swing, past, model)
         watch_source(leg, past)
         if leg.has_model and read(leg, sample, swing, past, model, kept):
-            weigh(leg, sample, swing, past, noise)
+            weigh(leg, sample, past, noise)
             was_free, past_lift = decide(leg, swing, past, model, noise, kept)
             leg.weighed |= past_lift and leg.usable > 0 and not leg.loaded
             hold_back(leg, swing, past, noise, kept, was_free, past_lift)
@@ -264,7 +265,7 @@ def read(leg, sample, swing, past, model, kept):
 
 
 @stage
-def weigh(leg, sample, swing, past, noise):
+def weigh(leg, sample, past, noise):
     """Weigh the residual: its variance in this tick, the statistic, the test ratios."""
     history, sigma, unit = past.history, noise.sigma, noise.unit
     joints = len(unit)
@@ -289,10 +290,7 @@ def weigh(leg, sample, swing, past, noise):
                 unit[j] += by * by
     for j in range(joints):
         noise.shrink[j] = 1.0 / math.sqrt(unit[j])
-    against = leg.after > 0 and leg.has_lengths
-    if against:
-        height_gradient(swing.last_measured, swing.links, swing.axis_kinds, swing.gradient)
-    leg.squared = statistic(leg, noise, history, swing.gradient, against)
+    leg.squared = statistic(leg, noise, history)
     if not leg.bad:
         note_fit(leg, leg.squared * leg.variance_scale / joints)
 
@@ -334,9 +332,15 @@ def hold_back(leg, swing, past, noise, kept, was_free, past_lift):
         leg.touching, leg.touch_n = True, 0
     if leg.touching:
         keep_touch(leg, past, noise, kept.touch)
+    if past_lift and not leg.bad and (was_free or leg.found & TOUCHED):
+        note_push(leg, kept.rows)
     if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
-        value = noise.scores[0] * noise.limits[direction_of(leg, 1), 0]
-        enter_row(leg, swing, past, noise, kept, value, was_free, past_lift)
+        scores = noise.scores
+        value, ratio = scores[0] * noise.limits[direction_of(leg, 1), 0], scores[0]
+        for width in range(1, DEPTH):
+            if scores[width] > ratio:
+                ratio = scores[width]
+        enter_row(leg, swing, past, noise, kept, value, ratio, was_free, past_lift)
         if leg.topped and not leg.broken and not leg.top_seen:
             leg.top_seen = True
             leg.found |= TOPPED
@@ -355,10 +359,16 @@ def leg_score(leg, past_lift, past, model, noise):
             score = scores[width]
     if leg.after:
         leg.quiet = leg.quiet + 1 if leg.sure and not leg.bad and score < QUIET_SCORE else 0
+    if score > 1.0 and leg.after and hangs(leg):
+        score = 1.0
     if score > 1.0:
         up = leg.rising or not past_lift
-        if leg.learning and up and not (leg.topped or leg.broken):
-            score = 1.0  # no alarm before the command's top (decision 19)
+        if (
+            leg.learning
+            and up
+            and not (leg.topped or leg.broken or (not past_lift and strikes(leg, past.history)))
+        ):
+            score = 1.0  # other than a strike, no alarm before the command's top (decision 19)
         elif not leg.loaded:
             spread, score, widest = 0.0, 0.0, 1
             for width in range(min(leg.thetas_n, DEPTH)):

@@ -211,6 +211,7 @@ LEG: Final = np.dtype(
         ("context", i4),  # index of the whitening
         ("has_domain", b1),  # a training domain is known
         ("root_n", i4),  # terms of a joint in its root
+        ("opposed", f8),  # last residual against the predicted motion, deviations
         ("clock_most", f8),  # largest stretch in question, periods
         ("clock_left", i4),  # ticks it stays in question
         # Contact.
@@ -235,6 +236,8 @@ LEG: Final = np.dtype(
         ("fits", b1),  # the leg moved as its model says, in the lift or before a contact
         ("began_full", b1),  # the window was full as the swing began
         ("hole_ns", i8),  # -1 for none
+        ("push", f8),  # evidence of a push that goes on, deviations
+        ("push_ns", i8),  # the tick that it began with
         ("resolved_first", i4),  # first row of the descent that was resolved
         ("resolved_last", i4),  # and one after the last
         ("resolved_whole", b1),  # `whole`, `rise` and `fallen` of that swing

@@ -73,6 +73,16 @@ def forget_state(leg):
 
 
 @compiled
+def hangs(leg):
+    """Return whether no stance has shown load, of a leg that is known from a prior alone.
+
+    What such a leg does after the turn to stance is not known: a robot that hangs alarmed there
+    swing after swing.
+    """
+    return leg.has_lengths and leg.from_prior and not leg.carried
+
+
+@compiled
 def sized(size, value, count, share):
     """Return the size that a share of the values is below, moved by one more."""
     if count == 1:

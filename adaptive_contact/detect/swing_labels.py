@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from adaptive_contact.compiled import compiled
-from adaptive_contact.detect.contact import MIN_LIFT_ROWS
+from adaptive_contact.detect.contact import GUARD_TICKS, MIN_LIFT_ROWS
 from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, RESTARTED, TOPPED, TOUCH_KEPT, WEIGHED
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
@@ -37,8 +37,6 @@ UNOBSERVED_SWINGS: Final = 20
 # A foot that lets go late shows in residuals that fall by orders of magnitude; a leg that has
 # changed shows in all of them alike.  Rows this many times above the last ones are still pressed.
 LET_GO_RATIO: Final = 10.0
-# Ticks before an estimated onset that are not taken for free: estimates are late by up to two.
-GUARD_TICKS: Final = 3
 # Nearer than this nothing is learned, whatever it is.
 NEAR_TICKS: Final = 1
 # In between, ticks that the model misses (a NIS above this)...
@@ -141,8 +139,9 @@ class SwingLabels:
         if not leg.has_model:
             return []
         onset_ns, now_ns, period_ns = leg.onset_ns, leg.at_ns, leg.period_ns
-        self._swing.touched(round((now_ns - onset_ns) / period_ns))
-        self.landings.touched(leg.after - (now_ns - onset_ns) // period_ns)
+        if leg.topped:
+            self._swing.touched(round((now_ns - onset_ns) / period_ns))
+            self.landings.touched(leg.after - (now_ns - onset_ns) // period_ns)
         rows = self._close(onset_ns, period_ns)
         if leg.from_prior and leg.after and rows:
             last_ns = min(onset_ns, int(rows.t_ns[-1]) + period_ns) - CAUTIOUS_TICKS * period_ns
@@ -291,6 +290,8 @@ def close_swing(rows, values, lift, commanded, count, onset_ns, period_ns, hole_
     for k in range(commanded):
         limit = max(limit, rows[k].nis)
     limit *= LET_GO_RATIO
+    if commanded == count:  # a strike in the lift
+        commanded, limit = 0, 0.0
     kept = 0
     for k in range(lift):
         if k < commanded or rows[k].t_ns <= last_ns or rows[k].nis <= limit:

@@ -19,7 +19,7 @@ from adaptive_contact.errors import IdentificationError, TooLittleDataError
 from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.outliers import inliers, untouched
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
-from adaptive_contact.model.glr import stream_statistic, whitened
+from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName, leg_library
 from adaptive_contact.model.model_file import Baseline, LegBaseline
@@ -285,9 +285,6 @@ def learn_leg(
     motion = _histories(rows.target[judged] - residual, position)
     usable = np.isfinite(histories).all(axis=2).sum(axis=1)
     values = stream_statistic(histories, motion, where, usable, noise)
-    # After the turn a residual counts whatever it opposes: what moves there is told by no command.
-    square = whitened(np.stack([histories[after], motion[after]]), noise.whiten[where[after]])[0]
-    values[after] = np.where(np.isfinite(values[after]), square, np.nan)
     figures = LegFigures(
         rows=len(swinging.target),
         outliers=rows.outliers,
@@ -306,7 +303,7 @@ def learn_leg(
     )
     scale = held.whole.scale()
     known = LegBaseline(model, noise, scale, len(swinging.target), manner.domain(held.whole))
-    peaks = Peaks.of(values, where // SPEEDS, len(leg.joints))
+    peaks = Peaks.of(values, where // SPEEDS)
     return dataclasses.replace(known, peaks=peaks), figures, values[~after]
 
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-import scipy  # its parts load where they are used
 
 from adaptive_contact.fit.train import Training
+from adaptive_contact.model.glr import free_quantile
 from adaptive_contact.robot import Robot
 
 # A model is good where it errs little more than readings do; half a step of noise and the step's
@@ -108,10 +108,7 @@ def _residuals(robot: Robot, training: Training) -> Iterator[str]:
 def _thresholds(robot: Robot, training: Training) -> Iterator[str]:
     if not training.figures:
         return
-    least = min(
-        float(scipy.special.chdtri(len(robot.leg(leg).joints), _LEAST_EXCEEDANCE))
-        for leg in training.figures
-    )
+    least = float(free_quantile(_LEAST_EXCEEDANCE))
     lowest = float(training.baseline.thresholds(robot.detector.false_alarms_per_hour).min())
     if not lowest >= least:
         yield (

@@ -58,7 +58,7 @@ class Lifecycle:
     ) -> None:
         self._robot = robot
         self._leg = leg
-        self._baseline = baseline
+        self._baseline = None if baseline is None else baseline.today()
         self._mode = mode
         self._refitter = refitter
         # The last snapshot, made or taken over, until it is gone back to.
@@ -217,7 +217,7 @@ class Lifecycle:
         elif self._unfit:
             note = "the baseline does not fit this leg: learning a new model"
         start = leg_prior(leg_library(robot, leg), robot.quantum(leg.id), widening)
-        self._begin(start, prior_tails(len(leg.joints)))
+        self._begin(start, prior_tails())
         self._widening, self.note, self.origin = widening, note, "what is known of any leg"
 
     def _refused(self, why: str) -> str:

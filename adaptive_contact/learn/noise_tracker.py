@@ -33,7 +33,7 @@ from adaptive_contact.compiled import compiled
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.model_file import thresholds_of
 from adaptive_contact.model.noise import AFTER, LIFT, NoiseModel
-from adaptive_contact.model.peaks import LEAST_TICKS, Peaks
+from adaptive_contact.model.peaks import LEAST_TICKS, Peaks, beyond
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
 
@@ -58,7 +58,15 @@ SEGMENTS_PER_TICK: Final = 12
 # which the monitor has to say.
 MOST: Final = 4.0
 # Lifts whose maxima are looked at: half of them decide.
-RECENT_LIFTS: Final = 6
+RECENT_LIFTS: Final = 8
+# Their median strays by as much on a leg that has not changed.
+STRAY: Final = 1.3
+# The largest of fewer ticks says nothing.
+LEAST_ROWS: Final = 3
+# Of a leg from a prior the last so many lifts say how far below its thresholds it stays, once
+# there are so many; but no lower than to this share, which is what noise of a fifth asks for.
+OWN_LIFTS, LEAST_LIFTS = 40, 15
+LEAST_SHARE: Final = 0.2
 
 
 class NoiseTracker:
@@ -86,7 +94,11 @@ class NoiseTracker:
         self._tails = tails
         self._target_rate = false_alarms_per_hour
         self._peaks = peaks
+        self._of_prior = tails[0].ticks == 0
         self._lifts = deque[float](maxlen=RECENT_LIFTS)  # how large their maxima were
+        # Largest test ratio and ticks of lifts of a leg from a prior, by the pooled thresholds.
+        self._own = deque[tuple[float, int]](maxlen=OWN_LIFTS)
+        self._share = 1.0  # of the pooled thresholds, by these
         self._pooled = self._least = self._of_tails(tails)
         self.whiten: Array = noise.whiten
         self.thresholds: Array = self._in_force()
@@ -124,10 +136,15 @@ class NoiseTracker:
             self._ticks *= fade
             self._above *= fade
             self._excess *= fade
-        if self._peaks is None or self._peaks.ticks[LIFT] < LEAST_TICKS:
+        if self._peaks is None and self._of_prior:
+            ratio = float(np.fmax.reduce(rows.records["ratio"], initial=0.0))
+            self._own.append((ratio * self._share, len(rows)))
+            self._share = self._own_share()
+        elif self._peaks is None or self._peaks.ticks[LIFT] < LEAST_TICKS or len(rows) < LEAST_ROWS:
             return False
-        largest = float(np.fmax.reduce(rows.records["value"], initial=0.0))
-        self._lifts.append(self._peaks.excess(largest, len(rows)))
+        else:
+            largest = float(np.fmax.reduce(rows.records["value"], initial=0.0))
+            self._lifts.append(self._peaks.excess(largest, len(rows)))
         before, self.thresholds = self.thresholds, self._in_force()
         return not np.array_equal(before, self.thresholds)
 
@@ -188,12 +205,22 @@ class NoiseTracker:
     def _in_force(self) -> Array:
         """(directions, windows), of the leg's own peaks where they are known."""
         if self._peaks is None:
-            return self._pooled
+            return np.asarray(self._pooled * np.array([[self._share], [self._share], [1.0]]))
         rates = self._target_rate * np.array([1.0, 1.0, AWAITED])
         own = self._peaks.thresholds(rates) * (self._pooled / self._least)
-        level = max(1.0, float(np.median(self._lifts))) if self._lifts else 1.0
+        level = max(1.0, float(np.median(self._lifts)) / STRAY) if self._lifts else 1.0
         own[:AFTER] = np.fmin(level * own[:AFTER], self._pooled[:AFTER])
         return np.where(np.isnan(own), self._pooled, own)
+
+    def _own_share(self) -> float:
+        """Compute which share of the pooled thresholds the last lifts ask for."""
+        if len(self._own) < LEAST_LIFTS:
+            return 1.0
+        # The second largest: one of them may have struck something.
+        second = sorted(ratio for ratio, _ in self._own)[-2]
+        ticks = sum(ticks for _, ticks in self._own)
+        share = second * float(beyond(self._target_rate, 0.5 * ticks))
+        return min(max(share, LEAST_SHARE), 1.0)
 
     @property
     def tail_factors(self) -> tuple[float, float]:
@@ -207,8 +234,16 @@ class NoiseTracker:
 
     def snapshot(self) -> dict[str, Any]:
         """Return the counts of the tail and the last lifts, for :meth:`restore`."""
-        counts = {"ticks": self._ticks, "above": self._above, "excess": self._excess}
-        return counts | ({"lifts": list(self._lifts)} if self._lifts else {})
+        saved: dict[str, Any] = {
+            "ticks": self._ticks,
+            "above": self._above,
+            "excess": self._excess,
+        }
+        if self._own:
+            saved["own"] = [list(lift) for lift in self._own]
+        if self._lifts:
+            saved["lifts"] = list(self._lifts)
+        return saved
 
     def restore(self, saved: Any) -> None:
         """Take over saved counts; what is not usable is left."""
@@ -221,7 +256,18 @@ class NoiseTracker:
         lifts = saved.get("lifts")
         if isinstance(lifts, list) and all(isinstance(v, float) and 0.0 <= v < 1e6 for v in lifts):
             self._lifts.extend(lifts)
-            self.thresholds = self._in_force()
+        own = saved.get("own")
+        if isinstance(own, list) and all(map(_is_lift, own)):
+            self._own.extend((ratio, ticks) for ratio, ticks in own)
+            self._share = self._own_share()
+        self.thresholds = self._in_force()
+
+
+def _is_lift(saved: object) -> bool:
+    match saved:
+        case [float(ratio), int(ticks)]:
+            return 0.0 <= ratio < 1e6 and 0 < ticks < 1e6
+    return False
 
 
 @compiled

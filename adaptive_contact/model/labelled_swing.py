@@ -27,6 +27,7 @@ ROW: Final = np.dtype(
     [
         ("nis", np.float64),  # normalised innovation squared, over J: 1 for a good model
         ("value", np.float64),  # statistic of this tick alone, by which it was judged
+        ("ratio", np.float64),  # test ratio, the largest over the windows
         ("sigma", np.float64),  # part along a push from the ground, in deviations; below 0: lower
         ("t_ns", np.int64),
         ("context", np.int32),  # by which its covariance was chosen

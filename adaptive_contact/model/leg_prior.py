@@ -23,10 +23,10 @@ from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
-import scipy  # its parts load where they are used
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model.glr import free_quantile
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.model_file import LegBaseline
@@ -174,15 +174,14 @@ def leg_prior(library: Library, quantum_rad: float, widening: float = 1.0) -> Le
     return LegBaseline(LegModel(library, coefficients), noise, scale, 0, spread=np.array(spread))
 
 
-def prior_tails(joints: int) -> tuple[Tail, ...]:
+def prior_tails() -> tuple[Tail, ...]:
     """Compute tails of the statistic for a leg without free ticks of its own.
 
-    Gaussian residuals make it chi-square with J degrees of freedom; its tail beyond 1 % is taken a
-    little heavier, as real ones are.
+    That of Gaussian residuals, whose tail beyond 1 % is taken a little heavier, as real ones are.
     """
     rate = 0.01
-    level = float(scipy.special.chdtri(joints, rate))
-    # Mean excess of the chi-square tail over its level.
-    beyond = scipy.special.chdtri(joints, rate * (np.arange(200) + 0.5) / 200)
+    level = float(free_quantile(rate))
+    # Mean excess over its level.
+    beyond = free_quantile(rate * (np.arange(200) + 0.5) / 200)
     scale = float(np.mean(beyond) - level)
     return tuple(Tail(level, rate, scale, PRIOR_SHAPE, 0) for _ in WINDOWS)

@@ -16,11 +16,13 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 import msgspec
 import numpy as np
+import scipy  # its parts load where they are used
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
 from adaptive_contact.files import cannot_write, read_file, write_file
 from adaptive_contact.model import bounds
+from adaptive_contact.model.glr import free_quantile
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName
 from adaptive_contact.model.noise import CONTEXTS, DIRECTIONS, SPEEDS, WINDOWS, NoiseModel
@@ -31,7 +33,9 @@ from adaptive_contact.model.window import Window
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 from adaptive_contact.robot.description import Axis
 
-FORMAT: Final = 1
+FORMAT: Final = 2
+# Statistics of format 1 counted noise in every direction.
+_ALL_DIRECTIONS: Final = 1
 # A leg of 3 joints has 30 kB, one of 16 with all terms of the servo library 0.9 MB.
 _MOST_BYTES: Final = 32_000_000
 Direction = Literal["lift", "descent", "after"]
@@ -66,13 +70,22 @@ class Baseline:
     quantum_rad: float  # position step of the servos it was learned with
     legs: dict[str, LegBaseline]  # by id
     tails: tuple[Tail, ...]  # of the statistic on free ticks, one per window, pooled over legs
+    format: int = FORMAT  # of its file, and so which statistic tails and peaks are of
 
     def thresholds(self, false_alarms_per_hour: float) -> Array:
         """Compute (windows,) thresholds for a rate of false alarms.
 
         The rate is split evenly over the windows, which can only make alarms rarer.
         """
-        return thresholds_of(self.tails, false_alarms_per_hour)
+        return thresholds_of(self.today().tails, false_alarms_per_hour)
+
+    def today(self) -> Baseline:
+        """Return it with tails and peaks of the statistic that legs are judged by.
+
+        Those of an older format are converted: what they exceed those of Gaussian residuals by is
+        kept.  The file keeps its text, as saved states belong to that.
+        """
+        return self if self.format == FORMAT else _of_one_direction(self)
 
     def check_fits(self, robot: Robot) -> None:
         """Refuse a baseline of another robot.
@@ -178,7 +191,7 @@ def dump_baseline(baseline: Baseline) -> str:
         )
     library = libraries.pop()
     file = _File(
-        format=FORMAT,
+        format=baseline.format,
         robot=baseline.robot,
         origin=baseline.origin,
         quantum_rad=baseline.quantum_rad,
@@ -239,7 +252,7 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         # Editors of Windows begin a file with a mark.
         data = data.removeprefix(codecs.BOM_UTF8)
         found = msgspec.json.decode(data, type=_Head).format
-        if found != FORMAT:
+        if found not in (FORMAT, _ALL_DIRECTIONS):
             raise BaselineError(
                 f"{source}: a file of format {_brief(found)}; expected a baseline of format "
                 f"{FORMAT}: fit a new one with `adaptive-contact fit`"
@@ -336,7 +349,30 @@ def _baseline(file: _File) -> Baseline:
         if entry.rows == 0:
             raise IdentificationError(f"leg '{leg}': fitted to 0 rows; fit a new one")
     tails = tuple(Tail(t.level, t.rate, t.scale, t.shape, t.ticks) for t in file.tails)
-    return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails)
+    return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails, file.format)
+
+
+def _of_one_direction(baseline: Baseline) -> Baseline:
+    """Convert statistics of noise in J directions to those of the one that counts now."""
+    legs = {}
+    for leg, known in baseline.legs.items():
+        joints, peaks = len(known.noise.rms), known.peaks
+        if peaks is not None:
+            seen = 1.0 / np.maximum(peaks.ticks, 2)
+            ratio = free_quantile(seen) / scipy.special.chdtri(joints, seen)
+            peaks = Peaks(peaks.largest * ratio[:, None], peaks.ticks)
+        legs[leg] = dataclasses.replace(known, peaks=peaks)
+    tails = []
+    for tail in baseline.tails:
+        rates = tail.rate * np.array([1.0, 0.1])
+        now, then = free_quantile(rates), scipy.special.chdtri(joints, rates)
+        level, scale = now[0] / then[0], (now[1] - now[0]) / (then[1] - then[0])
+        tails.append(
+            dataclasses.replace(
+                tail, level=float(tail.level * level), scale=float(tail.scale * scale)
+            )
+        )
+    return dataclasses.replace(baseline, legs=legs, tails=tuple(tails), format=FORMAT)
 
 
 def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
@@ -379,7 +415,7 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
             at = _DIRECTIONS.index(name)
             largest[at] = _array(own.largest, (len(WINDOWS),), f"leg '{leg}': peaks")
             seen[at] = own.ticks
-        peaks = Peaks(largest, tuple(seen), joints)
+        peaks = Peaks(largest, tuple(seen))
     domain = _domain(entry, library, scale)
     return LegBaseline(model, noise, scale, entry.rows, domain, peaks=peaks)
 

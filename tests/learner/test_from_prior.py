@@ -55,6 +55,8 @@ def gaps(learner: ContactLearner, stream: list[ServoSample]) -> list[int]:
     found = []
     for sample in stream:
         event = learner.update(sample)
+        # Stances of four ticks do not show that the leg carries.
+        learner.place.leg.carried = sample.seq > 4 * EACH
         if event is not None and event.contact:
             learned = [t for t in learner.drain_confirmed() if t < event.t_ns]
             found.append((event.onset_ns - max(learned)) // PERIOD)

@@ -87,9 +87,11 @@ def test_a_swing_that_only_the_next_one_ends_is_learned_in_the_second_half(
     assert grown >= 5
 
 
-def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Baseline) -> None:
-    """The verdict against the formula, for pushes of any direction; a window that reaches back into
-    the swing has the thresholds of swings."""
+def test_a_touch_takes_predicted_motion_away_before_the_turn_and_after(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """The verdict against the formula, for residuals of any direction; a window that reaches back
+    into the swing has the thresholds of swings."""
     rng = np.random.default_rng(34)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, samples(*FakeLeg(seed=34).run(4)[:3]))
@@ -101,18 +103,20 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
     noise = arrays_of(learner.place).noise
     noise.shrink[:], scores = 1.0, noise.scores
     for trial in range(200):
-        after = leg["after"] = 1 + trial % 4  # ticks since the turn to stance
-        residual, gradient = rng.normal(0.0, 0.02, (3, 3)), rng.normal(0.0, 0.1, 3)
-        history = np.stack([residual, rng.normal(0.0, 0.02, (3, 3))])
-        statistic(leg, noise, history, gradient, True)
+        after = leg["after"] = trial % 5  # ticks since the turn to stance
+        residual, motion = rng.normal(0.0, 0.02, (2, 3, 3))
+        square = statistic(leg, noise, np.stack([residual, motion]))
         for w in (1, 2, 3):
             whiten = recent.whiten[int(leg["context"])][w - 1]
-            z = whiten @ residual[:w].sum(axis=0)
-            up = float(z @ whiten @ gradient) > 0.0
+            z, u = whiten @ residual[:w].sum(axis=0), whiten @ motion[:w].sum(axis=0)
+            along = float(z @ u) / float(np.sqrt(u @ u))
             limit = recent.thresholds[AFTER if w < after else DESCENT, w - 1]
-            expected = float(z @ z) / limit if up else 0.0
+            expected = along**2 / limit if along < 0.0 else 0.0
             assert scores[w - 1] == pytest.approx(expected, rel=1e-9)
-            told[up] += 1
+            told[along < 0.0] += 1
+            if w == 1:
+                assert square == pytest.approx(float(z @ z))
+                assert leg["opposed"] == pytest.approx(-along)
     assert min(told.values()) > 100
 
 

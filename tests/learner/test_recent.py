@@ -7,6 +7,9 @@ import pytest
 
 from adaptive_contact.learn.noise_tracker import (
     CLIP,
+    LEAST_LIFTS,
+    OWN_LIFTS,
+    RECENT_LIFTS,
     SHRINK_TICKS,
     NoiseTracker,
     turned_by,
@@ -14,7 +17,15 @@ from adaptive_contact.learn.noise_tracker import (
 from adaptive_contact.model import Domain
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_prior import prior_tails
-from adaptive_contact.model.noise import CONTEXTS, DESCENT, DIRECTIONS, LIFT, WINDOWS, NoiseModel
+from adaptive_contact.model.noise import (
+    AFTER,
+    CONTEXTS,
+    DESCENT,
+    DIRECTIONS,
+    LIFT,
+    WINDOWS,
+    NoiseModel,
+)
 from adaptive_contact.model.peaks import Peaks
 from adaptive_contact.model.tail import Tail
 
@@ -34,7 +45,7 @@ def noise() -> NoiseModel:
 
 
 def recent(noise: NoiseModel, tails: tuple[Tail, ...] | None = None) -> NoiseTracker:
-    return NoiseTracker(noise, tails or prior_tails(J), 1.0)
+    return NoiseTracker(noise, tails or prior_tails(), 1.0)
 
 
 def free_ticks(covariance: np.ndarray, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -44,9 +55,10 @@ def free_ticks(covariance: np.ndarray, n: int, seed: int = 0) -> tuple[np.ndarra
     return residual, rng.integers(0, CONTEXTS, n)
 
 
-def rows(values: list[float], theta: float = 0.0) -> Rows:
-    """Free ticks with a statistic."""
-    return rows_of([Tick(np.full(2, theta), np.zeros(J), v / J, v, lift=False) for v in values])
+def rows(values: list[float], theta: float = 0.0, ratio: float = 0.1) -> Rows:
+    """Free ticks with a statistic, and a largest test ratio."""
+    at, still = np.full(2, theta), np.zeros(J)
+    return rows_of([Tick(at, still, v / J, v, lift=False, ratio=ratio) for v in values])
 
 
 def shape(of: NoiseTracker, noise: NoiseModel) -> np.ndarray:
@@ -72,19 +84,24 @@ def test_a_joint_that_grew_noisier_gets_the_share_it_has_earned(noise: NoiseMode
 def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: NoiseModel) -> None:
     """The statistic of a leg whose residuals are heavy-tailed against that of a calm one."""
     rng = np.random.default_rng(1)
-    tails = prior_tails(J)
+    tails = prior_tails()
+
+    def free(count: int) -> np.ndarray:
+        return np.asarray(np.maximum(rng.standard_normal(count), 0.0) ** 2)
+
     calm, heavy = recent(noise, tails), recent(noise, tails)
     for _ in range(200):
-        calm.count(rows(rng.chisquare(J, 100).tolist()))
-        spread = np.where(rng.random(100) < 0.03, 4, 1)
-        heavy.count(rows((rng.chisquare(J, 100) * spread).tolist()))
+        calm.count(rows(free(100).tolist(), ratio=1.0))
+        spread = np.where(rng.random(100) < 0.03, 9, 1)
+        heavy.count(rows((free(100) * spread).tolist(), ratio=1.0))
     for of in (calm, heavy):
         of.refresh(*NONE)
     least = recent(noise, tails).thresholds
     np.testing.assert_allclose(calm.thresholds, least, rtol=0.1)
-    assert (heavy.thresholds > 1.5 * least).all()
+    assert (heavy.thresholds[:AFTER] > 1.5 * least[:AFTER]).all()
+    assert (heavy.thresholds[AFTER] > 1.4 * least[AFTER]).all(), "nearer to where tails begin"
     # Rate: at the calm leg's threshold the heavy one would raise alarms that its own prevents.
-    value = rng.chisquare(J, 10**6) * np.where(rng.random(10**6) < 0.03, 4, 1)
+    value = free(10**6) * np.where(rng.random(10**6) < 0.03, 9, 1)
     at_least = (value > least[DESCENT, 0]).sum()
     assert at_least > 50
     assert (value > heavy.thresholds[DESCENT, 0]).sum() < at_least / 10
@@ -101,7 +118,7 @@ def test_what_the_model_extrapolates_is_no_noise(noise: NoiseModel) -> None:
     domain = Domain(10.0 * np.eye(2), np.ones(2))
     here, there = 0.1, 100.0
     assert domain.leverage(np.full(2, here)) < 0.01
-    known, strange = (NoiseTracker(noise, prior_tails(J), 1.0) for _ in range(2))
+    known, strange = (NoiseTracker(noise, prior_tails(), 1.0) for _ in range(2))
     known.count(rows([30.0] * 500, theta=here), domain)
     strange.count(rows([30.0] * 500, theta=there), domain)
     assert known.tail_factors[0] > 1.5
@@ -128,24 +145,45 @@ def test_thresholds_of_own_peaks_follow_the_last_lifts_and_outlive_a_restart(
     noise: NoiseModel,
 ) -> None:
     rng = np.random.default_rng(3)
-    values = 0.5 * rng.chisquare(J, (4000, len(WINDOWS)))
-    peaks = Peaks.of(values, np.arange(len(values)) % DIRECTIONS, J)
+    values = 0.5 * rng.chisquare(1, (4000, len(WINDOWS)))
+    peaks = Peaks.of(values, np.arange(len(values)) % DIRECTIONS)
 
     def tracker() -> NoiseTracker:
-        return NoiseTracker(noise, prior_tails(J), 1.0, peaks)
+        return NoiseTracker(noise, prior_tails(), 1.0, peaks)
 
     of, first = tracker(), tracker().thresholds
     assert (first[LIFT] < recent(noise).thresholds[LIFT]).all(), "below those of the tail"
     of.count(rows([200.0] * 10))
-    for _ in range(6):
-        of.count(rows((0.5 * rng.chisquare(J, 10)).tolist()))
+    for _ in range(RECENT_LIFTS):
+        of.count(rows((0.5 * rng.chisquare(1, 10)).tolist()))
     assert of.thresholds == pytest.approx(first, rel=0.35), "one lift that struck moves no median"
-    for _ in range(4):
-        of.count(rows((0.9 * rng.chisquare(J, 10)).tolist()))
+    for _ in range(6):
+        of.count(rows((0.9 * rng.chisquare(1, 10)).tolist()))
     again = tracker()
     again.restore(of.snapshot())
     np.testing.assert_array_equal(again.thresholds, of.thresholds)
-    for _ in range(6):
-        of.count(rows((50.0 * rng.chisquare(J, 10)).tolist()))
+    for _ in range(RECENT_LIFTS):
+        of.count(rows((50.0 * rng.chisquare(1, 10)).tolist()))
     limit = recent(noise).thresholds
     assert (of.thresholds[LIFT] >= limit[LIFT]).all(), "up to those of the tail"
+
+
+def test_a_leg_without_peaks_is_judged_by_its_own_lifts_and_outlives_a_restart(
+    noise: NoiseModel,
+) -> None:
+    of, pooled = recent(noise), recent(noise).thresholds
+    for _ in range(LEAST_LIFTS - 1):
+        of.count(rows([1.0] * 10, ratio=0.05))
+    np.testing.assert_array_equal(of.thresholds, pooled)
+    of.count(rows([1.0] * 10, ratio=0.05))
+    share = of.thresholds / pooled
+    assert (share[:AFTER] < 0.3).all(), "it stays far below"
+    assert (share[AFTER] == 1.0).all(), "lifts say nothing of what comes after the turn"
+    of.count(rows([1.0] * 10, ratio=5.0))
+    np.testing.assert_allclose(of.thresholds / pooled, share, rtol=0.05)  # one that struck
+    again = recent(noise)
+    again.restore(of.snapshot())
+    np.testing.assert_array_equal(again.thresholds, of.thresholds)
+    for _ in range(OWN_LIFTS):
+        of.count(rows([1.0] * 10, ratio=2.0))
+    np.testing.assert_array_equal(of.thresholds, pooled)  # never above

@@ -33,6 +33,7 @@ class Tick(NamedTuple):
     was_free: bool = True
     cleared: bool = True
     push: Push | None = None
+    ratio: float = 0.1
 
 
 def rows_of(ticks: Sequence[Tick]) -> Rows:
@@ -40,7 +41,7 @@ def rows_of(ticks: Sequence[Tick]) -> Rows:
     if not ticks:
         return NO_ROWS
     known = np.zeros(len(ticks), dtype=ROW)
-    for name in ("nis", "value", "context", "t_ns", "lift", "was_free", "cleared"):
+    for name in ("nis", "value", "ratio", "context", "t_ns", "lift", "was_free", "cleared"):
         known[name] = [getattr(tick, name) for tick in ticks]
     known["push"] = [tick.push is not None for tick in ticks]
     known["sigma"] = [0.0 if tick.push is None else tick.push.sigma for tick in ticks]

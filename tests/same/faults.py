@@ -45,7 +45,7 @@ FAULTS: Final = (
         "            if leg.ticks:", "            if leg.ticks > 4:",
     ),
     Fault(
-        "ticks before an onset", "detect/swing_labels.py",
+        "ticks before an onset", "detect/contact.py",
         "GUARD_TICKS: Final = 3", "GUARD_TICKS: Final = 2",
     ),
     Fault(
