@@ -326,6 +326,13 @@ assert LEG.fields is not None
 FREE_AT: Final[int] = LEG.fields["variance_scale"][1]
 
 
+# Of the state in every tick.
+STATE: Final = (
+    "foreseen", "command_m", "lowest_command_m", "highest_command_m", "high_ticks", "low_ticks",
+    "push_size", "loaded_push", "misfit_size", "push_sum", "misfit", "command_odds", "pressed_n",
+    "idle_n", "kept_ticks", "carried", "p", "touches",
+)  # fmt: skip
+
 # The arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, as each half receives them.
 _SHARED: Final[dict[str, tuple[Any, int]]] = {
     "kind": (i8, 1), "first": (i8, 1), "entry": (i8, 1), "weight": (f8, 1), "knee": (f8, 1),
@@ -406,12 +413,13 @@ def vectors(count: int, lengths: Mapping[str, int]) -> tuple[list[NDArray[Any]],
 def new_legs(count: int) -> Any:
     """Make the scalars of legs that have seen nothing."""
     legs = records(np.zeros(count, dtype=LEG))
-    for name, value in _BEGINNING.items():
+    for name, value in BEGINNING.items():
         legs[name] = value
     return legs
 
 
-_BEGINNING: Final = {
+# What a leg begins with, other than zeros.
+BEGINNING: Final = {
     "late": -1, "rate_ticks": 9, "found_ns": np.nan, "descent": True, "reading_variance": 1.0,
     "sound": True, "leg_size": 1.0, "pace": 1.0, "variance_scale": 1.0, "loaded": True,
     "hole_ns": -1,

@@ -14,6 +14,7 @@ from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
 from adaptive_contact.detect.layout import (
+    BEGINNING,
     DEPTH,
     FREE,
     FREE_AT,
@@ -24,6 +25,7 @@ from adaptive_contact.detect.layout import (
     SAMPLE,
     SHARED,
     SOURCES,
+    STATE,
     TICK,
     TOUCH_TICKS,
     new_legs,
@@ -333,7 +335,7 @@ class LegPlace:
         self.leg.found = 0
 
     def restart_swing(self) -> None:
-        """Forget the present swing."""
+        """Forget the present swing, and whether the leg carries."""
         leg = self.leg
         for name in ("whole", "stood", "obstructed", "has_desired", "has_measured", "unresolved"):
             setattr(leg, name, False)
@@ -345,6 +347,8 @@ class LegPlace:
         leg.hole_ns, leg.apex = -1, -np.inf
         for name in ("swing_phase", "topped", "closed", "top_seen", "touching"):
             setattr(leg, name, False)
+        for name in STATE:
+            setattr(leg, name, BEGINNING.get(name, 0))
         leg.broken = True
 
     def begin(self, library: ChangeLibrary, sigma: Array, *, learning: bool) -> None:
