@@ -10,7 +10,8 @@ over two strides, :math:`F_p` low-passes, leave a copy of any delay, scale, offs
 its rounding: a root mean square of 0.29 steps while the command moves.  Readings of other faults:
 
 - *held*: a joint that moves reads the same as in the tick before, more often than not;
-- *old*: the commands of the last 12 ticks explain less of the readings than those of a time before.
+- *old*: the commands of the last 12 ticks explain less of the readings than those of a time before;
+- *twin*: they are another leg's to the last bit, whose commands explain them better.
 
 A leg that carries nothing may be a function of its commands, too.  Where it has never departed from
 them it is *unproved*, not false.
@@ -32,7 +33,7 @@ POLES: Final = (0.5, 0.75, 0.9)
 # Rounding leaves 0.29, in 100 ticks up to 0.36.  Least of walking joints: 0.58 and more on two
 # simulators (2,700 windows with noise of 0.3 steps and more), real legs 1.1 to 3; a robot arm's
 # wrist in slow sines 0.36.
-COPY_STEPS: Final = 0.42
+COPY_STEPS: Final = 0.40
 OWN_STEPS: Final = 1.0
 # Ticks in which the command moves, by half a step and more, and how its speed must vary, steps a
 # tick: at one speed, a servo follows as exactly.
@@ -60,14 +61,18 @@ HELD_AROUND: Final = 6
 # Readings are old where recent commands leave so much of their variance, and earlier ones, up to
 # so many ticks, so small a share of that: 0.25 at most for readings of a second before, 0.5 and
 # more for walking legs.
-OLD_REST: Final = 0.1
-OLD_LOOK: Final = 0.03  # nothing is old where all functions of the commands leave less
+OLD_REST: Final = 0.03
+OLD_LOOK: Final = 0.02  # nothing is old where all functions of the commands leave less
 OLD_RATIO: Final = 0.25
-OLD_TICKS: Final = 109
+OLD_STAYS: Final = 0.9  # until recent ones leave about as little
+OLD_MOST: Final = 0.15  # left by the earlier ones; a foot that is stopped is a function of none
+OLD_TICKS: Final = 122
 BAND: Final = 6
 LEAST_TRAVEL_RAD: Final = 0.02
 # What a look needs at most.
 NEEDED_SAMPLES: Final = MOST_TICKS + LAGS + OLD_TICKS
+# Readings are another leg's where its commands leave less than this share of what its own leave.
+TWIN_RATIO: Final = 0.5
 # Looks in a row, two a stride, that find a fault, or none, before it counts.
 LOOKS: Final = 2
 # Steps by which a tick before may be off and belong to the fault.
@@ -76,7 +81,7 @@ SINCE_STEPS: Final = 2.0
 GRID_SHARE: Final = 0.95
 GRID_RAD: Final = 1e-5
 
-Kind = Literal["copy", "held", "old"]
+Kind = Literal["copy", "held", "old", "twin"]
 
 
 class Samples(NamedTuple):
@@ -105,7 +110,7 @@ class InformationCheck:
 
     Args:
         joints: J.
-        step_rad: of the encoder; what lies on another grid is judged by that.
+        step_rad: of the encoder; what lies on a finer grid is judged by that.
 
     Attributes:
         found: what is wrong, None where nothing is.
@@ -126,7 +131,15 @@ class InformationCheck:
         self._strides.clear()
         self._agreed = 0
 
-    def look(self, count: int, samples: Samples, *, begins: bool, known: bool = False) -> bool:
+    def look(
+        self,
+        count: int,
+        samples: Samples,
+        *,
+        begins: bool,
+        known: bool = False,
+        twin: Samples | None = None,
+    ) -> bool:
         """Judge the last two strides.
 
         Args:
@@ -134,6 +147,7 @@ class InformationCheck:
             samples: the newest of them.
             begins: a swing begins with the newest; else one has ended.
             known: a model that was there before predicts the leg: what was never proved stays open.
+            twin: those of a leg that sends the same readings.
 
         Returns:
             Whether ``found`` is another now.
@@ -143,7 +157,7 @@ class InformationCheck:
             self._strides.append(count)
         if ticks < LEAST_TICKS or len(samples.seq) < ticks + LAGS:
             return False
-        finding, decided = self._judge(samples, ticks, known=known)
+        finding, decided = self._judge(samples, ticks, known=known, twin=twin)
         if not decided or (finding is None) == (self.found is None):
             self._agreed = 0 if decided else self._agreed
             return False
@@ -163,7 +177,9 @@ class InformationCheck:
         two, one = (count - at for at in self._strides)
         return min(two, max(ENOUGH_TICKS, one), MOST_TICKS)
 
-    def _judge(self, samples: Samples, ticks: int, *, known: bool) -> tuple[Finding | None, bool]:
+    def _judge(
+        self, samples: Samples, ticks: int, *, known: bool, twin: Samples | None
+    ) -> tuple[Finding | None, bool]:
         """Judge so many ticks: what is wrong, and whether they show anything."""
         steps = np.array([step_of(y[-MOST_TICKS:], self._step_rad) for y in samples.measured.T])
         newest = samples.part(-ticks)
@@ -178,7 +194,12 @@ class InformationCheck:
         open_ = known and self.found is None and not self.proved[copies].any()
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
-        if off.rest > OLD_LOOK and is_old(samples, ticks):
+        own = None if twin is None else departure(twin, ticks, steps)
+        if own is not None and own.rest < TWIN_RATIO * off.rest:
+            return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
+        # What is old stays so until it is clearly not.
+        ratio = OLD_STAYS if self.found and self.found.kind == "old" else OLD_RATIO
+        if off.rest > OLD_LOOK and is_old(samples, max(ticks, ENOUGH_TICKS), ratio):
             return Finding("old", tuple(range(len(steps))), 2 * ticks), True
         self.proved |= off.rms > OWN_STEPS
         return None, bool(np.isfinite(off.rms).any())
@@ -289,39 +310,31 @@ def held_share(samples: Samples, joint: int, step_rad: float) -> float:
     return float(np.mean(y[k] == y[k - 1])) if len(k) >= LEAST_MOVING else 0.0
 
 
-def is_old(samples: Samples, ticks: int) -> bool:
+def is_old(samples: Samples, ticks: int, ratio: float = OLD_RATIO) -> bool:
     """Whether earlier commands explain the readings that recent ones do not."""
-    n = len(samples.seq)
-    most = min(OLD_TICKS, n - ticks - 2 * BAND)
-    joints = [j for j in range(samples.desired.shape[1]) if _travel(samples, j, ticks)]
-    if most <= LAGS or not joints:
+    u, y = samples.desired, samples.measured[-ticks:]
+    joints = np.ptp(u[-ticks:], axis=0) > LEAST_TRAVEL_RAD
+    # Commands of every second tick before; a band is of seven.
+    count = max(min(OLD_TICKS, len(u) - ticks), 0) // 2
+    first = np.arange(LAGS // 2 + 1, count - BAND, 3)
+    if not (joints.any() and len(first)):
         return False
-
-    def rest(lag: int) -> float:
-        return float(np.mean([_rest(samples, j, ticks, lag) for j in joints]))
-
-    recent = rest(0)
-    if recent < OLD_REST:
-        return False
-    return min(rest(lag) for lag in range(LAGS, most, BAND)) < OLD_RATIO * recent
-
-
-def _travel(samples: Samples, joint: int, ticks: int) -> bool:
-    return float(np.ptp(samples.desired[-ticks:, joint])) > LEAST_TRAVEL_RAD
-
-
-def _rest(samples: Samples, joint: int, ticks: int, lag: int) -> float:
-    """Share of the readings' variance that commands from ``lag`` ticks before on leave."""
-    y, u = samples.measured[-ticks:, joint], samples.desired[:, joint]
-    first = len(u) - ticks - lag
-    columns = np.stack([u[first - by :][:ticks] for by in range(0, 2 * BAND + 1, 2)], axis=1)
-    columns, y = columns - columns.mean(axis=0), y - y.mean()
-    off = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-10)[0]
-    return float(off @ off) / max(float(y @ y), 1e-12)
+    u, y = u[:, joints], y[:, joints]
+    lagged = np.stack([u[len(u) - ticks - 2 * k :][:ticks] for k in range(count)], axis=1)
+    x, z = (lagged - lagged.mean(axis=0)).transpose(2, 0, 1), (y - y.mean(axis=0)).T[:, :, None]
+    gram, to = x.transpose(0, 2, 1) @ x, (x.transpose(0, 2, 1) @ z)[:, :, 0]
+    band = np.concatenate([[0], first])[:, None] + np.arange(BAND + 1)
+    of_band, to_band = gram[:, band[:, :, None], band[:, None, :]], to[:, band]
+    ridge = RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None, None] * np.eye(BAND + 1)
+    fitted = np.linalg.solve(of_band + ridge + 1e-300 * np.eye(BAND + 1), to_band[..., None])
+    explained = (fitted[..., 0] * to_band).sum(axis=2)
+    square = np.maximum((z[:, :, 0] ** 2).sum(axis=1), 1e-12)
+    rest = (1.0 - explained / square[:, None]).mean(axis=0)
+    return bool(rest[0] > OLD_REST and rest[1:].min() < min(ratio * rest[0], OLD_MOST))
 
 
 def step_of(readings: Array, described_rad: float) -> float:
-    """Compute the step of the grid that readings lie on; the described one where they do not."""
+    """Compute the step of the grid that readings lie on, where it is finer than the described."""
     values = np.unique(readings)
     gaps = np.diff(values)
     gaps = gaps[gaps > GRID_RAD]
@@ -330,13 +343,14 @@ def step_of(readings: Array, described_rad: float) -> float:
     own = float(gaps.min())
     phases = (values - values[0]) / own
     on_grid = np.abs(phases - np.round(phases)) < 0.1
-    return own if float(on_grid.mean()) >= GRID_SHARE else described_rad
+    return min(own, described_rad) if float(on_grid.mean()) >= GRID_SHARE else described_rad
 
 
 class Survey(NamedTuple):
     """Holds what the looks at a recording have found."""
 
-    copies: dict[int, bool]  # joints that were copies, and whether they never showed themselves
+    copies: tuple[int, ...]  # joints that are copies, by the newest ticks as one
+    strides: tuple[int, ...]  # joints that were, for some strides
     old: bool
 
 
@@ -350,22 +364,17 @@ def survey(samples: Samples, swings: Mask | None, step_rad: float) -> Survey:
         step_rad: of the encoder.
     """
     check = InformationCheck(samples.measured.shape[1], step_rad)
-    n, copies, old = len(samples.seq), set[int](), False
+    n, strides, old = len(samples.seq), set[int](), False
     turns = () if swings is None else np.flatnonzero(np.diff(swings.astype(np.int8))).tolist()
     looks = {at + 2: bool(swings[at + 1]) for at in turns} if swings is not None else {}
     if not looks:
         looks = dict.fromkeys(range(ENOUGH_TICKS // 2, n + 1, ENOUGH_TICKS // 2), True)
-    shown = np.zeros(samples.measured.shape[1], dtype=np.bool_)
     for count, begins in looks.items():
         newest = samples.part(max(count - NEEDED_SAMPLES, 0), count)
         if check.look(count, newest, begins=begins) and check.found is not None:
             old |= check.found.kind == "old"
-            copies |= set(check.found.joints) if check.found.kind == "copy" else set()
-        shown |= check.proved
-    # Few strides as one.
-    ticks = min(n - LAGS, MOST_TICKS)
-    if ticks >= LEAST_TICKS:
-        steps = np.array([step_of(y[-MOST_TICKS:], step_rad) for y in samples.measured.T])
-        off = departure(samples, ticks, steps)
-        copies |= set() if off is None else set(np.flatnonzero(off.rms < COPY_STEPS).tolist())
-    return Survey({j: not shown[j] for j in sorted(copies)}, old)
+            strides |= set(check.found.joints) if check.found.kind == "copy" else set()
+    steps = np.array([step_of(y, step_rad) for y in samples.measured[-MOST_TICKS:].T])
+    off = departure(samples, min(max(n - LAGS, 0), MOST_TICKS), steps) if n else None
+    copies = () if off is None else tuple(np.flatnonzero(off.rms < COPY_STEPS).tolist())
+    return Survey(copies, tuple(sorted(strides - set(copies))), old)

@@ -37,6 +37,7 @@ _STYLE: Final = {
     "false": ("false", "#8e24aa", "x"),
 }
 _STRIPS: Final = (("stance", "#c3c9d0"), ("contact", "#1f6fb4"), ("truth", "#0e8a94"))
+_P_COLOUR: Final = "#e07b00"
 _CURVES: Final = ("measured", "desired", "predicted")
 _SUFFIXES: Final = (".html", ".png")
 
@@ -115,7 +116,8 @@ def _leg(trace: LegTrace, room: int, spans: int) -> dict[str, Any]:
     begins = np.arange(0, len(t_s), step)
     filled = np.where(np.isfinite(ratio), ratio, -1.0)
     peaks = np.maximum.reduceat(filled, begins) if len(begins) else filled
-    # Hundredths; -1 for ticks that could not be judged.
+    p = trace.p[order][begins]
+    # Hundredths; -1 for ticks that could not be judged, and for an unknown p.
     hundredths = np.where(peaks < 0, -1, np.round(np.minimum(peaks, 99.0) * 100)).astype(int)
     return {
         "leg": trace.leg,
@@ -123,6 +125,7 @@ def _leg(trace: LegTrace, room: int, spans: int) -> dict[str, Any]:
         "merged": step,
         "t_ms": np.round(t_s[begins] * 1000).astype(int).tolist(),
         "ratio": hundredths.tolist(),
+        "p": np.where(np.isfinite(p), np.round(p * 100), -1).astype(int).tolist(),
         "stance": _merged(trace.stance, spans),
         "contact": _merged(trace.contact, spans),
         "truth": None if trace.truth is None else _merged(trace.truth, spans),
@@ -174,6 +177,7 @@ def _png(traces: Sequence[LegTrace], title: str, mark_s: float | None) -> bytes:
                 bars = [(begin, end - begin) for begin, end in spans]
                 axis.broken_barh(bars, (-0.4 - 0.35 * place, 0.28), color=colour)
         axis.plot(trace.t_s, np.minimum(trace.ratio, _TOP_RATIO), color="#34495e", lw=0.7)
+        axis.plot(trace.t_s, trace.p, color=_P_COLOUR, lw=0.7)
         axis.axhline(1.0, color="#34495e", lw=0.8, ls="--")
         for kind, (_, colour, mark) in _STYLE.items():
             at = [touch.at_s for touch in trace.touches if touch.kind == kind]
@@ -188,6 +192,7 @@ def _png(traces: Sequence[LegTrace], title: str, mark_s: float | None) -> bytes:
     axes[-1].set_xlabel("time since the first sample, s")
     keys: list[Any] = [Patch(color=colour, label=name) for name, colour in _STRIPS]
     keys.append(Line2D([], [], color="#34495e", lw=1, label="test ratio (1 = threshold)"))
+    keys.append(Line2D([], [], color=_P_COLOUR, lw=1, label="p, that the foot carries"))
     keys.append(Line2D([], [], color="#34495e", lw=1, ls=":", label="command"))
     keys.append(Line2D([], [], color="#34495e", lw=1, ls="--", label="prediction"))
     keys += [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -14,6 +14,9 @@ from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.wire import JSON, MAX_PAYLOAD_BYTES, ContactEvent, Rejected, decode
+
+if TYPE_CHECKING:
+    from adaptive_contact.robot import Robot
 
 # Of a file of events: some 17 hours of a hexapod that walks, and 300 MB of memory.
 _MOST_LINES: Final = 500_000
@@ -36,6 +39,15 @@ def score(
             "FILE.jsonl",
         ),
     ] = None,
+    frozen: Annotated[
+        bool,
+        option(
+            "--frozen",
+            "Score replays instead: the product's, and that of its detector with the baseline "
+            "never updated.",
+        ),
+    ] = False,
+    baseline: opt.BaselineOption = None,
     json: opt.JsonOption = False,
     config: opt.ConfigOption = None,
     from_s: Annotated[float, seconds_option("--from", "Judge swings from here on.")] = 0.0,
@@ -52,11 +64,23 @@ def score(
     if not from_s < end_s:
         raise ConfigurationError(f"--from {from_s} is not before --to {end_s}; swap them")
     robot = opt.recorded_robot(config, [recording])
-    given = None if events is None else read_events(events)
-    source = read_recording(recording, robot)
-    robots = OneRobot(source)
+    if frozen and events is not None:
+        raise ConfigurationError("--frozen replays the recording itself; leave out --events")
+    if baseline is not None and not frozen:
+        raise ConfigurationError(
+            "--baseline is for --frozen: recorded events are scored as they are"
+        )
+    of: dict[str, list[ContactEvent] | None] = (
+        _replayed(recording, robot, config, baseline)
+        if frozen
+        else {"": None if events is None else read_events(events)}
+    )
+    results = {}
     try:
-        result = score_messages(robots, robot, given, from_s=from_s, to_s=end_s)
+        for name, given in of.items():
+            source = read_recording(recording, robot)
+            robots = OneRobot(source)
+            results[name] = score_messages(robots, robot, given, from_s=from_s, to_s=end_s)
     except RecordingError as error:
         if robots.spoilt(robot) and not anyway:
             raise _nothing_judged(recording) from error
@@ -73,10 +97,42 @@ def score(
         say_note(f"{recording}: {source.damage}")
     if json:
         about = {"recording": str(recording), "truncated": source.truncated}
-        say_json(about | as_json(result), indent=2)
+        found = {name: as_json(result) for name, result in results.items()}
+        say_json(about | (found if frozen else found[""]), indent=2)
         return
+    for name, result in results.items():
+        if name:
+            table_console().print(f"\n{name}", style="bold")
+        table_console().print(as_table(result))
 
-    table_console().print(as_table(result))
+
+def _replayed(
+    recording: Path, robot: Robot, config: Path | None, baseline: Path | None
+) -> dict[str, list[ContactEvent] | None]:
+    """Events of the product, and of the same detector with its baseline never updated."""
+    from adaptive_contact.bank import LearnerBank
+    from adaptive_contact.learn.mode import LearnerMode
+    from adaptive_contact.service.one_robot import OneRobot
+    from adaptive_contact.service.recording import read_recording
+    from adaptive_contact.service.replay import Counts, replay_events
+
+    learned, _ = opt.learned_of(robot, config, baseline)
+    if learned is None:
+        raise ConfigurationError(
+            "--frozen needs a baseline, which is never updated there; make one with "
+            "`adaptive-contact fit`, and give it with --baseline"
+        )
+    names = {"product": LearnerMode.FULL, "frozen": LearnerMode.FROZEN}
+    return {
+        name: list(
+            replay_events(
+                OneRobot(read_recording(recording, robot)),
+                LearnerBank(robot, learned, mode=mode),
+                Counts(),
+            )
+        )
+        for name, mode in names.items()
+    }
 
 
 def _nothing_judged(recording: Path) -> RecordingError:

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Ints
 from adaptive_contact.checks.information import NEEDED_SAMPLES, InformationCheck, Kind, Samples
 from adaptive_contact.detect.detector import unwrap
 from adaptive_contact.detect.layout import (
@@ -36,17 +37,20 @@ from adaptive_contact.robot import Leg
 from adaptive_contact.wire import Doubt, ServoSample
 
 SOURCE_CAUSES: Final[tuple[Doubt | None, ...]] = (None, "echo", "phase", "stale")
-_FALSE: Final[dict[Kind, int]] = {"copy": ECHO, "held": STALE, "old": STALE}
+_FALSE: Final[dict[Kind, int]] = {"copy": ECHO, "held": STALE, "old": STALE, "twin": STALE}
 _SAID: Final[dict[Kind, str]] = {
     "copy": "measured copies desired ({names}): publish the positions that the servos report",
     "held": (
         "readings are held for three ticks and more ({names}): read every servo in every tick"
     ),
     "old": (
-        "measured follows an earlier desired, or another leg's: publish the positions that this "
-        "leg's servos report now"
+        "measured follows an earlier desired: publish the positions that the servos report now"
     ),
+    "twin": "measured is that of leg '{twin}': publish each leg's own positions",
 }
+# Legs that read the same to the last bit for so many ticks, in which a joint goes so many steps.
+TWIN_TICKS: Final = 40
+TWIN_STEPS: Final = 10.0
 # Deviations above this, root mean square in periods, are worth a line to a person.
 NOTED_JITTER: Final = 0.15
 _JITTER_CAUSES: Final[dict[bool | None, str]] = {
@@ -64,6 +68,7 @@ class SourceWatch:
         self._place = place
         self._check = InformationCheck(len(leg.joints), place.leg.quantum)
         self._since_ns = 0
+        self._twin = ""  # leg of the same readings
 
     @property
     def cause(self) -> Doubt | None:
@@ -93,12 +98,9 @@ class SourceWatch:
             check.restart()
         if not flags & (BEGAN | TURNED):
             return
-        batch, row = self._place.batch, self._place.row
-        at = np.arange(max(leg.kept_n - NEEDED_SAMPLES, 0), leg.kept_n) % KEPT
-        stamps = batch.kept_stamps[row, at]
-        measured, desired = np.split(batch.kept_angles[row, at], 2, axis=1)
-        samples = Samples(stamps[:, 1], measured, desired)
-        if check.look(leg.kept_n, samples, begins=bool(flags & BEGAN), known=known):
+        samples, stamps = self._newest(self._place.row)
+        begins, twin = bool(flags & BEGAN), self._find_twin(samples)
+        if check.look(leg.kept_n, samples, begins=begins, known=known, twin=twin):
             found = check.found
             leg.false_readings = NONE if found is None else _FALSE[found.kind]
             if found is not None:
@@ -116,7 +118,34 @@ class SourceWatch:
         if cause is None or found is None:
             return None
         names = ", ".join(self._leg.joints[joint] for joint in found.joints)
-        return f"{_SAID[found.kind].format(names=names)}; no contacts are reported until then"
+        said = _SAID[found.kind].format(names=names, twin=self._twin)
+        return f"{said}; no contacts are reported until then"
+
+    def _newest(self, row: int) -> tuple[Samples, Ints]:
+        """Return the newest samples of a leg of the batch, and their (n, 3) stamps."""
+        batch = self._place.batch
+        count = int(batch.legs["kept_n"][row])
+        at = np.arange(max(count - NEEDED_SAMPLES, 0), count) % KEPT
+        stamps = batch.kept_stamps[row, at]
+        measured, desired = np.split(batch.kept_angles[row, at], 2, axis=1)
+        return Samples(stamps[:, 1], measured, desired), stamps
+
+    def _find_twin(self, samples: Samples) -> Samples | None:
+        """Return the samples of a leg of the batch that sends the same readings while it moves."""
+        batch, newest = self._place.batch, samples.measured[-TWIN_TICKS:]
+        if np.ptp(newest, axis=0).max() < TWIN_STEPS * self._place.leg.quantum:
+            return None
+        for row in range(batch.count):
+            last = int(batch.legs["kept_n"][row]) - 1
+            if row == self._place.row or last < TWIN_TICKS:
+                continue
+            read = batch.kept_angles[row, last % KEPT, : newest.shape[1]]
+            if np.array_equal(read, newest[-1]):
+                other = self._newest(row)[0]
+                if np.array_equal(other.measured[-TWIN_TICKS:], newest):
+                    self._twin = batch.described[row].id
+                    return other
+        return None
 
 
 class RateWatch:

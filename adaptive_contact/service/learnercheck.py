@@ -59,6 +59,10 @@ def about_learner(
     elif status.doubt == "echo":
         if Cause.ECHO not in causes:
             yield Fault.of("echo", note, key="some")
+    elif status.doubt == "stale":
+        stale = Cause.HELD if "held" in note else Cause.TWINS if "of leg" in note else Cause.OLD
+        if stale not in causes:
+            yield Fault.of(str(stale), note, key="some")
     elif status.doubt == "phase":
         yield Fault.of("phase-swapped", key="swapped")
     elif status.doubt == "publishers":

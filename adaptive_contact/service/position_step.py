@@ -134,5 +134,5 @@ def _by_lines(turns: Array) -> float:
     counts = np.bincount(line)
     if len(counts) < _LEAST_LINES:
         return 0.0
-    means = [np.bincount(line, part) / counts for part in (vectors.real, vectors.imag)]
-    return float(np.hypot(*(mean.mean() for mean in means)))
+    real, imag = (np.bincount(line, part) / counts for part in (vectors.real, vectors.imag))
+    return float(np.hypot(real.mean(), imag.mean()))

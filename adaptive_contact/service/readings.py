@@ -124,14 +124,16 @@ def check_readings(
         return
     phases = [s.phase for s, usable in zip(samples, kept, strict=True) if usable]
     known = None if None in phases else np.array([phase == "swing" for phase in phases])
+    near = np.median(np.abs(measured - desired), axis=0) <= _FAR_RAD
     found = survey(Samples(seq, measured, desired), known, quantum_rad or _EQUAL_RAD)
-    for cause, always in (("echo", True), ("near_echo", False)):
-        of_cause = [j for j, never in found.copies.items() if never is always]
+    for cause, joints in (("echo", found.copies), ("near_echo", found.strides)):
+        # A copy is near its command; what is far from it has another fault.
+        of_cause = [j for j in joints if near[j]]
         if of_cause:
             every = len(of_cause) == len(names)
             which = None if every else ", ".join(names[j] for j in of_cause)
             yield Fault.of(cause, which, key="" if every else "some")
-            if always:
+            if cause == "echo":
                 return
     if found.old:
         yield Fault.of("old")

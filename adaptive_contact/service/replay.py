@@ -266,6 +266,7 @@ class LegTrace:
     leg: str
     t_s: Array  # (n,) of its samples
     ratio: Array  # (n,) test ratio, NaN where the tick could not be judged
+    p: Array  # (n,) probability that the foot carries, NaN while unknown
     stance: Spans  # spans of commanded stance
     contact: Spans  # spans of reported contact
     truth: Spans | None  # spans of true contact; None where the recording has no truth
@@ -311,6 +312,7 @@ class TraceBank:
         self._bank = bank
         self._t_ns: dict[str, array[int]] = {}
         self._ratio: dict[str, array[float]] = {}
+        self._p: dict[str, array[float]] = {}
         self._curves: dict[str, Curves] = {}
         self._events: list[ContactEvent] = []
 
@@ -326,12 +328,15 @@ class TraceBank:
             learner = self._bank.learner(leg)
             if learner is None:
                 continue
-            judged = learner.judged() if self._judged_ns(leg) != before[leg] else None
+            used = self._judged_ns(leg) != before[leg]
+            judged = learner.judged() if used else None
             ratio = np.nan
             if judged is not None and np.any(np.isfinite(judged.scores)):
                 ratio = float(np.nanmax(judged.scores))
             self._t_ns.setdefault(leg, array("q")).append(sample.t_ns)
             self._ratio.setdefault(leg, array("d")).append(ratio)
+            p = learner.state.p if used else None
+            self._p.setdefault(leg, array("d")).append(np.nan if p is None else p)
             self._draw(leg, sample, None if judged is None else judged.residual)
         self._bank.finish()
         self._events += events
@@ -397,6 +402,7 @@ class TraceBank:
             leg=leg,
             t_s=(t_ns - start_ns) / _NS_PER_S,
             ratio=ratio,
+            p=np.array(self._p[leg], dtype=np.float64),
             stance=stance,
             contact=reported,
             truth=truth,

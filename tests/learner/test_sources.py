@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
+from adaptive_contact.bank import LearnerBank
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.leg_learner import ContactLearner as Learner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Label, LabelledSwing
-from adaptive_contact.robot import Robot
+from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.wire import ContactEvent, Doubt, ServoSample
+from adaptive_contact_sim import SimulationSettings, WalkSettings, record_arrays
 
 from .conftest import FakeLeg, play, samples
 from .ticks import Tick, rows_of
@@ -317,3 +320,27 @@ def test_turned_readings_are_a_foot_that_does_not_rise(robot: Robot, baseline: B
     play(learner, made[: 34 * PERIOD])
     assert learner.status.status == "ambiguous"
     assert learner.status.doubt in ("held", "far")
+
+
+def test_a_leg_that_sends_another_legs_readings_is_named_and_the_other_goes_on() -> None:
+    """One variable for two publishers, for some strides."""
+    robot = shipped_robot()
+    settings = SimulationSettings(motion=WalkSettings(), seed=3)
+    run = record_arrays(settings, 22.0)
+    legs = {name: samples(of.measured, of.desired, of.swing) for name, of in run.legs.items()}
+    bank = LearnerBank(robot, shipped_baseline(robot.name))
+    begin, end, within = 400, 800, list[str | None]()
+    for k in range(1100):
+        tick = {name: stream[k] for name, stream in legs.items() if name in ("lf", "lm", "rr")}
+        if begin <= k < end:
+            tick["lf"] = msgspec.structs.replace(tick["lf"], measured=tick["rr"].measured)
+        bank.update(tick)
+        learner, owner = bank.learner("lf"), bank.learner("rr")
+        assert learner is not None
+        assert owner is not None
+        assert owner.report.doubt != "stale"
+        if begin + 300 <= k < end:
+            within.append(learner.report.doubt)
+            assert "measured is that of leg 'rr'" in (learner.status.note or "")
+    assert set(within) == {"stale"}
+    assert learner.report.source.cause is None

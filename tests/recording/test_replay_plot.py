@@ -48,6 +48,7 @@ def trace(leg: str = "lf", ticks: int = 100, *touches: Touch) -> LegTrace:
         leg=leg,
         t_s=np.arange(ticks) * 0.02,
         ratio=ratio,
+        p=np.where(np.arange(ticks) < ticks // 2, np.nan, 0.75),
         stance=[(0.0, 0.5)],
         contact=[(0.1, 0.4)],
         truth=[(0.1, 0.45)],
@@ -170,6 +171,8 @@ def test_a_long_recording_is_drawn_in_bounded_size_without_losing_a_peak(tmp_pat
     held = data_of(out.read_text())
     (leg,) = held["legs"]  # type: ignore[misc]
     assert max(leg["ratio"]) == 750
+    assert leg["p"] == sorted(leg["p"])  # unknown, then 75 %
+    assert set(leg["p"]) == {-1, 75}
     assert leg["merged"] == 3
     assert held["left_out"] == 10_001
     assert any(touch["kind"] == "miss" for touch in held["touches"])  # type: ignore[attr-defined]

@@ -152,20 +152,26 @@ def test_a_recording_names_its_robot(tmp_path: Path) -> None:
     path, events = tmp_path / "leg.mcap", tmp_path / "leg.jsonl"
     record_file(dataclasses.replace(base, motion=motion, seed=31), 60.0, path)
     command = (sys.executable, "-m", "adaptive_contact")
-    out = ""
+    out = []
     for arguments in (
         ("replay", str(path), "--events", str(events)),
         ("score", str(path), "--events", str(events), "--json"),
+        ("score", str(path), "--frozen", "--json"),
     ):
         done = subprocess.run(
             [*command, *arguments], capture_output=True, text=True, timeout=600, check=True
         )
         assert "taken for the shipped robot 'leg5' (leg; 20 ms)" in done.stderr
-        out = done.stdout
-    found = json.loads(out)
-    assert found["counted"]["touches"] > 20
-    assert found["counted"]["found"] >= found["counted"]["touches"] - 1
-    assert found["false_alarms"] <= 1
+        out.append(done.stdout)
+    replayed, both = json.loads(out[1]), json.loads(out[2])
+    for found in (replayed, both["product"], both["frozen"]):
+        assert found["counted"]["touches"] == replayed["counted"]["touches"] > 20
+        assert found["counted"]["found"] >= found["counted"]["touches"] - 1
+        assert found["false_alarms"] <= 1
+    arguments = ("score", str(path), "--frozen", "--events", str(events))
+    done = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "leave out --events" in done.stderr
 
 
 @pytest.mark.parametrize(("gait", "seconds"), [("trot", 10.0), ("walk", 20.0)])
