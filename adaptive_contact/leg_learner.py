@@ -194,6 +194,7 @@ class ContactLearner:
         self.place.restart_swing()
         self._swing.restart()
         self._labels.restart()
+        self.report.source.reset()
         self._begin()
 
     def count(self, reason: Reject, times: int = 1) -> None:

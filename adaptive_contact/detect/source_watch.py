@@ -66,9 +66,14 @@ class SourceWatch:
     def __init__(self, leg: Leg, place: LegPlace) -> None:
         self._leg = leg
         self._place = place
-        self._check = InformationCheck(len(leg.joints), place.leg.quantum)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was found, and what the leg has shown of itself."""
+        self._check = InformationCheck(len(self._leg.joints), self._place.leg.quantum)
         self._since_ns = 0
         self._twin = ""  # leg of the same readings
+        self._place.leg.false_readings = NONE
 
     @property
     def cause(self) -> Doubt | None:
