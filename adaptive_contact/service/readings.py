@@ -18,7 +18,7 @@ from adaptive_contact.checks.information import Samples, held_share, survey
 from adaptive_contact.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
 from adaptive_contact.service.findings import Fault
-from adaptive_contact.service.position_step import STEP_TOLERANCE, position_step
+from adaptive_contact.service.position_step import LEAST_STEP_RAD, STEP_TOLERANCE, position_step
 from adaptive_contact.wire import ServoSample
 from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
 
@@ -40,6 +40,11 @@ _FAR_RAD: Final = 0.4
 _BEYOND_RAD: Final = 2 * math.pi + 0.1
 _BEYOND_TURNS_RAD: Final = 8 * math.pi
 _BACKWARDS_CORRELATION: Final = -0.7
+# Copies of the command of up to so many ticks before: of the ticks in which it moves, at speeds
+# that differ by so many steps a tick, this share is within one step, which is what rounding leaves.
+_COPY_LAGS: Final = 12
+_COPY_SHARE: Final = 0.98
+_COPY_SPEEDS: Final = 3.0
 # Ticks that comparing a joint's motion with its command's needs.
 _FEWEST_MOVING: Final = 50
 # Readings that are held: of the ticks in which a joint goes a step a tick and more, over so many
@@ -126,9 +131,15 @@ def check_readings(
     known = None if None in phases else np.array([phase == "swing" for phase in phases])
     near = np.median(np.abs(measured - desired), axis=0) <= _FAR_RAD
     found = survey(Samples(seq, measured, desired), known, quantum_rad or _EQUAL_RAD)
-    for cause, joints in (("echo", found.copies), ("near_echo", found.strides)):
+    copies = set(found.copies)
+    # Without phase nobody knows whether the leg carried: a stiff servo in the air is no copy.
+    sure = copies if known is not None and known.any() and not known.all() else set()
+    for j, (read, told) in enumerate(zip(measured.T, desired.T, strict=True)):
+        if _delayed(read, told, seq, quantum_rad):
+            sure = sure | {j}
+    for cause, joints in (("echo", sure), ("near_echo", (copies | set(found.strides)) - sure)):
         # A copy is near its command; what is far from it has another fault.
-        of_cause = [j for j in joints if near[j]]
+        of_cause = [j for j in sorted(joints) if near[j]]
         if of_cause:
             every = len(of_cause) == len(names)
             which = None if every else ", ".join(names[j] for j in of_cause)
@@ -192,6 +203,27 @@ def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> 
 def _far_out(angles: Array) -> Array:
     """(J,) how far out angles reach, but for one in a hundred."""
     return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
+
+
+def _delayed(measured: Array, desired: Array, seq: Ticks, step_rad: float | None) -> bool:
+    """Whether a joint's readings are commands of some ticks before, exact or rounded."""
+    fine = step_rad is not None and step_rad < LEAST_STEP_RAD  # no finer one can be found
+    own_rad = position_step(measured, step_rad) or (step_rad if fine else None) or _EQUAL_RAD
+    for lag in range(min(_COPY_LAGS, len(seq) - 2) + 1):
+        # Rows whose command ``lag`` ticks before is known, and had moved.
+        k = np.arange(lag + 1, len(seq))
+        speeds = np.abs(desired[k - lag] - desired[k - lag - 1]) / own_rad
+        known = (seq[k] - seq[k - lag - 1] == lag + 1) & (speeds > 0.5)
+        k, speeds = k[known], speeds[known]
+        if len(k) < _FEWEST_MOVING:
+            continue
+        slow, fast = np.quantile(speeds, (0.05, 0.95))
+        off = np.sort(measured[k] - desired[k - lag])
+        inside = math.ceil(_COPY_SHARE * len(k))
+        width = (off[inside - 1 :] - off[: len(k) - inside + 1]).min()
+        if fast - slow > _COPY_SPEEDS and width <= own_rad:
+            return True
+    return False
 
 
 def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[Fault]:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import random
 import socket
 import threading
 from collections.abc import Callable
@@ -33,13 +34,16 @@ FACTS = LegFacts(joints=["coxa", "femur", "tibia"], lengths=True)
 
 
 def stream(n: int = 150, **fields: Any) -> list[ServoSample]:
-    """Three seconds of a leg that swings, the servos 0.03 rad behind their commands."""
+    """Three seconds of a leg that swings, the servos 0.03 rad behind their commands, and noise."""
+    rng = random.Random(1)
     return [
         ServoSample(
             **{
                 "t_ns": k * 20_000_000,
                 "seq": k,
-                "measured": [0.4 * math.sin(0.2 * k - 0.1 * j) for j in range(3)],
+                "measured": [
+                    0.4 * math.sin(0.2 * k - 0.1 * j) + rng.gauss(0.0, 0.004) for j in range(3)
+                ],
                 "desired": [0.4 * math.sin(0.2 * k - 0.1 * j + 0.08) for j in range(3)],
                 "phase": "swing" if k % 50 < 30 else "stance",
                 "run": 1,
