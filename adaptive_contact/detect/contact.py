@@ -113,8 +113,11 @@ def model_uncertainty(theta, index, per_scale, root, size, joint):
 
 
 @stage
-def statistic(leg, noise, history):
+def statistic(leg, noise, history, gradient, upward):
     """Fill the (windows,) test ratios, NaN where a window reaches too far back.
+
+    A foot about to stand has arrived, and what it is predicted to do says little of where the
+    ground is: ``upward``, a push along the (J,) gradient of the foot's height counts as well.
 
     Returns:
         The squared distance of the last residual from zero, whitened.
@@ -128,16 +131,19 @@ def statistic(leg, noise, history):
         for j in range(joints):
             sums[0, j] += history[0, width, j]
             sums[1, j] += history[1, width, j]
-        square = product = way = 0.0
+        square = product = way = lift = steep = 0.0
         for r in range(joints):
-            of_residual = of_increment = 0.0
+            of_residual = of_increment = of_height = 0.0
             for c in range(joints):
                 w = whiten[leg.context, width, r, c] * shrink[c]
                 of_residual += w * sums[0, c]
                 of_increment += w * sums[1, c]
+                of_height += w * gradient[c]
             square += of_residual * of_residual
             product += of_residual * of_increment
             way += of_increment * of_increment
+            lift += of_residual * of_height
+            steep += of_height * of_height
         if width == 0:
             distance = square
             leg.opposed = -product / math.sqrt(way) if way > 0.0 else 0.0
@@ -146,6 +152,8 @@ def statistic(leg, noise, history):
         else:
             limit = noise.limits[direction_of(leg, width + 1), width]
             scores[width] = product * product / (way * limit) if product < 0.0 else 0.0
+            if upward and lift > 0.0:
+                scores[width] = max(scores[width], lift * lift / (steep * limit))
     return distance
 
 
@@ -153,9 +161,10 @@ def statistic(leg, noise, history):
 def strikes(leg, history):
     """Return whether a foot in its lift has lost so much of its way that it has struck something.
 
-    A foot that lets go late, or is slow in what it can do, loses less.
+    A foot that lets go late, or is slow in what it can do, loses less.  While it is not known when
+    readings are of, nothing is a strike.
     """
-    if leg.ticks * leg.period_ns < STRIKE_NS or not leg.sure:
+    if leg.ticks * leg.period_ns < STRIKE_NS or not leg.sure or leg.clock_left:
         return False
     way = along = 0.0
     for j in range(history.shape[2]):

@@ -84,6 +84,7 @@ from adaptive_contact.detect.swing import (
     follow_command,
     follow_foot,
     forget_phase,
+    height_gradient,
     place_foot,
 )
 from adaptive_contact.model.noise import DESCENT, LIFT
@@ -139,7 +140,7 @@ def judge_tick(handed):
         follow_swing(leg, sample, source, swing, past, model)
         watch_source(leg, past)
         if leg.has_model and read(leg, sample, swing, past, model, kept):
-            weigh(leg, sample, past, noise)
+            weigh(leg, sample, swing, past, noise)
             was_free, past_lift = decide(leg, swing, past, model, noise, kept)
             leg.weighed |= past_lift and leg.usable > 0 and not leg.loaded
             hold_back(leg, swing, past, noise, kept, was_free, past_lift)
@@ -265,7 +266,7 @@ def read(leg, sample, swing, past, model, kept):
 
 
 @stage
-def weigh(leg, sample, past, noise):
+def weigh(leg, sample, swing, past, noise):
     """Weigh the residual: its variance in this tick, the statistic, the test ratios."""
     history, sigma, unit = past.history, noise.sigma, noise.unit
     joints = len(unit)
@@ -290,7 +291,10 @@ def weigh(leg, sample, past, noise):
                 unit[j] += by * by
     for j in range(joints):
         noise.shrink[j] = 1.0 / math.sqrt(unit[j])
-    leg.squared = statistic(leg, noise, history)
+    upward = leg.after > 0 and leg.has_lengths and not leg.after_known
+    if upward:
+        height_gradient(swing.last_measured, swing.links, swing.axis_kinds, swing.gradient)
+    leg.squared = statistic(leg, noise, history, swing.gradient, upward)
     if not leg.bad:
         note_fit(leg, leg.squared * leg.variance_scale / joints)
 

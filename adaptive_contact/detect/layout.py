@@ -123,6 +123,7 @@ LEG: Final = np.dtype(
         ("inflated", b1),  # the covariance is
         ("from_prior", b1),  # the model goes on from a prior
         ("sure", b1),  # the leg is judged by a model that fits it
+        ("after_known", b1),  # its noise after the turn to stance is
         # Description.
         ("has_lengths", b1),  # geometry is known: `lengths_m`
         ("leg_size", f8),  # of the leg, in the hexapod's; limits of lengths are in proportion
@@ -321,7 +322,7 @@ def scalars_of(legs: NDArray[np.void], row: int) -> Any:
 
 # Write the first scalars of a leg in one call each; one by one they take four times as long.
 SAMPLE: Final = struct.Struct("3qi3?")
-FREE: Final = struct.Struct("d4?")
+FREE: Final = struct.Struct("d5?")
 assert LEG.fields is not None
 FREE_AT: Final[int] = LEG.fields["variance_scale"][1]
 

@@ -373,7 +373,7 @@ class LegPlace:
         leg, batch, row, before = self.leg, self.batch, self.row, self._judged_by
         self._write_free(
             free.variance_scale, free.changed, free.covariance is not None, free.from_prior,
-            free.sure,
+            free.sure, free.after_known,
         )  # fmt: skip
         if before is None or free.whiten is not before.whiten:
             batch.whiten[row] = free.whiten

@@ -208,6 +208,7 @@ class Adapter:
             active.from_prior,
             changed,
             self.status == "valid" and not changed,
+            noise.after_known,
             noise.whiten,
             noise.thresholds,
             self.candidate.domain,

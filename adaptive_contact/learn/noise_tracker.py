@@ -170,6 +170,11 @@ class NoiseTracker:
         self._due = 1 + -(-segments // SEGMENTS_PER_TICK)
 
     @property
+    def after_known(self) -> bool:
+        """Whether what the leg does after the turn to stance, in the air, is known."""
+        return self._peaks is not None and not bool(np.isnan(self._peaks.largest[AFTER]).any())
+
+    @property
     def refreshing(self) -> bool:
         """Whether a refresh is under way, for :meth:`go_on`."""
         return self._next is not None

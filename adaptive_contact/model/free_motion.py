@@ -31,6 +31,7 @@ class FreeMotion(NamedTuple):
     # the leg may differ from its model, which is of before a change, or of a prior
     changed: bool
     sure: bool  # the leg is as its model says: not changed, and valid by its status
+    after_known: bool  # whitening and thresholds after the turn are of the leg itself
     whiten: Array  # (contexts, windows, J, J) of sums of residuals
     thresholds: Array  # (directions, windows) of the statistic
     domain: Domain | None  # where the model has been; None if that is not known

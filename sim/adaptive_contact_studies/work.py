@@ -36,6 +36,7 @@ SIMULATOR: Final = ("adaptive_contact_sim", "adaptive_contact.robot")
 LEARNER: Final = (
     *("adaptive_contact.arrays", "adaptive_contact.bank", "adaptive_contact.compiled"),
     *("adaptive_contact.leg_learner", "adaptive_contact.leg_report", "adaptive_contact.detect"),
+    *("adaptive_contact.checks", "adaptive_contact.notes"),
     *("adaptive_contact.conventions", "adaptive_contact.diagnose", "adaptive_contact.fit"),
     *("adaptive_contact.learn", "adaptive_contact.model", "adaptive_contact.robot"),
     *("adaptive_contact.score", "adaptive_contact_models"),

@@ -22,4 +22,4 @@ def test_a_loop_that_is_late_finds_its_touches(loop: str, seed: int) -> None:
     assert total.counted.touches > 90
     assert total.counted.recall is not None
     assert total.counted.recall >= 0.95
-    assert total.false_alarms <= 2
+    assert total.false_alarms <= 3

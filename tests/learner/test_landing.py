@@ -87,8 +87,9 @@ def test_a_swing_that_only_the_next_one_ends_is_learned_in_the_second_half(
     assert grown >= 5
 
 
-def test_a_touch_takes_predicted_motion_away_before_the_turn_and_after(
-    robot: Robot, baseline: Baseline
+@pytest.mark.parametrize("upward", [False, True])
+def test_a_touch_takes_predicted_motion_away_or_pushes_the_foot_up(
+    robot: Robot, baseline: Baseline, upward: bool
 ) -> None:
     """The verdict against the formula, for residuals of any direction; a window that reaches back
     into the swing has the thresholds of swings."""
@@ -105,13 +106,15 @@ def test_a_touch_takes_predicted_motion_away_before_the_turn_and_after(
     for trial in range(200):
         after = leg["after"] = trial % 5  # ticks since the turn to stance
         residual, motion = rng.normal(0.0, 0.02, (2, 3, 3))
-        square = statistic(leg, noise, np.stack([residual, motion]))
+        gradient = rng.normal(0.0, 0.1, 3)
+        square = statistic(leg, noise, np.stack([residual, motion]), gradient, upward)
         for w in (1, 2, 3):
             whiten = recent.whiten[int(leg["context"])][w - 1]
             z, u = whiten @ residual[:w].sum(axis=0), whiten @ motion[:w].sum(axis=0)
             along = float(z @ u) / float(np.sqrt(u @ u))
             limit = recent.thresholds[AFTER if w < after else DESCENT, w - 1]
-            expected = along**2 / limit if along < 0.0 else 0.0
+            up = float(z @ whiten @ gradient) / float(np.linalg.norm(whiten @ gradient))
+            expected = max(-along, up if upward else 0.0, 0.0) ** 2 / limit
             assert scores[w - 1] == pytest.approx(expected, rel=1e-9)
             told[along < 0.0] += 1
             if w == 1:

@@ -58,7 +58,8 @@ def decided(
             )
         )
         if event is not None:
-            events.append(event)
+            # Where the foot is, is as large as the leg.
+            events.append(msgspec.structs.replace(event, foot_m=None, foot_sd_m=None))
     return events, learner.drain_confirmed()
 
 

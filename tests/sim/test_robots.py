@@ -204,7 +204,7 @@ def test_the_quadrupeds_baseline_finds_its_touches(gait: str, seconds: float) ->
         every = [o.tick for o in stream.onsets]
         alarms += sum(not any(-2 <= at - onset <= 50 for onset in every) for at in begun)
     assert touches > 20
-    assert found >= 0.97 * touches
+    assert found >= touches - 1  # one of a walk is seen as the next swing lifts off
     assert alarms <= 1
 
 
