@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Iterator, Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import Final
 from urllib.parse import unquote
 
@@ -78,7 +78,7 @@ def installed_from() -> str | None:
         with contextlib.suppress(metadata.PackageNotFoundError, ValueError, KeyError):
             url = json.loads(metadata.distribution(name).read_text("direct_url.json") or "")["url"]
             path = unquote(url.removeprefix("file://"))
-            if url.startswith("file://") and os.path.exists(path):  # noqa: PTH110
+            if url.startswith("file://") and Path(path).exists():
                 return path
     return None
 

@@ -355,7 +355,7 @@ class ContactLearner:
             return False
         moved = adapter.tick(ROWS_PER_TICK) if adapter.busy else adapter.pass_tick()
         if assessed:
-            # Of readings that may be copies, the model would be learned anew.
+            # Of readings that may be copies, the model would be learned again.
             suspected = self.report.source.suspected
             if adapter.monitor.unfit and self.place.leg.ticks and not suspected:
                 # Taken up behind the tick: its command is then the first of the next model's past.

@@ -138,7 +138,8 @@ def statistic(leg, noise, history, gradient, upward):
                 w = whiten[leg.context, width, r, c] * shrink[c]
                 of_residual += w * sums[0, c]
                 of_increment += w * sums[1, c]
-                of_height += w * gradient[c]
+                if upward:
+                    of_height += w * gradient[c]
             square += of_residual * of_residual
             product += of_residual * of_increment
             way += of_increment * of_increment
@@ -363,7 +364,7 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient):
 
 
 @stage
-def enter_row(leg, swing, past, noise, kept, value, ratio, was_free, past_lift):
+def enter_row(leg, swing, past, noise, kept, was_free, past_lift):
     """Hold a judged tick back until its swing is resolved.
 
     Args:
@@ -373,8 +374,6 @@ def enter_row(leg, swing, past, noise, kept, value, ratio, was_free, past_lift):
         noise: what residuals are weighed by.
         kept: where the row goes; one of ``row_values`` is as
             :class:`~adaptive_contact.model.labelled_swing.Rows` has it.
-        value: the statistic of one tick.
-        ratio: the test ratio, the largest over the windows.
         was_free: the leg had been free before this tick, and does not touch.
         past_lift: the command is past the lift.
     """
@@ -403,8 +402,11 @@ def enter_row(leg, swing, past, noise, kept, value, ratio, was_free, past_lift):
             leg.commanded_n = max(leg.commanded_n - 1, 0)
     row = rows[at]
     row.nis = leg.squared * leg.variance_scale / joints
-    row.value = value
-    row.ratio = ratio
+    scores = noise.scores
+    row.value, row.ratio = scores[0] * noise.limits[direction_of(leg, 1), 0], scores[0]
+    for width in range(1, DEPTH):
+        if scores[width] > row.ratio:
+            row.ratio = scores[width]
     row.context = leg.context
     row.t_ns = leg.at_ns
     row.was_free, row.cleared, row.push, row.repeats = was_free, leg.cleared, False, leg.repeats

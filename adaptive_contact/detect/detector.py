@@ -16,7 +16,6 @@ from adaptive_contact.detect.contact import (
     begin_labels,
     break_off,
     context_of,
-    direction_of,
     enter_row,
     keep_touch,
     let_go,
@@ -339,12 +338,7 @@ def hold_back(leg, swing, past, noise, kept, was_free, past_lift):
     if past_lift and not leg.bad and (was_free or leg.found & TOUCHED):
         note_push(leg, kept.rows)
     if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
-        scores = noise.scores
-        value, ratio = scores[0] * noise.limits[direction_of(leg, 1), 0], scores[0]
-        for width in range(1, DEPTH):
-            if scores[width] > ratio:
-                ratio = scores[width]
-        enter_row(leg, swing, past, noise, kept, value, ratio, was_free, past_lift)
+        enter_row(leg, swing, past, noise, kept, was_free, past_lift)
         if leg.topped and not leg.broken and not leg.top_seen:
             leg.top_seen = True
             leg.found |= TOPPED
