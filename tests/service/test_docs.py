@@ -26,7 +26,6 @@ from adaptive_contact.wire import (
     ServoSample,
     decode,
     encode,
-    servo_key,
 )
 
 ROOT = Path(__file__).parents[2]
@@ -75,27 +74,6 @@ def test_links_lead_somewhere() -> None:
         assert anchor in anchors(TEXT), anchor
     for anchor in re.findall(r"\]\(messages\.md#([^)]*)\)", OPERATING):
         assert anchor in anchors(TEXT), anchor
-
-
-@pytest.mark.e2e
-def test_the_subscriber_in_python_works(
-    serve: Any, command: Any, join: Callable[..., Any], sample: Callable[..., ServoSample]
-) -> None:
-    (code,) = re.findall(r"```python\n(import.*?)```", TEXT, re.DOTALL)
-    served = serve()
-    process = command("-u", "-c", code.replace("tcp/127.0.0.1:7447", served.endpoint), stdout=-1)
-    client = join(served.endpoint)
-    publisher = client.publisher(servo_key("rf"))
-    first: list[str] = []
-    reader = threading.Thread(target=lambda: first.append(process.stdout.readline()))
-    reader.start()
-    # The example says nothing when it has subscribed, so contacts go on until it has seen one.
-    for seq in range(1000):
-        publisher.put(sample(seq, contact=seq % 2 == 1))
-        reader.join(0.02)
-        if not reader.is_alive():
-            break
-    assert re.match(r"rf (touches|lets go) \d+$", first[0])
 
 
 def contacts_code() -> str:
