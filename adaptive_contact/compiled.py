@@ -38,7 +38,6 @@ CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 # What a change of any of them makes void.
 _SOURCES: Final = ("detect", "learn", "model", "robot")
 _WHOLE: Final = "whole"  # empty; there once all of a tick has been compiled, touched by each start
-_UNUSED_S: Final = 90 * 86400.0  # what earlier versions compiled is removed after so long
 
 
 def compiles() -> bool:
@@ -92,7 +91,8 @@ def note_cached() -> None:
         for other in folder.parent.glob("compiled-*"):
             used = other / _WHOLE
             last_s = (used if used.exists() else other).stat().st_mtime
-            if time.time() - last_s > _UNUSED_S:
+            # What earlier versions compiled is removed after so long.
+            if time.time() - last_s > (90 * 86400.0):
                 shutil.rmtree(other, ignore_errors=True)
 
 

@@ -26,12 +26,9 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 # Of the name of a file in the name of the one beside it: a file system allows 255 bytes.
 _NAME_CHARACTERS: Final = 40
 _ADVICE: Final = "give a path in a folder that exists, is writable and has room"
-# Of a text that a person writes; 64 legs of 16 joints, with all that robot.toml says, have 174 kB.
-_MOST_TEXT_BYTES: Final = 256_000
 # In a line of TOML: parts of a key cost the parser their number's square, 4 s for 20,000.  The
 # longest list there is, the origins of 16 joints, has 48.
 _MOST_DOTS: Final = 64
-_APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOCTTY
 
 
 def write_file(
@@ -61,7 +58,9 @@ def read_file(
     path: Path,
     advice: str,
     *,
-    most: int = _MOST_TEXT_BYTES,
+    # Of a text that a person writes; 64 legs of 16 joints, with all that robot.toml says, have 174
+    # kB.
+    most: int = 256_000,
     error: type[AdaptiveContactError] = ConfigurationError,
 ) -> bytes:
     """Read a file that is small.
@@ -191,7 +190,9 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
             raise PermissionError(13, "it is read-only", str(target))
         opened = _beside(target, found)
     else:
-        opened = os.fdopen(os.open(path, _APPEND), "wb")
+        opened = os.fdopen(
+            os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOCTTY), "wb"
+        )
     with opened as file:
         yield file
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -35,9 +35,6 @@ from adaptive_contact.wire import (
     Status,
 )
 
-FAULT_LINE: Final = 160  # characters
-_NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
-
 
 class Counters:
     """Counts for one leg.
@@ -57,7 +54,7 @@ class Counters:
     def fault(self, fault: Exception) -> None:
         """Count a fault in learning, after which the leg was reset."""
         self._faults += 1
-        last = " ".join(f"{type(fault).__name__}: {fault}".split())[:FAULT_LINE]
+        last = " ".join(f"{type(fault).__name__}: {fault}".split())[:160]
         self.fault_note = f"{self._faults} faults in learning, restarted each time; last {last}"
 
     def snapshot(self) -> dict[str, Any]:
@@ -298,7 +295,9 @@ class LegReport:
             None if adapter is None else adapter.note,
             self._labels.unobservable_note,
             self._labels.landings.note,
-            _NO_PREVIEW if self._place.leg.lacking else None,
+            "the model needs a preview that the samples do not carry: no predictions"
+            if self._place.leg.lacking
+            else None,
             self._unjudged_note,
         )
         return next((note for note in notes if note is not None), None)

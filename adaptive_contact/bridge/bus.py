@@ -49,8 +49,6 @@ _ASK_S: Final = 0.0005
 # of 1.0: FF FF id len err.
 _ID2, _LENGTH2, _ERROR2, _DATA2 = 4, 5, 8, 9
 _ID1, _LENGTH1, _ERROR1, _DATA1 = 2, 3, 4, 5
-# Data of an answer to a ping, by protocol.
-_PONG_BYTES: Final = {1: 0, 2: 3}
 
 
 class Fault(enum.StrEnum):
@@ -365,7 +363,8 @@ class Bus:
         Returns:
             The SDK's result, and the model number where the answer holds it (protocol 2.0).
         """
-        answer, result = self._exchange(servo, Instruction.PING, _PONG_BYTES[self.protocol])
+        # Data of an answer to a ping, by protocol.
+        answer, result = self._exchange(servo, Instruction.PING, {1: 0, 2: 3}[self.protocol])
         payload = self._data(answer) if result == COMM_SUCCESS else ()
         number = payload[0] + (payload[1] << 8) if len(payload) >= MODEL_NUMBER.size else None
         return int(result), number

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, Literal
+from typing import Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
 from adaptive_contact.bridge.drive import (
@@ -29,15 +29,9 @@ from adaptive_contact.bridge.tables import Block, Register, ServoModel
 from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.wire import ServoCounts, ServoSample
 
-# A second try after a wrong checksum has to begin within this share of the control period.
-_RETRY_SHARE: Final = 0.4
 # Readings end this share of the period after the tick was due, also if servos are silent, so that
 # goals and samples go out in time; a tick that began late has the other share at the least.
 _END_SHARE, _LEAST_SHARE = 0.9, 0.4
-# Settings of servos that are to be woken are read within this share of the period.
-_LEARN_SHARE: Final = 0.25
-# What alarms are about is asked for this share of the period at most, after the tick's own work.
-_ASK_SHARE: Final = 0.3
 
 
 @dataclasses.dataclass
@@ -205,7 +199,9 @@ class Cycle:
         if not asked:
             return
         first = self._count % len(asked)
-        end_s = now_ns / 1e9 + _ASK_SHARE * self.plan.period_s
+        # What alarms are about is asked for this share of the period at most, after the tick's own
+        # work.
+        end_s = now_ns / 1e9 + 0.3 * self.plan.period_s
         readings = self._read_of(asked[first:] + asked[:first], _state, 0.0, end_s)
         for number, (reading, block) in readings.items():
             if reading.data is not None:
@@ -223,7 +219,8 @@ class Cycle:
 
         asked = due(self.health, self._count, hurry=self._count < self._hurry_until)
         now_s, period_s = now_ns / 1e9, self.plan.period_s
-        self._until_s = now_s + _RETRY_SHARE * period_s
+        # A second try after a wrong checksum has to begin within this share of the control period.
+        self._until_s = now_s + 0.4 * period_s
         self._end_s = max(due_ns / 1e9 + _END_SHARE * period_s, now_s + _LEAST_SHARE * period_s)
         readings = self._read_of(asked, block_of, self._until_s, self._end_s)
         for number, servo in self._servos.items():
@@ -375,7 +372,8 @@ class Cycle:
             block = servo.waker.wanted
             assert block is not None
             by_block.setdefault(block, []).append(servo.joint.servo)
-        left_s = _LEARN_SHARE * self.plan.period_s
+        # Settings of servos that are to be woken are read within this share of the period.
+        left_s = 0.25 * self.plan.period_s
         for block, numbers in by_block.items():
             if left_s <= 0.0:
                 return

@@ -165,12 +165,6 @@ def complaint(command: Command, joints: int) -> str | None:
     return None
 
 
-# A goal this close to where a servo is, or within one step of the easy pace, is where it is.
-_NEAR_STEPS: Final = 2
-# A servo whose goal register has not taken what was written for so many ticks takes nothing.
-_HEEDLESS_TICKS: Final = 25
-
-
 class Standing(NamedTuple):
     """How a servo stands."""
 
@@ -233,7 +227,9 @@ class Waker:
         self._first: dict[str, int] | None = None
         self._most = max(1, math.floor(max_step_rad / joint.model.step_rad + 1e-9))
         easy = int(EASY_SHARE * max_step_rad / joint.model.step_rad)
-        self._near = min(max(_NEAR_STEPS, easy), self._most)
+        # A goal this close to where a servo is, or within one step of the easy pace, is where it
+        # is.
+        self._near = min(max(2, easy), self._most)
         self._proof: list[bytes] = []
         self._written: int | None = None
         self._before: int | None = None
@@ -298,7 +294,9 @@ class Waker:
             kind = misplaced.split(" at ")[0]
             self.trouble = before if before and before.startswith(kind) else misplaced
             return None
-        if self._heedless >= _HEEDLESS_TICKS:
+        # A servo whose goal register has not taken what was written for so many ticks takes
+        # nothing.
+        if self._heedless >= 25:
             self.trouble = (
                 "does not take the goals that are written; check its bus watchdog, and whether "
                 "another program writes to this bus"

@@ -36,7 +36,6 @@ Place = tuple[int, Literal[1, 2]]
 
 # Rates that servos are delivered with, and those set most; then others that they can have.
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
-_OTHER_BAUDS: Final = (3_000_000, 500_000, 19_200, 9_600)
 # The usual status return level: a servo answers everything.
 _ANSWER_ALL: Final = 2
 ANSWERS_NOW: Final = f"status return level set to {_ANSWER_ALL}"
@@ -49,11 +48,7 @@ BUSY: Final = (
 # A tenth of what servos are delivered with; 18 of these cost 2 ms a cycle at the most.
 _MOST_DELAY_US: Final = 100
 _US_PER_DELAY: Final = 2
-_MORE_TRIES: Final = 3
-# Where answers come late: from the first patience to the last by doubling, and one more.
-_LATE_TRIES: Final = 6
 _PATIENT_MS: Final = 25.0
-_LEAST_CROWD: Final = 2
 
 
 @dataclasses.dataclass
@@ -82,7 +77,7 @@ class Findings:
 
 def crowd(servos: int) -> int:
     """How many servos of a port are too many to be silent at once each for a reason of its own."""
-    return max(_LEAST_CROWD, (servos + 1) // 2)
+    return max(2, (servos + 1) // 2)
 
 
 def check_ports(
@@ -239,8 +234,9 @@ def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
     What came in between may have been a late answer to another question.
     """
     worst = before
-    for tries in range(_LATE_TRIES):
-        if tries >= _MORE_TRIES and not bus.late:
+    # Where answers come late: from the first patience to the last by doubling, and one more.
+    for tries in range(6):
+        if tries >= 3 and not bus.late:
             break
         if worst is not None or bus.late:
             bus.settle()
@@ -303,7 +299,7 @@ class _Handshake:
         if self._many_late(missing):
             return {}
         self._bus.close()
-        bauds = (*USUAL_BAUDS, *_OTHER_BAUDS)
+        bauds = (*USUAL_BAUDS, *(3_000_000, 500_000, 19_200, 9_600))
         elsewhere = look_elsewhere(self._plan.name, self._plan.port, missing, bauds)
         self._bus.open()
         return elsewhere

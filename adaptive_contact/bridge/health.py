@@ -32,13 +32,6 @@ UNPUNCTUAL_STEPS: Final = 1.0
 # One read this far off its moment is not carried back: at 100 rad/s² a joint's own speed gives
 # where it was 5 ms ago to a quarter of an AX-12A's step, and 10 ms ago to one.
 MOST_OFF_S: Final = 0.005
-# What is less than this much of a step off is left as it was read.
-NOTICEABLE_STEPS: Final = 0.5
-# Readings of which a servo's usual place in the cycle is the median.
-_RECENT: Final = 5
-# Alarms are shown for this many readings after they were last seen.
-_ALARM_TICKS: Final = 50
-_SHUTTING: Final = {"overload", "overheating", "electrical_shock", "voltage", "hardware"}
 
 
 @dataclasses.dataclass
@@ -64,7 +57,7 @@ class ServoHealth:
         for name in reading.alarms:
             if name not in self._alarms:
                 self.faults[name] += 1
-            self._alarms[name] = _ALARM_TICKS
+            self._alarms[name] = 50
         if reading.fault is not None:
             self.faults[reading.fault.value] += 1
         if reading.data is not None:
@@ -84,7 +77,14 @@ class ServoHealth:
     @property
     def endangered(self) -> bool:
         """Whether it complains of something that may make it shut itself down."""
-        return not _SHUTTING.isdisjoint(self._alarms)
+        # Alarms are shown for this many readings after they were last seen.
+        return not {
+            "overload",
+            "overheating",
+            "electrical_shock",
+            "voltage",
+            "hardware",
+        }.isdisjoint(self._alarms)
 
     @property
     def counts(self) -> ServoCounts | None:
@@ -142,7 +142,8 @@ class Punctuality:
     """
 
     _recent_s: deque[tuple[float, float]] = dataclasses.field(
-        default_factory=lambda: deque(maxlen=_RECENT)
+        # Readings of which a servo's usual place in the cycle is the median.
+        default_factory=lambda: deque(maxlen=5)
     )
 
     def correction(
@@ -169,7 +170,8 @@ class Punctuality:
             )
         )
         off_s, unknown_s = (asked_off + answered_off) / 2.0, abs(answered_off - asked_off) / 2.0
-        if abs(off_s) * abs(speed_rad_s) <= NOTICEABLE_STEPS * step_rad:
+        # What is less than this much of a step off is left as it was read.
+        if abs(off_s) * abs(speed_rad_s) <= 0.5 * step_rad:
             correction = 0.0
         elif abs(off_s) <= MOST_OFF_S:
             correction = -off_s * speed_rad_s
@@ -178,17 +180,10 @@ class Punctuality:
         return None if unknown_s * abs(speed_rad_s) > UNPUNCTUAL_STEPS * step_rad else correction
 
 
-# Alarms of the servo; the others are of a packet, and counted.
-_TOLD: Final = {"overload", "overheating", "voltage", "electrical_shock", "encoder"}
-# A servo whose answers keep coming too late, where few do, is named after so many looks.
-_LATE_LOOKS: Final = 3
 _LATE: Final = (
     "its answers come too late; set timeout_ms higher in [port.{port}], and see 'Timing' in "
     "docs/bridge.md"
 )
-# Goals found changed since the last look, of one servo, that are another program's: a servo that
-# has been switched off and on changes one.
-_FOREIGN: Final = 3
 
 
 class News:
@@ -220,7 +215,11 @@ class News:
         self._silences(said, silent, answering, self._crowded(said, dict(late or {})))
         by_words: dict[str, list[int]] = {}
         for servo, record in health.items():
-            now = frozenset(record.alarms & _TOLD)
+            # Alarms of the servo; the others are of a packet, and counted.
+            now = frozenset(
+                record.alarms
+                & {"overload", "overheating", "voltage", "electrical_shock", "encoder"}
+            )
             before = self._alarms.get(servo, frozenset())
             if now - before:
                 by_words.setdefault(", ".join(sorted(now - before)), []).append(servo)
@@ -279,7 +278,9 @@ class News:
         dead = {servo for servo, count in self._mute.items() if count >= looks}
         self._say(said, sorted(dead - self._silent), "no answer; check its cable and power")
         if not self._busy:
-            slow = {servo for servo, count in self._belated.items() if count >= _LATE_LOOKS}
+            # A servo whose answers keep coming too late, where few do, is named after so many
+            # looks.
+            slow = {servo for servo, count in self._belated.items() if count >= 3}
             self._say(said, sorted(slow - self._told_late), _LATE.format(port=self._plan.name))
             self._told_late |= slow
         back = []
@@ -299,7 +300,9 @@ class News:
         found = [
             servo
             for servo, record in health.items()
-            if record.faults["foreign_goal"] - self._foreign.get(servo, 0) >= _FOREIGN
+            # Goals found changed since the last look, of one servo, that are another program's: a
+            # servo that has been switched off and on changes one.
+            if record.faults["foreign_goal"] - self._foreign.get(servo, 0) >= 3
         ]
         self._foreign = {servo: record.faults["foreign_goal"] for servo, record in health.items()}
         if found and not self._shared:

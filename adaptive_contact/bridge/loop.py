@@ -36,9 +36,6 @@ from adaptive_contact.wire import BridgeStatus
 
 # Of the control period: 2.4 ms at 50 Hz.
 FAR_SHARE: Final = 0.12
-NEAR_SHARE: Final = FAR_SHARE / 3
-# Far readings with moving goals, in a row, after which a lock that is not confirmed is given up.
-LOST_AFTER: Final = 8
 
 
 @dataclasses.dataclass
@@ -53,7 +50,7 @@ class PhaseLock:
     @property
     def lead_s(self) -> float:
         """How far ahead of the main reading the goal is to be read in this tick."""
-        return (NEAR_SHARE if self._near else FAR_SHARE) * self.period_s
+        return (FAR_SHARE / 3 if self._near else FAR_SHARE) * self.period_s
 
     def update(self, *, before: int | None, now: int | None, last: int | None) -> float:
         """Take in one tick's goals of one servo, in steps; None for a reading that did not come.
@@ -80,14 +77,14 @@ class PhaseLock:
         if not self.locked:
             return -far / 2
         self._unconfirmed += 1
-        if self._unconfirmed >= LOST_AFTER:
+        # Far readings with moving goals, in a row, after which a lock that is not confirmed is
+        # given up.
+        if self._unconfirmed >= 8:
             self.locked, self._unconfirmed = False, 0
         return -far / 6
 
 
 _NS: Final = 1_000_000_000
-# A lost port is tried this often; a cable put back is found within two seconds with room to spare.
-_REOPEN_S: Final = 0.25
 _STATUS_NS: Final = _NS
 
 
@@ -216,7 +213,9 @@ class PortLoop:
             self.bus.open()
         except BusError:
             self._tell(time.monotonic_ns())
-            stop.wait(_REOPEN_S)
+            # A lost port is tried this often; a cable put back is found within two seconds with
+            # room to spare.
+            stop.wait(0.25)
             return False
         self._lost, self._returning = False, True
         self._reconnects += 1

@@ -32,10 +32,6 @@ from serial.tools import list_ports
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
-# Start, eight data bits, stop.
-_BITS_PER_BYTE: Final = 10
-_ADAPTERS: Final = Path("/sys/bus/usb-serial/devices")
-
 
 class PortLostError(BusError):
     """A port that was open is gone: unplugged, or its other end hung up."""
@@ -59,7 +55,8 @@ class SdkPort(PortHandler):
         self.name = name
         self.baudrate = port.baud
         self.timeout_ms = port.timeout_ms
-        self.byte_s = _BITS_PER_BYTE / port.baud
+        # Start, eight data bits, stop.
+        self.byte_s = 10 / port.baud
         self._deadline = 0.0
         self.latest_s = math.inf
         self.received = 0
@@ -172,7 +169,7 @@ class SdkPort(PortHandler):
         return time.monotonic() > self._deadline
 
 
-def latency_advice(device: str, root: Path = _ADAPTERS) -> str | None:
+def latency_advice(device: str, root: Path = Path("/sys/bus/usb-serial/devices")) -> str | None:
     """What to set where a port's USB adapter holds bytes back longer than 1 ms, or None."""
     name = Path(os.path.realpath(device)).name
     timer = root / name / "latency_timer"

@@ -17,8 +17,6 @@ from adaptive_contact.errors import AdaptiveContactError
 
 # `serve` ends within 2 s of a signal, within 7 s on a slow disk; the simulator after its tick.
 _END_S: Final = 10.0
-# A first start compiles: 10 to 20 s, and minutes on a quarter of a core.  It says so, and is alive.
-_COMPILES: Final = re.compile(r"compiling the arithmetic")
 
 
 class Child:
@@ -85,7 +83,9 @@ class Child:
         began_s = time.monotonic()
         with self._changed:
             while True:
-                if any(_COMPILES.search(line) for line in self._lines):
+                # A first start compiles: 10 to 20 s, and minutes on a quarter of a core.  It says
+                # so, and is alive.
+                if any(re.search(r"compiling the arithmetic", line) for line in self._lines):
                     timeout_s = max(timeout_s, 600.0)  # a slow computer's first start
                 for line in self._lines:
                     match = pattern.search(line)

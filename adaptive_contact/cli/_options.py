@@ -73,11 +73,8 @@ class Commands(typer.Typer):
 
 def _flow(text: str) -> str:
     """Join the lines of each paragraph, as terminals are narrower than the source; lists stay."""
-    return _LINE_WITHIN.sub(" ", text)
-
-
-# A line's end that neither ends a paragraph nor comes before an item or an indented line.
-_LINE_WITHIN: Final = re.compile(r"(?<!\n)\n(?!\s|- )")
+    # A line's end that neither ends a paragraph nor comes before an item or an indented line.
+    return re.sub(r"(?<!\n)\n(?!\s|- )", " ", text)
 
 
 def flatten(command: Callable[..., None]) -> Callable[..., None]:

@@ -21,12 +21,6 @@ from adaptive_contact.files import write_file
 from adaptive_contact.service.replay import LegTrace, Spans
 from adaptive_contact_studies.show.figures import needs_matplotlib, new_figure, png
 
-# Of all legs together: 400 000 ticks are 2 MB of text, 20 minutes of six legs at 50 Hz.
-_MAX_POINTS: Final = 400_000
-_MAX_SPANS: Final = 60_000
-_MAX_TOUCHES: Final = 20_000
-# Angles of all legs together.
-_MAX_ANGLES: Final = 600_000
 # Ratios are drawn up to this many times the threshold.
 _TOP_RATIO: Final = 3.0
 _ORDER: Final = ("miss", "false", "beyond", "hit")
@@ -39,7 +33,6 @@ _STYLE: Final = {
 _STRIPS: Final = (("stance", "#c3c9d0"), ("contact", "#1f6fb4"), ("truth", "#0e8a94"))
 _P_COLOUR: Final = "#e07b00"
 _CURVES: Final = ("measured", "desired", "predicted")
-_SUFFIXES: Final = (".html", ".png")
 
 
 def check_plot(path: Path) -> None:
@@ -48,7 +41,7 @@ def check_plot(path: Path) -> None:
     Raises:
         ConfigurationError: another suffix, or an extra that is not installed.
     """
-    if path.suffix.lower() not in _SUFFIXES:
+    if path.suffix.lower() not in (".html", ".png"):
         raise ConfigurationError(f"--plot {path}: expected a name that ends with .html or .png")
     if path.suffix.lower() == ".png":
         needs_matplotlib("--plot FILE.png", "plot")
@@ -87,17 +80,19 @@ def write_plot(
 
 def _html(traces: Sequence[LegTrace], title: str) -> bytes:
     page = resources.files("adaptive_contact.cli").joinpath("replay_plot.html").read_text("utf-8")
-    room = max(2, _MAX_POINTS // len(traces))
-    spans = max(2, _MAX_SPANS // (3 * len(traces)))
+    # Of all legs together: 400 000 ticks are 2 MB of text, 20 minutes of six legs at 50 Hz.
+    room = max(2, 400_000 // len(traces))
+    spans = max(2, 60_000 // (3 * len(traces)))
     touches = [(leg, touch) for leg, trace in enumerate(traces) for touch in trace.touches]
     touches.sort(key=lambda pair: _ORDER.index(pair[1].kind))
-    kept = sorted(touches[:_MAX_TOUCHES], key=lambda pair: pair[1].at_s)
+    kept = sorted(touches[:20_000], key=lambda pair: pair[1].at_s)
     data = {
         "title": title,
         "top": _TOP_RATIO,
         "left_out": len(touches) - len(kept),
         "legs": [
-            _leg(trace, room, spans) | _joints(trace, _MAX_ANGLES // len(traces))
+            # Angles of all legs together.
+            _leg(trace, room, spans) | _joints(trace, 600_000 // len(traces))
             for trace in traces
         ],
         "touches": [

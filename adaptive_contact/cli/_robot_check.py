@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
@@ -36,13 +36,6 @@ from adaptive_contact.wire import ALL_SERVO, Rejected, ServoSample, decode, leg_
 
 if TYPE_CHECKING:
     from adaptive_contact.service.livecheck import LegView, LiveReport
-
-# What a leg at rest gives way by, mm; less is friction and rounding.
-_LEAST_SAG_MM: Final = 1.0
-_HINT: Final = (
-    "Move one joint after the other by hand.  Another joint is named: the order of joints, or of "
-    "ids, is wrong.  The foot goes the other way: that joint's sign is wrong."
-)
 
 
 def check_live(
@@ -73,7 +66,12 @@ def check_live(
         began = time.monotonic()
         samples = link.subscribe(ALL_SERVO, waiting.append)
         if not json:
-            say(_HINT, err=True)
+            say(
+                "Move one joint after the other by hand.  Another joint is named: the order of "
+                "joints, or of ids, is wrong.  The foot goes the other way: that joint's sign is "
+                "wrong.",
+                err=True,
+            )
         redrawn = 0.0
         with Live(console=console, auto_refresh=False, transient=True) as live:
             while time.monotonic() - began < seconds and not stop.wait(0.05):
@@ -190,7 +188,8 @@ def report_lines(report: LiveReport) -> list[str]:
         (1, "above their commands: so it is where they stand"),
     ):
         sags = {leg.leg: 1e3 * sign * (leg.above_m or 0.0) for leg in report.legs}
-        given = {leg: sag for leg, sag in sags.items() if sag >= _LEAST_SAG_MM}
+        # What a leg at rest gives way by, mm; less is friction and rounding.
+        given = {leg: sag for leg, sag in sags.items() if sag >= 1.0}
         if given:
             lines.append(
                 f"at rest, by the description, feet of leg {' '.join(given)} are "

@@ -7,15 +7,14 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
 import typer
 
-from adaptive_contact.cli._bus import devices_of, needs_sdk
-from adaptive_contact.cli._options import check_output
+from adaptive_contact.cli._bus import DeviceOption, devices_of, needs_sdk
+from adaptive_contact.cli._options import ForceOption, check_output, flatten, option
 from adaptive_contact.cli._output import say, say_note
-from adaptive_contact.cli.robot import Wishes
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
@@ -28,17 +27,105 @@ from adaptive_contact.wire import is_leg_id
 if TYPE_CHECKING:
     from adaptive_contact.bridge.discovery import Wanted
 
-# Slopes within this of each other are as good as one.
-_ALIKE: Final = 1.2
 _ID: Final = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
 
 
-def write_description(wishes: Wishes) -> None:
-    """Make a description, and write it.
+@dataclasses.dataclass(frozen=True)
+class Wishes:
+    """The options of ``robot init``; None where one is not given."""
 
-    Raises:
-        ConfigurationError: something is missing or does not fit, in one line.
-        BusError: the bus does not have such a robot.
+    device: DeviceOption = None
+    out: Annotated[Path, option("--out", "Description to write.", "FILE", short="-o")] = Path(
+        "robot.toml"
+    )
+    joints: Annotated[
+        str | None,
+        option(
+            "--joints",
+            "Per leg, from the body outwards; 3 unless given.  A URDF has its own.",
+            "NUMBER|NAME,NAME,...",
+        ),
+    ] = None
+    ids: Annotated[
+        str | None,
+        option(
+            "--ids",
+            "Servos of each leg, from the body outwards, such as 2,4,6/8,10,12, or of several "
+            "ports left:2,4,6/right:8,10,12; all others, such as a head's, are ignored.  Without "
+            "it, all are taken in the order of their ids.",
+            "ID,ID,.../ID,...",
+        ),
+    ] = None
+    legs: Annotated[
+        str | None,
+        option(
+            "--legs",
+            "Names, in the order of the servos' ids, or of --ids; with --urdf ID=LINK,..., "
+            "with each foot's link.",
+            "ID,ID,...",
+        ),
+    ] = None
+    lengths: Annotated[
+        str | None, option("--lengths", "Of the links, where all legs are alike, m.", "M,M,...")
+    ] = None
+    urdf: Annotated[
+        Path | None,
+        option("--urdf", "Take joints, axes, origins and limits from this URDF.", "FILE"),
+    ] = None
+    base: Annotated[
+        str | None,
+        option(
+            "--base",
+            "The URDF's link that is the body, z up; the last one that all legs hang on "
+            "unless given.",
+            "LINK",
+        ),
+    ] = None
+    tip: Annotated[
+        str | None,
+        option(
+            "--tip",
+            "The foot's tip in the frame of its link, m, where a URDF has no link there; one for "
+            "all legs, or one each.",
+            "X,Y,Z[/...]",
+        ),
+    ] = None
+    name: Annotated[str | None, option("--name", "Of the robot.")] = None
+    resolution: Annotated[
+        float | None,
+        option(
+            "--resolution",
+            "One step of a reading; read from the servos with --device.",
+            "RAD",
+            min=1e-6,
+            max=0.2,
+        ),
+    ] = None
+    rate: Annotated[
+        float | None,
+        option(
+            "--rate", "Control ticks per second; 50 with --device.", "HZ", min=1.0, max=10_000.0
+        ),
+    ] = None
+    baud: Annotated[int | None, option("--baud", "Otherwise the usual ones are tried.")] = None
+    configure: Annotated[
+        bool,
+        option(
+            "--configure",
+            "Let servos that answer pings only answer reads (status return level 2, in the "
+            "EEPROM of AX, RX, MX and XL-320).",
+        ),
+    ] = False
+    force: ForceOption = False
+
+
+@flatten
+def init(*, wishes: Wishes) -> None:
+    """Write a robot.toml to fill in, from a bus, from a URDF, or from both.
+
+    With --device the bus is asked who is there; nothing is moved, and without --configure nothing
+    is set.  Without a bus, for servos of any kind, joints come from --urdf or --joints, and
+    --resolution and --rate are asked for where they are not given.
     """
     # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
     devices = {port: str(Path(path).absolute()) for port, path in devices_of(wishes.device).items()}
@@ -256,7 +343,8 @@ def _of_bus(
     if wishes.resolution is not None:
         robot = msgspec.structs.replace(robot, quantum_rad=wishes.resolution)
     slopes = steepness(found, robot)
-    if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
+    # Slopes within this of each other are as good as one.
+    if slopes and max(slopes.values()) > 1.2 * min(slopes.values()):
         listed = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
         say(f"slopes differ ({listed} rad): slope_rad is between them, which is near enough")
     if read is None:

@@ -26,13 +26,8 @@ if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.fit.train import Stretch, Training
 
-# Free ticks per term of the library below which a fit is refused (adapt.training).
-_LEAST_ROWS: Final = 4
 # Not every free tick can be used: some are too early in a stretch to have a past.
 _MORE: Final = 1.15
-_LEAST_TICKS: Final = 12
-# Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
-_ENOUGH_READ: Final = 0.97
 
 
 @opt.flatten
@@ -286,7 +281,7 @@ def fit_samples(robot: Robot, gathered: Mapping[str, LegGatherer], origin: str) 
             stretch
             for stretch in gatherer.stretches(free=True)
             # Lost ticks cut a stream to pieces; what is shorter than a swing teaches nothing.
-            if _free(stretch) > _LEAST_TICKS
+            if _free(stretch) > 12
         ]
         for leg, gatherer in gathered.items()
         if gatherer.samples
@@ -329,7 +324,8 @@ def _shortfalls(
         if not have:
             lines.append((f"leg {leg.id} was not swung", 0.0))
             continue
-        least = _LEAST_ROWS * leg_library(robot, leg, "servo", None).size
+        # Free ticks per term of the library below which a fit is refused (adapt.training).
+        least = 4 * leg_library(robot, leg, "servo", None).size
         factor = max(together, least / have) * _MORE
         if factor > _MORE:
             seconds = gathered[leg.id].samples * robot.period_s
@@ -348,7 +344,8 @@ def losses(samples: Mapping[str, list[ServoSample]]) -> list[str]:
         if not rows:
             continue
         whole = sum(row.valid is None for row in rows) / (rows[-1].seq - rows[0].seq + 1)
-        if whole < _ENOUGH_READ:
+        # Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
+        if whole < 0.97:
             lines.append(
                 f"leg {leg}: only {100 * whole:.0f} % of its ticks were read in whole and in time; "
                 "end other work on this computer, give --realtime, or check cable and power"

@@ -19,25 +19,14 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Mount, Robot
 
-# With mounts of so many legs given, the robot is drawn as a whole.
-_LEAST_PLACED: Final = 2
 _CELL: Final = 300
 _TOP: Final = 62
 _MARGIN: Final = 40
 _HEADING: Final = 80
 _LINE: Final = 15
-_LEAST_SPAN: Final = 0.5
 _ROWS, _COLUMNS = 2, 4
 _COLOURS: Final = ("#1f6fb4", "#c8691b", "#3b8a3f", "#8a3b86", "#a33c3c", "#5d6d7e")
 _GREY, _PALE, _INK = "#7f8c8d", "#d5d8dc", "#2c3e50"
-_LEGEND: Final = "dashed: the link at 0°; arrow: + is the way the angle grows; red: the foot"
-_TO_DO: Final = (
-    "sign and offset are those of robot.toml; a joint that turns against its arrow needs the "
-    "other sign"
-)
-# The arrow around a joint: at half of its link, within these, px; it goes so far, rad.
-_ARC_PX: Final = (16.0, 40.0)
-_ARC_RAD: Final = 0.9
 _ZERO_PX: Final = 62
 _HEAD_PX: Final = 6
 # A joint's turn is drawn where its axis points this much towards the eye, and from a link that is
@@ -104,7 +93,8 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
         SVG text.
     """
     legs = [leg for leg in robot.legs if leg.chain is not None and leg.id in angles]
-    placed = sum(leg.mount != Mount() for leg in legs) >= _LEAST_PLACED
+    # With mounts of so many legs given, the robot is drawn as a whole.
+    placed = sum(leg.mount != Mount() for leg in legs) >= 2
     views = [(leg, view) for leg in legs for view in _views(leg, angles[leg.id], placed=placed)]
     columns = max(-(-len(views) // _ROWS), 1)
     rows = _ROWS
@@ -118,8 +108,19 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
         f'viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">',
         f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
         f'<text x="10" y="19" font-size="15" font-weight="bold">{escape(robot.name)}</text>',
-        _text(10, 37, _LEGEND, _GREY),
-        _text(10, 53, _TO_DO, _GREY),
+        _text(
+            10,
+            37,
+            "dashed: the link at 0°; arrow: + is the way the angle grows; red: the foot",
+            _GREY,
+        ),
+        _text(
+            10,
+            53,
+            "sign and offset are those of robot.toml; a joint that turns against its arrow needs "
+            "the other sign",
+            _GREY,
+        ),
     ]
     if placed:
         parts += _from_above(legs, angles, body)
@@ -214,7 +215,7 @@ def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _Vi
     # Room for arrows all around, the heading above, and the joints' lines below.
     room = _CELL - 2 * _MARGIN, _CELL - _HEADING - _MARGIN - _LINE * len(leg.joints)
     # Never so large that a leg that stretches looks another one than a leg that stands.
-    span = np.maximum(np.ptp(flat, axis=0), _LEAST_SPAN * leg.chain.reach_m)
+    span = np.maximum(np.ptp(flat, axis=0), 0.5 * leg.chain.reach_m)
     scale = float((np.array(room) / span).min())
     middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
     x0 = left + _CELL / 2 - scale * middle[0]
@@ -288,8 +289,9 @@ def _turning(
     """Where a joint's link is at 0, and the way its angle grows; counter-clockwise from right."""
     x, y = joint
     length = float(np.hypot(tip[0] - x, tip[1] - y))
-    radius = float(np.clip(length / 2, *_ARC_PX))
-    end = zero_rad + way * _ARC_RAD
+    # The arrow around a joint: at half of its link, within these, px; it goes so far, rad.
+    radius = float(np.clip(length / 2, 16.0, 40.0))
+    end = zero_rad + way * 0.9
     x0, y0 = x + radius * np.cos(zero_rad), y - radius * np.sin(zero_rad)
     x1, y1 = x + radius * np.cos(end), y - radius * np.sin(end)
     far = _ZERO_PX if length > _ZERO_PX else radius + _HEAD_PX

@@ -7,13 +7,13 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Final
 
-ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # For so long after a Ctrl-C another one is not heeded: what is half written is being removed.
 CLEANING_S: Final = 2.0
 
 
 def on_signals(
-    handler: Callable[[int, object], None], numbers: Iterable[signal.Signals] = ENDING
+    handler: Callable[[int, object], None],
+    numbers: Iterable[signal.Signals] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
 ) -> None:
     """Handle signals that end a command.
 

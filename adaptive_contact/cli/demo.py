@@ -42,13 +42,10 @@ if TYPE_CHECKING:
 
 __all__ = ["demo"]
 
-_STOPPED: Final = 130  # what a shell calls "ended by Ctrl-C"
 _OUT: Final = Path("out/demo")
 _MADE: Final = ("demo.mcap", "summary.json", "report.png")
 # Swings take 1.3 s a leg: fewer seconds leave too few of them on either side of the drift.
 _SHORTEST_S: Final = 8.0
-# A little before half time: what comes after the drift is what the demo is about.
-_DRIFT_SHARE: Final = 0.42
 _DRIFTS: Final = (("friction", 4.0), ("mass", 0.06))
 _DRIFT_WORDS: Final = "friction × 4 and 60 g of mud"
 # A start imports numpy, scipy and the models: a second and a half here, more on a small board.
@@ -112,7 +109,8 @@ def demo(
         if not stop.is_set():
             raise
         say_note("stopped; nothing was judged")
-        raise typer.Exit(_STOPPED) from None
+        # What a shell calls "ended by Ctrl-C".
+        raise typer.Exit(130) from None
 
 
 def _on_signal(stop: threading.Event) -> None:
@@ -139,7 +137,8 @@ class _Demo:
         self._recording, self._summary, self._report = (out / name for name in _MADE)
         self._seconds, self._seed, self._walker, self._stop = seconds, seed, walker, stop
         self._leg = "rf" if "rf" in walker.layout.legs else "fr"
-        self._drift_s = round(_DRIFT_SHARE * seconds, 1)
+        # A little before half time: what comes after the drift is what the demo is about.
+        self._drift_s = round(0.42 * seconds, 1)
         try:
             out.mkdir(parents=True, exist_ok=True)
             for name in _MADE:

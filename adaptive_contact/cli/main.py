@@ -44,7 +44,6 @@ _Misunderstood: Final[type[Exception]] = next(
     kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "UsageError"
 )
 _INTERRUPTED: Final = 130  # as a shell has it
-_READER_GONE: Final = 141  # likewise: 128 + SIGPIPE
 
 # Command -> module with a function of the same name; order is the help's.
 _COMMANDS: Final = (
@@ -187,7 +186,8 @@ def run() -> int:
 def _lost(cause: OSError) -> int:
     """Say why stdout cannot be written; a reader that is gone knows."""
     if isinstance(cause, BrokenPipeError):
-        return _READER_GONE
+        # As a shell has it: 128 + SIGPIPE.
+        return 141
     say_note(f"the output cannot be written ({cause.strerror}); make room, or send it elsewhere")
     return 2
 

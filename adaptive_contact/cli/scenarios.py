@@ -33,8 +33,6 @@ OutOption = Annotated[Path, option("--out", "What is kept, and results.json.", "
 DEFAULT_OUT = Path("out/scenarios")
 _DOCS = Path("docs")
 RESULTS = "results.json"
-# How a command ends that Ctrl-C stopped, as shells have it.
-INTERRUPTED = 130
 
 
 @app.command("list")
@@ -120,7 +118,8 @@ def run(
         tree = measure(Work(out, processes, scheduler, console), chosen, sizes)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
-        raise typer.Exit(INTERRUPTED) from None
+        # How a command ends that Ctrl-C stopped, as shells have it.
+        raise typer.Exit(130) from None
     write_results(tree, out / RESULTS)
     for problem in tree["problems"]:
         console.print(problem, style="yellow")

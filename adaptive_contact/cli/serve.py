@@ -25,7 +25,7 @@ from adaptive_contact.service.settings import shown
 if TYPE_CHECKING:
     from adaptive_contact.model import Baseline
     from adaptive_contact.service.link import Link
-    from adaptive_contact.service.state import StateKeeper
+    from adaptive_contact.service.state.keeper import StateKeeper
 
 
 @opt.flatten
@@ -169,13 +169,8 @@ def keeper_of(
     from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
     from adaptive_contact.model.model_file import dump_baseline
     from adaptive_contact.service.server import version
-    from adaptive_contact.service.state import (
-        FORMAT,
-        StateKeeper,
-        StateStore,
-        default_folder,
-        settings_digest,
-    )
+    from adaptive_contact.service.state import FORMAT, StateStore, default_folder, settings_digest
+    from adaptive_contact.service.state.keeper import StateKeeper
 
     text = "" if learned is None else dump_baseline(learned)
     name = robot.name if namespace is None else f"{namespace}/{robot.name}"

@@ -46,15 +46,7 @@ __all__ = [
 
 _UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
 _PUSHED: Final = "the foot is above its axis, and the ground pushes it down"
-_PULLED: Final = "the foot hangs above its command at rest, and gravity pulls it down"
 _AGAINST: Final = "feet that stand move against each other, as they are described"
-# Holds of a leg that hangs before their sag counts, and how far it must be, steps of the servo.
-LEAST_HOLDS: Final = 4
-SAG_QUANTA: Final = 1.5
-# Of legs whose mirror image walks as well: feet of a trot stand two at a time.
-LEAST_PARTNERS: Final = 1
-# More choices than these explain a motion that shows nothing.
-MOST_OTHERS: Final = 2
 # What every message of a finding has one of.
 
 
@@ -177,16 +169,22 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
             continue
         choices = LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
         sags = choices.sags_rad()
-        if len(sags) < LEAST_HOLDS or abs(float(np.median(sags))) < SAG_QUANTA * robot.quantum(
-            leg.id
-        ):
+        # Holds of a leg that hangs before their sag counts, and how far it must be, steps of the
+        # servo.
+        if len(sags) < 4 or abs(float(np.median(sags))) < 1.5 * robot.quantum(leg.id):
             continue
         down = float(np.mean(sags > 0))
         if down >= SURE_SHARE:
             fits.append(leg.id)
         elif down <= 1 - SURE_SHARE:
             signs = [-1 if lifts else 1 for lifts in choices.lifts]
-            findings.append(_sign_finding(leg, signs, _PULLED))
+            findings.append(
+                _sign_finding(
+                    leg,
+                    signs,
+                    "the foot hangs above its command at rest, and gravity pulls it down",
+                )
+            )
     return Verdict(tuple(findings), tuple(fits))
 
 
@@ -347,7 +345,8 @@ def choose_signs(legs: Sequence[LegChoices], period_s: float) -> dict[str, Chose
     if described == best or described in rivals:
         return {} if rivals else {leg.leg.id: Chosen(0) for leg in legs}
     sane = all(leg.sane(0) for leg in legs)
-    if len(rivals) > MOST_OTHERS or before < (LOOSE**2 if sane else BETTER * least):
+    # More choices than these explain a motion that shows nothing.
+    if len(rivals) > 2 or before < (LOOSE**2 if sane else BETTER * least):
         return {}
     found = {}
     for k, leg in enumerate(legs):
@@ -359,7 +358,8 @@ def choose_signs(legs: Sequence[LegChoices], period_s: float) -> dict[str, Chose
 
 def _cost(pairs: Pairs, chosen: Sequence[int]) -> float:
     """rho² of the worst leg; infinite where one stands with no other."""
-    return max(pairs.cost(chosen, k, LEAST_PARTNERS) for k in range(len(chosen)))
+    # Of legs whose mirror image walks as well: feet of a trot stand two at a time.
+    return max(pairs.cost(chosen, k, 1) for k in range(len(chosen)))
 
 
 def _by_hand(legs: Sequence[LegChoices]) -> Iterator[tuple[int, ...]]:

@@ -27,8 +27,6 @@ from adaptive_contact.robot.description import Leg
 # phase may be reported late.
 SETTLE_S: Final = 0.12
 BEFORE_LIFT_S: Final = 0.06
-# Of the ticks of a pair, the worst share is left out: feet that slip, and touches.
-TRIMMED: Final = 0.3
 # A pair of legs with fewer ticks in common shows nothing.
 LEAST_ROWS: Final = 40
 # Rows of a pair that are looked at; more add nothing, as they come from the same swings.
@@ -39,11 +37,9 @@ LEAST_WAY_M: Final = 0.002
 MOST: Final = 4.0
 # Starts of a search: steps of an offset, rad, by the number of pitch joints; more are not searched.
 START_STEPS_RAD: Final = {1: math.pi / 8, 2: math.pi / 4, 3: math.pi / 2}
-REFINED: Final = 6
 # Rows of a leg that show whether a start is worth a search, and the share that must be below the
 # axis there; a start is not yet the answer.
 GLANCED: Final = 60
-BELOW_SHARE: Final = 0.8
 # rho of feet that stand: 0.03 to 0.08 where the description is right.
 RIGID: Final = 0.1
 # A foot that carries is above its command by these shares of the leg's reach.  Three to six of six
@@ -59,12 +55,8 @@ FLOOR: Final = 0.03
 SWINGS: Final = 30
 # Zeros are reported where their standard deviation is within this, rad.
 SURE_RAD: Final = 0.05
-# Two fits whose zeros are closer are the same, rad.
-ALIKE_RAD: Final = 0.15
-MOST_STEPS: Final = 12
 _NUDGE_RAD: Final = 1e-3
 _DAMPING, _MOST_DAMPING = 1e-4, 1e2
-_SETTLED_RAD: Final = 1e-3
 
 
 class Reading(NamedTuple):
@@ -176,7 +168,8 @@ def _changes(p: Array, q: Array) -> tuple[Array, Array]:
 
 def _least(change: Array) -> Ints:
     """Rows without the worst."""
-    return np.argsort(np.abs(change))[: math.ceil((1 - TRIMMED) * len(change))]
+    # Of the ticks of a pair, the worst share is left out: feet that slip, and touches.
+    return np.argsort(np.abs(change))[: math.ceil((1 - 0.3) * len(change))]
 
 
 class Meeting(NamedTuple):
@@ -376,7 +369,7 @@ def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int
     x, damping = np.zeros(count), _DAMPING
     least = cost(x)
     normal, slope = linear(x)
-    for _ in range(MOST_STEPS):
+    for _ in range(12):
         scale = damping * (np.trace(normal) / count + _DAMPING)
         step = -np.linalg.solve(normal + scale * np.eye(count), slope)
         tried = cost(x + step)
@@ -387,7 +380,7 @@ def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int
             continue
         x, least, damping = x + step, tried, damping / 10
         normal, slope = linear(x)
-        if np.abs(step).max() < _SETTLED_RAD:
+        if np.abs(step).max() < 1e-3:
             break
     weakest = float(np.linalg.eigvalsh(normal)[0])
     floor = max(least, FLOOR**2) / SWINGS
@@ -432,7 +425,7 @@ def fit_readings(
                 offsets[j] = float(zero)
             reading = Reading(plain.order, directions, tuple(offsets))
             if any(
-                np.mean(s.place(reading, rows)[:, 2] < 0.0) < BELOW_SHARE
+                np.mean(s.place(reading, rows)[:, 2] < 0.0) < 0.8
                 for s, rows in zip(streams, glanced, strict=True)
             ):
                 continue
@@ -441,7 +434,7 @@ def fit_readings(
             starts.append((cost, reading, feet))
     starts.sort(key=lambda start: start[0])
     found: list[tuple[float, float, Reading]] = []
-    for _, reading, feet in starts[:REFINED]:
+    for _, reading, feet in starts[:6]:
         refined = refine(feet, [reading] * legs, [range(len(axes))] * legs)
         best = _near_zero(reading.shifted(refined.moved_rad[0]))
         if not all(sane(k, best) for k in range(legs)):
@@ -471,4 +464,5 @@ def _alike(one: Reading, other: Reading) -> bool:
     """Whether two readings are the same but for what a fit leaves open."""
     apart = [a - b for a, b in zip(one.offsets_rad, other.offsets_rad, strict=True)]
     same = one.order == other.order and one.directions == other.directions
-    return same and all(abs(math.remainder(d, math.tau)) < ALIKE_RAD for d in apart)
+    # Two fits whose zeros are closer are the same, rad.
+    return same and all(abs(math.remainder(d, math.tau)) < 0.15 for d in apart)

@@ -19,17 +19,6 @@ from adaptive_contact.robot.description import Leg
 
 # A leg's foot counts as above its axis, or below, in this share of its ticks.
 SURE_SHARE: Final = 0.9
-# Swings of a leg before its phase is compared with its height.
-LEAST_SWINGS: Final = 4
-LEAST_RISE_M: Final = 0.004
-# A tick is slow below this speed, rad/s: there a servo's lag is no longer that of motion.
-SLOW_RAD_S: Final = 1.0
-LEAST_SLOW: Final = 50
-# A servo rests when its command has not changed for this long, s; the last part of it is looked at.
-HOLD_S: Final = 0.36
-REST_S: Final = 0.16
-# Gravity pulls at a joint where its foot is this share of its links' reach away from it.
-LEVER: Final = 0.3
 # Patterns of signs grow as powers of two.
 MOST_FLIPS: Final = 5
 
@@ -79,7 +68,8 @@ class LegChoices:
             plain._replace(directions=tuple(int(sign) for sign in flip)) for flip in self.flips
         ]
         self._period_s = period_s
-        self._slow = SLOW_RAD_S * period_s
+        # A tick is slow below this speed, rad/s: there a servo's lag is no longer that of motion.
+        self._slow = 1.0 * period_s
         self._places: dict[int, Array] = {}
 
     def look_at(self, reading: Reading) -> int:
@@ -114,8 +104,9 @@ class LegChoices:
         pairs = [
             levels[i] - levels[i - 1] for i in range(1, len(levels)) if (i % 2 == 0) == first_swings
         ]
-        clear = [rise for rise in pairs if abs(rise) > LEAST_RISE_M]
-        if len(clear) < LEAST_SWINGS:
+        clear = [rise for rise in pairs if abs(rise) > 0.004]
+        # Swings of a leg before its phase is compared with its height.
+        if len(clear) < 4:
             return None
         return sum(rise > 0 for rise in clear) / len(clear)
 
@@ -152,7 +143,7 @@ class LegChoices:
         moved = np.abs(np.diff(motion.measured, axis=0)).max(axis=1)
         next_tick = np.diff(self.stream.grid) == 1
         slow = np.flatnonzero((moved < self._slow) & next_tick)
-        if len(slow) < LEAST_SLOW:
+        if len(slow) < 50:
             return None
         flip = self.flips[pattern]
         ahead = (motion.measured[slow + 1] - motion.desired[slow]) * flip
@@ -172,12 +163,15 @@ class LegChoices:
         motion = self.motion
         grid = self.stream.grid
         same = (np.diff(motion.desired, axis=0) == 0.0).all(axis=1) & (np.diff(grid) == 1)
-        hold, rest = round(HOLD_S / self._period_s), round(REST_S / self._period_s)
+        # A servo rests when its command has not changed for this long, s; the last part of it is
+        # looked at.
+        hold, rest = round(0.36 / self._period_s), round(0.16 / self._period_s)
         # The last tick of every stretch of unchanged commands.
         ends = np.flatnonzero(same & np.append(~same[1:], True)) + 1
         begins = np.flatnonzero(same & np.append(True, ~same[:-1]))
         first = int(np.flatnonzero(self.lifts)[0])
-        least = LEVER * sum(length for length, _, _ in self.chain.origins_m[first:])
+        # Gravity pulls at a joint where its foot is this share of its links' reach away from it.
+        least = 0.3 * sum(length for length, _, _ in self.chain.origins_m[first:])
         sags = []
         for begin, end in zip(begins, ends, strict=True):
             if end - begin < hold:

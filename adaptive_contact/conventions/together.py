@@ -50,13 +50,6 @@ ZERO_RIVAL: Final = 1.5
 OPEN_RAD: Final = 0.1
 # Zeros of one joint are sought from these on, rad.
 ZERO_STARTS: Final = (0.0, -0.5, 0.5, -1.0, 1.0, -math.pi / 2, math.pi / 2)
-REFINED_STARTS: Final = 2
-# A search over all signs and zeros takes a second or more: it is made with so much motion, s.
-SEARCH_S: Final = 15.0
-# Orders of so many joints are tried.
-MOST_ORDERED: Final = 4
-# Choices of signs grow with the legs.
-MOST_CHOICES: Final = 300_000
 
 
 class Pairs:
@@ -167,7 +160,8 @@ def choose(legs: Sequence[LegChoices], period_s: float) -> dict[str, int]:
 def _choose_signs(legs: Sequence[LegChoices], pairs: Pairs) -> dict[str, int]:
     """Signs that explain the motion, by leg."""
     sane = [[k for k in range(len(leg.flips)) if leg.sane(k)] for leg in legs]
-    if not all(sane) or math.prod(map(len, sane)) > MOST_CHOICES:
+    # Choices of signs grow with the legs.
+    if not all(sane) or math.prod(map(len, sane)) > 300_000:
         return {}
     best = pairs.best(sane)
     if not pairs.rigid(best):
@@ -230,7 +224,9 @@ class _Others:
     def zeros(self) -> dict[str, int]:
         """Signs and zeros, the same for all legs, from anywhere."""
         grid = self._streams[0].grid
-        if not self._of_a_kind() or (grid[-1] - grid[0]) * self._period_s < SEARCH_S:
+        # A search over all signs and zeros takes a second or more: it is made with so much motion,
+        # s.
+        if not self._of_a_kind() or (grid[-1] - grid[0]) * self._period_s < 15.0:
             return {}
         best = fit_readings(
             self._streams,
@@ -300,7 +296,7 @@ class _Others:
         for joint in range(joints):
             shifts = [np.eye(joints)[joint] * start for start in starts]
             shifts.sort(key=lambda by: self._cost_with(worst, self._plain[worst].shifted(by)))
-            found = [self._refined(worst, joint, by) for by in shifts[:REFINED_STARTS]]
+            found = [self._refined(worst, joint, by) for by in shifts[:2]]
             tried.append(min(found, key=lambda each: each[0]))
         tried.sort(key=lambda each: each[0])
         (least, best), *rivals = tried
@@ -338,7 +334,8 @@ class _Others:
         """Every order of a leg's joints, with every pattern of its signs."""
         leg = self._legs[k]
         joints = len(leg.leg.joints)
-        if joints > MOST_ORDERED:
+        # Orders of so many joints are tried.
+        if joints > 4:
             return []
         signs = leg.readings[: len(leg.flips)]
         return [

@@ -24,7 +24,6 @@ from adaptive_contact.robot import Leg, Robot
 TIMES_S: Final = (4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 24.0, 28.0, 34.0, 40.0, 50.0, 60.0)
 LATER_S: Final = 60.0
 ENOUGH_S: Final = 600.0
-NEVER: Final = 2**62
 # No leg has this name: the job is of all.
 _ALL: Final = "*"
 
@@ -131,7 +130,7 @@ class ConventionWatch:
         elif now_s < ENOUGH_S:
             self._next = self._ticks + round(LATER_S / self._robot.period_s)
         else:
-            self._next = NEVER
+            self._next = 2**62
             for track in self._tracks.values():
                 track.settled = True
 

@@ -25,10 +25,6 @@ KINDS: Final = ("friction", "drive", "load")
 LEAST_SHARE: Final = 0.3
 # ...of so many ticks, two lifts or so...
 LEAST_ROWS: Final = 8
-# ...and so much better than the next, by the criterion: very strong evidence (Kass and Raftery).
-LEAST_LEAD: Final = 10.0
-# Ticks after which a kind is settled, fifteen lifts and descents or so: a leg may go on changing.
-ENOUGH_ROWS: Final = 60
 # Speed at which friction is three quarters of what it comes to.
 KNEE_RAD_S: Final = 1.0
 
@@ -75,7 +71,9 @@ class ChangeClassifier:
     @property
     def complete(self) -> bool:
         """Whether more ticks would say more of later changes than of this one."""
-        return self._rows >= ENOUGH_ROWS
+        # Ticks after which a kind is settled, fifteen lifts and descents or so: a leg may go on
+        # changing.
+        return self._rows >= 60
 
     @property
     def kind(self) -> str | None:
@@ -96,7 +94,9 @@ class ChangeClassifier:
             criterion = n * float(np.log(unexplained)) + shapes * float(np.log(n))
             found.append((criterion, unexplained, kind))
         (least, unexplained, best), (second, *_), *_ = sorted(found)
-        clear = unexplained < 1.0 - LEAST_SHARE and second - least > LEAST_LEAD
+        # ...and so much better than the next, by the criterion: very strong evidence (Kass and
+        # Raftery).
+        clear = unexplained < 1.0 - LEAST_SHARE and second - least > 10.0
         return best if clear else None
 
     def unexplained(self, kind: str) -> float:

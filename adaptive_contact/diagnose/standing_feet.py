@@ -29,7 +29,6 @@ from adaptive_contact.robot.gait_phase import infer_phase
 # Standing feet: over this time, s; rho of a body that is not rigid (see conventions.rigid).
 LAG_S: Final = 0.08
 LOOSE: Final = 0.12
-MOST_LEGS: Final = 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +49,7 @@ def standing_feet(
     alike = len({leg.joint_axes for leg in legs}) == 1
     if (
         not alike
-        or not 3 <= len(legs) <= MOST_LEGS
+        or not 3 <= len(legs) <= 6
         or any(leg.chain is None or not leg.chain.is_straight for leg in legs)
     ):
         return None

@@ -31,10 +31,6 @@ LEAST_GAIN: Final = 0.02
 # determine is then more than the noise.  It is 20 to 800 on most of an arm's motions, 0.05 to 2.7
 # on those 65 swings, 0.01 to 0.1 on ten minutes of walking.
 UNDETERMINED: Final = 10.0
-# Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
-KEPT_GAIN: Final = 0.9
-# A tick judged by more than so many times the noise is reported as unlike all others.
-LONE_SPREAD: Final = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,7 +195,8 @@ def swept(
     residual = residuals[chosen]
     expected = held.spread(manner)
     certain = residual * spread / expected[:, None]
-    lone = int(np.count_nonzero(expected > LONE_SPREAD))
+    # A tick judged by more than so many times the noise is reported as unlike all others.
+    lone = int(np.count_nonzero(expected > 10.0))
     return Sweep(manner, chosen, errors, residual, certain, lone)
 
 
@@ -229,4 +226,5 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
     beyond = float((np.square(held.spread(plain.manner)) - 1.0).mean())
     if best < (0.0 if beyond > UNDETERMINED else LEAST_GAIN):
         return None
-    return max(strength for strength, gain in gains.items() if gain >= KEPT_GAIN * best)
+    # Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
+    return max(strength for strength, gain in gains.items() if gain >= 0.9 * best)

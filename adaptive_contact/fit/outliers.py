@@ -31,14 +31,6 @@ OUTLIER_SIGMA: Final = 10.0
 # the rest.
 CORE_SHARE: Final = 0.75
 STEPS: Final = 30  # of concentration
-ROUNDS: Final = 8  # of letting in
-SETTLED_SHARE: Final = 1e-3  # of the rows, that changed sides in the last step
-# A term is held at zero by so many rows of its typical size.
-RIDGE_ROWS: Final = 5.0
-# In any joint; free ticks go further out once in 700.
-MOST_SIGMA: Final = 3.5
-# No free tick goes this far out from the model of the others; one touch in ten stays within it.
-TOUCH_SIGMA: Final = 6.0
 # Where the foot touched in more than this share of the swings, the light touches that stay within
 # it are many enough to set the tail.
 MANY_SWINGS: Final = 0.01
@@ -120,7 +112,9 @@ class _Swings:
 
     def untouched(self, *, tail: bool) -> Untouched:
         keep = self._explained()
-        near: Mask = np.asarray((self._deviations(keep) < TOUCH_SIGMA).all(axis=1))
+        # No free tick goes this far out from the model of the others; one touch in ten stays within
+        # it.
+        near: Mask = np.asarray((self._deviations(keep) < 6.0).all(axis=1))
         touched = len(np.unique(self._swing[~near]))
         if tail and touched <= MANY_SWINGS * (int(self._swing[-1]) + 1):
             keep = _with_their_touch(near, self._swing)
@@ -129,8 +123,10 @@ class _Swings:
     def _explained(self) -> Mask:
         keep = self._core()
         widen = CORE_DEVIATION
-        for _ in range(ROUNDS):
-            fits: Mask = np.asarray((self._deviations(keep) < MOST_SIGMA * widen).all(axis=1))
+        # Rounds of letting in.
+        for _ in range(8):
+            # In any joint; free ticks go further out once in 700.
+            fits: Mask = np.asarray((self._deviations(keep) < 3.5 * widen).all(axis=1))
             let_in = _with_their_touch(fits, self._swing)
             widen = 1.0
             if _settled(keep, let_in):
@@ -181,7 +177,8 @@ class _Swings:
         """(n, J) residuals of all by a fit to some, and the normal matrix of those."""
         rows, target = self._rows[keep], self._target[keep]
         normal: Array = rows.T @ rows
-        normal[np.diag_indices_from(normal)] += RIDGE_ROWS
+        # A term is held at zero by so many rows of its typical size.
+        normal[np.diag_indices_from(normal)] += 5.0
         return self._target - self._rows @ np.linalg.solve(normal, rows.T @ target), normal
 
 
@@ -258,4 +255,5 @@ def _with_their_touch(fits: Mask, swing: Ints) -> Mask:
 
 
 def _settled(before: Mask, after: Mask) -> bool:
-    return int(np.count_nonzero(before != after)) <= SETTLED_SHARE * len(before)
+    # So few changed sides in the last step.
+    return int(np.count_nonzero(before != after)) <= 1e-3 * len(before)

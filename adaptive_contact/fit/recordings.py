@@ -52,7 +52,6 @@ GRID_TICKS: Final = 50
 ASTRAY_NS: Final = 1_000_000_000
 # How much of a recording is judged at a time for signs and zeros, and how often.
 JUDGED_NS: Final = 60_000_000_000
-MOST_PARTS: Final = 10
 # A reading that is off the median of five: by so many times what one tick in twenty moves, and by
 # so much, rad, at least.  At a turn a joint is off it by two ticks' movements at most.
 STRAY_TICKS: Final = 5
@@ -370,7 +369,7 @@ def judge_conventions(
         return Verdict()
     begin = min(int(motion.t_ns[0]) for motion in motions.values())
     end = max(int(motion.t_ns[-1]) for motion in motions.values())
-    parts = min(max(round((end - begin) / JUDGED_NS), 1), MOST_PARTS)
+    parts = min(max(round((end - begin) / JUDGED_NS), 1), 10)
     found: dict[str, ConventionFinding] = {}
     fits: set[str] = set()
     for part in range(parts):

@@ -48,8 +48,6 @@ MOST_FOLDS: Final = 10
 SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
 # Sums over several ticks are judged from so many on.
 FEW_TICKS: Final = 200
-# Ticks in a row over which a slow leg is judged.
-SPANS: Final = (2, 4, 8, 16)
 # Without truth: the last ticks of a swing may hold the touch that ended it.
 LAST_TICKS: Final = 6
 
@@ -412,7 +410,8 @@ def _spans(residual: Array, rows: Rows) -> dict[int, tuple[Array, Array]]:
     total = np.cumsum(np.concatenate([residual, rows.target], axis=1), axis=0)
     total = np.concatenate([np.zeros_like(total[:1]), total])
     found = {}
-    for span in SPANS:
+    # Ticks in a row over which a slow leg is judged.
+    for span in (2, 4, 8, 16):
         # Places only grow, so that so many in a row have no gap.
         apart = rows.position[span - 1 :] - rows.position[: len(total) - span]
         sums = (total[span:] - total[:-span])[apart == span - 1]

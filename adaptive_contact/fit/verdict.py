@@ -18,19 +18,12 @@ from adaptive_contact.robot import Robot
 # own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
 _NOISE_STEPS: Final = 0.82
 _GOOD, _FAIR = 2.5, 4.0
-# Free ticks per term of the library at which held-out error has settled.
-_ENOUGH_ROWS: Final = 12
 # One score in a thousand of free ticks is above the chi-square quantile of so many joints, 16.3 of
 # three.  Thresholds are for far rarer ones: 35 and more of good recordings, below 0.2 where
 # readings are copies of commands or a swing never ends.
 _LEAST_EXCEEDANCE: Final = 1e-3
-# Rounding alone errs by 0.29 steps; a joint that moves and errs by less is not read in such steps.
-_LEAST_STEPS: Final = 0.25
 # Four steps of an AX-12A, the coarsest servo known here: with coarser ones a touch hides in a step.
 _COARSEST_RAD: Final = 0.02
-# No leg swings for so long: swings of the shipped gaits and trials take 20 to 60 ticks.
-_LONG_SWING_TICKS: Final = 200
-_LONG_SWING_S: Final = 2.0
 # Joints of one line that are shown; the others are counted.
 _SHOWN: Final = 3
 
@@ -41,7 +34,8 @@ def verdict(robot: Robot, training: Training) -> list[str]:
     for leg, figures in training.figures.items():
         noise = _NOISE_STEPS * robot.quantum(leg)
         worst = float(np.max(figures.held_out_rms)) / noise
-        wanted = _ENOUGH_ROWS * figures.library_size
+        # Free ticks per term of the library at which held-out error has settled.
+        wanted = 12 * figures.library_size
         if figures.rows < wanted:
             more = wanted / max(figures.rows, 1)
             word = f"too little: {figures.rows} of {wanted} free ticks; swing {more:.1f} x as long"
@@ -78,7 +72,8 @@ def refusals(robot: Robot, training: Training) -> list[str]:
 
 def _endless_swings(robot: Robot, training: Training) -> list[str]:
     """Legs and mean lengths of swings that are too long to be any."""
-    most = max(_LONG_SWING_TICKS, _LONG_SWING_S / robot.period_s)
+    # No leg swings for so long: swings of the shipped gaits and trials take 20 to 60 ticks.
+    most = max(200, 2.0 / robot.period_s)
     lengths = {
         leg: (figures.rows + figures.outliers) / max(figures.swings, 1)
         for leg, figures in training.figures.items()
@@ -94,7 +89,9 @@ def _residuals(robot: Robot, training: Training) -> Iterator[str]:
         for joint, error, moved in zip(
             robot.leg(leg).joints, figures.held_out_rms, figures.naive_rms, strict=True
         )
-        if moved > robot.quantum(leg) and error < _LEAST_STEPS * robot.quantum(leg)
+        # Rounding alone errs by 0.29 steps; a joint that moves and errs by less is not read in such
+        # steps.
+        if moved > robot.quantum(leg) and error < 0.25 * robot.quantum(leg)
     ]
     if small:
         more = f" and {len(small) - _SHOWN} more" if len(small) > _SHOWN else ""

@@ -25,13 +25,9 @@ from adaptive_contact.robot.kinematics import AXES, Vector, yaws_then_pitches
 
 Complex = NDArray[np.complex128]
 
-# Of a link's weight; less moves no servo by a step, and axes in files are off by as much.
-_LEAST: Final = 0.01
 # Angles per joint: a hip of yaw, roll and pitch, knee and ankle need 7 for 5 joints.  Of a chain
 # with more, those that fewer joints turn are kept: its library is to stay small enough to learn.
 MOST_PER_JOINT: Final = 3
-# Parts of a product that are followed; each joint may triple them.
-_MOST_PARTS: Final = 729
 
 
 class GravityAngle(NamedTuple):
@@ -66,8 +62,10 @@ def gravity_angles(joints: Sequence[str], axes: Sequence[Axis]) -> tuple[Gravity
             for sign, projector in ((0, still), (1, turning), (-1, turning.conj())):
                 of = (*signs[:j], sign, *signs[j + 1 :])
                 turned[of] = turned.get(of, 0.0) + part @ projector
-        there = [of for of, part in turned.items() if np.abs(part).max() > _LEAST]
-        vertical = {of: turned[of] for of in _simplest(there, _MOST_PARTS)}
+        # Of a link's weight; less moves no servo by a step, and axes in files are off by as much.
+        there = [of for of, part in turned.items() if np.abs(part).max() > 0.01]
+        # Parts of a product that are followed; each joint may triple them.
+        vertical = {of: turned[of] for of in _simplest(there, 729)}
         # Of an angle and its negative, which come in pairs, one is enough.
         found |= dict.fromkeys(of for of in vertical if _leading(of) > 0)
     kept = _simplest(list(found), MOST_PER_JOINT * len(axes))

@@ -34,10 +34,6 @@ from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 from adaptive_contact.robot.description import Axis
 
 FORMAT: Final = 2
-# Statistics of format 1 counted noise in every direction.
-_ALL_DIRECTIONS: Final = 1
-# A leg of 3 joints has 30 kB, one of 16 with all terms of the servo library 0.9 MB.
-_MOST_BYTES: Final = 32_000_000
 Direction = Literal["lift", "descent", "after"]
 _DIRECTIONS: Final = get_args(Direction)  # in the order of noise
 # Characters of a file's value that an error line shows.
@@ -226,7 +222,8 @@ def load_baseline(path: str | Path) -> Baseline:
         BaselineError: in one line, what is wrong with it.
     """
     path = Path(path)
-    data = read_file(path, "give a file that `fit` wrote", most=_MOST_BYTES, error=BaselineError)
+    # A leg of 3 joints has 30 kB, one of 16 with all terms of the servo library 0.9 MB.
+    data = read_file(path, "give a file that `fit` wrote", most=32_000_000, error=BaselineError)
     return parse_baseline(data, source=str(path))
 
 
@@ -252,7 +249,8 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         # Editors of Windows begin a file with a mark.
         data = data.removeprefix(codecs.BOM_UTF8)
         found = msgspec.json.decode(data, type=_Head).format
-        if found not in (FORMAT, _ALL_DIRECTIONS):
+        # Statistics of format 1 counted noise in every direction.
+        if found not in (FORMAT, 1):
             raise BaselineError(
                 f"{source}: a file of format {_brief(found)}; expected a baseline of format "
                 f"{FORMAT}: fit a new one with `adaptive-contact fit`"

@@ -41,8 +41,6 @@ AXES: Final[dict[str, Vector]] = {
     "pitch": (0.0, -1.0, 0.0),
     "yaw": (0.0, 0.0, 1.0),
 }
-# Reach of the leg on which limits of lengths were measured: the PhantomX-class hexapod's.
-HEXAPOD_REACH_M: Final = 0.256
 
 
 def axis_text(axis: str | Vector) -> str:
@@ -86,7 +84,8 @@ class Chain:
     @cached_property
     def size(self) -> float:
         """Reach in those of the hexapod's legs, whose limits in m hold for others in proportion."""
-        return self.reach_m / HEXAPOD_REACH_M
+        # Reach of the leg on which limits of lengths were measured: the PhantomX-class hexapod's.
+        return self.reach_m / 0.256
 
     @cached_property
     def raises_foot(self) -> bool:

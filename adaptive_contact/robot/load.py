@@ -41,8 +41,6 @@ MAX_JOINTS: Final = 16
 _LONGEST_NAME: Final = 1000
 # A link is no longer, m, a leg reaches no less, and a direction is no shorter.
 MOST_M: Final = 5.0
-LEAST_REACH_M: Final = 1e-3
-LEAST_AXIS: Final = 1e-3
 # A Dynamixel bus: 253 is reserved, 254 is broadcast.
 MAX_SERVO_ID: Final = 252
 
@@ -204,7 +202,7 @@ def _is_angle(value: float) -> bool:
 
 def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
     for axis in leg.axes or ():
-        if not isinstance(axis, str) and not LEAST_AXIS <= math.hypot(*axis) < math.inf:
+        if not isinstance(axis, str) and not 1e-3 <= math.hypot(*axis) < math.inf:
             fail(f"{where}: axes has {list(axis)}; expected a direction such as [0, 1, 0]")
     if leg.lengths_m is not None and not all(0 < x <= MOST_M for x in leg.lengths_m):
         fail(f"{where}: lengths_m is {list(leg.lengths_m)}; expected metres above 0, up to 5")
@@ -219,7 +217,7 @@ def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
     chain = leg.chain
     if chain is None:
         return
-    if chain.reach_m < LEAST_REACH_M:
+    if chain.reach_m < 1e-3:
         fail(
             f"{where}: reaches {chain.reach_m:g} m; expected the way from each joint to the next, m"
         )

@@ -38,16 +38,12 @@ _LONGEST_PATH: Final = 100
 _TURNING: Final = ("revolute", "continuous")
 _NO_LEG_S: Final = ("fixed", "floating", "planar")
 _KINDS: Final = (*_TURNING, *_NO_LEG_S, "prismatic")
-# What only stands below <robot> until xacro has run, with any prefix or none.
-_XACRO: Final = ("arg", "if", "include", "macro", "property", "unless")
 # Digits of what is written, m and parts of an axis: files have pi with as few.
 _DIGITS: Final = 6
 _SNAP: Final = 2e-5
 _LISTED: Final = 12
 # Links of these names are listed first where feet are asked for.
 _FOOT: Final = re.compile("foot|feet|toe|sole|tip|ankle", re.IGNORECASE)
-# A foot this share of the leg's reach above its first joint is not how a robot stands.
-_ABOVE_SHARE: Final = 0.1
 
 
 @dataclasses.dataclass
@@ -203,7 +199,12 @@ class Urdf:
             tag.startswith("xacro:")
             or "${" in text
             or "$(" in text
-            or (depth == 1 and tag.rpartition(":")[2] in _XACRO)
+            # What only stands below <robot> until xacro has run, with any prefix or none.
+            or (
+                depth == 1
+                and tag.rpartition(":")[2]
+                in ("arg", "if", "include", "macro", "property", "unless")
+            )
         ):
             raise self._error(
                 f"line {line}: <{printable(tag)}> is xacro, not expanded; run `xacro FILE > "
@@ -483,7 +484,8 @@ def _is_raised(leg: Leg) -> bool:
     if leg.limits is not None:
         ends = zip(leg.limits.lower_rad, leg.limits.upper_rad, strict=True)
         postures.append([(low + high) / 2 for low, high in ends])
-    return all(chain.foot(q)[2] > _ABOVE_SHARE * chain.reach_m for q in postures)
+    # A foot this share of the leg's reach above its first joint is not how a robot stands.
+    return all(chain.foot(q)[2] > 0.1 * chain.reach_m for q in postures)
 
 
 def _limits(joints: Sequence[_Joint]) -> Limits | None:

@@ -29,7 +29,6 @@ from adaptive_contact.ros2.types import Types, typestore
 from adaptive_contact.wire import ContactEvent, ContactTruth, Message, ServoSample
 
 _VERSION: Final = 9  # of metadata.yaml, since Jazzy
-_KNOWN_NS: Final = 500_000_000  # a leg is known while its newest sample is no older
 _FOREVER: Final = QosTime(2**31 - 1, 2**32 - 1)
 _LATCHED: Final = Qos(
     QosHistory.KEEP_LAST,
@@ -96,7 +95,8 @@ class BagWriter:
             if changed is not None:
                 self._put(contact, RosType.BOOL, changed, time_ns)
             ages_ns = {of: time_ns - at_ns for of, at_ns in self._newest_ns.items()}
-            known = {of for of, age_ns in ages_ns.items() if age_ns <= _KNOWN_NS}
+            # A leg is known while its newest sample is no older.
+            known = {of for of, age_ns in ages_ns.items() if age_ns <= 500_000_000}
             every = self._report.all_legs({of: ns / 1e9 for of, ns in ages_ns.items()}, known)
             self._put(self._report.values.topic, RosType.JOINT_VALUES, every, time_ns)
         else:

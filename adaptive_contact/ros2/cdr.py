@@ -18,19 +18,14 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 _LITTLE: Final = b"\x00\x01"
-_BIG: Final = b"\x00\x00"
 _DOUBLE: Final = 8
 _DURATION: Final = 8
-# Lists of numbers in a point; the first are its positions.
-_LISTS: Final = 4
 # Bytes of an element of a multi-joint point: transforms, velocities, accelerations.
 _MULTI: Final = (7 * _DOUBLE, 6 * _DOUBLE, 6 * _DOUBLE)
-_PADDING: Final = 3
 _BEGINS: Final = 4  # after the encapsulation
 _FRAME: Final = _BEGINS + 8  # after the stamp
 # Layouts that are kept, of one definition; of messages up to this size (64 legs have 20 kB).
 _MOST_LAYOUTS: Final = 64
-_LARGEST: Final = 32 * 1024
 
 
 _Unpack = Callable[[bytes, int], tuple[int, ...]]
@@ -172,7 +167,7 @@ class StateReader:
             CdrError: the bytes are no such message.
         """
         order = payload[:2]
-        if order not in (_LITTLE, _BIG) or len(payload) < 4:
+        if order not in (_LITTLE, b"\x00\x00") or len(payload) < 4:
             raise CdrError("no CDR")
         try:
             return self._walk(payload, "<" if order == _LITTLE else ">")
@@ -189,7 +184,8 @@ class StateReader:
         fixed = [_Span(0, 2)]
         found: dict[str, _Span] = {}
         for name in self._points:
-            for which in range(_LISTS):
+            # Lists of numbers in a point; the first are its positions.
+            for which in range(4):
                 at = (at + 3) & -4
                 (length,) = count(data, at)
                 fixed.append(_Span(_BEGINS + at, 4))
@@ -218,14 +214,14 @@ class StateReader:
                 at = ((at + 3) & -4) + _DURATION
         if self._scaling:
             at = ((at + 7) & -8) + _DOUBLE
-        if not at <= size <= at + _PADDING:
+        if not at <= size <= at + 3:
             raise CdrError(f"{size} bytes, expected {at}")
         # Humble fills both; a definition that is older has only the second.
         nowhere = _Span(0, 0)
         feedback = found.get("feedback") or found.get("actual", nowhere)
         reference = found.get("reference") or found.get("desired", nowhere)
         layout = _Layout(payload, order, fixed, names, feedback, reference)
-        if len(payload) <= _LARGEST:
+        if len(payload) <= (32 * 1024):
             if len(self._layouts) >= _MOST_LAYOUTS:
                 self._layouts.clear()
             self._layouts[len(payload), payload[_FRAME:head]] = layout

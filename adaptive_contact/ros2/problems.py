@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 _SHOWN: Final = 4  # names in a line
-_LONGEST_SHOWN: Final = 60  # letters of each; a stranger's may have thousands
 
 
 class Reason(enum.StrEnum):
@@ -84,5 +83,6 @@ class Complaints:
 def some(names: Sequence[str]) -> str:
     """Names for a line: a few, and how many more."""
     more = len(names) - _SHOWN
-    shown = [name[:_LONGEST_SHOWN] or "''" for name in names[:_SHOWN]]
+    # Letters of each; a stranger's may have thousands.
+    shown = [name[:60] or "''" for name in names[:_SHOWN]]
     return ", ".join(shown or ["none"]) + (f" and {more} more" if more > 0 else "")

@@ -28,8 +28,6 @@ _MEANS: Final = {
     "ambiguous": "cannot be judged: contacts are withheld",
     "silent": "sends no usable samples",
 }
-_INTERFACES: Final = ("contact", "score", "onset_age", "withheld", "valid", "age")
-_OF_STATE: Final = ("contact", "p", "known")
 
 
 def topic_of_leg(node: str, leg: str) -> str:
@@ -100,7 +98,9 @@ class Report:
             [*_decided(self._last.get(leg)), float(leg in valid), ages_s.get(leg, math.nan)]
             for leg in self.contacts
         ]
-        return self._table(self._newest_ns, _INTERFACES, rows)
+        return self._table(
+            self._newest_ns, ("contact", "score", "onset_age", "withheld", "valid", "age"), rows
+        )
 
     def state(self, leg: str, state: LegState) -> bytes | None:
         """Take the state of a leg in; a ``DynamicJointState`` of a tick once it is whole.
@@ -122,7 +122,7 @@ class Report:
             else [float(of.contact), math.nan if of.p is None else of.p, float(of.known)]
             for leg in self.contacts
         ]
-        return self._table(max(of.t_ns for of in states.values()), _OF_STATE, rows)
+        return self._table(max(of.t_ns for of in states.values()), ("contact", "p", "known"), rows)
 
     def _table(self, t_ns: int, names: Sequence[str], rows: Sequence[Sequence[float]]) -> bytes:
         """A ``DynamicJointState`` with a row per leg."""

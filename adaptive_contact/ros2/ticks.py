@@ -11,12 +11,8 @@ from typing import Final, NamedTuple
 
 from adaptive_contact.ros2.problems import OnProblem, Reason
 
-# A publisher whose numbers go back by less has sent a message twice; by more, it counts again.
-_REPEATED: Final = 50
 # Numbers of a publisher that jump further are no loss: it counts again.
 _MOST_LOST: Final = 10_000_000
-_MOST_PUBLISHERS: Final = 64
-_GAP_PERIODS: Final = 1.5
 
 
 class Origin(NamedTuple):
@@ -60,7 +56,9 @@ class TickCounter:
         back = False
         if publisher is not None and origin.seq is not None and publisher.seq is not None:
             ahead = origin.seq - publisher.seq
-            if -_REPEATED < ahead <= 0:
+            # A publisher whose numbers go back by less has sent a message twice; by more, it counts
+            # again.
+            if -50 < ahead <= 0:
                 self._refuse(
                     topic,
                     Reason.REPEATED,
@@ -73,7 +71,7 @@ class TickCounter:
             else:
                 publisher.lost += ahead - 1
         if publisher is None:
-            if not back and len(self._publishers) >= _MOST_PUBLISHERS:
+            if not back and len(self._publishers) >= 64:
                 self._publishers.pop(next(iter(self._publishers)))
             publisher = self._publishers[key] = Publisher(self._run)
             self._run += 1
@@ -86,7 +84,7 @@ class TickCounter:
             before = publisher.times.get(leg)
             if before is not None:
                 apart = min(t_ns - before[0], origin.time_ns - before[1])
-                if _GAP_PERIODS * self._period_ns < apart < _MOST_LOST * self._period_ns:
+                if 1.5 * self._period_ns < apart < _MOST_LOST * self._period_ns:
                     publisher.ticks[leg] += round(apart / self._period_ns) - 1
             publisher.times[leg] = (t_ns, origin.time_ns)
         seq = publisher.ticks[leg] + publisher.lost

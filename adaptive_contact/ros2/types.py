@@ -19,9 +19,6 @@ from rosbags.typesys.store import Typestore
 from adaptive_contact.ros2.cdr import CdrError, StateReader, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
 
-# A message of ours has a value per joint; a length beyond this is damage, and would allocate.
-_MOST_ITEMS: Final = 65_536
-
 _POINT: Final = "trajectory_msgs/JointTrajectoryPoint"
 _MULTI: Final = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
 
@@ -64,14 +61,12 @@ _JOINT_VALUES: Final = (
 )
 _INTERFACE_VALUE: Final = "string[] interface_names\nfloat64[] values\n"
 
-# What rosbags' generated code raises on bytes that are no such message.
-_DAMAGE: Final = (SerdeError, struct.error, ValueError, IndexError, OverflowError, MemoryError)
-
 
 def typestore(state: str = "jazzy") -> Typestore:
     """All types that are read or written."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.max_sequence_length = _MOST_ITEMS
+    # A message of ours has a value per joint; a length beyond this is damage, and would allocate.
+    store.max_sequence_length = 65_536
     store.register(
         {
             **get_types_from_msg(_CONTROLLER_STATES[state].fields, RosType.CONTROLLER_STATE),
@@ -123,7 +118,15 @@ class Types:
                 raise UnknownHashError(_short(known))
             try:
                 return self._own.deserialize_cdr(payload, type_name)
-            except _DAMAGE as error:
+            # What rosbags' generated code raises on bytes that are no such message.
+            except (
+                SerdeError,
+                struct.error,
+                ValueError,
+                IndexError,
+                OverflowError,
+                MemoryError,
+            ) as error:
                 raise CdrError(str(error) or type(error).__name__) from error
         own = self._readers.get(type_hash)
         readers = self._unhashed.get(type_hash, []) if own is None else [own]

@@ -114,13 +114,6 @@ def _pick(truth: TruthChanges, rows: Ints, onset_ns: Ints, release_ns: Ints) -> 
     )
 
 
-# A hole this long in the samples (in median ticks) ends a swing: what happened inside is unknown.
-GAP_TICKS: Final = 10
-# The lift is over once the command comes this close to the highest point of its swing.  A swing's
-# top is flat: its last ticks rise by fractions of a millimetre.
-TOP_M: Final = 0.001
-
-
 class Swings(NamedTuple):
     """Swings in order of time."""
 
@@ -135,7 +128,9 @@ def longest_gap(t_ns: Ints) -> int:
     """Longest time between two samples, ns, that still counts as one stretch."""
     if len(t_ns) < 2:
         return 0
-    return int(GAP_TICKS * np.median(np.diff(t_ns)))
+    # A hole this long in the samples (in median ticks) ends a swing: what happened inside is
+    # unknown.
+    return int(10 * np.median(np.diff(t_ns)))
 
 
 def find_swings(t_ns: Ints, swing: Mask) -> Swings:
@@ -187,7 +182,9 @@ def lift_by_height(swings: Swings, height_m: Array) -> Mask:
     in_swing = swings.of_tick >= 0
     # Ticks of stance lie between the starts of two swings; they are given values that never win.
     top = np.maximum.reduceat(np.where(in_swing, height_m, -np.inf), swings.start)
-    near = in_swing & (height_m >= top[swings.of_tick] - TOP_M)
+    # The lift is over once the command comes this close to the highest point of its swing.  A
+    # swing's top is flat: its last ticks rise by fractions of a millimetre.
+    near = in_swing & (height_m >= top[swings.of_tick] - 0.001)
     ticks = np.arange(n)
     first_near = np.minimum.reduceat(np.where(near, ticks, n), swings.start)
     return in_swing & (ticks < first_near[swings.of_tick])

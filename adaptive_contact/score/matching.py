@@ -36,9 +36,6 @@ from adaptive_contact.score.outcome import (
 # After a touch on hard ground at speed, and after a slow approach or on soft ground.
 WINDOW_NS: Final = 120_000_000
 LONG_WINDOW_NS: Final = 500_000_000
-# A touch with fewer swing samples left than this is late; so is one soon after the turn to stance.
-LATE_SAMPLES: Final = 3
-LATE_TICKS: Final = 10
 # A gait says "stance" when it plans to touch; for so many ticks the foot may be on its way.
 AFTER_TICKS: Final = 16
 # Speed at touch, m/s.
@@ -62,7 +59,7 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
     # is the first after its turn.
     tick = _tick_of(contacts.onset_ns, t_ns)
     late = _at(swings.after_tick, tick)
-    soon = tick - _at(swings.stop, late) < LATE_TICKS
+    soon = tick - _at(swings.stop, late) < 10
     soon &= _at(_first_after(t_ns, swings, contacts), late) == np.arange(len(tick))
     judged_in = np.maximum(_at(swings.of_tick, tick), np.where(soon, late, -1))
     judged_in[~contacts.touch] = -1
@@ -189,7 +186,9 @@ def _touches(
     grazing = contacts.grazing[inside]
     # Samples at or before the onset cannot know of it; ``at`` is the last of those.
     left = swings.stop[swing] - 1 - at
-    late = left < LATE_SAMPLES  # after the turn it is negative
+    # A touch with fewer swing samples left than this is late; so is one soon after the turn to
+    # stance.
+    late = left < 3  # after the turn it is negative
     unknown = np.isnan(speed) & ~soft & ~grazing
     rows: list[tuple[Mask, Row]] = [
         (late & ~unknown, Row.LATE),

@@ -31,7 +31,6 @@ from adaptive_contact.wire import (
     is_leg_id,
 )
 
-_MAX_TIME_NS: Final = 2**63 - 1
 _UNTOLD, _SWING, _STANCE = 0, 1, 2
 _PHASES: Final = {None: _UNTOLD, "swing": _SWING, "stance": _STANCE}
 
@@ -68,7 +67,7 @@ class _Samples:
             return Reject.WRONG_JOINTS
         if not all(map(math.isfinite, sample.desired)):
             return Reject.NOT_FINITE
-        if not 0 <= sample.t_ns <= _MAX_TIME_NS:
+        if not 0 <= sample.t_ns <= (2**63 - 1):
             return Reject.OUT_OF_RANGE
         self.t_ns.append(sample.t_ns)
         self.desired.extend(sample.desired)

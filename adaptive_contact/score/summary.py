@@ -224,22 +224,15 @@ def _figures(touches: Sequence[TouchTable], chosen: NDArray[np.bool_]) -> RowFig
     )
 
 
-WINDOW_SWINGS: Final = 20
-ALLOWED_ERRORS: Final = 1
-# "Half of them with contact" is how the experiment is made.  Where contacts are drawn at random,
-# half of 20 swings is 10 give or take 2; fewer than 5 of a kind would say nothing about it.
-LEAST_OF_A_KIND: Final = 5
-# When a drift counts as one to recover from.
-RECALL_LOST: Final = 0.05
-ALARM_RATIO: Final = 10.0
-
-
 def swings_to_recovery(
     swings: SwingTable,
     drift_ns: int,
     *,
-    window: int = WINDOW_SWINGS,
-    least_of_a_kind: int = LEAST_OF_A_KIND,
+    window: int = 20,
+    # "Half of them with contact" is how the experiment is made.  Where contacts are drawn at
+    # random, half of 20 swings is 10 give or take 2; fewer than 5 of a kind would say nothing about
+    # it.
+    least_of_a_kind: int = 5,
 ) -> int | None:
     """Swings of a leg that pass after a drift before it is reliable again.
 
@@ -271,7 +264,7 @@ def swings_to_recovery(
         ends = np.maximum(ends, enough)
     held = ends <= n
     so_far = _counted(errors)
-    good = held & (so_far[np.minimum(ends, n)] - so_far[starts] <= ALLOWED_ERRORS)
+    good = held & (so_far[np.minimum(ends, n)] - so_far[starts] <= 1)
     return int(np.argmax(good)) if good.any() else None
 
 
@@ -288,9 +281,10 @@ def is_harmful(drifted: list[LegOutcome], twin: list[LegOutcome]) -> bool:
         alarms per judged tick; a twin without any is taken to have had one.
     """
     worse, better = summarise(drifted), summarise(twin)
-    if _recall(better) - _recall(worse) >= RECALL_LOST:
+    # When a drift counts as one to recover from.
+    if _recall(better) - _recall(worse) >= 0.05:
         return True
-    at_least = ALARM_RATIO * max(better.false_alarms, 1) / max(better.judged_ticks, 1)
+    at_least = 10.0 * max(better.false_alarms, 1) / max(better.judged_ticks, 1)
     return worse.false_alarms / max(worse.judged_ticks, 1) >= at_least
 
 

@@ -16,11 +16,8 @@ from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.wire import LearnerStatus
 
-# Causes whose own remedy says more than the note's.
-_OWN_REMEDY: Final = frozenset({Cause.SIGNS, Cause.NOT_THIS_ROBOT, Cause.LEG_SWAP})
 # A count that has grown is shown for so long.
 _SHOWN_NS: Final = 60_000_000_000
-_CAP: Final = re.compile(r"^[a-z]")
 
 
 def remedy_of(note: str) -> str | None:
@@ -111,7 +108,12 @@ def _of_service(service: ServiceStatus) -> Iterator[Fault]:
 
 def _with_remedy(finding: Finding) -> Finding:
     """The finding with the remedy of its note, where that says more; as a sentence."""
-    remedy = None if finding.cause in _OWN_REMEDY else remedy_of(finding.what)
+    # Causes whose own remedy says more than the note's.
+    remedy = (
+        None
+        if finding.cause in (Cause.SIGNS, Cause.NOT_THIS_ROBOT, Cause.LEG_SWAP)
+        else remedy_of(finding.what)
+    )
     text = remedy or finding.remedy
-    text = _CAP.sub(lambda match: match.group().upper(), text)
+    text = re.sub(r"^[a-z]", lambda match: match.group().upper(), text)
     return finding._replace(remedy=text if text.endswith((".", "?")) else f"{text}.")

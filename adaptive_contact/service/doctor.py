@@ -39,8 +39,6 @@ from adaptive_contact.wire import (
     namespace_of,
 )
 
-# A flood is measured by its count; its samples need not all be looked at.
-_SAMPLES_KEPT: Final = 3000
 _KEYS_KEPT: Final = 400
 
 
@@ -119,7 +117,8 @@ class Examination:
             learner = decode(received.payload, LearnerStatus, received.encoding)
             if isinstance(learner, LearnerStatus):
                 self.learners[leg] = (self.learners.get(leg, (learner, learner))[0], learner)
-        elif received.key.endswith("/servo") and meter.count <= _SAMPLES_KEPT:
+        # A flood is measured by its count; its samples need not all be looked at.
+        elif received.key.endswith("/servo") and meter.count <= 3000:
             sample = decode(received.payload, ServoSample, received.encoding)
             if isinstance(sample, Rejected):
                 self.refused.setdefault(leg, []).append(sample)

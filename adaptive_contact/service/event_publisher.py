@@ -24,11 +24,6 @@ from adaptive_contact.wire import Message
 
 _log = structlog.get_logger()
 
-# A robot has some ten events a second; this is more than a minute of them.
-QUEUE_EVENTS: Final = 1024
-# An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs, or that the
-# computer has no core for it.
-SLOW_PUT_NS: Final = 100_000_000
 # A put that has gone on for so long is reported before it ends.
 HELD_UP_NS: Final = 500_000_000
 _SUBSCRIBER: Final = "a subscriber that hangs"
@@ -49,7 +44,8 @@ class EventPublisher:
         size: messages that wait at most.
     """
 
-    def __init__(self, held_ns: Callable[[], int] = lambda: 0, size: int = QUEUE_EVENTS) -> None:
+    # A robot has some ten events a second; this is more than a minute of them.
+    def __init__(self, held_ns: Callable[[], int] = lambda: 0, size: int = 1024) -> None:
         self._held_ns = held_ns
         # messages dropped because the queue was full, that could not be put, or that were left at
         # the end
@@ -168,7 +164,9 @@ class EventPublisher:
             self._putting_since_ns = None
         done_ns = time.monotonic_ns()
         self._latencies.append(done_ns - letter.arrival_ns)
-        if done_ns - began_ns > SLOW_PUT_NS:
+        # An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs, or that
+        # the computer has no core for it.
+        if done_ns - began_ns > 100_000_000:
             self._slow(began_ns, done_ns)
 
     def _unsent(self, fault: Exception) -> None:

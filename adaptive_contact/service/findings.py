@@ -20,15 +20,13 @@ Level = Literal["error", "warning", "note"]
 _RANKS: Final[dict[Level, int]] = {"error": 0, "warning": 1, "note": 2}
 # Details of one entry that are printed; the others are counted.
 _DETAILS: Final = 2
-# What happens to so few samples, or to such a share of them, is a note: a real bus drops or spoils
-# one reading in about 3,000, and one of a few hundred shows no share.
-FEW: Final = 2
-FEW_SHARE: Final = 2e-3
 
 
 def many(count: float, total: int) -> bool:
     """Whether so many samples of all are more than what any bus has."""
-    return count > max(FEW, FEW_SHARE * total)
+    # What happens to so few samples, or to such a share of them, is a note: a real bus drops or
+    # spoils one reading in about 3,000, and one of a few hundred shows no share.
+    return count > max(2, 2e-3 * total)
 
 
 class Cause(enum.StrEnum):

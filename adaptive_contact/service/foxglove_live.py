@@ -60,8 +60,6 @@ if TYPE_CHECKING:
 DEFAULT_PORT: Final = 8765
 # Messages that wait to be encoded: at 64 legs and 200 Hz more than a second.
 _MOST_WAITING: Final = 20_000
-# A tick placed further from now was taken before its source's clock jumped.
-_MOST_AGE_NS: Final = 60_000_000_000
 _STREAMS: Final = (
     HEARTBEAT, ALL_SERVO, ALL_LEARNER, ALL_TRUTH, command_key("*"), bridge_status_key("*"),
 )  # fmt: skip
@@ -235,7 +233,8 @@ class FoxgloveServer:
         names = JudgedTick.__struct_fields__  # as the trace has them, one list each
         for values in zip(*(getattr(trace, name) for name in names), strict=False):
             tick = JudgedTick(**dict(zip(names, values, strict=True)))
-            if abs(tick.t_ns + offset_ns - now_ns) <= _MOST_AGE_NS:
+            # A tick placed further from now was taken before its source's clock jumped.
+            if abs(tick.t_ns + offset_ns - now_ns) <= 60_000_000_000:
                 self._show(trace_key(trace.leg), tick, tick.t_ns + offset_ns)
 
 

@@ -11,9 +11,6 @@ from adaptive_contact.service.findings import REFUSED_FOR, Cause, Fault, Level
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.wire import LearnerStatus
 
-# Legs that fail together have one cause; one leg alone has its own.
-_SEVERAL_LEGS: Final = 2
-_FIGURES: Final = re.compile(r"[0-9.]+")
 # Words of notes on what the samples themselves may show.
 _NOTED: Final = {
     "ms apart, robot.toml says": Cause.PERIOD,
@@ -24,7 +21,6 @@ _NOTED: Final = {
     "answered": Cause.INVALID,
     "payload refused": Cause.UNREADABLE,
 }
-_NOTES: Final = "docs/operating.md says what each note asks for"
 
 
 def about_learner(
@@ -74,8 +70,15 @@ def about_learner(
         cause = next((c for words, c in _NOTED.items() if words in status.note), Cause.LEG_NOTE)
         if cause not in causes:
             # Of two legs with the same note, figures differ.
-            key = _FIGURES.sub("", status.note)
-            yield Fault("warning", cause, status.status, _NOTES, status.note, key=key)
+            key = re.sub(r"[0-9.]+", "", status.note)
+            yield Fault(
+                "warning",
+                cause,
+                status.status,
+                "docs/operating.md says what each note asks for",
+                status.note,
+                key=key,
+            )
     elif status.status == "silent":
         yield Fault.of("leg_note-silent")
 
@@ -97,7 +100,8 @@ def all_lost(
         if (status.status == "ambiguous" and status.doubt != "unjudged")
         or (status.status == "learning" and given)
     ]
-    if len(statuses) < _SEVERAL_LEGS or len(lost) < len(statuses):
+    # Legs that fail together have one cause; one leg alone has its own.
+    if len(statuses) < 2 or len(lost) < len(statuses):
         return
     for status in lost:
         yield status.leg, Fault.of("not_this_robot", status.note)

@@ -21,7 +21,7 @@ from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_G
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.logs import FaultLog, LogThrottle
 from adaptive_contact.service.settings import SILENT_AFTER_S, leg_token
-from adaptive_contact.service.state.keeper import Position
+from adaptive_contact.service.state.format import Position
 from adaptive_contact.wire import (
     ContactEvent,
     LearnerStatus,
@@ -97,9 +97,6 @@ class Admission:
             self._resumes = None
 
 
-_REPORTED_AFTER_NS: Final = 500_000_000
-
-
 class JointAvailability:
     """Follows ``valid`` of one leg's samples."""
 
@@ -123,7 +120,7 @@ class JointAvailability:
         mute = {
             joint: (now_ns - since_ns) / 1e9
             for joint, since_ns in enumerate(self._mute_since_ns, start=1)
-            if since_ns is not None and now_ns - since_ns > _REPORTED_AFTER_NS
+            if since_ns is not None and now_ns - since_ns > 500_000_000
         }
         if not mute:
             return None
@@ -135,11 +132,8 @@ class JointAvailability:
         return f"{joints} not answered for {for_s}: judged by the others"
 
 
-STATUS_PERIOD_S: Final = 1.0
-
 _SILENT_AFTER_NS: Final = int(SILENT_AFTER_S * 1e9)
-_STATUS_PERIOD_NS: Final = int(STATUS_PERIOD_S * 1e9)
-_REFUSAL_SHOWN_NS: Final = 5_000_000_000
+_STATUS_PERIOD_NS: Final = int(1.0 * 1e9)
 
 
 class LegEndpoint:
@@ -264,7 +258,7 @@ class LegEndpoint:
         if missed_down:
             status = msgspec.structs.replace(status, missed=status.missed + missed_down)
         notes = [] if status.note is None else [status.note]
-        if self._refused is not None and now_ns - self._refused_ns < _REFUSAL_SHOWN_NS:
+        if self._refused is not None and now_ns - self._refused_ns < 5_000_000_000:
             why = ": ".join(filter(None, (self._refused.reason, self._refused.detail.strip(" :"))))
             notes.insert(0, f"payload refused: {why}")
         quiet = self.silent(now_ns)

@@ -30,27 +30,8 @@ _SHORTEST_S: Final = 2e-4
 # the learner does.  A loop on a timer is off by 0.01 to 0.05 at 50, 100 and 200 Hz (two cores, ten
 # processes waiting to run); one that sleeps for a period by 0.04 to 0.07 at 50 Hz, 0.1 to 0.3 at
 # 100; the loop times of a Raspberry Pi 5 (issue 27) by 0.36.
-# Beyond so many robust deviations a stamp is a pause, not jitter.
-_PAUSE_SIGMA: Final = 5.0
-_MAD_DEVIATION: Final = 1.4826
 _FEWEST_STAMPS: Final = 25
-# No swing takes so many samples in a row: two seconds at 50 Hz.
-_LONG_SWING: Final = 100
-# A leg that walks: its widest joint travels so far, rad, so often from end to end.
-_WALKING_RAD: Final = 0.3
-_MANY_CYCLES: Final = 4
-_INVALID_SHARE: Final = 0.05
-# Ticks that may be lost where seq begins again at 0.
-_WRAP_TICKS: Final = 3
 _FEWEST: Final = 10
-# Readings that two legs have in common among those of ticks in which a joint moves this far, rad.
-# Of legs that walk alike, on servos of 0.3 degrees, less than one in a hundred is.
-_MOVES_RAD: Final = 0.01
-_TWIN_SHARE: Final = 0.8
-# A source that is restarted by hand starts once or twice in the seconds looked at; `run` lasts for
-# seconds.
-_MANY_STARTS: Final = 4
-_SHORT_RUN_SAMPLES: Final = 50
 # Servos with coarser steps than 1.1 degrees are not made for legs; a step in degrees is.
 MOST_QUANTUM_RAD: Final = 0.02
 
@@ -149,7 +130,10 @@ def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[
         counts = moving[leg] = Counter()
         for before, row in pairwise(rows):
             if len(row.measured) == len(before.measured) and any(
-                abs(new - old) > _MOVES_RAD
+                # Readings that two legs have in common among those of ticks in which a joint moves
+                # this far, rad.  Of legs that walk alike, on servos of 0.3 degrees, less than one
+                # in a hundred is.
+                abs(new - old) > 0.01
                 for new, old in zip(row.measured, before.measured, strict=True)
             ):
                 counts[tuple(row.measured)] += 1
@@ -157,7 +141,7 @@ def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[
     for leg, other in combinations(moving, 2):
         mine, theirs = moving[leg], moving[other]
         shared = (mine & theirs).total()
-        if shared >= max(_FEWEST, _TWIN_SHARE * min(mine.total(), theirs.total())):
+        if shared >= max(_FEWEST, 0.8 * min(mine.total(), theirs.total())):
             found.setdefault(leg, []).append(other)
             found.setdefault(other, []).append(leg)
     for leg, others in found.items():
@@ -213,7 +197,7 @@ def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) 
         yield Fault.of("phase")
     yield from _phases(samples)
     invalid = sum(s.valid is not None and not all(s.valid) for s in samples)
-    if invalid > _INVALID_SHARE * len(samples):
+    if invalid > 0.05 * len(samples):
         share = invalid / len(samples)
         yield Fault.of("invalid", f"{share:.0%} of them", share)
 
@@ -221,11 +205,12 @@ def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) 
 def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
     """A leg that never ends its swing, or never begins one while it walks."""
     phases = {s.phase for s in samples}
-    if len(samples) < _LONG_SWING or len(phases) != 1 or None in phases:
+    # No swing takes so many samples in a row: two seconds at 50 Hz.
+    if len(samples) < 100 or len(phases) != 1 or None in phases:
         return
     if phases == {"swing"}:
         yield Fault.of("phase-swing", f"{len(samples)} samples", key="swing")
-    elif _cycles(samples) >= _MANY_CYCLES:
+    elif _cycles(samples) >= 4:
         yield Fault.of("phase-stance", f"{len(samples)} samples", key="stance")
 
 
@@ -235,7 +220,8 @@ def _cycles(samples: Sequence[ServoSample]) -> int:
     desired = np.array([s.desired for s in samples if len(s.desired) == joints], dtype=np.float64)
     travel = np.ptp(desired, axis=0)
     widest = int(np.argmax(travel))
-    if not travel[widest] > _WALKING_RAD:
+    # A leg that walks: its widest joint travels so far, rad.
+    if not travel[widest] > 0.3:
         return 0
     shares = (desired[:, widest] - desired[:, widest].min()) / travel[widest]
     ends = np.sign(np.where(np.abs(shares - 0.5) > 0.25, shares - 0.5, 0.0))
@@ -249,7 +235,9 @@ def _publishers(samples: Sequence[ServoSample]) -> Iterator[Fault]:
     if changes > len(set(runs)):
         values = f"run values {', '.join(sorted(map(str, set(runs)))[:3])}"
         yield Fault.of("two_publishers", values, publishers=len(set(runs)))
-    elif changes >= _MANY_STARTS and len(samples) < _SHORT_RUN_SAMPLES * (changes + 1):
+    # A source that is restarted by hand starts once or twice in the seconds looked at; `run` lasts
+    # for seconds.
+    elif changes >= 4 and len(samples) < 50 * (changes + 1):
         yield Fault.of("run", f"{changes} times in {len(samples)} samples", changes)
 
 
@@ -301,7 +289,8 @@ def _wraps_at(
     ends = set()
     for a, b in back:
         ticks = round((b.t_ns - a.t_ns) / (1e9 * period_s))
-        ends.add(a.seq + ticks * usual - b.seq if 1 <= ticks <= _WRAP_TICKS else None)
+        # Ticks that may be lost where seq begins again at 0.
+        ends.add(a.seq + ticks * usual - b.seq if 1 <= ticks <= 3 else None)
     return ends.pop() if len(ends) == 1 else None
 
 
@@ -377,10 +366,11 @@ def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
         slope, start = np.polyfit(seq[part], schedule, 1)
         late.append(schedule - slope * seq[part] - start)
     off = np.concatenate(late)
-    robust = _MAD_DEVIATION * float(np.median(np.abs(off - np.median(off))))
+    robust = 1.4826 * float(np.median(np.abs(off - np.median(off))))
     if robust <= 0.0:
         return
-    deviation = float(off[np.abs(off) <= _PAUSE_SIGMA * robust].std())
+    # Beyond so many robust deviations a stamp is a pause, not jitter.
+    deviation = float(off[np.abs(off) <= 5.0 * robust].std())
     if deviation > NOTED_JITTER * period_s:
         share = f"{deviation / period_s:.0%} of a tick"
         by = f"by {deviation * 1e3:.1f} ms (standard deviation; {share})"

@@ -63,9 +63,6 @@ __all__ = [
     "router_settings",
 ]
 
-# As rmw_zenoh's publishers have it: after a message, not all the time.
-_HEARTBEAT_S: Final = 0.5
-
 
 class Request:
     """A query to be answered, here or later on another thread; answer or close it once."""
@@ -346,7 +343,8 @@ class Link:
             key: without wildcards.
         """
         drop = zenoh.CongestionControl.DROP
-        return self._kept(key, 1, _HEARTBEAT_S, congestion_control=drop, express=True)
+        # As rmw_zenoh's publishers have it: after a message, not all the time.
+        return self._kept(key, 1, 0.5, congestion_control=drop, express=True)
 
     def _kept(self, key: str, cache: int, heartbeat_s: float | None, **quality: Any) -> Publisher:
         """Declare a publisher with a cache for late joiners."""

@@ -28,8 +28,7 @@ from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
 
 # Samples kept of a leg: two minutes at 50 Hz.
 _KEPT: Final = 6000
-# A leg rests when no joint has moved by this, rad (two steps of an AX-12A), for this long, s.
-_REST_RAD: Final = 0.011
+# A leg rests when no joint has moved by two steps of an AX-12A for this long, s.
 _REST_S: Final = 0.3
 # A move by hand is reported from this on, rad (7 degrees); a joint that moved by less than this
 # share of the one that moved most has only given way.
@@ -222,7 +221,7 @@ class _LegCheck:
     @property
     def rests(self) -> bool:
         full = len(self._recent) == self._recent.maxlen
-        return full and bool((np.ptp(np.array(self._recent), axis=0) < _REST_RAD).all())
+        return full and bool((np.ptp(np.array(self._recent), axis=0) < 0.011).all())
 
     def view(self) -> LegView:
         newest, leg = self.turned[-1], self.leg

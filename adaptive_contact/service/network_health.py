@@ -25,8 +25,6 @@ from adaptive_contact.wire import MAX_PAYLOAD_BYTES, decode, meant_key, namespac
 
 _log = structlog.get_logger()
 
-# A service sends its status once a second.
-_GONE_AFTER_NS: Final = 3_000_000_000
 _REMEMBERED: Final = 8
 
 
@@ -54,7 +52,10 @@ class PeerServices:
                 if len(self._seen) > _REMEMBERED:  # another program makes them up
                     del self._seen[next(iter(self._seen))]
         self._seen = {
-            mark: seen for mark, seen in self._seen.items() if now_ns - seen[0] < _GONE_AFTER_NS
+            # A service sends its status once a second.
+            mark: seen
+            for mark, seen in self._seen.items()
+            if now_ns - seen[0] < 3_000_000_000
         }
         if not self._seen:
             return None

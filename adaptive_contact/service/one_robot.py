@@ -31,7 +31,6 @@ _NAMED: Final = frozenset(
 # Of these, the ones that leave no tick to judge an event by.
 _SPOILS: Final = frozenset({Cause.UNITS, Cause.TIME_UNIT, Cause.TIME_TYPE, Cause.TIME_BACKWARDS})
 # Counted in samples: these spoil a leg where they are in nearly half of them, or more.
-_MANY: Final = 0.4
 _COUNTED: Final = frozenset({Cause.TIME_TYPE, Cause.TIME_BACKWARDS, Cause.SEQ})
 
 
@@ -163,4 +162,4 @@ class OneRobot:
                     yield leg, fault
 
     def _in_many(self, leg: str, fault: Fault) -> bool:
-        return fault.size > _MANY * len(self._samples[leg])
+        return fault.size > 0.4 * len(self._samples[leg])

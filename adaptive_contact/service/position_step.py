@@ -31,11 +31,6 @@ _MOST_VALUES: Final = 400
 # Readings are counted in bins of an eighth of the least step, by which the finest grid's mean is
 # 0.974 of what it is; densities are an eighth of a peak's half width apart, or less.
 _BIN_RAD: Final = LEAST_STEP_RAD / 8.0
-_BINNED: Final = 0.97
-_PEAK: Final = 16
-# Readings that are looked at are within so much, rad: two turns.
-_WIDEST_RAD: Final = 4.0 * math.pi
-_GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 def position_step(angles: Array, expected_rad: float | None = None) -> float | None:
@@ -60,12 +55,13 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
     if len(again) >= _STEP_READINGS:
         values = again
     # A place in which a joint without steps rests counts no more than one it passes.
-    values = values[values < values[:1] + _WIDEST_RAD]
+    # Readings that are looked at are within so much, rad: two turns.
+    values = values[values < values[:1] + (4.0 * math.pi)]
     cells = np.floor(values / (LEAST_STEP_RAD / 2.0))
     values = values[np.unique(cells, return_index=True)[1]]
     if len(values) > _MOST_VALUES:
         # At irregular places: every second reading of a grid lies on one twice as coarse.
-        places = np.arange(_MOST_VALUES) * _GOLDEN % 1.0 * len(values)
+        places = np.arange(_MOST_VALUES) * ((math.sqrt(5.0) - 1.0) / 2.0) % 1.0 * len(values)
         values = values[np.unique(places.astype(int))]
     if len(values) < _STEP_READINGS:
         return None
@@ -114,8 +110,8 @@ def _on_grid(values: Array, least: float, most: float, share: float) -> float | 
     per_index = 1.0 / (count * _BIN_RAD)
     begin, end = math.ceil(least / per_index), math.ceil(most / per_index)
     tried = 0
-    for k in np.flatnonzero(length[begin:end] > _BINNED * share) + begin:
-        peak = int(k + np.argmax(length[k : k + _PEAK]))
+    for k in np.flatnonzero(length[begin:end] > 0.97 * share) + begin:
+        peak = int(k + np.argmax(length[k : k + 16]))
         if peak > tried and _by_lines(peak * per_index * values) > share:
             return 1.0 / (peak * per_index)
         tried = peak

@@ -31,15 +31,9 @@ _COMMANDED_RAD: Final = 0.05
 # A command that goes this far, rad, and a reading that follows by less than this share of it: the
 # joint stands, and only its encoder's last step flickers.
 _WIDE_RAD: Final = 0.3
-_STILL_SHARE: Final = 0.05
 # Median of |measured - desired|, rad: an AX-12A lags some 0.1 rad in fast swings; 0.4 rad over
 # seconds is a wrong zero, a wrong direction or a stalled joint.
 _FAR_RAD: Final = 0.4
-# No joint of a leg goes beyond a turn; radians do not either.  An encoder that counts turns may
-# start a turn off.
-_BEYOND_RAD: Final = 2 * math.pi + 0.1
-_BEYOND_TURNS_RAD: Final = 8 * math.pi
-_BACKWARDS_CORRELATION: Final = -0.7
 # Copies of the command of up to so many ticks before: of the ticks in which it moves, at speeds
 # that differ by so many steps a tick, this share is within one step, which is what rounding leaves.
 _COPY_LAGS: Final = 12
@@ -53,17 +47,6 @@ _FEWEST_MOVING: Final = 50
 _HELD_SHARE: Final = 0.4
 # Where the step of the encoder is not known, readings on no grid are copies if they are this near.
 _EQUAL_RAD: Final = 2e-6
-_SAME_RAD: Final = 1e-9  # that one step, computed in two ways, may be off
-# Readings that follow another joint's command: so much nearer than their own, and this near.
-_ORDER_SHARE: Final = 0.35
-_ORDER_RAD: Final = 0.2
-_LAG_TICKS: Final = 6
-_MOST_ORDERED: Final = 4  # joints whose orders are all tried
-_TURN_SLACK_RAD: Final = 0.5
-# Beyond its limits by this, rad, in most samples, is no overshoot.
-_LIMIT_SLACK_RAD: Final = 0.05
-_LIMIT_SHARE: Final = 0.5
-_DEGREE_RAD: Final = math.pi / 180.0
 
 
 # What the service expects of a sample's fields, and whether one of so many joints has it.
@@ -182,9 +165,10 @@ def _beyond_limits(
     lower, upper = np.array(limits_rad).T
     beyond = np.maximum(lower - measured, measured - upper)
     for name, by in zip(names, beyond.T, strict=True):
-        out = by > _LIMIT_SLACK_RAD
+        # Beyond its limits by this, rad, in most samples, is no overshoot.
+        out = by > 0.05
         share = float(out.mean())
-        if share > _LIMIT_SHARE:
+        if share > 0.5:
             far = math.degrees(float(np.median(by[out])))
             yield Fault.of("limits", f"{name} in {share:.0%} of the samples, by {far:.0f}°", share)
 
@@ -193,8 +177,10 @@ def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> 
     largest = np.maximum(_far_out(measured), _far_out(desired))
     j = int(np.argmax(largest))
     # An encoder that counts turns may be a few off, both of readings and of commands.
-    turns = largest[j] <= _BEYOND_TURNS_RAD and np.ptp(measured[:, j]) < math.pi
-    if largest[j] <= _BEYOND_RAD or (turns and like == "degrees"):
+    # No joint of a leg goes beyond a turn; radians do not either.  An encoder that counts turns may
+    # start a turn off.
+    turns = largest[j] <= (8 * math.pi) and np.ptp(measured[:, j]) < math.pi
+    if largest[j] <= (2 * math.pi + 0.1) or (turns and like == "degrees"):
         return None
     reaches = f"{names[j]} reaches {largest[j]:.4g}"
     return Fault.of("units", reaches, float(largest[j]), like=like)
@@ -231,7 +217,8 @@ def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[F
     for joint, name in enumerate(names):
         # With coarser steps than was said, a joint takes some ticks to go one.
         gaps = np.diff(np.unique(samples.measured[:, joint]))
-        coarser = float(gaps.min(initial=np.inf, where=gaps > _SAME_RAD))
+        # That one step, computed in two ways, may be off.
+        coarser = float(gaps.min(initial=np.inf, where=gaps > 1e-9))
         share = held_share(samples, joint, max(step_rad, coarser))
         if share > _HELD_SHARE:
             shares[name] = share
@@ -244,7 +231,7 @@ def _without_turns(angles: Array) -> tuple[Array, Ints]:
     """Angles with jumps of whole turns taken out, and how many there were of each joint."""
     steps = np.diff(angles, axis=0)
     turns = np.round(steps / math.tau)
-    turns[np.abs(steps - math.tau * turns) >= _TURN_SLACK_RAD] = 0.0
+    turns[np.abs(steps - math.tau * turns) >= 0.5] = 0.0
     whole = angles.copy()
     whole[1:] -= math.tau * np.cumsum(turns, axis=0)
     return whole, np.count_nonzero(turns, axis=0)
@@ -267,12 +254,13 @@ def _begun(desired: Array, rad: float) -> int:
 def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
     """Whose command every joint follows, where that is another joint's; else None."""
     joints = measured.shape[1]
-    if not 2 <= joints <= _MOST_ORDERED or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
+    # Joints whose orders are all tried.
+    if not 2 <= joints <= 4 or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
         return None
     if min(_begun(commanded, _COMMANDED_RAD) for commanded in desired.T) < _FEWEST_MOVING:
         return None
     apart = np.full((joints, joints), np.inf)
-    for back in range(min(_LAG_TICKS, len(measured) - 1) + 1):
+    for back in range(min(6, len(measured) - 1) + 1):
         off = measured[back:, :, None] - desired[: len(desired) - back, None, :]
         apart = np.minimum(apart, np.median(np.abs(off), axis=0))
 
@@ -281,7 +269,8 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
 
     own = tuple(range(joints))
     best = min(itertools.permutations(own), key=far)
-    if best == own or far(best) > min(_ORDER_RAD, _ORDER_SHARE * far(own)):
+    # Readings that follow another joint's command: so much nearer than their own, and this near.
+    if best == own or far(best) > min(0.2, 0.35 * far(own)):
         return None
     return best
 
@@ -291,7 +280,7 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
     commanded = float(np.ptp(desired))
     followed = _begun(desired, _COMMANDED_RAD) >= _FEWEST_MOVING
     moved = float(np.ptp(measured))
-    still = moved == 0.0 if commanded < _WIDE_RAD else moved < _STILL_SHARE * commanded
+    still = moved == 0.0 if commanded < _WIDE_RAD else moved < 0.05 * commanded
     if followed and still:
         within = "" if moved == 0.0 else f" within {moved:.3f} rad"
         yield Fault.of(
@@ -328,7 +317,7 @@ def _steps(measured: Array, name: str, quantum_rad: float) -> Iterator[Fault]:
     found = position_step(measured, quantum_rad)
     if found is None or abs(found / quantum_rad - 1.0) <= STEP_TOLERANCE:
         return
-    if abs(found / quantum_rad * _DEGREE_RAD - 1.0) <= STEP_TOLERANCE:
+    if abs(found / quantum_rad * (math.pi / 180.0) - 1.0) <= STEP_TOLERANCE:
         steps = f"{name} steps by {found:.3g}, robot.toml says {quantum_rad:g}"
         yield Fault.of("units-steps", steps)
         return
@@ -340,4 +329,4 @@ def _runs_backwards(measured: Array, desired: Array) -> bool:
     """Whether positions go down where commands go up; only for a joint that moves a good deal."""
     if min(np.ptp(measured), np.ptp(desired)) < 2 * _COMMANDED_RAD:
         return False
-    return float(np.corrcoef(measured, desired)[0, 1]) < _BACKWARDS_CORRELATION
+    return float(np.corrcoef(measured, desired)[0, 1]) < -0.7

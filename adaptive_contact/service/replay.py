@@ -45,17 +45,6 @@ from adaptive_contact.wire import (
     leg_of_key,
 )
 
-# What a source sends.  Events and status are the service's own to send, and a command would move
-# whatever robot listens.
-# Of a leg's curves: 400 s at 50 Hz.
-_MOST_ROWS: Final = 20_000
-SOURCE_KINDS: Final = frozenset({"servo", "truth"})
-# Zenoh 1.10 panics where a put that leaves the process has an encoding of 256 bytes (measured; one
-# that begins with a type it knows may be longer), or a key of 64 kB, the namespace with it.
-MAX_ENCODING_BYTES: Final = 255
-MAX_KEY_BYTES: Final = 32_768
-# What a concrete key of Zenoh does not have.
-_NO_KEY: Final = re.compile(r"[*$?#]|^/|/$|//")
 _NS_PER_S: Final = 1_000_000_000
 
 
@@ -188,8 +177,10 @@ class WirePlayer:
             if not self._wanted(record.key):
                 continue
             if (
-                len(record.encoding.encode()) > MAX_ENCODING_BYTES
-                or len(record.key.encode()) > MAX_KEY_BYTES
+                # Zenoh 1.10 panics where a put that leaves the process has an encoding of 256 bytes
+                # (measured; one that begins with a type it knows may be longer), or a key of 64 kB,
+                # the namespace with it.
+                len(record.encoding.encode()) > 255 or len(record.key.encode()) > 32_768
             ):
                 self.counts.rejects[Reject.MALFORMED] += 1
                 continue
@@ -214,11 +205,14 @@ class WirePlayer:
             self.sent[record.key] += 1
 
     def _wanted(self, key: str) -> bool:
-        if not key or _NO_KEY.search(key):
+        # What a concrete key of Zenoh does not have.
+        if not key or re.search(r"[*$?#]|^/|/$|//", key):
             return False  # a put on wildcards would reach every leg; others are no keys of Zenoh
         if self._everything:
             return True
-        return key.rpartition("/")[2] in SOURCE_KINDS and leg_of_key(key) is not None
+        # What a source sends.  Events and status are the service's own to send, and a command would
+        # move whatever robot listens.
+        return key.rpartition("/")[2] in ("servo", "truth") and leg_of_key(key) is not None
 
     def _publisher(self, key: str) -> Publisher:
         if key not in self._publishers:
@@ -294,7 +288,8 @@ class Curves:
             return
         self.t_ns.append(t_ns)
         self._rows.extend(row)
-        if len(self.t_ns) >= _MOST_ROWS:
+        # 400 s at 50 Hz.
+        if len(self.t_ns) >= 20_000:
             self._rows = array("f", self.angles[1::2].ravel().tolist())
             self.t_ns = self.t_ns[1::2]
             self._step *= 2

@@ -52,15 +52,12 @@ from adaptive_contact.wire import (
 MAX_BYTES: Final = 256 * 1024
 # Messages of one topic that may wait; at 100 Hz more than half a second.
 WAITING: Final = 64
-_MOST_KEYS: Final = 1024
 _MOST_LINES: Final = 256  # that wait to be said
 _LOOK_S: Final = 0.1
 _EVERY_S: Final = 1.0
 _SERVICE_GONE_S: Final = 3.0
 # After this long without a sample of a leg it is said, and again after ten times as long.
 _SILENT_S: Final = 5.0
-_STATE: Final = "/state"
-_ENCODING: Final = "zenoh/bytes"  # rmw_zenoh declares none, which is this
 
 
 def shown_of_ros(finding: Finding) -> str:
@@ -131,7 +128,8 @@ class _RosPublisher:
 
     def put(self, payload: bytes) -> None:
         attachment = rmw.Attachment(next(self._seq), time.time_ns(), self._id)
-        self._publisher.put_raw(payload, _ENCODING, rmw.encode_attachment(attachment))
+        # rmw_zenoh declares no encoding, which is this.
+        self._publisher.put_raw(payload, "zenoh/bytes", rmw.encode_attachment(attachment))
 
 
 class Gateway:
@@ -297,7 +295,7 @@ class Gateway:
 
     def _address(self, key: str) -> rmw.Address | None:
         if key not in self._addresses:
-            if len(self._addresses) >= _MOST_KEYS:
+            if len(self._addresses) >= 1024:
                 self._addresses.clear()
             self._addresses[key] = rmw.address_of(key)
         return self._addresses[key]
@@ -318,7 +316,7 @@ class Gateway:
     def _relay(self, received: Received | None, stop: threading.Event) -> None:
         """Pass on what has arrived, and what follows from time passing."""
         now_ns = time.monotonic_ns()
-        of_state = received is not None and received.key.endswith(_STATE)
+        of_state = received is not None and received.key.endswith("/state")
         events = [] if received is None or of_state else self._take(received, now_ns)
         events += self._known.look(now_ns)
         try:

@@ -23,10 +23,6 @@ from adaptive_contact.wire import (
     leg_of_key,
 )
 
-# At 50 Hz this is 1.3 s of one leg: a worker that is further behind has failed anyway, and old
-# samples are worth less than new ones.
-QUEUE_SAMPLES: Final = 64
-
 # The queue of all legs that have none: no leg's id, it is counted under that name.
 NO_QUEUE: Final = "(without a learner)"
 
@@ -80,7 +76,9 @@ class SampleQueue(Generic[R]):
         self,
         legs: Iterable[str] = (),
         *,
-        queue_samples: int = QUEUE_SAMPLES,
+        # At 50 Hz this is 1.3 s of one leg: a worker that is further behind has failed anyway, and
+        # old samples are worth less than new ones.
+        queue_samples: int = 64,
     ) -> None:
         self._queue_samples = queue_samples
         self._queues: dict[str, _Queue] = {leg: deque() for leg in (*legs, NO_QUEUE)}

@@ -32,7 +32,7 @@ from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.network_health import NetworkHealth, UnreadKeys
 from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue, read
 from adaptive_contact.service.settings import SERVICE_TOKEN
-from adaptive_contact.service.state import StateKeeper
+from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.status import SERVICE_STATUS, Latency, LegFacts, ServiceStatus
 from adaptive_contact.service.trace import Tracer, judged_tick
 from adaptive_contact.service.watchdog import Watchdog, give_up
@@ -58,9 +58,6 @@ if TYPE_CHECKING:
 
 _log = structlog.get_logger()
 
-# So many objects more than at the last collection, some 4 MB, wait for no pause.
-_MOST_OBJECTS: Final = 20_000
-
 
 class Sweeper:
     """Collects the garbage of a process that is in a hurry.
@@ -70,7 +67,8 @@ class Sweeper:
             once.
     """
 
-    def __init__(self, most_objects: int = _MOST_OBJECTS) -> None:
+    # So many objects more than at the last collection, some 4 MB, wait for no pause.
+    def __init__(self, most_objects: int = 20_000) -> None:
         self._most = most_objects
         self._swept_ns = 0
 

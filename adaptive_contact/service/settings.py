@@ -29,9 +29,6 @@ SERVICE_TOKEN: Final = "robot/service"
 # A leg is silent, and what was known of it is not any more, this long after its last sample.
 SILENT_AFTER_S: Final = 0.5
 
-# One chunk or several of a key, without Zenoh's wildcards and without anything a shell or a
-# person would stumble over.
-_NAMESPACE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}(/[A-Za-z0-9][A-Za-z0-9_.-]{0,63}){0,7}\Z")
 _PROTOCOLS: Final = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "vsock", "serial")
 _OVER_TCP: Final = ("tcp", "tls", "ws")
 _HOST_PORT = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%a-z]+\]|[^\[\]:/\s]+):(?P<port>\d{1,5})\Z")
@@ -59,7 +56,14 @@ class LinkSettings:
     max_sessions: int | None = None
 
     def __post_init__(self) -> None:
-        if self.namespace is not None and _NAMESPACE.match(self.namespace) is None:
+        if (
+            self.namespace is not None
+            and re.match(
+                r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}(/[A-Za-z0-9][A-Za-z0-9_.-]{0,63}){0,7}\Z",
+                self.namespace,
+            )
+            is None
+        ):
             raise ConfigurationError(
                 f"namespace '{self.namespace}' cannot be part of a key; expected letters, digits, "
                 "'_', '.' or '-' and single slashes in between, such as hexapod1 or lab/hexapod1"

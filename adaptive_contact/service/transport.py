@@ -30,10 +30,6 @@ from adaptive_contact.service.settings import (
     tcp_address,
 )
 
-# Bounds one attempt to open a session, and with it how long a Ctrl-C may go unheard: the call
-# is Zenoh's own and cannot be interrupted.
-CONNECT_TIMEOUT_MS: Final = 1000
-
 # Larger messages are dropped before they are put together, and the link stays up (measured); an
 # honest payload has at most 256 kB.  Zenoh's own limit is 1 GiB, per sender.
 MAX_MESSAGE_BYTES: Final = 4 * 1024 * 1024
@@ -43,7 +39,6 @@ MAX_MESSAGE_BYTES: Final = 4 * 1024 * 1024
 MAX_SESSIONS: Final = 256
 
 _MAX_SESSIONS: Final = "transport/unicast/max_sessions"
-_DROP_AFTER_US: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
 DEFAULTS: Final[Mapping[str, object]] = {
     "scouting/multicast/enabled": False,
@@ -59,12 +54,14 @@ DEFAULTS: Final[Mapping[str, object]] = {
     # link after the other.  The service drops them all within half a second (service/sockets.py);
     # this is what remains where that cannot work.  Short waits cut healthy links on a busy machine:
     # of 5 ms, 32 to 97 in 20 s at a load of 10 (decision 33).
-    _DROP_AFTER_US: 1_000_000,
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
     # An express message fills a batch of its own: 16 events find room before a put has to wait.
     "transport/link/tx/queue/size/interactive_high": 16,
     # Sixteen batches of 64 kB are room enough for a busy machine's pauses.
     "transport/link/tx/queue/size/data": 16,
-    "connect/timeout_ms": CONNECT_TIMEOUT_MS,
+    # Bounds one attempt to open a session, and with it how long a Ctrl-C may go unheard: the call
+    # is Zenoh's own and cannot be interrupted.
+    "connect/timeout_ms": 1000,
     # A link that was cut (no word from the other side) is given up after this long (ms), and
     # tried again; Zenoh's own 10 s would leave legs silent for ten seconds after a cut of one.
     "transport/link/tx/lease": 2000,
@@ -73,17 +70,6 @@ DEFAULTS: Final[Mapping[str, object]] = {
     # Reconnects go on for ever at this pace; an outage of 4 s was over 0.34 s after its end.
     "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
 }
-
-# An endpoint's options may hold a key.
-_ENDPOINT_TAIL: Final = re.compile(r"\b([a-z][a-z0-9_-]*/[^\s?#'\"<]+)[?#][^\"\n]*")
-_SOURCE_PATH: Final = re.compile(r" at /\S+\.rs:\d+\.?")
-# Zenoh quotes the line it cannot read, or the value it does not want: either may be a password.
-_QUOTED_LINE: Final = re.compile(r"(?m)^\s*\d*\s*\|.*$")
-_QUOTED_VALUE: Final = re.compile(
-    r"(?s)(invalid (?:type|value): \w+|unknown variant) (?:\\?\".*?\\?\"|`[^`]*`)"
-)
-# It quotes the whole configuration where two of its values do not go together.
-_WHOLE: Final = re.compile(r"(?s)(Invalid configuration): \{.*")
 
 
 class Facts(NamedTuple):
@@ -155,10 +141,21 @@ def _opens_alone(config: zenoh.Config) -> bool:
 
 def first_line(error: zenoh.ZError) -> str:
     """Zenoh's words without the source paths it appends, and without what it quotes of a file."""
-    text = _ENDPOINT_TAIL.sub(r"\1…", str(error))
-    text = _QUOTED_LINE.sub("", _QUOTED_VALUE.sub(r"\1", text))
-    text = _WHOLE.sub(r"\1", text)
-    return _SOURCE_PATH.sub("", " ".join(text.split()))[:300]
+    # An endpoint's options may hold a key.
+    text = re.sub(r"\b([a-z][a-z0-9_-]*/[^\s?#'\"<]+)[?#][^\"\n]*", r"\1…", str(error))
+    # Zenoh quotes the line it cannot read, or the value it does not want: either may be a password.
+    text = re.sub(
+        r"(?m)^\s*\d*\s*\|.*$",
+        "",
+        re.sub(
+            r"(?s)(invalid (?:type|value): \w+|unknown variant) (?:\\?\".*?\\?\"|`[^`]*`)",
+            r"\1",
+            text,
+        ),
+    )
+    # It quotes the whole configuration where two of its values do not go together.
+    text = re.sub(r"(?s)(Invalid configuration): \{.*", r"\1", text)
+    return re.sub(r" at /\S+\.rs:\d+\.?", "", " ".join(text.split()))[:300]
 
 
 def _insert(config: zenoh.Config, key: str, value: object) -> None:

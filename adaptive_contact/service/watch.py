@@ -41,18 +41,11 @@ from adaptive_contact.wire import (
 if TYPE_CHECKING:  # loads zenoh, which a view of messages does without
     from adaptive_contact.service.link import Link
 
-_AIR_NS: Final = 60_000_000
 _DETECTION_NS: Final = 120_000_000
 # Truth and events travel on different keys; an event is judged when truth had time to arrive.
 _JUDGE_AFTER_NS: Final = 250_000_000
-# A touch whose event has not come by then is missed: it is late, travels, and waits to be judged.
-_MISSED_AFTER_NS: Final = _DETECTION_NS + 2 * _JUDGE_AFTER_NS
-_STALE_NS: Final = 2_500_000_000
-_RATE_OVER_S: Final = 3.0
 # Times of contacts that are kept, of a leg.
 _MOST_TIMES: Final = 256
-# No leg touches more often than this; a count that grows faster is another service's.
-_APART_NS: Final = 40_000_000
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
@@ -133,7 +126,7 @@ class _Truth:
             self.loaded_since_ns = truth.t_ns
             self.loads = [*self.loads[-20:], (truth.t_ns, None)]
             # It is unknown whether a leg that was first seen loaded has been in the air.
-            if self.released_ns is not None and truth.t_ns - self.released_ns >= _AIR_NS:
+            if self.released_ns is not None and truth.t_ns - self.released_ns >= 60_000_000:
                 if self.began_ns is None:
                     self.began_ns = truth.t_ns
                 else:
@@ -164,7 +157,11 @@ class _Truth:
 
     def give_up(self, now_ns: int) -> None:
         """Count touches whose event has not come as missed."""
-        waiting = [t for t in self.touches if now_ns - t.heard_ns < _MISSED_AFTER_NS]
+        # A touch whose event has not come by then is missed: it is late, travels, and waits to be
+        # judged.
+        waiting = [
+            t for t in self.touches if now_ns - t.heard_ns < (_DETECTION_NS + 2 * _JUDGE_AFTER_NS)
+        ]
         self.count += len(self.touches) - len(waiting)
         late = [t for t in self.touches if t not in waiting]
         self.verdicts.extend(Verdict("missed", touch.onset_ns) for touch in late)
@@ -206,7 +203,10 @@ class _Arrivals:
         elif status.t_ns < last.t_ns:
             self._begin(status)
             self.times_ns.clear()  # they are of another clock
-        elif not 0 <= status.contacts - last.contacts <= 1 + (status.t_ns - last.t_ns) // _APART_NS:
+        # No leg touches more often than this; a count that grows faster is another service's.
+        elif (
+            not 0 <= status.contacts - last.contacts <= 1 + (status.t_ns - last.t_ns) // 40_000_000
+        ):
             self._begin(status)
         elif len(self.times_ns) > _MOST_TIMES:
             self._begin(last)  # not this one: what it counts may be on its way
@@ -256,7 +256,7 @@ class Watch:
         leg.arrivals.status(status)
         if leg.ticks and status.ticks < leg.ticks[-1][1]:  # the service was restarted
             leg.ticks = []
-        oldest_ns = now_ns - int(_RATE_OVER_S * 1e9)
+        oldest_ns = now_ns - int(3.0 * 1e9)
         leg.ticks = [pair for pair in leg.ticks if pair[0] >= oldest_ns]
         leg.ticks.append((now_ns, status.ticks))
 
@@ -340,7 +340,7 @@ class Watch:
             rejects=status.rejects,
             withheld=status.withheld,
             note=status.note,
-            stale=now_ns - leg.status_ns > _STALE_NS,
+            stale=now_ns - leg.status_ns > 2_500_000_000,
         )
 
     def _judge(self, leg: _Leg, now_ns: int) -> None:

@@ -29,9 +29,6 @@ _log = structlog.get_logger()
 
 LOOK_S: Final = 0.25
 STALL_S: Final = 1.0
-GIVE_UP_S: Final = 30.0
-# EX_SOFTWARE of sysexits.h.
-EXIT_CODE: Final = 70
 
 
 def _since_boot_s() -> float:
@@ -66,7 +63,7 @@ class Watchdog:
         *,
         on_stall: Callable[[float], None],
         on_end: Callable[[], None],
-        give_up_s: float = GIVE_UP_S,
+        give_up_s: float = 30.0,
         clock_s: Callable[[], float] = _since_boot_s,
     ) -> None:
         self.stalls = self.blocks = 0
@@ -165,7 +162,8 @@ def give_up() -> None:
         faulthandler.dump_traceback(file=stacks, all_threads=True)
         _try(lambda: _copy(stacks, sys.stderr.fileno()))
     finally:
-        os._exit(EXIT_CODE)
+        # EX_SOFTWARE of sysexits.h.
+        os._exit(70)
 
 
 def _copy(source: int, target: int) -> None:

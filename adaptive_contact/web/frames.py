@@ -33,16 +33,8 @@ from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, Leg
 # A source's clock has jumped where a tick is this far from the time of its arrival: a service that
 # stands still for a second gives its ticks later, at their own times.
 _JUMP_NS: Final = 2_000_000_000
-# Legs of one source have one clock: what differs by less is the way here.
-_TOGETHER_NS: Final = 500_000_000
 # Contacts that wait for the first tick of their leg, which shows its clock.
 _MOST_WAITING: Final = 1024
-# A tick further ahead of its arrival, or longer ago, is none: nothing after it could be drawn.
-_AHEAD_MS: Final = 1000
-_OLDEST_MS: Final = 60_000
-_MRAD10: Final = 1e4
-_MOST_RAD: Final = 1e3
-_HIGHEST_RATIO: Final = 1e4
 # Text of the wire that is shown: notes are a line, and nothing stops a stranger's from being long.
 _MOST_TEXT: Final = 600
 
@@ -81,8 +73,10 @@ class Frames:
             return
         self._follow(trace.leg, rows[-1][0], now_ns)
         ticks = self._ticks.setdefault(trace.leg, [])
-        newest_ms = (now_ns - self._start_ns) // 1_000_000 + _AHEAD_MS
-        oldest_ms = newest_ms - _OLDEST_MS
+        # A tick further ahead of its arrival, or longer ago, is none: nothing after it could be
+        # drawn.
+        newest_ms = (now_ns - self._start_ns) // 1_000_000 + 1000
+        oldest_ms = newest_ms - 60_000
         for t_ns, swing, ratio, p, desired, measured, predicted in rows:
             at_ms = self._ms(trace.leg, t_ns)
             if at_ms is None or not self._last_ms.get(trace.leg, oldest_ms) < at_ms <= newest_ms:
@@ -146,7 +140,8 @@ class Frames:
             return
         own = now_ns - newest_ns
         others = [other for name, other in self._offsets.items() if name != leg]
-        alike = [other for other in others if abs(other - own) < _TOGETHER_NS]
+        # Legs of one source have one clock: what differs by less is the way here.
+        alike = [other for other in others if abs(other - own) < 500_000_000]
         self._offsets[leg] = alike[0] if alike else own
 
     def _ms(self, leg: str, t_ns: int) -> int | None:
@@ -288,10 +283,10 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 def _angle(value: float) -> int | None:
     """In 0.1 mrad; None for what is no angle."""
-    return round(value * _MRAD10) if abs(value) <= _MOST_RAD else None
+    return round(value * 1e4) if abs(value) <= 1e3 else None
 
 
 def _hundredths(ratio: float | None) -> int | None:
     if ratio is None or not math.isfinite(ratio):
         return None
-    return round(min(ratio, _HIGHEST_RATIO) * 100)
+    return round(min(ratio, 1e4) * 100)

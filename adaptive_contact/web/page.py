@@ -33,13 +33,9 @@ _TABLE_FRAMES: Final = 3
 _ASK_S: Final = 0.5
 # Legs whose samples come, and no answer for so many questions: the service knows no such question.
 _UNANSWERED: Final = 30
-# A model changes once in minutes, and a hundred browsers may look at it.
-_MODEL_KEPT_S: Final = 1.0
 _END_S: Final = 2.0
 # How often a page that is served looks whether it is to end.
 _LOOK_S: Final = 0.2
-# A browser that looks takes its last words within milliseconds.
-_FAREWELL_S: Final = 0.5
 
 
 class LivePage:
@@ -118,7 +114,8 @@ class LivePage:
         self._closed = True
         if farewell is not None:
             self._loop.call_soon_threadsafe(self._site.history.end, farewell)
-            until_s = time.monotonic() + _FAREWELL_S
+            # A browser that looks takes its last words within milliseconds.
+            until_s = time.monotonic() + 0.5
             while self._site.streams and time.monotonic() < until_s:
                 time.sleep(0.02)
         self._loop.call_soon_threadsafe(self._ended.set)
@@ -149,7 +146,8 @@ class LivePage:
         async with self._asking:  # one question at a time, however many browsers ask
             now_s = time.monotonic()
             kept = self._models.get(leg)
-            if kept is None or now_s - kept[0] > _MODEL_KEPT_S:
+            # A model changes once in minutes, and a hundred browsers may look at it.
+            if kept is None or now_s - kept[0] > 1.0:
                 if len(self._models) > 64:
                     self._models.clear()
                 asked = asyncio.get_running_loop().run_in_executor(None, self._ask_model, leg)

@@ -29,15 +29,9 @@ from adaptive_contact.wire import is_leg_id
 # Browsers that look at once, connections that have shown the token, and those that have not yet:
 # each takes up to half a megabyte while it hangs.
 MOST_STREAMS: Final = 128
-_MOST_CONNECTIONS: Final = 256
 _MOST_WAITING: Final = 256
 _BUFFER_BYTES: Final = 128 * 1024
 _HUNG_AFTER_S: Final = 20.0
-# How far back a page can look that is opened now: five minutes of ten frames a second, less where
-# many legs or fast ones make frames large.
-_MOST_FRAMES: Final = 3000
-_MOST_HISTORY_BYTES: Final = 32 * 1024 * 1024
-_CHUNK_BYTES: Final = 64 * 1024
 
 _PAGES: Final = {
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -107,7 +101,9 @@ class History:
         self._frames.append(event)
         self._bytes += len(event)
         self._next += 1
-        while len(self._frames) > _MOST_FRAMES or self._bytes > _MOST_HISTORY_BYTES:
+        # How far back a page can look that is opened now: five minutes of ten frames a second, less
+        # where many legs or fast ones make frames large.
+        while len(self._frames) > 3000 or self._bytes > (32 * 1024 * 1024):
             self._bytes -= len(self._frames.popleft())
         if view is not None:
             self.view = b"event: view\ndata: " + view + b"\n\n"
@@ -130,7 +126,7 @@ class History:
         at = max(number, self.begin)
         taken: list[bytes] = []
         size = 0
-        while at < self._next and size < _CHUNK_BYTES:
+        while at < self._next and size < (64 * 1024):
             frame = self._frames[at - self.begin]
             taken.append(frame)
             size += len(frame)
@@ -302,7 +298,7 @@ class Site:
         """Count a connection among those that have shown the token."""
         task = asyncio.current_task()
         assert task is not None
-        if len(self._admitted) >= _MOST_CONNECTIONS:
+        if len(self._admitted) >= 256:
             raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections; try again")
         self._waiting.pop(task, None)
         self._admitted.add(task)

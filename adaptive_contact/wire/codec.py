@@ -148,16 +148,13 @@ def _parse(payload: bytes, encoding: str) -> object:
         return Rejected(Reject.MALFORMED, f"{type(error).__name__}: {_one_line(str(error))}")
 
 
-_AT_VERSION = re.compile(r"at `\$\.v`")
-
-
 def _classify(text: str) -> Rejected:
     detail = _one_line(text)
     if text.startswith("Invalid enum value") and text.endswith("`$.phase`"):
         detail += '; expected "swing" or "stance"'
     if "missing required field" in text:
         return Rejected(Reject.MISSING_FIELD, detail)
-    if _AT_VERSION.search(text):
+    if re.search(r"at `\$\.v`", text):
         return Rejected(Reject.VERSION, detail)
     return Rejected(Reject.WRONG_TYPE, detail)
 

@@ -20,7 +20,6 @@ from adaptive_contact_bullet.robots import Shape
 
 _LIFTED: Final = 0.35  # share of a swing after which the foot is up
 _DOWN: Final = 0.55  # share after which it comes down
-_LEVELS_S: Final = 0.5  # in which a stance that began too high or low returns to the body's height
 _LARGEST_RAD: Final = 0.3  # step of one iteration
 
 
@@ -167,7 +166,8 @@ class Walker:
                     self._swing(i, x)
             if not self.swing[i]:
                 self.foot[i] -= self._step[i] * dt / (gait.cycle_s - swung_s)
-                self.foot[i, 2] += (self._home[i, 2] - self.foot[i, 2]) * dt / _LEVELS_S
+                # A stance that began too high or low returns to the body's height.
+                self.foot[i, 2] += (self._home[i, 2] - self.foot[i, 2]) * dt / 0.5
         self._before = clock
         return np.concatenate(
             [inverse.to(f) for inverse, f in zip(self._inverse, self.foot, strict=True)]

@@ -26,7 +26,6 @@ _TOUCH_N: Final = 0.5
 _AIR_N: Final = 0.1
 _MEAN_STEPS: Final = round(0.020 / STEP_S)
 _AIR_STEPS: Final = round(0.060 / STEP_S)
-_TWIN_S: Final = 0.14  # a detection's window on hard ground, and a tick
 _SETTLE_S: Final = 1.5
 _EPOCH_NS: Final = 1_700_000_000_000_000_000
 # 540,000 judged ticks are a robot-hour.
@@ -176,7 +175,8 @@ class _Recorder:
 
     def _go_through_twins(self, k: int) -> None:
         """Simulate the twins whose window is over."""
-        ticks = math.ceil(_TWIN_S / self._shape.period_s)
+        # A detection's window on hard ground, and a tick.
+        ticks = math.ceil(0.14 / self._shape.period_s)
         due = [twin for twin in self._twins if k - twin.tick >= ticks]
         if due:
             kept = self._plant.keep()

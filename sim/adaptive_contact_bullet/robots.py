@@ -147,19 +147,6 @@ _RUBBING: Final = dataclasses.replace(
     _SMALL, rotor_kgm2=0.012, coulomb_nm=0.1, stribeck_nm=0.06, load_friction=0.3, noise_rad=0.002,
     play_rad=math.radians(0.8),
 )  # fmt: skip
-_WORM: Final = dataclasses.replace(
-    _GEARED, rotor_kgm2=0.02, coulomb_nm=0.15, load_friction=0.5, noise_rad=0.002
-)
-_BRUSHLESS: Final = Servo(
-    stall_nm=16.0, no_load_rad_s=24.0, gain=5.0, damping=0.12, rotor_kgm2=0.02, coulomb_nm=0.22,
-    stribeck_nm=0.1, load_friction=0.06, spring_nm_rad=420.0, play_rad=math.radians(0.1),
-    quantum_rad=0.0, noise_rad=0.0004, latency_ticks=2,
-)  # fmt: skip
-_ARM: Final = Servo(
-    stall_nm=2.9, no_load_rad_s=4.7, gain=5.3, damping=0.03, rotor_kgm2=0.02, coulomb_nm=0.1,
-    stribeck_nm=0.05, load_friction=0.1, spring_nm_rad=60.0, play_rad=math.radians(0.6),
-    quantum_rad=math.tau / 4096, noise_rad=0.0006, latency_ticks=0,
-)  # fmt: skip
 
 
 def _hexapod(name: str, servo: Servo, body_kg: float, lighter: float = 1.0) -> Shape:
@@ -200,7 +187,28 @@ def _quadruped() -> Shape:
                 )
             )
     return Shape(
-        "bullet-quadruped", 0.01, _BRUSHLESS, 0.9, 5.5, (0.22, 0.09, 0.05), tuple(legs), 0.015
+        "bullet-quadruped",
+        0.01,
+        Servo(
+            stall_nm=16.0,
+            no_load_rad_s=24.0,
+            gain=5.0,
+            damping=0.12,
+            rotor_kgm2=0.02,
+            coulomb_nm=0.22,
+            stribeck_nm=0.1,
+            load_friction=0.06,
+            spring_nm_rad=420.0,
+            play_rad=math.radians(0.1),
+            quantum_rad=0.0,
+            noise_rad=0.0004,
+            latency_ticks=2,
+        ),
+        0.9,
+        5.5,
+        (0.22, 0.09, 0.05),
+        tuple(legs),
+        0.015,
     )
 
 
@@ -214,14 +222,43 @@ def _arm() -> Shape:
         yaw_rad=0.0,
         rest_rad=(0.0, 0.7, -1.4, -0.6),
     )
-    return Shape("bullet-arm", 0.02, _ARM, 1.3, 5.0, (0.05, 0.05, 0.05), (leg,))
+    return Shape(
+        "bullet-arm",
+        0.02,
+        Servo(
+            stall_nm=2.9,
+            no_load_rad_s=4.7,
+            gain=5.3,
+            damping=0.03,
+            rotor_kgm2=0.02,
+            coulomb_nm=0.1,
+            stribeck_nm=0.05,
+            load_friction=0.1,
+            spring_nm_rad=60.0,
+            play_rad=math.radians(0.6),
+            quantum_rad=math.tau / 4096,
+            noise_rad=0.0006,
+            latency_ticks=0,
+        ),
+        1.3,
+        5.0,
+        (0.05, 0.05, 0.05),
+        (leg,),
+    )
 
 
 _HEXAPODS: Final = (
     _hexapod("bullet-hexapod", _SMALL, 1.3),
     _hexapod("bullet-geared", _GEARED, 0.9),
     _hexapod("bullet-light", _RUBBING, 0.5, 0.5),
-    _hexapod("bullet-worm", _WORM, 0.6, 0.6),
+    _hexapod(
+        "bullet-worm",
+        dataclasses.replace(
+            _GEARED, rotor_kgm2=0.02, coulomb_nm=0.15, load_friction=0.5, noise_rad=0.002
+        ),
+        0.6,
+        0.6,
+    ),
 )
 SHAPES: Final = {s.name.split("-")[1]: s for s in (*_HEXAPODS, _quadruped(), _arm())}
 

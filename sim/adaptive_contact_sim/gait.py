@@ -16,15 +16,13 @@ from adaptive_contact.arrays import Array, Ints
 
 GaitName = Literal["tripod", "ripple", "wave", "trot", "walk"]
 
-# Parts of a swing, as shares of it: rising until, falling from, moving forward between.
-RISE: Final = 0.32
+# Parts of a swing, as shares of it: falling from, moving forward between.
 DESCENT: Final = 0.42
 TRANSFER: Final = (0.05, 0.65)
 # Points of a cycle at which the body's shift is computed, and how many of its harmonics count:
 # servos do not follow faster ones.
 _POINTS: Final = 240
 _HARMONICS: Final = 6
-_GRAVITY_M_S2: Final = 9.81
 
 
 class Gait(NamedTuple):
@@ -80,7 +78,7 @@ class Sway:
         harmonics = np.fft.rfft(pressure - feet_m[:, :2].mean(axis=0), axis=0) / _POINTS
         k = np.arange(1, _HARMONICS + 1)
         omega = 2.0 * np.pi * k / cycle_s
-        body = harmonics[1 : _HARMONICS + 1].T / (1.0 + height_m / _GRAVITY_M_S2 * omega**2)
+        body = harmonics[1 : _HARMONICS + 1].T / (1.0 + height_m / 9.81 * omega**2)
         self._turns = 2j * np.pi * k
         self._coefficients = 2.0 * body * (1.0 + 1j * omega * lag_s)
 
@@ -121,7 +119,7 @@ class Swings:
         """Foot points at a progress (L,) of 0 to 1 through the swing: (L, 3) m."""
         forward = quintic((progress - TRANSFER[0]) / (TRANSFER[1] - TRANSFER[0]))
         feet = self.start_m + forward[:, None] * (self.target_m - self.start_m)
-        rising = quintic(progress / RISE)
+        rising = quintic(progress / 0.32)
         falling = quintic((progress - DESCENT) / (1.0 - DESCENT))
         up = self.start_m[:, 2] + rising * (self.top_m - self.start_m[:, 2])
         feet[:, 2] = up + falling * (self.target_m[:, 2] - self.top_m)

@@ -29,10 +29,6 @@ Array = NDArray[np.float64]
 # 470 rad/s at most (tibia), well inside what a 1 ms symplectic step follows.
 _STIFFNESS_NM: Final = 150.0
 _DAMPING_NMS: Final = 0.15
-# Beyond the teeth: output gear and horn (assumed shares of the whole).
-OUTPUT_ARMATURE_KGM2: Final = 1e-4
-OUTPUT_FRICTION_SHARE: Final = 0.1
-OUTPUT_DAMPING_NMS: Final = 0.001
 
 
 class GearTrain:
@@ -103,7 +99,7 @@ class GearTrain:
             self.rotor_angle = angle[index]
             self.rotor_velocity = velocity[index]
             self._armature[self._index] = self._servos.parameters.armature_kgm2[self._index]
-            self._armature[index] = OUTPUT_ARMATURE_KGM2
+            self._armature[index] = 1e-4
             self._index = index
         self._half_backlash = backlash_rad[index] / 2.0
         self.refresh()
@@ -112,7 +108,8 @@ class GearTrain:
     def refresh(self) -> None:
         """Take over the joints' damping, after the servos' condition changed."""
         self._damping[:] = self._servos.back_emf + self._servos.viscous
-        self._damping[self._index] = OUTPUT_DAMPING_NMS
+        # Beyond the teeth: output gear and horn (assumed shares of the whole).
+        self._damping[self._index] = 0.001
 
     def step(self) -> None:
         """Advance the rotors by one physics step; replaces motor torque by the teeth's.
@@ -143,4 +140,4 @@ class GearTrain:
     def rub(self) -> None:
         """Leave the joints with backlash only the friction beyond the teeth."""
         i = self._index
-        self._friction[i] = OUTPUT_FRICTION_SHARE * self._servos.sliding[i]
+        self._friction[i] = 0.1 * self._servos.sliding[i]

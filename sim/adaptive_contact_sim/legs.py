@@ -28,10 +28,7 @@ from adaptive_contact_sim.elements import JOINTS, LEGS
 
 # How near to the rim of its reach a foot is ever sent, m.
 _REACH_MARGIN_M = 0.002
-# Hexapod: neutral feet from the body's centre, as turning moves them.
-_OUTER_FOOT_M: Final = 0.22
-# Damped least squares: damping, m; the largest step; when it is done, and when it is given up.
-_DAMPING_M: Final = 1e-3
+# Damped least squares: the largest step; when it is done, and when it is given up.
 _STEP_RAD: Final = 0.4
 _EXACT_M: Final = 1e-6
 
@@ -120,7 +117,8 @@ class LegGeometry(Geometry):
         nearest = np.sqrt(l1**2 + l2**2 + 2 * l1 * l2 * np.cos(self.lower_rad[2]))
         self.nearest_m = float(nearest) + _REACH_MARGIN_M
         self.farthest_m = l1 + l2 - _REACH_MARGIN_M
-        self.outer_foot_m = _OUTER_FOOT_M
+        # Hexapod: neutral feet from the body's centre, as turning moves them.
+        self.outer_foot_m = 0.22
         # Hexapod: a foot of a robot in pose, under its knee.
         self.standing_m = np.array((0.115, 0.0, -0.165))
         self.middle_rad = self.joints(self.standing_m)
@@ -210,7 +208,7 @@ class ChainLegs(Geometry):
         shape = np.broadcast_shapes(points_m.shape[:-1], rest.shape[:-1])
         start = rest if near_rad is None else near_rad
         q = np.broadcast_to(start, (*shape, rest.shape[-1])).copy()
-        damping = _DAMPING_M**2 * np.eye(3)
+        damping = 1e-3**2 * np.eye(3)
         for _ in range(30):
             foot, jacobian = self._linearized(q)
             error = points_m - foot

@@ -27,8 +27,6 @@ from adaptive_contact_sim.scene import (
 
 Approach = Literal["descent", "slow", "forward", "graze"]
 _SHAPES: Final = ("plate", "sphere", "edge")
-# Share of its velocity that points into a surface the foot is to graze.
-_GRAZE_COSINE: Final = (0.08, 0.25)
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,8 @@ class ObstacleCourse:
         quaternion = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
         if approach == "graze":
             name = "plate"
-            cosine = rng.uniform(*_GRAZE_COSINE)
+            # Share of its velocity that points into a surface the foot is to graze.
+            cosine = rng.uniform(0.08, 0.25)
             # Facing the body: the shin leans inwards, away from the block.
             across = inward - (inward @ along) * along
             across /= max(float(np.linalg.norm(across)), 1e-9)

@@ -23,8 +23,6 @@ from adaptive_contact_sim.servo import AX12A, ServoBank, ServoKind, ServoParamet
 # from several metres.  Beyond it the integration has blown up.
 _ABSURD_JOINT_RAD_S: Final = 60.0
 _ABSURD_BODY: Final = 20.0
-# A touch is grazing when less than this share of the velocity points into the surface.
-GRAZING_COSINE: Final = 0.35
 
 
 class Touch(NamedTuple):
@@ -253,7 +251,8 @@ class Plant:
             step=self.steps,
             part=int(self.elements.geom_part[geom]),
             speed_m_s=speed,
-            grazing=speed > 0.0 and into < GRAZING_COSINE * speed,
+            # A touch is grazing when less than this share of the velocity points into the surface.
+            grazing=speed > 0.0 and into < 0.35 * speed,
             other=other,
         )
 

@@ -77,21 +77,10 @@ Workspace = Literal["paper", "whole", "hung"]
 PERIOD_S: Final = 0.02
 # A leg taking its turn: ticks for lifting off or setting down, and how high.
 _TURN_TICKS: Final = 40
-_TURN_LIFT_M: Final = 0.05
-# A post comes when the foot is this far before it, m.
-_BEFORE_POST_M: Final = 0.03
-_WAIT_TICKS: Final = 5
-_STUCK_TICKS: Final = 8
-_SLOW_M_S: Final = (0.02, 0.10)
 
 
-# Where the two subspaces touch each other, an ascent still has to be one.
-_LEAST_RISE_M: Final = 0.04
 # How near to its points a leg whose posture varies comes, or another trial is drawn.
 _NEAR_M: Final = 1e-3
-# Draws of a trial after which its ascent may bend: there are places, low and close to the body,
-# that no straight line leaves.  A straight one is found in a handful of draws elsewhere.
-_STRAIGHT_TRIES: Final = 200
 
 
 @dataclass(frozen=True)
@@ -223,7 +212,7 @@ class PoseMotion:
         if descending and plan.obstacle is not None:
             self._raise_obstacle(plan, world)
         # An obstacle goes when the foot has left it; a foot that slid under it never would.
-        left = world.touch_step[leg] is None or plan.tick >= _STUCK_TICKS
+        left = world.touch_step[leg] is None or plan.tick >= 8
         if swinging and not descending and plan.tick >= 1 and left:
             self._course.clear()
         goal = self._goals.copy()
@@ -270,9 +259,10 @@ class PoseMotion:
         place = mount + turn @ point
         forward = self.settings.approach == "forward"
         ahead = turn @ motion / np.linalg.norm(motion) if forward else np.array([0.0, 0.0, -1.0])
-        clear = _BEFORE_POST_M if forward else self.settings.clear_m
+        # A post comes when the foot is this far before it, m.
+        clear = 0.03 if forward else self.settings.clear_m
         if float((place - world.feet_m[leg]) @ ahead) < clear:
-            if plan.tick - plan.ascent >= _WAIT_TICKS:
+            if plan.tick - plan.ascent >= 5:
                 plan.obstacle = None
             return
         plan.obstacle = None
@@ -330,7 +320,10 @@ class PoseMotion:
         self._side = -self._side
         path = self.settings.path
         for attempt in itertools.count(1):
-            if attempt > _STRAIGHT_TRIES:
+            # Draws of a trial after which its ascent may bend: there are places, low and close to
+            # the body, that no straight line leaves.  A straight one is found in a handful of draws
+            # elsewhere.
+            if attempt > 200:
                 path = "joint"  # out of a pocket that no straight line leaves
             top = self._upper.draw(self._rng)
             end = self._lower.draw(self._rng)
@@ -346,8 +339,9 @@ class PoseMotion:
             elif self.settings.approach == "slow":
                 drop = self._rng.uniform(0.05, 0.08)
                 end = top - np.array([0.0, 0.0, drop])
-                down = round(drop / self._rng.uniform(*_SLOW_M_S) / PERIOD_S)
-            elif top[2] - end[2] < _LEAST_RISE_M:
+                down = round(drop / self._rng.uniform(0.02, 0.10) / PERIOD_S)
+            # Where the two subspaces touch each other, an ascent still has to be one.
+            elif top[2] - end[2] < 0.04:
                 continue
             rest = below = up_rests = down_rests = None
             if self._rest is not None:
@@ -432,5 +426,5 @@ def _arc(start: Array, end: Array) -> Array:
     s = np.arange(1, _TURN_TICKS + 1) / _TURN_TICKS
     smooth = s**3 * (10 - 15 * s + 6 * s**2)
     points = start + smooth[:, None] * (end - start)
-    points[:, 2] += _TURN_LIFT_M * np.sin(np.pi * smooth)
+    points[:, 2] += 0.05 * np.sin(np.pi * smooth)
     return np.concatenate([points, np.repeat(points[-1:], _TURN_TICKS // 4, axis=0)])

@@ -24,7 +24,6 @@ HARD_SOLREF: Final = (0.004, 1.0)
 # Impedance of soft contacts: low enough that the contact's own compliance dominates.
 _SOFT_IMPEDANCE: Final = 0.5
 _SOFT_DAMPING_RATIO: Final = 0.5
-_FRICTION: Final = (0.9, 0.005, 0.0001)
 # Grid of the rough field.  Contacts with a height field cost by the cell they cover: 4 cm is
 # wider than a foot, and finer detail than that is the foot's own shape.
 _CELL_M: Final = 0.04
@@ -33,8 +32,6 @@ _BASE_M: Final = 0.2
 # Holes in the rough field: so many cells wide, and deeper than a descent aims below the ground that
 # it expects.  None lie near the middle, where a robot begins.
 _HOLE_CELLS: Final = 3
-_HOLE_M: Final = 0.1
-_WITHOUT_M: Final = 0.4
 
 
 @dataclass(frozen=True)
@@ -78,7 +75,7 @@ class Terrain:
         if settings.kind in ("rough", "holes"):
             self._heights = _rough(self._cells, settings.relief_m, rng)
             if settings.kind == "holes":
-                self._heights -= _HOLE_M * _holes(self._cells, settings.holes, rng)
+                self._heights -= 0.1 * _holes(self._cells, settings.holes, rng)
         elif settings.kind == "steps":
             self._heights = rng.uniform(0.0, settings.relief_m, (self._cells, self._cells))
         else:
@@ -123,7 +120,7 @@ class Terrain:
             "conaffinity": 1,
             # The ground's own contact parameters hold, whatever touches it.
             "priority": 1,
-            "friction": list(_FRICTION),
+            "friction": [0.9, 0.005, 0.0001],
             "solref": list(HARD_SOLREF),
             "material": "ground",
         }
@@ -222,7 +219,7 @@ def _holes(cells: int, share: float, rng: np.random.Generator) -> NDArray[np.boo
     while sunk.mean() < share:
         i, j = rng.integers(0, cells - _HOLE_CELLS, 2)
         sunk[j : j + _HOLE_CELLS, i : i + _HOLE_CELLS] = True
-        sunk &= middle > _WITHOUT_M
+        sunk &= middle > 0.4
     return sunk
 
 

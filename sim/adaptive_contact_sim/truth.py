@@ -22,10 +22,6 @@ from adaptive_contact_sim.plant import Touch
 
 TOUCH_FORCE_N: Final = 0.5
 AIR_FORCE_N: Final = 0.1
-_MEAN_S: Final = 0.020
-_AIR_S: Final = 0.060
-# How long before the onset the touch may have been seen: contacts begin with little force.
-_TOUCH_SEARCH_S: Final = 0.030
 
 
 class Change(NamedTuple):
@@ -63,9 +59,10 @@ class TruthTracker:
     """Follows the legs' forces, a control tick at a time."""
 
     def __init__(self, step_s: float, substeps: int, legs: int = len(LEGS)) -> None:
-        self._mean_steps = round(_MEAN_S / step_s)
-        self._air_steps = round(_AIR_S / step_s)
-        self._search_steps = round(_TOUCH_SEARCH_S / step_s)
+        self._mean_steps = round(0.020 / step_s)
+        self._air_steps = round(0.060 / step_s)
+        # How long before the onset the touch may have been seen: contacts begin with little force.
+        self._search_steps = round(0.030 / step_s)
         self._substeps = substeps
         n = self._legs = legs
         # Forces not yet judged: the last 20 ms, then the tick just made.

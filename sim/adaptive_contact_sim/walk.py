@@ -33,23 +33,12 @@ from adaptive_contact_sim.motion import Goal, World
 StopOn = Literal["truth", "service", "never"]
 PhaseOf = Literal["touch", "planned"]
 
-# Waypoints keep this far from the field's rim, m: body and legs are 0.35 m from the centre, and
-# a turn takes some room.
-_RIM_M: Final = 0.9
-_ARRIVED_M: Final = 0.25
 _HEADING_GAIN: Final = 1.0  # rad/s per rad
-# Time over which the wanted twist is smoothed.
-_TWIST_S: Final = 0.4
 # Posture: what part of an error is taken back per second.
 _HEIGHT_GAIN: Final = 3.0
 _LEVEL_GAIN: Final = 4.0
 _SHARE_GAIN: Final = 2.0  # of the difference between a foot's load and the mean
 _FOOT_RANGE_M: Final = 0.05  # how far stance feet may leave the nominal height
-# What a foot's command is lower than its preload is taken back at this rate.
-_RELAX_M_S: Final = 1.0
-# Ticks after a planned turn to stance until a foot is taken to stand: until then its distance from
-# its command is the servos' lag and no load.
-_SETTLE_TICKS: Final = 10
 
 
 @dataclass(frozen=True)
@@ -152,7 +141,9 @@ class WalkMotion:
         self._geometry = geometry
         self._rng = rng
         self._period_s = period_s
-        self._bound_m = max(field_m / 2 - _RIM_M, 0.3)
+        # Waypoints keep this far from the field's rim, m: body and legs are 0.35 m from the centre,
+        # and a turn takes some room.
+        self._bound_m = max(field_m / 2 - 0.9, 0.3)
         gait = GAITS[settings.gait]
         self._share = gait.share
         self._offsets = np.array(gait.offsets)
@@ -229,7 +220,7 @@ class WalkMotion:
     def _steer(self, world: World) -> None:
         """Turn towards the waypoint, walk when roughly facing it."""
         to = self._waypoint - world.position_m[:2]
-        if math.hypot(to[0], to[1]) < _ARRIVED_M:
+        if math.hypot(to[0], to[1]) < 0.25:
             self._waypoint = self._draw_waypoint()
             to = self._waypoint - world.position_m[:2]
         heading = math.atan2(world.rotation[1, 0], world.rotation[0, 0])
@@ -240,7 +231,8 @@ class WalkMotion:
         turn = max(-fastest, min(fastest, _HEADING_GAIN * error))
         forward = speed * max(0.0, math.cos(error)) * (1.0 - 0.5 * abs(turn) / max(fastest, 1e-9))
         wanted = np.array([forward, 0.0, turn])
-        self._twist += (wanted - self._twist) * (self._period_s / _TWIST_S)
+        # Time over which the wanted twist is smoothed.
+        self._twist += (wanted - self._twist) * (self._period_s / 0.4)
 
     def _velocity_of(self, points: Array) -> Array:
         """Velocity (L, 2) m/s of the body at points of it; the ground's there is the opposite."""
@@ -324,7 +316,8 @@ class WalkMotion:
         pressed = (measured - feet) @ up
         load = pressed[stance]
         feet[stance, 2] += dt * _SHARE_GAIN * (load - load.mean())
-        feet[stance, 2] += np.clip(load - self.settings.preload_m, 0.0, _RELAX_M_S * dt)
+        # What a foot's command is lower than its preload is taken back at this rate.
+        feet[stance, 2] += np.clip(load - self.settings.preload_m, 0.0, 1.0 * dt)
         nominal = -self.settings.body_height_m
         feet[stance, 2] = np.clip(feet[stance, 2], nominal - _FOOT_RANGE_M, nominal + _FOOT_RANGE_M)
 
@@ -342,7 +335,9 @@ class WalkMotion:
                 self._feet[leg] = points[leg]
                 if progress[leg] >= 1.0 or (descending and points[leg, 2] <= self._floor_m[leg]):
                     self._swinging[leg] = False
-                    self._settled_tick[leg] = world.tick + _SETTLE_TICKS
+                    # Ticks after a planned turn to stance until a foot is taken to stand: until
+                    # then its distance from its command is the servos' lag and no load.
+                    self._settled_tick[leg] = world.tick + 10
                 continue
             if not descending:
                 self._descent_tick[leg] = world.tick + 1

@@ -52,12 +52,8 @@ _WALKS: Final[tuple[tuple[str, str, Kind], ...]] = (
 )
 _PLATES: Final = 0.6
 _DRIFTS: Final[tuple[Drift, ...]] = ("friction", "joint", "supply", "play", "mass")
-_DRIFT_AFTER: Final = 1.0 / 3.0  # of the run
 _FREE_SEED: Final = 1000  # further on: baselines are fitted to other runs
 _HUNG_SWINGS: Final = 60  # after which a leg that hangs has to be silent
-# Truth of a walk and of its twin tell one touch when they are no further apart.
-_SAME_NS: Final = 30_000_000
-_DRAIN_TICKS: Final = 50
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +80,7 @@ class Trial:
             self.robot, GAITS[self.gait], Ground(self.ground), self.seconds, self.seed,
             self.seed % _FREE_SEED,
             plates=_PLATES if self.robot == "arm" else 0.0,
-            drift=None if self.drift is None else (self.drift, self.seconds * _DRIFT_AFTER),
+            drift=None if self.drift is None else (self.drift, self.seconds / 3.0),
             twins=not self.hangs,
         )  # fmt: skip
 
@@ -159,7 +155,7 @@ def tried(work: Work, trial: Trial) -> Found | None:
     learned: dict[str, list[int]] = {leg: [] for leg in robot.leg_ids}
 
     def drain(k: int) -> None:
-        for learner in learners if k % _DRAIN_TICKS == 0 else ():
+        for learner in learners if k % 50 == 0 else ():
             learned[learner.leg.id] += learner.drain_confirmed()
 
     told = feed(learners, [samples_of(run, leg) for leg in robot.leg_ids], drain)
@@ -177,7 +173,8 @@ def tried(work: Work, trial: Trial) -> Found | None:
             [o.onset_ns for o in made.observed if o.leg == outcome.leg and o.ratio > 1.0]
         )
         for onset_ns, counted, hit in zip(own.onset_ns, own.counted, own.found, strict=True):
-            if counted and len(twins) and np.abs(twins - onset_ns).min() <= _SAME_NS:
+            # Truth of a walk and of its twin tell one touch when they are no further apart.
+            if counted and len(twins) and np.abs(twins - onset_ns).min() <= 30_000_000:
                 seen, seen_found = seen + 1, seen_found + int(hit)
         alarms += len(outcome.alarms_ns)
         judged += int(outcome.swings.judged.sum() + outcome.swings.judged_after.sum())

@@ -36,7 +36,6 @@ from adaptive_contact_sim.scenario import parse_drift
 from adaptive_contact_studies.evaluate import samples_of
 
 _SECONDS: Final = 60.0
-_AIM_M: Final = 0.004  # below the ground, of gaits that nothing stops
 # robot, gait, ground; those of the second engine begin with its name
 _WALKS: Final = (
     "hexapod tripod rough", "hexapod ripple flat", "hexapod tripod soft", "hexapod wave steps",
@@ -51,8 +50,6 @@ _HUNG: Final = (
     "bullet-light tripod none", "bullet-worm tripod-planned none",
     "bullet-quadruped trot-planned none", "bullet-arm steps none", "leg5 pose none",
 )  # fmt: skip
-# Their drives hold what they carry: nothing of it shows, and weights are not fitted to it.
-_NOT_FITTED: Final = ("bullet-worm",)
 _BINS: Final = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 _LOST_S: Final = 0.06
 _LOST_BELOW: Final = (0.45, 0.2, 0.05)
@@ -90,7 +87,8 @@ def recorded(walk: str, seconds: float, seed: int) -> tuple[Run, ContactLearner]
         planned = dataclasses.replace(GAITS[gait], stop="never", linger_s=0.0)
         plates = 0.6 if ground == "plates" else 0.0
         if not plates:
-            planned = dataclasses.replace(planned, below_m=_AIM_M)
+            # Below the ground, of gaits that nothing stops.
+            planned = dataclasses.replace(planned, below_m=0.004)
         made = record(Plan(name, planned, Ground(kind), seconds, seed, seed, plates=plates))
         description, run = made.shape.description, made.run
         return run, ContactLearner(description, description.leg_ids[0])
@@ -141,7 +139,8 @@ def played(walk: str, seconds: float, seed: int) -> list[Leg]:
 
 def fitted(legs: Sequence[Leg]) -> Array:
     """Fit the weights, every robot with the same weight; the command's odds are as they are."""
-    legs = [leg for leg in legs if leg.robot not in _NOT_FITTED and leg.known.any()]
+    # Its drives hold what they carry: nothing of it shows, and weights are not fitted to it.
+    legs = [leg for leg in legs if leg.robot != "bullet-worm" and leg.known.any()]
     ticks = {leg.robot: 0 for leg in legs}
     for leg in legs:
         ticks[leg.robot] += int(leg.known.sum())

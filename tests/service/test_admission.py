@@ -12,7 +12,7 @@ from adaptive_contact.detect.stream import MAX_OLD_RUNS, SHORT_RUN_SAMPLES, TAKE
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.service.leg_endpoint import Admission
-from adaptive_contact.service.state.keeper import Position
+from adaptive_contact.service.state.format import Position
 from adaptive_contact.wire import Reject, ServoSample
 
 STEP = 20_000_000

@@ -23,7 +23,8 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.service.link import Link, router_settings
 from adaptive_contact.service.sample_queue import Batch, Raw
 from adaptive_contact.service.server import Service
-from adaptive_contact.service.state import StateKeeper, StateStore
+from adaptive_contact.service.state import StateStore
+from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     MSGPACK,

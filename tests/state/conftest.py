@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from adaptive_contact.service.state import StateKeeper, StateStore, list_states
-from adaptive_contact.service.state.keeper import Position
+from adaptive_contact.service.state import StateStore, list_states
+from adaptive_contact.service.state.format import Position
+from adaptive_contact.service.state.keeper import StateKeeper
 
 S = 1_000_000_000
 

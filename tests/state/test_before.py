@@ -25,14 +25,8 @@ from adaptive_contact.model import load_baseline
 from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.robot import load_robot
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.state import (
-    FORMAT,
-    Record,
-    StateKeeper,
-    StateStore,
-    settings_digest,
-    unpack,
-)
+from adaptive_contact.service.state import FORMAT, Record, StateStore, settings_digest, unpack
+from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.wire import LearnerStatus, ServoSample, decode, learner_key, servo_key
 
 from .conftest import Desk

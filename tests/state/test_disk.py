@@ -15,9 +15,10 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from adaptive_contact.service.state import Record, StateKeeper, StateStore
+from adaptive_contact.service.state import Record, StateStore
 from adaptive_contact.service.state import keeper as keeper_module
-from adaptive_contact.service.state.keeper import Position
+from adaptive_contact.service.state.format import Position
+from adaptive_contact.service.state.keeper import StateKeeper
 
 from .conftest import Desk, Folder, Learner, S
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from structlog.testing import capture_logs
 
 from adaptive_contact.robot import parse_robot, shipped_robot
-from adaptive_contact.service.state import StateKeeper, StateStore, settings_digest
+from adaptive_contact.service.state import StateStore, settings_digest
+from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.state.store import NEWEST
 
 from .conftest import Desk, Folder, Learner, S

@@ -16,8 +16,9 @@ import pytest
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.service.state import StateKeeper, StateStore
-from adaptive_contact.service.state.keeper import Position
+from adaptive_contact.service.state import StateStore
+from adaptive_contact.service.state.format import Position
+from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.wire import ContactEvent, ServoSample
 
 pytest.importorskip("mujoco")

@@ -15,8 +15,9 @@ contract, by the names in ``robot.toml`` (:mod:`~adaptive_contact.service.record
 
 from __future__ import annotations
 
+from adaptive_contact.service.recording.bags import is_bag, read_recording
 from adaptive_contact.service.recording.format import Record
-from adaptive_contact.service.recording.reader import Recording, is_bag, read_recording
+from adaptive_contact.service.recording.reader import Recording
 from adaptive_contact.service.recording.writer import RecordingWriter
 
 __all__ = ["Record", "Recording", "RecordingWriter", "is_bag", "read_recording"]

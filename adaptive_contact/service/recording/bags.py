@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Final
 
 import zstandard
+from mcap.writer import MCAP0_MAGIC
 
 from adaptive_contact.errors import ConfigurationError, RecordingError, needs
 from adaptive_contact.robot import Robot
@@ -32,14 +33,12 @@ from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import (
     MAX_CHUNK_BYTES,
     MAX_RATIO,
-    ROS_1,
     Recording,
 )
 from adaptive_contact.wire import MSGPACK, ContactTruth, encode, servo_key, truth_key
 
 _SHOWN: Final = 6
-# Begins a message that its recorder compressed by itself, and no CDR.
-_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+_ROS_1: Final = b"#ROSBAG V"
 # A file of a bag, packed or not, and what orders the files of one that was split.
 _FILE: Final = re.compile(r".*?(\d*)\.(?:mcap|db3)(?:\.zstd)?")
 _QUERY: Final = """
@@ -229,13 +228,14 @@ def _unpacked_file(path: Path) -> Iterator[Path]:
 
 def _is_ros_1(path: Path) -> bool:
     with contextlib.suppress(OSError), path.open("rb") as file:
-        return file.read(len(ROS_1)) == ROS_1
+        return file.read(len(_ROS_1)) == _ROS_1
     return False
 
 
 def _unpacked(payload: bytes) -> bytes:
     """Unpack a message of ``ros2 bag record --compression-mode message``."""
-    if payload.startswith(_ZSTD):
+    # Begins a message that its recorder compressed by itself, and no CDR.
+    if payload.startswith(b"\x28\xb5\x2f\xfd"):
         with contextlib.suppress(zstandard.ZstdError):
             unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
             return unpacker.stream_reader(payload).read(1 << 20)
@@ -250,3 +250,39 @@ def _number(path: Path) -> tuple[int, str]:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def read_recording(path: str | Path, robot: Robot | None = None) -> Recording:
+    """Open a recording for reading.
+
+    Returns:
+        An iterable of :class:`Record`, with ``truncated`` and ``damage`` after a pass over it.
+
+    Raises:
+        RecordingError: the file cannot be read, or is no recording.
+        ConfigurationError: it is a bag, and ``robot`` does not say what the bag holds.
+    """
+    if is_bag(path):
+        return Bag(path, robot)
+    return Recording(path)
+
+
+def is_bag(path: str | Path) -> bool:
+    """Return whether a path is a bag of ROS: a folder, a db3 or bag file, or rosbag2's MCAP."""
+    path = Path(path)
+    if path.is_dir():
+        return any(
+            entry.suffix in (".mcap", ".db3", ".yaml", ".zstd", ".bag") for entry in path.iterdir()
+        )
+    if path.suffix in (".db3", ".bag", ".zstd"):
+        return True
+    if not path.is_file():  # what can be read but once is left for the reader
+        return False
+    try:
+        with path.open("rb") as file:
+            # The magic, the frame of the header, and its first text: the profile.
+            head = file.read(len(MCAP0_MAGIC) + 9 + 8)
+            ros_2 = head.startswith(MCAP0_MAGIC) and head.endswith(b"\x04\0\0\0ros2")
+            return ros_2 or head.startswith(_ROS_1)
+    except OSError:
+        return False

@@ -41,8 +41,6 @@ from adaptive_contact.wire import (
 
 # Rows of a Parquet group; PyArrow holds one group of each table in memory.
 _ROWS: Final = 20_000
-# Columns of one list; a robot's legs have at most 16 joints.
-_MAX_WIDTH: Final = 64
 
 OnRecord = Callable[[Record], None]
 
@@ -214,7 +212,8 @@ class _Columns:
         """Make room for a message's lists, up to the widest of a robot."""
         for name, get in self._lists:
             held = get(message)
-            if held is not None and self.width[name] < len(held) <= _MAX_WIDTH:
+            # Columns of one list; a robot's legs have at most 16 joints.
+            if held is not None and self.width[name] < len(held) <= 64:
                 self.width[name] = len(held)
 
     @property

@@ -23,7 +23,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, Final
 
 import lz4.frame
 import zstandard
@@ -38,19 +38,12 @@ from adaptive_contact.service.recording.format import ABOUT, ENCODING, PROTOBUF,
 from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_reader, schema_name
 from adaptive_contact.wire import MSGPACK
 
-if TYPE_CHECKING:
-    from adaptive_contact.robot import Robot
-
 # Of a chunk, packed and unpacked.  Writers make chunks of 32 kB (ours) to a few MB.
 MAX_CHUNK_BYTES: Final = 64 << 20
 # All chunks together may unpack to this many times the file, or to one chunk of the largest size.
 # Recordings of robots are packed 2 to 20 times; 262 kB of repeated bytes would unpack to gigabytes.
 MAX_RATIO: Final = 200
-# Of the summary at the end of a file, of metadata.
-_MAX_SUMMARY_BYTES: Final = 64 << 20
-_MAX_METADATA_BYTES: Final = 1 << 20
 _MAX_COMPRESSION_NAME: Final = 16
-_SCAN_BYTES: Final = 1 << 20
 
 _FRAME: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
@@ -58,10 +51,6 @@ _INDEX: Final = struct.Struct("<HI")
 _CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of compression
 _LENGTH: Final = struct.Struct("<Q")
 _CHUNK_HEAD_BYTES: Final = _CHUNK.size + _MAX_COMPRESSION_NAME + _LENGTH.size  # at most
-# What a folder of rosbag2 holds: metadata.yaml, and the files, which may be packed.
-_OF_BAGS: Final = frozenset({".mcap", ".db3", ".yaml", ".zstd", ".bag"})
-ROS_1: Final = b"#ROSBAG V"
-_PROFILE: Final = struct.Struct("<I4s")  # first text of a file's header
 _FOOTER: Final = struct.Struct("<BQQQI")
 
 # What a data section may hold; any other opcode below 0x80 (private records) is damage.
@@ -70,10 +59,6 @@ _DATA_SECTION: Final = frozenset(
     | {Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 )
 _PRIVATE: Final = 0x80
-# Records that say their length twice; in a file without chunks, messages are gone through in order.
-_PROVEN: Final = frozenset({Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.MESSAGE})
-# Where a chunk of less than 4 GB may begin, overlapping places too.
-_CHUNK_BEGINS: Final = re.compile(rb"(?=\x06[\s\S]{4}\x00{4})")
 
 # What the parsers of mcap, zstandard and lz4 (RuntimeError) raise on damaged bytes; ValueError is
 # also the base of Unicode errors.
@@ -124,7 +109,7 @@ class Recording:
             head = file.read(_FRAME.size)
             while len(head) == _FRAME.size:
                 opcode, length = _FRAME.unpack(head)
-                if opcode not in (Opcode.HEADER, Opcode.METADATA) or length > _MAX_METADATA_BYTES:
+                if opcode not in (Opcode.HEADER, Opcode.METADATA) or length > (1 << 20):
                     break
                 content = file.read(length)
                 try:
@@ -164,41 +149,6 @@ class Recording:
                 f"{self.path}: {found}; expected an MCAP file, as 'adaptive-contact record' writes"
             )
         return file
-
-
-def read_recording(path: str | Path, robot: Robot | None = None) -> Recording:
-    """Open a recording for reading.
-
-    Returns:
-        An iterable of :class:`Record`, with ``truncated`` and ``damage`` after a pass over it.
-
-    Raises:
-        RecordingError: the file cannot be read, or is no recording.
-        ConfigurationError: it is a bag, and ``robot`` does not say what the bag holds.
-    """
-    if is_bag(path):
-        from adaptive_contact.service.recording.bags import Bag
-
-        return Bag(path, robot)
-    return Recording(path)
-
-
-def is_bag(path: str | Path) -> bool:
-    """Return whether a path is a bag of ROS: a folder, a db3 or bag file, or rosbag2's MCAP."""
-    path = Path(path)
-    if path.is_dir():
-        return any(entry.suffix in _OF_BAGS for entry in path.iterdir())
-    if path.suffix in (".db3", ".bag", ".zstd"):
-        return True
-    if not path.is_file():  # what can be read but once is left for the reader
-        return False
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(MCAP0_MAGIC) + _FRAME.size + _PROFILE.size)
-            ros_2 = head.startswith(MCAP0_MAGIC) and head.endswith(_PROFILE.pack(4, b"ros2"))
-            return ros_2 or head.startswith(ROS_1)
-    except OSError:
-        return False
 
 
 class _DamagedError(Exception):
@@ -268,7 +218,9 @@ class _Walk:
                 continue
             yield from self._record(opcode, length)
             self._at = end
-            if opcode in _PROVEN:
+            # Records that say their length twice; in a file without chunks, messages are gone
+            # through in order.
+            if opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.MESSAGE):
                 self._sure = end
 
     def _is_followed(self, at: int) -> bool:
@@ -358,9 +310,10 @@ class _Walk:
         here = self._at
         base, kept = (self._sure if self._sure < self._at else self._at + 1), b""
         self._file.seek(base)
-        while block := self._file.read(_SCAN_BYTES):
+        while block := self._file.read(1 << 20):
             data = kept + block
-            for match in _CHUNK_BEGINS.finditer(data):
+            # Where a chunk of less than 4 GB may begin, overlapping places too.
+            for match in re.finditer(rb"(?=\x06[\s\S]{4}\x00{4})", data):
                 at = base - len(kept) + match.start()
                 head = os.pread(self._file.fileno(), _FRAME.size + _CHUNK_HEAD_BYTES, at)
                 if at != here and _is_chunk(head[_FRAME.size :], _FRAME.unpack_from(head)[1]):
@@ -451,7 +404,8 @@ class _Walk:
             return
         opcode, _, start, _, checksum = _FOOTER.unpack_from(tail)
         length = self._size - footer_bytes - start
-        if opcode != Opcode.FOOTER or not 0 < length <= _MAX_SUMMARY_BYTES:
+        # Of the summary at the end of a file, of metadata.
+        if opcode != Opcode.FOOTER or not 0 < length <= (64 << 20):
             return
         summary = os.pread(self._file.fileno(), length, start)
         if checksum not in (0, zlib.crc32(summary + tail[: _FOOTER.size - 4])):

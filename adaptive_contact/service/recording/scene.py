@@ -36,10 +36,7 @@ _TOPICS: Final = {
     "/robot": "foxglove.SceneUpdate",
 }
 BODY: Final = "base_link"
-# Sizes as parts of a leg's reach; colours as red, green, blue and opacity.
-_LINK_SIZE: Final = 0.03
-_FOOT_SIZE: Final = 0.1
-_TRUTH_SIZE: Final = 0.18
+# Colours as red, green, blue and opacity.
 _LINK: Final = (0.35, 0.45, 0.6, 1.0)
 _FREE: Final = (0.7, 0.7, 0.7, 1.0)
 _TOUCHES: Final = (0.9, 0.1, 0.1, 1.0)
@@ -179,8 +176,8 @@ class _DrawnLeg:
     def _paint(self) -> None:
         del self._foot.spheres[:]
         for size, colour in (
-            (_FOOT_SIZE, self._colour),
-            *([(_TRUTH_SIZE, _TRUTH)] if self._true else []),
+            (0.1, self._colour),
+            *([(0.18, _TRUTH)] if self._true else []),
         ):
             sphere = self._foot.spheres.add()
             _place(sphere.pose.position, self._tip_m)
@@ -190,7 +187,7 @@ class _DrawnLeg:
 
     def _add_link(self, scene: Any, frame: str, way: Vector, reach_m: float, name: str) -> Any:
         entity = scene.entities.add(frame_id=frame, id=name, frame_locked=True)
-        line = entity.lines.add(thickness=_LINK_SIZE * reach_m)
+        line = entity.lines.add(thickness=0.03 * reach_m)
         line.pose.orientation.w = 1.0
         line.points.add()
         _place(line.points.add(), way)

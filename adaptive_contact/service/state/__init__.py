@@ -16,7 +16,6 @@ from adaptive_contact.service.state.format import (
     settings_digest,
     unpack,
 )
-from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.state.store import (
     StateStore,
     Stored,
@@ -31,7 +30,6 @@ __all__ = [
     "Identity",
     "Record",
     "Refused",
-    "StateKeeper",
     "StateStore",
     "Stored",
     "default_folder",

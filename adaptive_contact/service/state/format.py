@@ -49,6 +49,17 @@ class Identity(msgspec.Struct, frozen=True):
     settings: str  # digest of robot.toml and baseline, see `settings_digest`
 
 
+class Position(NamedTuple):
+    """Where a source was when its leg was saved."""
+
+    # run, seq: of the last sample that was used
+    run: int | None
+    seq: int
+    missed_down: int = 0  # samples that passed while the service was down until then
+    # runs of older publishers, the one that was replaced last at the end
+    superseded: tuple[int | None, ...] = ()
+
+
 class Record(msgspec.Struct, frozen=True, kw_only=True):
     """A leg's state, and when it was."""
 

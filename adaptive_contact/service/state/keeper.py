@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import structlog
 
 from adaptive_contact.service.logs import LogThrottle
-from adaptive_contact.service.state.format import Identity, Record, Refused
+from adaptive_contact.service.state.format import Identity, Position, Record, Refused
 from adaptive_contact.service.state.store import StateStore
 from adaptive_contact.service.status import StateFacts
 
@@ -35,17 +35,6 @@ _END_S: Final = 4.0
 # Refusals listed in ServiceStatus; more than a robot has legs would not fit its 4 kB.
 _MOST: Final = 4
 _ERROR_LINE: Final = 320
-
-
-class Position(NamedTuple):
-    """Where a source was when its leg was saved."""
-
-    # run, seq: of the last sample that was used
-    run: int | None
-    seq: int
-    missed_down: int = 0  # samples that passed while the service was down until then
-    # runs of older publishers, the one that was replaced last at the end
-    superseded: tuple[int | None, ...] = ()
 
 
 class _Last(NamedTuple):

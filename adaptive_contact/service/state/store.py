@@ -34,7 +34,6 @@ _NEW: Final = ".new"
 _OLD: Final = ".old"
 _LOCK: Final = "lock"
 _SAFE: Final = os.O_NOFOLLOW | os.O_CLOEXEC
-_OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z")
 
 
@@ -290,4 +289,4 @@ def _is_open(path: Path) -> bool:
         return True
     if stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX:
         return False  # as /tmp: no user may replace another's folder
-    return bool(found.st_mode & _OTHERS_WRITE)
+    return bool(found.st_mode & (stat.S_IWGRP | stat.S_IWOTH))

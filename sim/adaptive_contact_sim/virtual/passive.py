@@ -6,8 +6,6 @@ runs in steps of 1 ms as time goes by, so a goal written at any moment acts from
 
 from __future__ import annotations
 
-from typing import Final
-
 import mujoco
 import numpy as np
 
@@ -19,9 +17,6 @@ from adaptive_contact_sim.servo import QUANTUM_RAD, manufactured
 from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
 
-# Of the body over the floor, with the legs out of reach of it.
-HUNG_M: Final = 1.0
-
 
 class PassiveBackend(OnStand):
     """A hexapod on a stand; a backend of virtual servos.
@@ -31,7 +26,8 @@ class PassiveBackend(OnStand):
         height_m: of the body over the floor.
     """
 
-    def __init__(self, horns: Horns, *, height_m: float = HUNG_M) -> None:
+    # Of the body over the floor, with the legs out of reach of it.
+    def __init__(self, horns: Horns, *, height_m: float = 1.0) -> None:
         self.plant = Plant(_on_a_stand(height_m), manufactured(0), period_s=STEP_S)
         super().__init__(horns, self.plant, np.zeros(N_SERVOS))  # stretched out level
         self.plant.joint_angles[:] = 0.0

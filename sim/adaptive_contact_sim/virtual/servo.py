@@ -36,17 +36,14 @@ _READ_ONLY: Final = (
     "moving",
     "hardware_error",
 )
-_FIRST_RAM: Final = 64
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
 _WHEEL, _JOINT = 1, 2  # XL-320's control modes
 _MOST_HOMING: Final = 1024  # of position mode; more is ignored
 _MOST_STEPS: Final = 1_048_575  # of a goal in the extended modes
 _MULTI_TURN_STEPS: Final = 28_672  # of an MX servo's goal
-_BAUD_TOLERANCE: Final = 0.03  # e-manual: within 3 % no more errors than at the rate itself
 _BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 _BAUDS320: Final = _BAUDS2[:4]
-_FULL_TORQUE: Final = 1023
 _LAW: Final[set[str]] = {name for names in LAW_REGISTERS for name in names}
 # A horn slower than this stands still for the register Moving.
 _MOVING_RAD_S: Final = 0.05
@@ -141,7 +138,7 @@ class VirtualServo:
 
     def follows(self, servo: int, address: int) -> bool:
         """Whether a write to another id counts here: one to the secondary id, and to RAM."""
-        return address >= _FIRST_RAM and self._has("secondary_id") == servo > 0
+        return address >= 64 and self._has("secondary_id") == servo > 0
 
     def set_errors(self, bits: int) -> int:
         """Put up what is wrong now; a servo that is set to shut down for it does so.
@@ -406,7 +403,8 @@ class VirtualServo:
         if self.model.protocol == 1:
             rate = 2_000_000 / (register + 1)
             near = min(BAUDS, key=lambda baud: abs(baud - rate))
-            return near if abs(near - rate) < _BAUD_TOLERANCE * rate else 0
+            # E-manual: within 3 % no more errors than at the rate itself.
+            return near if abs(near - rate) < 0.03 * rate else 0
         rates = _BAUDS320 if self.model.compact else _BAUDS2
         return rates[register] if register < len(rates) else 0
 
@@ -426,7 +424,7 @@ class VirtualServo:
         initial["voltage"] = 120 if model.protocol == 1 else 50
         if model.compact:
             initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
-            initial |= {"torque_limit": _FULL_TORQUE, "punch": 32, "position_p": 32}
+            initial |= {"torque_limit": 1023, "punch": 32, "position_p": 32}
         else:
             initial |= {"position_p": 400 if "330" in model.name else 800}
             initial |= {"hardware_error": 0, "status_return": 2}

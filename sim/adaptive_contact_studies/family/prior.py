@@ -31,8 +31,6 @@ from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
-# Legs the family is learned from; trials take seeds from 10,000 on.
-SEEDS: Final = range(400)
 _SWINGS: Final = 60
 _ROUNDS: Final = 40
 
@@ -58,7 +56,8 @@ class JointRows:
     variance: float  # of the noise, as it is known so far
 
 
-def learn_family(work: Work, seeds: Sequence[int] = SEEDS) -> FamilyFile:
+# Legs the family is learned from; trials take seeds from 10,000 on.
+def learn_family(work: Work, seeds: Sequence[int] = range(400)) -> FamilyFile:
     """Record the legs and learn the family."""
     found = work.each("recording legs", joints_of, seeds)
     joints = [joint for of_leg in found for joint in of_leg]

@@ -48,10 +48,8 @@ EARLY: Final = 100  # swings
 # Of the hexapod outside the family: friction over stall torque, twice the family's most, and the
 # slope over the one described, where the family's deviate by 8 %.
 _RUBBING: Final = 0.14
-_SOFTER: Final = 1.5
 # A drawn leg's own baseline: some ten minutes of free swings.
 _FREE_SWINGS: Final = 800
-_FREE_SEEDS: Final = 50_000  # further on
 
 
 class Figures(NamedTuple):
@@ -147,7 +145,7 @@ def _recorded(kind: str, seed: int) -> tuple[Run, Robot, Baseline | None]:
         leg = draw_leg(seed, second=kind.startswith("second"))
         motion: Motion = "gait" if kind.endswith("stepping") else "pose"
         run = record(leg, motion, 200, seed, plates={"pose": 0.5, "gait": 0.9}[motion])
-        return run, leg.robot, _own_baseline(leg, motion, seed + _FREE_SEEDS)
+        return run, leg.robot, _own_baseline(leg, motion, seed + 50_000)
     name, how = kind.split()[0], kind.split()[1]
     walks = how in ("walking", "trotting", "outside")
     settings = SimulationSettings.of(name, "walk" if walks else "pose")
@@ -177,7 +175,7 @@ def _outside(seed: int) -> ServoParameters:
         servo,
         coulomb_nm=coulomb,
         stribeck_nm=more * servo.stribeck_nm,
-        slope_steps=_SOFTER * servo.slope_steps,
+        slope_steps=1.5 * servo.slope_steps,
     )
 
 

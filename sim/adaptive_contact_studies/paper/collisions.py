@@ -35,11 +35,7 @@ from adaptive_contact_studies.paper.plan import Plan
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
-# λ of both models, in units of the residual: the plateau of the identification study.
-_THRESHOLD: Final = 0.1
 _TICK_MS: Final = 1e3 * PERIOD_S
-# An event so late is none of the touch's.
-_LATEST_MS: Final = 120.0
 
 
 @rests_on(
@@ -60,7 +56,8 @@ def ten_collisions(work: Work, plan: Plan) -> dict[str, Any]:
     run = _recorded(train)
     own = run.legs[train.leg]
     touches = [onset for onset in own.onsets if onset.t_ns > 0 and onset.speed_m_s is not None]
-    model, _ = fitted_model(robot, train, "paper", PAPER_WINDOW, _THRESHOLD)
+    # λ of both models, in units of the residual: the plateau of the identification study.
+    model, _ = fitted_model(robot, train, "paper", PAPER_WINDOW, 0.1)
     free = rule(Prediction.of(model, test.measured, test.desired).residual)
     free = free[swing_ticks(test.swing) > JUDGED_AFTER_TICKS]
     limit = free[np.isfinite(free).all(axis=1)].max(axis=0)
@@ -112,7 +109,8 @@ def _recorded(train: Stream) -> Run:
 def _latency(ticks: Ints, onset_ms: float) -> float | None:
     """To the first event after the touch, if it is one of it."""
     late = _TICK_MS * ticks - onset_ms
-    late = late[(late > 0.0) & (late <= _LATEST_MS)]
+    # An event so late is none of the touch's.
+    late = late[(late > 0.0) & (late <= 120.0)]
     return float(late[0]) if len(late) else None
 
 

@@ -45,13 +45,9 @@ Tree = dict[str, Any]
 TITLES: Final = {DEFAULT: "default: servo law, likelihood ratio, online"} | {
     name: detector.title for name, detector in DETECTORS.items()
 }
-# Kinds of streams in which the leg approaches slowly.
-SLOW_KINDS: Final = ("hard slow",)
 # Names of the rows that divide the score's own headline row.
 SLOW_FAST: Final = "fast touches in slow approaches"
 BOTH: Final = "headline and fast touches in slow approaches"
-_SPEED_EDGES_M_S: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5)
-_FORCE_EDGES_N: Final = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf"))
 
 
 class Touched(NamedTuple):
@@ -63,7 +59,7 @@ class Touched(NamedTuple):
     @property
     def slow(self) -> bool:
         """Whether the leg approaches slowly."""
-        return self.piece.kind in SLOW_KINDS
+        return self.piece.kind == "hard slow"
 
     def outcome(self, name: str, factor: float = 1.0) -> LegOutcome:
         """A detector's events against the truth."""
@@ -164,9 +160,19 @@ def _figures(name: str, touched: Sequence[Touched], quiet: dict[Role, Quiet]) ->
             "touch": rate_of(summary.false_alarms, summary.judged_ticks),
         },
         "by_speed": binned(
-            touched, outcomes, "speed_m_s", _SPEED_EDGES_M_S, (Row.SOFT, Row.GRAZING)
+            touched,
+            outcomes,
+            "speed_m_s",
+            (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5),
+            (Row.SOFT, Row.GRAZING),
         ),
-        "by_force": binned(touched, outcomes, "force_n", _FORCE_EDGES_N, (Row.GRAZING,)),
+        "by_force": binned(
+            touched,
+            outcomes,
+            "force_n",
+            (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf")),
+            (Row.GRAZING,),
+        ),
         "roc": _curve(name, [t for t in touched if not t.slow], [*quiet.values()]),
     }
 

@@ -53,8 +53,6 @@ from adaptive_contact_studies.paper.rows import predictions
 
 # Ticks after the command lifts off in which the foot may still be loaded: the same for all.
 JUDGED_AFTER_TICKS: Final = 5
-# Lags of the tracking error that are tried, ticks.
-_LAGS: Final = range(7)
 JOINTS: Final = 3
 MODELS: Final = ("servo", "paper")
 
@@ -351,7 +349,11 @@ def tune_bench(robot: Robot, free: Sequence[Evidence], touch: Sequence[Evidence]
     Raises:
         IdentificationError: too few ticks.
     """
-    lags = [np.concatenate([tracking_error(e.motion, lag)[e.free] for e in free]) for lag in _LAGS]
+    lags = [
+        # Lags of the tracking error that are tried, ticks.
+        np.concatenate([tracking_error(e.motion, lag)[e.free] for e in free])
+        for lag in range(7)
+    ]
     lag = int(np.argmin([np.sqrt(np.nanmean(np.square(errors))) for errors in lags]))
     own: dict[str, list[Evidence]] = {}
     for e in free:

@@ -37,9 +37,6 @@ from adaptive_contact_studies.paper.plan import GantrySettings, Piece, Plan, Rol
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
-# λ of the paper's library, in units of the residual: on the plateau of the identification study,
-# where all thresholds predict alike.
-_PAPER_THRESHOLD: Final = 0.5
 # False alarms per robot-hour beside the product's own target of one: the default's curve.
 AIMS: Final = (0.1, 10.0, 100.0)
 # Swept thresholds, over those of the aim, 15 to a decade.  Far below it: a heavy tail sets an aim's
@@ -49,8 +46,6 @@ AIM: Final = 45  # where the factor is 1
 DEFAULT: Final = "default"
 # Runs of a hung-up robot, of six streams each, that are evaluated side by side.
 _RUNS_TOGETHER: Final = 3
-# A threshold that more than this share of the ticks pass is no detector's; it is left out.
-_ABSURD_SHARE: Final = 0.03
 _SOURCES: Final = (
     *(*SIMULATOR, *LEARNER, "adaptive_contact_studies.paper.data"),
     *("adaptive_contact_studies.paper.detectors", "adaptive_contact_studies.paper.rows"),
@@ -103,7 +98,9 @@ def learned(work: Work, item: tuple[Plan, int]) -> Learned:
         return learn(robot, stretches, origin=origin, library=library, **options).baseline
 
     servo = fit(("train",), "servo", window=Window())
-    paper = fit(("train",), "paper", window=PAPER_WINDOW, threshold=_PAPER_THRESHOLD)
+    # λ of the paper's library, in units of the residual: on the plateau of the identification
+    # study, where all thresholds predict alike.
+    paper = fit(("train",), "paper", window=PAPER_WINDOW, threshold=0.5)
     models = {
         leg: {"servo": servo.legs[leg].model, "paper": paper.legs[leg].model} for leg in plan.legs
     }
@@ -216,6 +213,7 @@ def _sweep(own: Evidence, score: Array) -> Ints:
     known = score[np.isfinite(score)]
     counts = np.full(len(FACTORS), -1, dtype=np.int64)
     for i, factor in enumerate(FACTORS):
-        if np.count_nonzero(known > factor) <= _ABSURD_SHARE * len(known):
+        # A threshold that more than this share of the ticks pass is no detector's; it is left out.
+        if np.count_nonzero(known > factor) <= 0.03 * len(known):
             counts[i] = len(alarm_ticks(score, own.swing_of_tick, float(factor), own.descending))
     return counts

@@ -40,7 +40,6 @@ from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 # Log-spaced, three to a decade, and the paper's own choice.
 LAMBDAS: Final = tuple(sorted({round(10.0 ** (e / 3), 6) for e in range(-12, 7)} | {5.0}))
-PAPER_LAMBDA: Final = 5.0
 # The sparsest model whose held-out error is within this of the best, for every joint, is picked:
 # the product's rule (docs/decisions/0005-half-a-tick.md).
 TOLERANCE: Final = 1.005
@@ -118,7 +117,7 @@ def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
                 joints = len(library.joints)
                 point[name] = _scores(windows, predicted[:, :joints], states=predicted)
         points.append(point)
-        if sweep.unit and fit.status is FitStatus.EMPTIED and threshold >= PAPER_LAMBDA:
+        if sweep.unit and fit.status is FitStatus.EMPTIED and threshold >= 5.0:
             break
     emptied = [p["lambda"] for p in points if p["status"] == "emptied"]
     return {

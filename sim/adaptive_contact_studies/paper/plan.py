@@ -38,9 +38,6 @@ _PAPER_SEEDS: Final = {"train": 100_000, "tune": 200_000}
 # from standing.
 _PART_SEGMENTS: Final = 500
 _STANDING_TICKS: Final = 50
-# Pieces of this many simulated seconds: long enough to be worth a process's time, short enough
-# that an interruption loses little.
-_PIECE_S: Final = 300.0
 
 
 @dataclass(frozen=True)
@@ -187,7 +184,9 @@ class Plan:
 def _parts(times: dict[str, float]) -> Iterator[tuple[str, float]]:
     """The pieces that so much of every kind is simulated in: kind and length, s."""
     for kind, seconds in times.items():
-        parts = max(1, round(seconds / _PIECE_S))
+        # Pieces of this many simulated seconds: long enough to be worth a process's time, short
+        # enough that an interruption loses little.
+        parts = max(1, round(seconds / 300.0))
         yield from [(kind, seconds / parts)] * parts
 
 

@@ -24,7 +24,6 @@ from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 
 STAGES: Final = (*("dataset", "identification", "compression", "collisions", "detection", "logs"),)
 _REPORTED: Final[tuple[Role, ...]] = ("touch", "stand", "free")
-_ROLES: Final[tuple[Role, ...]] = ("train", "tune", *_REPORTED)
 
 
 def run_paper(
@@ -84,7 +83,7 @@ def _dataset(work: Work, plan: Plan) -> dict[str, Any]:
 
 def _detection(work: Work, plan: Plan) -> dict[str, Any]:
     """What ten trials cannot show."""
-    pieces = [p for role in _ROLES for p in plan.pieces(role)]
+    pieces = [p for role in ("train", "tune", *_REPORTED) for p in plan.pieces(role)]
     record_all(work, "collisions and free motion", pieces)
     work.each("learning the legs of each robot", learned, [(plan, robot) for robot in plan.robots])
     work.each("choosing lags, joints and thresholds on tuning streams", tuned, [plan])

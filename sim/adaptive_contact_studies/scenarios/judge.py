@@ -28,11 +28,6 @@ from adaptive_contact_studies.scenarios.spec import Expect, Mark, Scenario, Vari
 Tree = dict[str, Any]
 
 _VALID: Final = STATUSES.index("valid")
-_AMBIGUOUS: Final = STATUSES.index("ambiguous")
-# The phase in which a foot is caught, and the swings after which that can be detected: it is caught
-# when it next rests, and two swings in a row have to show it.
-CAUGHT: Final = "caught"
-CAUGHT_GRACE: Final = 4
 # Swings in a row that a learner calls itself valid, before it is taken at its word.
 SETTLED: Final = 20
 # What a change is taken for of which no kind is reported.
@@ -129,7 +124,7 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
         valid_ns=valid_ns,
         wavered=bool(np.any(replayed.log.status != _VALID)),
         caught=len(caught),
-        caught_told=int(np.sum(caught == _AMBIGUOUS)),
+        caught_told=int(np.sum(caught == STATUSES.index("ambiguous"))),
     )
 
 
@@ -219,9 +214,11 @@ def _recovery(
 
 def _caught(scenario: Scenario, log: SwingLog) -> NDArray[np.int64]:
     """Statuses after swings that ended while the foot was caught, but for the first few."""
-    ends = [(p.from_s, p.to_s) for p in scenario.phases if p.name == CAUGHT] or [(0.0, 0.0)]
+    # The phase in which a foot is caught, and the swings after which that can be detected: it is
+    # caught when it next rests, and two swings in a row have to show it.
+    ends = [(p.from_s, p.to_s) for p in scenario.phases if p.name == "caught"] or [(0.0, 0.0)]
     inside = (log.t_ns >= ends[0][0] * 1e9) & (log.t_ns < ends[0][1] * 1e9)
-    return np.asarray(log.status[inside][CAUGHT_GRACE:])
+    return np.asarray(log.status[inside][4:])
 
 
 def _longest_run(lost: NDArray[np.bool_] | Sequence[bool]) -> int:

@@ -372,7 +372,6 @@ QUADRUPED: Final = "quadruped12"
 LEG: Final = "leg5"
 # Share of descents under which a plate is to come; it does under about half of them.
 _PLATES: Final = 0.65
-_OFFSETS: Final = {QUADRUPED: 600, LEG: 700}  # of seeds
 _RUBS: Final = What("friction", 4.0)
 
 
@@ -409,7 +408,7 @@ def _runs(
         plates = replace(motion.obstacles, probability=_PLATES)
         settings = replace(settings, motion=replace(motion, obstacles=plates))
     legs = simulated_robot(name).layout.legs
-    first = sizes.first_seed + _OFFSETS[name] + (50 if gait == "walk" else 0)
+    first = sizes.first_seed + {QUADRUPED: 600, LEG: 700}[name] + (50 if gait == "walk" else 0)
     count = math.ceil(sizes.leg_runs / len(legs))
     return tuple(
         RecordingSpec(replace(settings, seed=first + run), seconds, legs) for run in range(count)

@@ -23,14 +23,8 @@ from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 Tree = dict[str, Any]
 
 RECOVERY_MEDIAN: Final = 10.0
-RECOVERY_P95: Final = 20.0
-ALARMS_ON_THE_WAY: Final = 2.0
 RECALL_POINTS: Final = 1.0
-LOCK_OUT_SWINGS: Final = 5
-TOUCHING_SHARE: Final = 0.001
-VALID_SWINGS: Final = 60.0
 ALARMS_PER_HOUR: Final = 5.0
-CAUGHT_UNTOLD: Final = 0.1
 # What has to agree for figures to stand in one table.
 _BELONGS: Final = ("sizes", "learner", "simulator")
 
@@ -62,7 +56,7 @@ def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
             made = [recall, harm]
         case Expect.FOLLOW:
             lock_out = float(full["longest_lock_out"])
-            made = [recall, Goal("longest lock-out, swings", LOCK_OUT_SWINGS, lock_out), harm]
+            made = [recall, Goal("longest lock-out, swings", 5, lock_out), harm]
         case Expect.UNPOISONED:
             made = [recall]
         case Expect.START:
@@ -71,10 +65,10 @@ def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
             rate = full["judged"]["per_robot_hour"]
             made = [Goal("false alarms per robot-hour", ALARMS_PER_HOUR, rate), recall]
     if scenario.poisonous:
-        made.append(Goal("contact ticks learned, share", TOUCHING_SHARE, full["touching_share"]))
+        made.append(Goal("contact ticks learned, share", 0.001, full["touching_share"]))
     if full["caught_swings"]:
         untold = 1.0 - full["caught_told"] / full["caught_swings"]
-        made.append(Goal("caught swings not called ambiguous, share", CAUGHT_UNTOLD, untold))
+        made.append(Goal("caught swings not called ambiguous, share", 0.1, untold))
     return made
 
 
@@ -114,8 +108,8 @@ def _recover(full: Tree) -> list[Goal]:
         alarms = recovery["alarms_median"]
         made += [
             Goal(f"swings to recovery, median{of}", RECOVERY_MEDIAN, recovery["swings_median"]),
-            Goal(f"swings to recovery, p95{of}", RECOVERY_P95, recovery["swings_p95"]),
-            Goal(f"false alarms on the way, median{of}", ALARMS_ON_THE_WAY, alarms),
+            Goal(f"swings to recovery, p95{of}", 20.0, recovery["swings_p95"]),
+            Goal(f"false alarms on the way, median{of}", 2.0, alarms),
         ]
     return made
 
@@ -124,7 +118,7 @@ def _start(start: Tree) -> list[Goal]:
     own, reference = start["when_valid"]["recall"], start["reference"]["recall"]
     lost = None if own is None or reference is None else 100.0 * (reference - own)
     return [
-        Goal("swings until valid, p95", VALID_SWINGS, start["swings_p95"]),
+        Goal("swings until valid, p95", 60.0, start["swings_p95"]),
         Goal("recall lost once valid, points", RECALL_POINTS, lost),
         Goal("harm once valid", 0.0, float(start["harmful"])),
     ]

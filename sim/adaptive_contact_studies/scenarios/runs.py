@@ -28,9 +28,6 @@ from adaptive_contact_studies.scenarios.spec import Phase, RecordingSpec, Stagin
 # A trial in pose: 10 ticks up, 10 down, 3 of hold.  A cycle of the tripod at its mean speed.
 POSE_SWING_S: Final = 0.46
 WALK_SWING_S: Final = 0.64 / 0.46
-# Swings after a change that are on the way, not after it: the goal for the 95th percentile.
-SETTLE_SWINGS: Final = 20
-_STEP_UP_AND_DOWN_S: Final = 2.0
 # Places on a descent, as shares of it: earlier, the lagging foot is still rising; later, it often
 # touches in the last ticks of a swing, which cannot be judged.  With the probabilities below about
 # half of the swings have a touch that counts; the rest is obstacles that could not be put in time.
@@ -155,7 +152,7 @@ def walks_without_change(sizes: Sizes) -> int:
 
 def turn_runs(sizes: Sizes) -> tuple[tuple[RecordingSpec, ...], float]:
     """All legs in pose, each in its turn, twice; and how long it takes until all had one, s."""
-    round_s = len(LEGS) * (sizes.turn_trials * POSE_SWING_S + _STEP_UP_AND_DOWN_S)
+    round_s = len(LEGS) * (sizes.turn_trials * POSE_SWING_S + 2.0)
     motion = PoseSettings(
         legs=LEGS,
         trials_per_turn=sizes.turn_trials,
@@ -225,7 +222,8 @@ def around(at_s: float, end_s: float, swing_s: float) -> tuple[Phase, ...]:
 
     The swing during which it happens belongs to none.
     """
-    settled = min(at_s + SETTLE_SWINGS * swing_s, end_s)
+    # Swings after a change that are on the way, not after it: the goal for the 95th percentile.
+    settled = min(at_s + 20 * swing_s, end_s)
     return (
         Phase("before", 0.0, at_s - swing_s),
         Phase("on the way", at_s, settled),

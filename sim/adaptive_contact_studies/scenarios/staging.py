@@ -38,13 +38,6 @@ Array = NDArray[np.float64]
 SPRING_N_M: Final = 3000.0
 # About half of critical for the 60 g that move with a foot: it must not ring through the gait.
 DAMPER_NS_M: Final = 13.0
-# Speed up to which what trails is not pulled taut.
-TAUT_M_S: Final = 0.02
-# Where on a descent a level obstacle may stand, as shares of it; beyond, it would come too early
-# for the lagging foot, or too late to be judged.
-_SHARES: Final = (0.15, 0.6)
-# Randomness of the motions made here, apart from all of the simulator's.
-_STREAM: Final = 0x1E7E1
 
 
 class _LevelPose(PoseMotion):
@@ -57,7 +50,9 @@ class _LevelPose(PoseMotion):
         if plan.obstacle is not None:
             top, end = plan.points[plan.ascent - 1, 2], plan.points[plan.swing - 1, 2]
             share = (top - self.level_m) / (top - end)
-            plan.obstacle = float(np.clip(share, *_SHARES))
+            # Where on a descent a level obstacle may stand, as shares of it; beyond, it would come
+            # too early for the lagging foot, or too late to be judged.
+            plan.obstacle = float(np.clip(share, 0.15, 0.6))
         return plan
 
 
@@ -65,7 +60,8 @@ def _level_motion(sim: Simulation, level_m: float) -> Motion:
     """The simulation's motion in pose, with its obstacles at one height."""
     motion = sim.settings.motion
     poses = motion.poses if isinstance(motion, PoseGroupSettings) else (motion,)
-    rng = np.random.default_rng([sim.settings.seed, _STREAM])
+    # Randomness of the motions made here, apart from all of the simulator's.
+    rng = np.random.default_rng([sim.settings.seed, 0x1E7E1])
     members = []
     for pose, course in zip(poses, sim.courses, strict=True):
         assert isinstance(pose, PoseSettings)
@@ -127,7 +123,8 @@ class Stagehand:
             force = -SPRING_N_M * (point - self._anchor) - DAMPER_NS_M * velocity
         else:
             speed = max(float(np.linalg.norm(velocity)), 1e-9)
-            force = -self._staging.trails_n * np.tanh(speed / TAUT_M_S) * velocity / speed
+            # Speed up to which what trails is not pulled taut.
+            force = -self._staging.trails_n * np.tanh(speed / 0.02) * velocity / speed
         data.qfrc_passive += self._jacobian.T @ force
 
 

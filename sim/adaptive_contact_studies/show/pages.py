@@ -10,7 +10,6 @@ from typing import Any, Final
 from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.files import cannot_write, write_file
 
-_TEMPLATES: Final = Path(__file__).with_name("templates")
 # Stands where there is no number.
 NONE: Final = "–"
 
@@ -56,7 +55,7 @@ def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **give
     with needs("a page", "studies"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
