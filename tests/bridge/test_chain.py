@@ -32,6 +32,7 @@ from adaptive_contact.wire import (
     decode,
     servo_key,
 )
+from waiting import until
 
 pytestmark = pytest.mark.e2e
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
@@ -283,10 +284,7 @@ def test_a_ports_process_that_is_killed_is_followed_by_one_that_is_heard(
         workers = bridge.workers()
         assert len(workers) == 2
         os.kill(workers[0], signal.SIGKILL)
-        deadline = time.monotonic() + 30.0
-        while not (bridge.workers() != workers and len(bridge.workers()) == 2):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        until(lambda: bridge.workers() != workers and len(bridge.workers()) == 2)
         # What was heard before the end of the old one may still be on its way.
         wait_for(heard, all_beyond({leg: n + 100 for leg, n in ticks.items()}), 30.0)
     # In the old one's run, the new one's numbers would be refused until they had caught up.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from described import Serve, robot, write
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.errors import ConfigurationError
+from waiting import until
 
 
 def test_a_head_is_ignored_where_the_port_says_so(bus: Serve) -> None:
@@ -124,10 +124,7 @@ def test_a_configuration_that_is_interrupted_goes_on_where_it_ended(rig: Any) ->
     servos[3].write = write
     r.fault()
     path = Path(r.plans[0].port.device)
-    deadline = time.monotonic() + 30.0
-    while not path.exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: path.exists())
     findings = check_ports(r.plans, full=False, configure=True)
     assert findings.errors == findings.advice == []
     assert [servo.value("return_delay") for servo in servos] == [0] * 6

@@ -16,10 +16,11 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service.link import Link, client_settings, router_settings
-from adaptive_contact.wire import Message, ServoSample, decode
+from adaptive_contact.wire import Message, ServoSample, decode, servo_key
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the helpers beside the tests
@@ -164,6 +165,47 @@ def cli(command: Callable[..., subprocess.Popen[str]]) -> Callable[..., subproce
         return command("-c", code, *args, stdout=subprocess.PIPE, **popen)
 
     return start
+
+
+@pytest.fixture
+def beside_a_source(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable[..., Any]]:
+    """Runs a command beside a source that publishes all samples; ends when they are taken in."""
+    from adaptive_contact.cli import _options, main
+
+    main.load_commands()
+    threads: list[threading.Thread] = []
+
+    def run(samples: list[tuple[str, ServoSample]], *words: str) -> Any:
+        stop, left, subscribe = threading.Event(), [len(samples)], Link.subscribe
+
+        def counting(self: Link, key: str, sink: Callable[..., None]) -> Any:
+            def counted(one: Any) -> None:
+                sink(one)
+                left[0] -= one.key.endswith("/servo")
+                if left[0] == 0:
+                    stop.set()
+
+            return subscribe(self, key, counted)
+
+        monkeypatch.setattr(Link, "subscribe", counting)
+        monkeypatch.setattr(_options, "stoppable", lambda: stop)
+        publishers = {leg: router.publisher(servo_key(leg), reliable=True) for leg in dict(samples)}
+
+        def publish() -> None:
+            while not all(each.matched for each in publishers.values()) and not stop.wait(0.01):
+                pass
+            for leg, one in samples:
+                publishers[leg].put(one)
+
+        threads.append(threading.Thread(target=publish))
+        threads[-1].start()
+        result = CliRunner().invoke(main.app, [*words, "--connect", router.endpoints[0]])
+        stop.set()
+        return result
+
+    yield run
+    for thread in threads:
+        thread.join(10)
 
 
 @pytest.fixture

@@ -311,6 +311,21 @@ class Wire:
 
 
 @contextlib.contextmanager
+def at_work(service: Any, *held: threading.Event) -> Iterator[None]:
+    """Run a service in a thread; events that hold it up are set at the end."""
+    stop = threading.Event()
+    worker = threading.Thread(target=service.run, args=[stop])
+    worker.start()
+    try:
+        yield
+    finally:
+        for event in (*held, stop):
+            event.set()
+        worker.join(10)
+    assert not worker.is_alive()
+
+
+@contextlib.contextmanager
 def closing(*things: Any) -> Iterator[None]:
     """Close them, last first, whatever happens."""
     with contextlib.ExitStack() as stack:

@@ -144,59 +144,6 @@ def test_a_status_after_a_restart_has_the_gap_or_says_that_it_lacks_it(
         assert [status.missed for status in found if status.status == "valid"] == [200]
 
 
-def test_losses_over_a_restart_count_though_another_publisher_spoke_last(
-    live: Live, missed: Any, sample: Sample
-) -> None:
-    with live() as first:
-        first.hear(sample(1, run=7))
-        for seq in range(1, 51):
-            first.hear(sample(seq, run=8), sample(seq + 1, run=7))
-        assert first.learner.rejects == {"other_publisher": 50}
-    with live() as second:
-        second.hear(*(sample(seq, run=8) for seq in range(151, 155)))
-        assert missed(second) == 100
-
-
-@pytest.mark.parametrize("order", [(7, 8), (8, 7)], ids=["older first", "newer first"])
-def test_the_newer_publisher_wins_over_a_restart_too(
-    live: Live, missed: Any, sample: Sample, order: tuple[int, int]
-) -> None:
-    with live() as first:
-        first.hear(sample(1, run=7))
-        for seq in range(1, 11):
-            first.hear(sample(seq, run=8, t_ns=S + seq * TICK), sample(seq + 1, run=7))
-    with live() as second:
-        # Both went on; whose sample comes first now is chance.
-        for seq in range(21, 71):
-            for run in order:
-                second.hear(sample(seq, run=run, t_ns=S * (run - 7) + seq * TICK))
-        assert second.learner.t_ns == S + 70 * TICK
-        assert second.learner.rejects == {"other_publisher": 50}
-        assert second.learner.ticks == 50
-    with live() as third:
-        for seq in range(71, 80):
-            for run in order:
-                third.hear(sample(seq, run=run, t_ns=S * (run - 7) + seq * TICK))
-        assert third.learner.t_ns == S + 79 * TICK
-        assert missed(third) == 10
-
-
-def test_the_older_publisher_is_taken_back_after_a_restart_once_the_newer_is_gone(
-    live: Live, missed: Any, sample: Sample
-) -> None:
-    with live() as first:
-        first.hear(sample(1, run=7), sample(1, run=8), sample(2, run=8))
-    with live() as second:
-        second.hear(*(sample(seq, run=7) for seq in range(50, 80)))
-        assert second.learner.rejects == {"other_publisher": 24}, "half a second, as ever"
-        assert second.learner.ticks == 6
-        # The other one had only paused: it started last, though this service has never heard it.
-        second.hear(*(sample(seq, run=8) for seq in range(60, 84)))
-        assert second.learner.rejects == {"other_publisher": 24}
-        assert second.learner.ticks == 30
-        assert missed(second) == 0
-
-
 @pytest.fixture
 def followed(
     live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -27,6 +26,7 @@ from adaptive_contact.wire import (
     decode,
     encode,
 )
+from waiting import until
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/messages.md").read_text(encoding="utf-8")
@@ -110,25 +110,17 @@ def test_the_safe_subscriber_acts_on_no_old_contact_and_on_none_without_a_servic
         closing(rig.Robot50(served.endpoint, touch=lambda _: True)),
     ):
         contacts = class_(session)
-        until("contact", contacts.look, "rf", 0)
+        until(lambda: contacts.look("rf", 0) == "contact")
         (tokens,) = re.findall(r"```python\n(tokens.*?)```", TEXT, re.DOTALL)
         exec(tokens, {"session": session})
         assert "robot/service" in capsys.readouterr().out
         began_ns = contacts.events["rf"]["t_ns"]
-        until("contact", contacts.look, "rf", began_ns)
-        until("free", contacts.look, "rf", began_ns + 1)
+        until(lambda: contacts.look("rf", began_ns) == "contact")
+        until(lambda: contacts.look("rf", began_ns + 1) == "free")
         assert contacts.look("lf", 0) == "unwatched"
         # Who joins late gets the contact that stands, however old, and may refuse it.
         late = class_(session)
-        until("contact", late.look, "rf", began_ns)
-        until("free", late.look, "rf", began_ns + 1)
+        until(lambda: late.look("rf", began_ns) == "contact")
+        until(lambda: late.look("rf", began_ns + 1) == "free")
         served.stop()
-        until("unwatched", contacts.look, "rf", began_ns)
-
-
-def until(wanted: str, look: Callable[..., str], *args: Any) -> None:
-    """Look until the answer is the one wanted."""
-    deadline = time.monotonic() + 20
-    while look(*args) != wanted:
-        assert time.monotonic() < deadline
-        threading.Event().wait(0.02)
+        until(lambda: contacts.look("rf", began_ns) == "unwatched")

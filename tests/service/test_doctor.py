@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import math
 import random
-import socket
 import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -29,6 +28,7 @@ from adaptive_contact.wire import (
     learner_key,
     servo_key,
 )
+from waiting import free_address
 
 FACTS = LegFacts(joints=["coxa", "femur", "tibia"], lengths=True)
 
@@ -396,9 +396,7 @@ def test_the_command(
     serve: Any, cli: Any, join: Callable[..., Link], sample: Callable[..., ServoSample]
 ) -> None:
     arguments = ("doctor", "--seconds", "1.2", "--connect")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        nobody = f"127.0.0.1:{free.getsockname()[1]}"
+    nobody = free_address()
     process = cli(*arguments, nobody)
     out, _ = process.communicate(timeout=600)
     assert process.returncode == 2

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gc
 import itertools
-import threading
 from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
 
 import pytest
+from rig import at_work
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.link import Link
@@ -39,17 +39,10 @@ def test_garbage_is_collected_after_a_tick(
     service = Service(
         router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, sweeper=Recorder()
     )
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=(stop,))
-    worker.start()
-    try:
+    with at_work(service):
         assert not any(pauses.wait(3)), "without a sample it is no pause between two"
         publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
         for seq in itertools.count(1):
             publisher.put(sample(seq))
             if any(pauses.wait(len(pauses.items) + 1)):
                 break
-    finally:
-        stop.set()
-        worker.join(10)
-    assert not worker.is_alive()

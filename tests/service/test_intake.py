@@ -1,15 +1,11 @@
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
 
-import msgspec
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.sample_queue import NO_QUEUE, Raw, SampleQueue, read
@@ -184,54 +180,3 @@ def test_huge_payloads_are_refused_and_not_kept() -> None:
     found = read(huge)
     assert isinstance(found, Rejected)
     assert found.reason is Reject.TOO_LARGE
-
-
-PLAIN = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
-NESTED = st.recursive(
-    PLAIN,
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner),
-    max_leaves=12,
-)
-FIELDS = st.sampled_from(["v", "t_ns", "seq", "measured", "desired", "preview", "phase", "valid"])
-
-
-@given(payload=st.binary(max_size=200), encoding=st.sampled_from([MSGPACK, JSON, "", "x/y"]))
-def test_any_bytes_are_read_or_refused(payload: bytes, encoding: str) -> None:
-    found = read(raw(payload, encoding))
-    assert isinstance(found, ServoSample | Rejected)
-
-
-@given(st.dictionaries(FIELDS, NESTED))
-def test_any_map_is_read_or_refused(fields: dict[str, object]) -> None:
-    try:
-        payload = msgspec.msgpack.encode(fields)
-    except OverflowError:  # integers beyond 64 bits have no msgpack
-        return
-    found = read(raw(payload))
-    assert isinstance(found, ServoSample | Rejected)
-
-
-@given(
-    st.builds(
-        ServoSample,
-        t_ns=st.integers(-(2**63), 2**63 - 1),
-        seq=st.integers(-(2**63), 2**63 - 1),
-        measured=st.lists(st.floats(), max_size=5),
-        desired=st.lists(st.floats(), max_size=5),
-        phase=st.sampled_from([None, "swing", "stance"]),
-        run=st.none() | st.integers(-(2**63), 2**63 - 1),
-    ),
-    st.integers(0, 400),
-    st.integers(0, 255),
-)
-def test_a_flipped_byte_never_raises(message: ServoSample, at: int, value: int) -> None:
-    payload = bytearray(encode(message))
-    payload[at % len(payload)] = value
-    found = read(raw(bytes(payload)))
-    assert isinstance(found, ServoSample | Rejected)
-    whole = read(raw(encode(message)))
-    assert isinstance(whole, ServoSample)
-    assert all(
-        a == b or (math.isnan(a) and math.isnan(b))
-        for a, b in zip(whole.measured, message.measured, strict=True)
-    )

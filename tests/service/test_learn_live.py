@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,12 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from adaptive_contact.bridge.training import free_swings
-from adaptive_contact.cli import _options
 from adaptive_contact.cli import main as cli
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.model.model_file import load_baseline
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.service.link import Link
 from adaptive_contact.service.recording import read_recording
-from adaptive_contact.wire import ServoSample, servo_key
+from adaptive_contact.wire import ServoSample
 
 TOML = """
 [robot]
@@ -64,49 +61,21 @@ def swings(robot: Robot, ticks: int = TICKS) -> list[tuple[str, ServoSample]]:
 
 @pytest.fixture
 def learn_live(
-    monkeypatch: pytest.MonkeyPatch, router: Link, tmp_path: Path
-) -> Iterator[Callable[..., Any]]:
-    """The command, beside a source that publishes all samples; ends when they are taken in."""
+    beside_a_source: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Callable[..., Any]:
+    """The command, beside a source of samples."""
     monkeypatch.chdir(tmp_path)
     Path("robot.toml").write_text(TOML)
-    cli.load_commands()
-    threads: list[threading.Thread] = []
+    words = ("robot", "learn", "--live", "--config", "robot.toml")
 
-    def run(samples: list[tuple[str, ServoSample]], *words: str) -> Any:
-        stop, left, subscribe = threading.Event(), [len(samples)], Link.subscribe
-
-        def counting(self: Link, key: str, sink: Callable[..., None]) -> Any:
-            def counted(one: Any) -> None:
-                sink(one)
-                left[0] -= 1
-                if left[0] == 0:
-                    stop.set()
-
-            return subscribe(self, key, counted)
-
-        monkeypatch.setattr(Link, "subscribe", counting)
-        monkeypatch.setattr(_options, "stoppable", lambda: stop)
-        publishers = {leg: router.publisher(servo_key(leg), reliable=True) for leg in dict(samples)}
-
-        def publish() -> None:
-            while not all(each.matched for each in publishers.values()) and not stop.wait(0.01):
-                pass
-            for leg, one in samples:
-                publishers[leg].put(one)
-
-        threads.append(threading.Thread(target=publish))
-        threads[-1].start()
-        where = ("--connect", router.endpoints[0], "--config", "robot.toml", *words)
-        result = CliRunner().invoke(cli.app, ["robot", "learn", "--live", *where])
-        stop.set()
+    def run(samples: list[tuple[str, ServoSample]], *more: str) -> Any:
+        result = beside_a_source(samples, *words, *more)
         if isinstance(result.exception, AdaptiveContactError):
             result.exception.add_note(result.output)
             raise result.exception
         return result
 
-    yield run
-    for thread in threads:
-        thread.join(10)
+    return run
 
 
 def test_a_hip_that_rolls_is_learned_from_the_wire(learn_live: Callable[..., Any]) -> None:

@@ -16,9 +16,7 @@ from adaptive_contact.service.link import (
     Arrivals,
     Finding,
     Link,
-    LinkSettings,
     NoRouterError,
-    Publisher,
     Reach,
     Request,
     client_settings,
@@ -26,6 +24,7 @@ from adaptive_contact.service.link import (
 )
 from adaptive_contact.service.transport import MAX_MESSAGE_BYTES
 from adaptive_contact.wire import MSGPACK, ContactTruth, decode, encode, truth_key
+from waiting import free_address, matched
 
 Join = Callable[..., Link]
 KEY = truth_key("rf")
@@ -33,15 +32,6 @@ KEY = truth_key("rf")
 
 def truth(n: int) -> ContactTruth:
     return ContactTruth(t_ns=n, contact=bool(n % 2), force=1.5)
-
-
-def matched(publisher: Publisher, timeout_s: float = 3.0) -> Publisher:
-    """Wait until somebody subscribes; Zenoh offers no event for it that we use."""
-    until = time.monotonic() + timeout_s
-    while not publisher.matched:
-        assert time.monotonic() < until, f"nobody subscribes to {publisher.key}"
-        time.sleep(0.005)
-    return publisher
 
 
 def test_arrivals_of_all_subscriptions_are_taken_in_order(router: Link, join: Join) -> None:
@@ -223,27 +213,8 @@ def test_a_closed_link_says_so(router: Link) -> None:
         publisher.put(truth(1))
 
 
-def test_clients_find_their_router_again(join: Join, inbox: Any) -> None:
-    first = Link.open(router_settings(["127.0.0.1:0"]))
-    client = join(first.endpoints[0])
-    got = inbox(ContactTruth)
-    client.subscribe(KEY, got)
-    matched(first.publisher(KEY)).put(truth(1))
-    got.wait(1)
-    first.close()
-    until = time.monotonic() + 20
-    while client.is_connected() and time.monotonic() < until:
-        time.sleep(0.01)
-    assert client.diagnose().reach is Reach.UNREACHABLE
-    with Link.open(router_settings([first.endpoints[0]])) as second:
-        matched(second.publisher(KEY)).put(truth(2))
-        assert [message.t_ns for message in got.wait(2)] == [1, 2]
-
-
 def test_nobody_there_and_somebody_refusing_are_told_apart(tmp_path: Path) -> None:
-    with socket.socket() as closed:
-        closed.bind(("127.0.0.1", 0))
-        nobody = f"127.0.0.1:{closed.getsockname()[1]}"
+    nobody = free_address()
     with pytest.raises(NoRouterError, match=f"unreachable: nobody listens on tcp/{nobody}"):
         Link.open(client_settings([nobody], wait=False))
 
@@ -257,27 +228,8 @@ def test_nobody_there_and_somebody_refusing_are_told_apart(tmp_path: Path) -> No
     assert "\n" not in str(caught.value)
 
 
-def test_a_router_with_users_refuses_strangers_and_lets_users_in(tmp_path: Path) -> None:
-    (tmp_path / "users").write_text("anna:secret\n")
-    server = tmp_path / "server.json5"
-    server.write_text(
-        f'{{transport: {{auth: {{usrpwd: {{user: "svc", password: "x", '
-        f'dictionary_file: "{tmp_path / "users"}"}}}}}}}}'
-    )
-    anna = tmp_path / "anna.json5"
-    anna.write_text('{transport: {auth: {usrpwd: {user: "anna", password: "secret"}}}}')
-    with Link.open(router_settings(["127.0.0.1:0"], zenoh_config=server)) as router:
-        with pytest.raises(NoRouterError, match="user and password"):
-            Link.open(client_settings(router.endpoints, wait=False))
-        settings = client_settings(router.endpoints, wait=False, zenoh_config=anna)
-        with Link.open(settings) as client:
-            assert client.is_connected()
-
-
 def test_a_waiting_client_tells_why_once_and_can_be_stopped() -> None:
-    with socket.socket() as closed:
-        closed.bind(("127.0.0.1", 0))
-        nobody = f"127.0.0.1:{closed.getsockname()[1]}"
+    nobody = free_address()
     told: list[Finding] = []
     stop = threading.Event()
 
@@ -295,27 +247,6 @@ def test_an_address_in_use_gets_one_line(router: Link) -> None:
         Link.open(router_settings([router.endpoints[0]]))
 
 
-def test_a_router_that_joins_another_is_connected_while_that_is_there() -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-    def wait(link: Link, connected: bool) -> None:
-        until = time.monotonic() + 20
-        while link.is_connected() is not connected:
-            assert time.monotonic() < until
-            time.sleep(0.01)
-
-    with Link.open(router_settings(["127.0.0.1:0"], [address])) as link:
-        assert not link.is_connected()
-        assert link.diagnose().reach is Reach.UNREACHABLE
-        for _ in range(2):
-            with Link.open(router_settings([address])):
-                wait(link, True)
-                assert link.diagnose().reach is Reach.CONNECTED
-            wait(link, False)
-
-
 def test_the_endpoint_that_cannot_be_is_named_with_its_option(router: Link) -> None:
     wrong = "udp/224.0.0.225:7498"
     with pytest.raises(LinkError, match=rf"^cannot join {wrong}: .* with --connect$") as caught:
@@ -324,13 +255,6 @@ def test_the_endpoint_that_cannot_be_is_named_with_its_option(router: Link) -> N
     used = router.endpoints[0]
     with pytest.raises(LinkError, match=f"cannot listen on {used}: the address is in use"):
         Link.open(router_settings([used], [wrong]))
-
-
-def test_doors_stay_closed_unless_told() -> None:
-    with pytest.raises(ConfigurationError, match="--insecure"):
-        Link.open(router_settings(["0.0.0.0:0"]))
-    with Link.open(router_settings(["0.0.0.0:0"], insecure=True)) as link:
-        assert link.is_connected()
 
 
 @pytest.mark.parametrize(
@@ -351,15 +275,3 @@ def test_a_bad_zenoh_configuration_gets_one_line(
         Link.open(router_settings(zenoh_config=path))
     assert "\n" not in str(caught.value)
     assert ".rs" not in str(caught.value)
-
-
-def test_a_configuration_file_is_obeyed_where_we_say_nothing(tmp_path: Path, router: Link) -> None:
-    path = tmp_path / "zenoh.json5"
-    path.write_text(f'{{connect: {{endpoints: ["{router.endpoints[0]}"]}}}}')
-    with Link.open(LinkSettings(wait=False, zenoh_config=path)) as link:
-        assert link.routers() == join_ids(router)
-
-
-def join_ids(router: Link) -> tuple[str, ...]:
-    with Link.open(client_settings([router.endpoints[0]], wait=False)) as other:
-        return other.routers()

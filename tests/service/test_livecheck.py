@@ -6,8 +6,7 @@ import functools
 import io
 import json
 import math
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -22,9 +21,9 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
 from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.link import Link, NoRouterError
+from adaptive_contact.service.link import NoRouterError
 from adaptive_contact.service.livecheck import LiveCheck, LiveReport
-from adaptive_contact.wire import MSGPACK, ServoSample, encode, leg_of_key, servo_key
+from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 
 PERIOD_NS = 20_000_000
 STANDING = (0.0, 0.6, -1.8)
@@ -265,45 +264,10 @@ def test_what_the_wire_itself_shows() -> None:
 
 
 @pytest.fixture
-def run_live(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable]:
-    """The command, beside a source that publishes all samples; ends when they are taken in."""
-    from adaptive_contact.cli import _options
-
-    cli.load_commands()
-    threads = []
-
-    def run(samples: list[tuple[str, ServoSample]], *words: str):
-        stop = threading.Event()
-        left = len(samples)
-        take = LiveCheck.take
-
-        def counted(self: LiveCheck, one: Received) -> None:
-            nonlocal left
-            take(self, one)
-            left -= leg_of_key(one.key) is not None
-            if left == 0:
-                stop.set()
-
-        monkeypatch.setattr(LiveCheck, "take", counted)
-        monkeypatch.setattr(_options, "stoppable", lambda: stop)
-        publishers = {leg: router.publisher(servo_key(leg), reliable=True) for leg in dict(samples)}
-
-        def publish() -> None:
-            while not all(each.matched for each in publishers.values()) and not stop.wait(0.01):
-                pass
-            for leg, one in samples:
-                publishers[leg].put(one)
-
-        threads.append(threading.Thread(target=publish))
-        threads[-1].start()
-        where = ("--connect", router.endpoints[0], "--seconds", "120")
-        result = CliRunner().invoke(cli.app, ["robot", "check", "--live", *where, *words])
-        stop.set()
-        return result
-
-    yield run
-    for thread in threads:
-        thread.join(10)
+def run_live(beside_a_source: Callable) -> Callable:
+    """The command, beside a source of samples."""
+    words = ("robot", "check", "--live", "--seconds", "120")
+    return lambda samples, *more: beside_a_source(samples, *words, *more)
 
 
 def test_over_zenoh_with_a_picture(run_live: Callable, tmp_path: Path) -> None:

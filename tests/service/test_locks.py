@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from pathlib import Path
 
 import pytest
@@ -10,6 +9,7 @@ import pytest
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.link import Link, NoRouterError, client_settings, router_settings
 from adaptive_contact.service.transport import configure
+from waiting import free_address
 
 
 @pytest.mark.e2e
@@ -87,9 +87,7 @@ def test_multicast_is_a_door_without_a_lock_whatever_users_there_are(
 
 @pytest.mark.e2e
 def test_a_client_is_no_door_whatever_the_file_says(router: Link, tmp_path: Path) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_address().rpartition(":")[2]
     config = tmp_path / "zenoh.json5"
     config.write_text(f'{{listen: {{endpoints: ["tcp/0.0.0.0:{port}"]}}}}')
     joins = router_settings((), router.endpoints, zenoh_config=config)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import signal
-import socket
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -12,14 +11,9 @@ from typing import Any
 import pytest
 
 from adaptive_contact.wire import LearnerStatus, ServoSample, learner_key, servo_key
+from waiting import free_address
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "publisher.py"
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def test_it_needs_nothing_of_this_package() -> None:
@@ -30,7 +24,7 @@ def test_it_needs_nothing_of_this_package() -> None:
 def test_the_loop_waits_for_the_router_and_its_samples_are_used(
     command: Any, join: Any, inbox: Any
 ) -> None:
-    endpoint = free_endpoint()
+    endpoint = f"tcp/{free_address()}"
     loop = command(str(EXAMPLE), endpoint, stderr=subprocess.PIPE)
     assert loop.stderr.readline() == f"no router at {endpoint}; trying again\n"
     words = ("serve", "--no-state", "--listen", endpoint)

@@ -26,6 +26,7 @@ from adaptive_contact.priority import take_priority
 from adaptive_contact.service import refits
 from adaptive_contact.service.refit_process import end_process, start_process
 from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter
+from waiting import until
 
 pytestmark = pytest.mark.e2e
 
@@ -69,15 +70,6 @@ class Stubborn:
 
 
 @dataclasses.dataclass(frozen=True)
-class Endless(RefitJob):
-    """A fit that never ends."""
-
-    def run(self) -> RefitResult:
-        while True:
-            time.sleep(1.0)
-
-
-@dataclasses.dataclass(frozen=True)
 class Large(RefitJob):
     """A fit of so many rows that the pipe does not hold it."""
 
@@ -91,28 +83,6 @@ class Deadly(RefitJob):
     def run(self) -> RefitResult:
         os.kill(os.getpid(), signal.SIGKILL)
         raise AssertionError
-
-
-@dataclasses.dataclass(frozen=True)
-class Threads:
-    """Tells how many threads the process would compute in."""
-
-    leg: str
-    number: int
-
-    def run(self) -> list[int]:
-        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Needs:
-    """Tells what a fit would still have to import."""
-
-    leg: str
-    number: int
-
-    def run(self) -> list[str]:
-        return [name for name in ("pysindy.optimizers", "sklearn") if name not in sys.modules]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,13 +101,15 @@ class Noted:
 
 @dataclasses.dataclass(frozen=True)
 class Standing:
-    """Tells how the process stands among others."""
+    """Tells how the process stands: its priority, its threads, and what it would have to import."""
 
     leg: str
     number: int
 
-    def run(self) -> tuple[int, int]:
-        return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+    def run(self) -> tuple[int, int, set[int], list[str]]:
+        threads = {of["num_threads"] for of in threadpool_info() if of["user_api"] == "blas"}
+        lacks = [name for name in ("pysindy.optimizers", "sklearn") if name not in sys.modules]
+        return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0), threads, lacks
 
 
 class Vanishing(ProcessRefitter):
@@ -159,7 +131,7 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Stubborn, Endless, Large, Deadly, Threads, Needs, Noted, Standing):
+    for kind in (Stubborn, Large, Deadly, Noted, Standing):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
     made = ProcessRefitter(timeout_s=20.0)
@@ -190,28 +162,17 @@ def large(number: int) -> Large:
 
 
 def wait(refitter: Refitter, leg: str, number: int) -> object:
-    until = time.monotonic() + 30
-    while (found := refitter.collect(leg, number)) is None:
-        assert time.monotonic() < until
-        time.sleep(0.01)
-    return found
+    found: list[object] = []
+
+    def there() -> bool:
+        found[:] = [refitter.collect(leg, number)]
+        return found[0] is not None
+
+    until(there)
+    return found[0]
 
 
-def test_a_process_is_there_before_the_first_job(
-    refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]]
-) -> None:
-    """Its first result is no later than others: all that a fit needs has been imported."""
-    refitter.start()
-    refitter.start()
-    deadline = time.monotonic() + 30
-    while not started:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    assert wait(refitter, "rf", _submitted(refitter, Needs("rf", 1))) == []
-    assert len(started) == 1
-
-
-def _submitted(refitter: ProcessRefitter, job: Needs | Noted) -> int:
+def _submitted(refitter: ProcessRefitter, job: Standing | Noted) -> int:
     refitter.submit(job)  # type: ignore[arg-type]
     return job.number
 
@@ -265,18 +226,6 @@ def test_a_job_that_kills_its_process_once_is_repeated(
     refitter.submit(Stubborn("rf", 1, str(tmp_path / "tries"), allowed=1))
     assert wait(refitter, "rf", 1) == "done"
     assert refitter.failures == 0
-
-
-def test_a_job_that_takes_too_long_is_answered_as_failed(refitter: ProcessRefitter) -> None:
-    refitter.timeout_s = 1.0
-    endless = Endless(**{f.name: getattr(job(), f.name) for f in dataclasses.fields(RefitJob)})
-    with capture_logs() as logs:
-        refitter.submit(endless)
-        found = wait(refitter, "rf", 1)
-    assert isinstance(found, RefitResult)
-    assert found.status is FitStatus.LOST
-    assert refitter.failures == 1
-    assert logs == [{"event": "refit given up", "log_level": "warning", "leg": "rf", "job": 1}]
 
 
 def test_a_process_that_hangs_before_a_large_job_is_replaced(
@@ -352,10 +301,7 @@ def test_closing_does_not_wait_for_a_process_that_hangs(
     (hanging,) = started
     hanging.send_signal(signal.SIGSTOP)
     refitter.submit(large(2))
-    until = time.monotonic() + 10
-    while select.select([], [hanging.stdin], [], 0)[1]:  # until the pipe is full
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    until(lambda: not (select.select([], [hanging.stdin], [], 0)[1]))
     began = time.monotonic()
     refitter.close()
     assert time.monotonic() - began < 20.0
@@ -368,18 +314,6 @@ def test_closing_while_the_process_ends_is_no_fault() -> None:
         refitter.looks = iter([process])
         refitter.close()
         assert process.wait(60) == -signal.SIGKILL
-
-
-def test_the_process_computes_in_one_thread(
-    refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM"):
-        monkeypatch.setenv(f"{name}_NUM_THREADS", "2")
-    refitter.submit(Threads("rf", 1))
-    found = wait(refitter, "rf", 1)
-    assert isinstance(found, list)
-    assert found
-    assert set(found) == {1}
 
 
 def test_a_job_that_kills_its_process_twice_is_answered_as_failed(
@@ -431,22 +365,31 @@ def test_the_current_folder_has_no_say_in_the_process(
     assert not (tmp_path / "ran").exists()
 
 
-def test_it_stands_behind_others_whatever_started_it(refitter: ProcessRefitter) -> None:
+def test_it_stands_behind_others_in_one_thread_and_has_loaded_all(
+    refitter: ProcessRefitter,
+    started: list[subprocess.Popen[bytes]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Also behind a service that runs before all ordinary processes, where that is allowed."""
     nice = os.getpriority(os.PRIO_PROCESS, 0)
+    for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM"):
+        monkeypatch.setenv(f"{name}_NUM_THREADS", "2")
 
     def hurried() -> None:
         take_priority()
-        refitter.start()  # its thread, and the process, have what this one has
+        for _ in range(2):
+            refitter.start()  # its thread, and the process, have what this one has
 
     starter = threading.Thread(target=hurried)
     starter.start()
     starter.join()
-    found = wait(refitter, "rf", _submitted(refitter, Standing("rf", 1)))  # type: ignore[arg-type]
-    assert found == (os.SCHED_OTHER, min(nice + 5, 19))
+    until(lambda: started)
+    found = wait(refitter, "rf", _submitted(refitter, Standing("rf", 1)))
+    assert found == (os.SCHED_OTHER, min(nice + 5, 19), {1}, [])
+    assert len(started) == 1
     # One that is in a hurry to be there is no longer so when it is...
     with contextlib.closing(ProcessRefitter(process=start_process(hurry=True))) as early:
-        assert wait(early, "rf", _submitted(early, Standing("rf", 1))) == found  # type: ignore[arg-type]
+        assert wait(early, "rf", _submitted(early, Standing("rf", 1))) == found
 
 
 def test_one_that_was_started_before_is_used_and_ended(

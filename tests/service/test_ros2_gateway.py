@@ -38,6 +38,7 @@ from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.ros2 import WAITING, Gateway, Inbox
+from waiting import free_address
 
 pytestmark = pytest.mark.e2e
 
@@ -86,11 +87,7 @@ def open_router(port: int) -> zenoh.Session:
 
 @pytest.fixture
 def port() -> int:
-    import socket
-
-    with socket.socket() as bound:
-        bound.bind(("127.0.0.1", 0))
-        return int(bound.getsockname()[1])
+    return int(free_address().rpartition(":")[2])
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import base64
 import re
 import shutil
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +32,7 @@ from adaptive_contact.wire import (
     servo_key,
     trace_key,
 )
+from waiting import matched
 
 TEXT = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
 SERVICE, ROBOT, TLS_SERVICE, TLS_CLIENT = re.findall(r"```json5\n(.*?)```", TEXT, re.DOTALL)
@@ -109,15 +109,6 @@ def certificates(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def matched(link: Link, key: str) -> Any:
-    publisher = link.publisher(key)
-    until = time.monotonic() + 20
-    while not publisher.matched:
-        assert time.monotonic() < until, f"nobody subscribes to {key}"
-        time.sleep(0.005)
-    return publisher
-
-
 @pytest.mark.e2e
 def test_only_the_service_publishes_contacts_and_statuses(
     guarded: Guarded, files: Folder, inbox: Any, sample: Sample
@@ -136,7 +127,7 @@ def test_only_the_service_publishes_contacts_and_statuses(
     assert tokens.wait(1)[0] == (SERVICE_TOKEN, True)
 
     # The robot's samples get through, and the service's events to both.
-    servo = matched(robot, servo_key("rf"))
+    servo = matched(robot.publisher(servo_key("rf")))
     servo.put(sample(1, contact=True))
     assert contacts.wait(1)[0].seq == 1
     assert plain.wait(1)[0].seq == 1
@@ -202,7 +193,7 @@ def test_only_the_robot_moves_its_legs(guarded: Guarded, inbox: Any) -> None:
     goals, seen = inbox(Command), inbox(Command)
     bridge.subscribe(command_key("rf"), goals)
     viewer.subscribe(command_key("rf"), seen)
-    commands = matched(gait, command_key("rf"))
+    commands = matched(gait.publisher(command_key("rf")))
     commands.put(Command(desired=[0.1, 0.2, 0.3]))
     assert goals.wait(1)[0].desired == [0.1, 0.2, 0.3]
 
@@ -224,9 +215,9 @@ def test_who_asks_for_everything_gets_what_he_may_see(
     goals, seen = inbox(Command), inbox()
     robot.subscribe(command_key("rf"), goals)
     viewer.subscribe(everything, seen)
-    matched(gait, command_key("rf")).put(Command(desired=[0.1, 0.2, 0.3]))
+    matched(gait.publisher(command_key("rf"))).put(Command(desired=[0.1, 0.2, 0.3]))
     goals.wait(1)
-    servo = matched(robot, servo_key("rf"))
+    servo = matched(robot.publisher(servo_key("rf")))
     kinds = {servo_key("rf"), contact_key("rf"), learner_key("rf"), SERVICE_STATUS}
     servo.put(sample(1, contact=True))
     seen.wait(lambda items: kinds <= {received.key for received in items})
@@ -242,7 +233,7 @@ def test_who_is_there_is_told_to_who_asks_for_everything(
     """By a get and by a subscriber, in sessions of their own: one's answers may help another."""
     robot, tokens = guarded.user("robot"), inbox()
     guarded.user("viewer").watch_tokens(everything, tokens)
-    matched(robot, servo_key("rf")).put(sample(1))
+    matched(robot.publisher(servo_key("rf"))).put(sample(1))
     expected = {SERVICE_TOKEN} | ({leg_token("rf")} if everything != "robot/*" else set())
     tokens.wait(lambda items: expected <= {key for key, alive in items if alive})
     assert SERVICE_TOKEN in guarded.user("viewer").alive(everything)

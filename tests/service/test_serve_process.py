@@ -7,7 +7,6 @@ import json
 import os
 import signal
 import socket
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,35 +15,25 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.service.link import Link, Publisher, router_settings
+from adaptive_contact.service.link import Link, router_settings
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.service.watch_table import headline
 from adaptive_contact.wire import (
     ALL_CONTACT,
     JSON,
-    MSGPACK,
     ContactEvent,
     LearnerStatus,
     ServoSample,
-    contact_key,
-    encode,
     learner_key,
     servo_key,
 )
+from waiting import free_address, matched, until
 
 pytestmark = pytest.mark.e2e
 
 Join = Callable[..., Link]
 Sample = Callable[..., ServoSample]
-
-
-def matched(publisher: Publisher) -> Publisher:
-    until = time.monotonic() + 20
-    while not publisher.matched:
-        assert time.monotonic() < until, f"nobody subscribes to {publisher.key}"
-        time.sleep(0.005)
-    return publisher
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -84,73 +73,20 @@ def test_json_in_json_out_and_structured_logs(
     assert {"leg status", "figures"} <= {line["message"] for line in lines}
 
 
-def test_a_flood_on_one_leg_does_not_starve_the_other(
-    serve: Any, join: Join, inbox: Any, sample: Sample
-) -> None:
-    served = serve()
-    flooder, source = join(served.endpoint), join(served.endpoint)
-    events = inbox(ContactEvent)
-    source.subscribe(contact_key("rf"), events, history=True)
-    status = inbox(ServiceStatus)
-    source.subscribe(SERVICE_STATUS, status, history=True)
-    flood = matched(flooder.publisher(servo_key("lf")))
-    steady = matched(source.publisher(servo_key("rf")))
-    stop = threading.Event()
-    sent = 0
-
-    def pour() -> None:
-        nonlocal sent
-        payload = encode(sample(1))
-        while not stop.is_set():
-            for _ in range(50):  # 100 times the rate: 5,000 per second
-                flood.put_raw(payload, MSGPACK)
-                sent += 1
-            stop.wait(0.01)
-
-    pouring = threading.Thread(target=pour)
-    pouring.start()
-    delays = []
-    try:
-        for n in range(1, 61):
-            began = time.monotonic()
-            steady.put(sample(n, contact=n % 2 == 1))
-            events.wait(n)
-            delays.append(time.monotonic() - began)
-    finally:
-        stop.set()
-        pouring.join(5)
-    assert [event.seq for event in events.items] == list(range(1, 61))
-    assert sorted(delays)[30] < 0.05, "the median event waits no longer than a few ticks"
-    heard = status.wait(lambda items: items[-1].samples >= 60 + 0.2 * sent)[-1]
-    assert heard.callback_faults == 0
-    learner = inbox(LearnerStatus)
-    source.subscribe(learner_key("rf"), learner)
-    found = learner.wait(1)[0]
-    assert (found.ticks, found.rejects) == (60, {})
-
-
 def test_a_router_that_joins_another_says_only_what_it_knows(
     serve: Any, join: Join, rig: ModuleType
 ) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    address = f"tcp/{free_address()}"
     served = serve("--listen", "127.0.0.1:0", "--connect", address)
     assert f" and joining {address}; robot mini" in served.ready
     own = join(served.endpoint.split(" and ")[0])
     assert f"no router joined at {address}; trying on" in rig.watched(own, "no router joined")
 
     def logged(line: str) -> None:
-        until = time.monotonic() + 60
-        while line not in served.log.read_text():
-            assert time.monotonic() < until, served.log.read_text()
-            time.sleep(0.02)
+        until(lambda: line in served.log.read_text(), lambda: served.log.read_text())
 
     def well() -> None:
-        until = time.monotonic() + 60
-        while "no router joined" in rig.watched(own):
-            assert time.monotonic() < until
-            time.sleep(0.02)
+        until(lambda: "no router joined" not in rig.watched(own))
 
     logged("router not joined yet, trying on")
     assert f"unreachable: nobody listens on {address}" in served.log.read_text()
@@ -194,10 +130,10 @@ def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:
         mute.listen()
         address = f"tcp/127.0.0.1:{mute.getsockname()[1]}"
         served = serve("--connect", address, wait=False)
-        until = time.monotonic() + 60
-        while f"refused: {address} accepts connections" not in served.log.read_text():
-            assert time.monotonic() < until, served.log.read_text()
-            time.sleep(0.02)
+        until(
+            lambda: not (f"refused: {address} accepts connections" not in served.log.read_text()),
+            lambda: served.log.read_text(),
+        )
         began = time.monotonic()
         assert served.stop() == 0
         assert time.monotonic() - began < 10.0

@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from rig import at_work
 from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot, parse_robot
@@ -21,7 +22,6 @@ from adaptive_contact.service.server import Service
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     ALL_CONTACT,
-    ALL_LEARNER,
     ALL_STATE,
     MAX_SAMPLE_BYTES,
     MSGPACK,
@@ -137,36 +137,6 @@ def test_states_are_published_while_somebody_subscribes(
     assert len(got.items) == 3
 
 
-def test_one_round_is_one_judgement_of_all_legs(
-    step: Lockstep, sample: Sample, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    batches: list[list[str]] = []
-
-    def judge(samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
-        batches.append(sorted(samples))
-        return []
-
-    monkeypatch.setattr(step.bank, "judge", judge)
-    step.work(1, rf=sample(1), lf=sample(1))
-    assert batches == [["lf", "rf"]]
-
-
-def test_a_service_is_ready_for_its_first_sample(
-    router: Link, fake: ModuleType, robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The learners have their places, and the codec has seen a sample; each takes a while."""
-    bank, done = fake.FakeBank(robot), []
-    monkeypatch.setattr(bank, "finish", lambda: done.append(bank.legs))
-
-    def decoded(payload: bytes, kind: type[ServoSample]) -> object:
-        done.append(kind)
-        return decode(payload, kind)
-
-    monkeypatch.setattr(server, "decode", decoded)
-    Service(router, bank, robot, baseline=None, now_ns=0)
-    assert done == [("lf", "rf"), ServoSample]
-
-
 def test_late_joiners_get_the_last_event(step: Lockstep, inbox: Any, sample: Sample) -> None:
     step.work(1, lf=sample(1, contact=True))
     step.work(2, lf=sample(2))
@@ -241,16 +211,6 @@ def test_bad_payloads_are_counted_by_reason_and_seen(
     assert "payload refused: missing_field" in status.note
 
 
-def test_other_legs_do_not_notice_bad_payloads(step: Lockstep, inbox: Any, sample: Sample) -> None:
-    got = inbox(ContactEvent)
-    step.client.subscribe(contact_key("rf"), got, history=True)
-    step.settle()
-    for n in range(50):
-        step.work(n, lf=b"junk" * n, rf=sample(n, contact=n % 2 == 1))
-    assert len(got.wait(49)) == 49
-    assert step.bank.learner("rf").status.rejects == {}
-
-
 def test_dropped_samples_are_counted_for_their_leg(step: Lockstep, sample: Sample) -> None:
     round_: Batch[Any] = Batch(samples={})
     round_.overflow.update(lf=3, nobody=2)
@@ -287,10 +247,7 @@ def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
     client.subscribe(contact_key("extra"), events, history=True)
     client.subscribe(SERVICE_STATUS, told)
     client.query(SERVICE_STATUS)
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=[stop])
-    worker.start()
-    try:
+    with at_work(service):
         for reason, payload in BAD.items():
             for n in range(8):
                 client.publisher(servo_key(f"{reason}{n}")).put_raw(payload(sample), MSGPACK)
@@ -305,9 +262,6 @@ def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
         assert full.legs["extra"].described is False
         assert "no room for another leg that is not described" in full.note
         told.wait(lambda items: len(items[-1].legs) == fake.MAX_LEGS == len(bank.legs))
-    finally:
-        stop.set()
-        worker.join(5)
 
 
 def test_described_legs_only(
@@ -319,16 +273,10 @@ def test_described_legs_only(
     client, events = join(router.endpoints[0]), inbox(ContactEvent)
     client.subscribe(ALL_CONTACT, events, history=True)
     client.query(SERVICE_STATUS)
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=[stop])
-    worker.start()
-    try:
+    with at_work(service):
         for leg in ("extra", *robot.leg_ids):
             client.publisher(servo_key(leg)).put(sample(1, contact=True))
         events.wait(len(robot.leg_ids))
-    finally:
-        stop.set()
-        worker.join(5)
     assert service.status(0).samples == len(robot.leg_ids)
 
 
@@ -365,10 +313,7 @@ def test_models_are_told_when_asked(
     bank = fake.FakeBank(robot)
     service = Service(router, bank, robot, baseline=None, now_ns=0)
     client = join(router.endpoints[0])
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=[stop])
-    worker.start()
-    try:
+    with at_work(service):
         replies = client.query(model_key("*"))
         reports = [decode(reply.payload, ModelReport, reply.encoding) for reply in replies]
         assert sorted(r.leg for r in reports if isinstance(r, ModelReport)) == ["lf", "rf"]
@@ -381,56 +326,6 @@ def test_models_are_told_when_asked(
         assert refusal.error == "lf: no model yet, still learning"
         (unknown,) = client.query(model_key("xx"))
         assert unknown.error == "no such leg in robot/leg/xx/model; legs are lf, rf"
-    finally:
-        stop.set()
-        worker.join(3)
-    assert not worker.is_alive()
-
-
-def test_callbacks_only_enqueue(
-    router: Link,
-    join: Callable[..., Link],
-    fake: ModuleType,
-    robot: Robot,
-    sample: Sample,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Decoding and learning happen on the worker, whatever thread Zenoh calls on."""
-    threads: dict[str, set[str]] = {"read": set(), "judge": set(), "finish": set(), "offer": set()}
-    finished = threading.Event()
-    bank = fake.FakeBank(robot)
-    module = "adaptive_contact.service"
-
-    def spy(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any) -> Any:
-            threads[name].add(threading.current_thread().name)
-            result = function(*args)
-            if name == "finish":
-                finished.set()
-            return result
-
-        return call
-
-    from adaptive_contact.service import sample_queue
-
-    monkeypatch.setattr(f"{module}.server.read", spy("read", server.read))
-    monkeypatch.setattr(f"{module}.sample_queue.leg_of_key", spy("offer", sample_queue.leg_of_key))
-    service = Service(router, bank, robot, baseline=None, now_ns=0)
-    for name in ("judge", "finish"):
-        monkeypatch.setattr(bank, name, spy(name, getattr(bank, name)))
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=[stop], name="worker")
-    worker.start()
-    publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
-    for n in range(1000):
-        publisher.put(sample(n))
-        if finished.wait(0.01):
-            break
-    stop.set()
-    worker.join(3)
-    assert threads["read"] == threads["judge"] == threads["finish"] == {"worker"}
-    assert threads["offer"]
-    assert "worker" not in threads["offer"]
 
 
 def test_an_event_does_not_wait_for_learning(
@@ -450,24 +345,17 @@ def test_an_event_does_not_wait_for_learning(
         if heard.wait(5):
             learned.set()
 
-    monkeypatch.setattr(bank, "finish", finish)
     service = Service(router, bank, robot, baseline=None, now_ns=0)
+    monkeypatch.setattr(bank, "finish", finish)
     client = join(router.endpoints[0])
     client.subscribe(ALL_CONTACT, got)
     client.query(SERVICE_STATUS)
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=[stop])
-    worker.start()
-    try:
+    with at_work(service, heard):
         client.publisher(servo_key("lf")).put(sample(1, contact=True))
         assert got.wait(1)[0].contact
         assert not learned.is_set()
         heard.set()
         assert learned.wait(5)
-    finally:
-        heard.set()
-        stop.set()
-        worker.join(5)
 
 
 def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
@@ -497,14 +385,8 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
 
     monkeypatch.setattr(bank, "judge", count)
     monkeypatch.setattr(bank, "finish", lambda: judged.__setitem__(0, 0))
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=[stop])
-    worker.start()
-    try:
+    with at_work(service):
         assert done.wait(20)
-    finally:
-        stop.set()
-        worker.join(5)
     assert most[0] == 2
     assert all(bank.learner(leg).status.ticks == 40 for leg in legs)
 
@@ -542,13 +424,3 @@ def test_models_are_told_of_in_no_half_tick(
     assert done == ["judged", "finished", "told", "closed"]
     step.service.finish()
     assert len(done) == 4, "nothing was judged since"
-
-
-def test_all_statuses_can_be_heard_by_wildcard(step: Lockstep, inbox: Any, sample: Sample) -> None:
-    got = inbox(LearnerStatus)
-    step.client.subscribe(ALL_LEARNER, got)
-    step.settle()
-    step.work(0, lf=sample(0), rf=sample(0))
-    step.work(50 * MS, lf=sample(1), rf=sample(1))
-    assert {status.leg for status in got.wait(2)} == {"lf", "rf"}
-    assert all(len(encode(status)) < 4096 for status in got.items)

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import json
 import os
 import re
 import signal
-import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -24,9 +19,9 @@ from adaptive_contact.cli.state import app
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link
-from adaptive_contact.service.state.format import FORMAT
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import LearnerStatus, ServoSample, learner_key, servo_key
+from waiting import matched
 
 pytestmark = pytest.mark.e2e
 
@@ -58,11 +53,7 @@ def learner(link: Link, inbox: Any, leg: str, test: Callable[[LearnerStatus], bo
 
 
 def feed(link: Link, leg: str, sample: Sample, first: int, last: int, **fields: Any) -> None:
-    publisher = link.publisher(servo_key(leg))
-    until = time.monotonic() + 20
-    while not publisher.matched:
-        assert time.monotonic() < until
-        time.sleep(0.005)
+    publisher = matched(link.publisher(servo_key(leg)))
     for seq in range(first, last + 1):
         publisher.put(sample(seq, contact=seq % 2 == 1, **fields))
 
@@ -112,74 +103,6 @@ def test_a_second_service_says_so_and_does_not_save(
     got.items.clear()
     got.wait(lambda items: items[-1].note is None)
     assert first.stop() == 0
-
-
-def _mount(folder: Path, options: str) -> bool:
-    folder.mkdir(exist_ok=True)
-    command = ["mount", "-t", "tmpfs", "-o", options, "none", str(folder)]
-    return subprocess.run(command, capture_output=True, check=False).returncode == 0
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="mounts file systems")
-@pytest.mark.parametrize("what", ["full", "read-only"])
-def test_a_disk_that_is_full_or_read_only_shows_and_is_tried_again(
-    serve: Any, join: Join, sample: Sample, rig: ModuleType, tmp_path: Path, what: str
-) -> None:
-    disk = tmp_path / "disk"
-    if not _mount(disk, "size=8M,nr_inodes=8"):
-        pytest.skip("this root may not mount")
-    try:
-        if what == "full":  # not even an empty file fits
-            for number in range(8):
-                with contextlib.suppress(OSError):
-                    (disk / str(number)).touch()
-            line = "no space left on device"
-        else:
-            subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-            line = "read-only file system"
-        served = serve("--state", str(disk / "kept"))
-        link = join(served.endpoint)
-        feed(link, "rf", sample, 1, 4)
-        shown = rig.watched(link, line)
-        assert f"cannot be written to ({line}); give another --state DIR, or --no-state" in shown
-        if what == "full":
-            for file in disk.iterdir():
-                file.unlink()
-        else:
-            subprocess.run(["mount", "-o", "remount,rw", str(disk)], check=True)
-        feed(link, "rf", sample, 5, 8)
-        until = time.monotonic() + 40
-        while "state is saved again" not in served.log.read_text():
-            assert time.monotonic() < until
-            time.sleep(0.1)
-        rig.watched(link, without=line)
-        assert served.stop() == 0
-        assert list((disk / "kept" / "mini").glob("rf-*.state"))
-    finally:
-        subprocess.run(["umount", "-l", str(disk)], check=False, capture_output=True)
-
-
-def test_an_older_version_is_refused_in_one_line_that_watch_shows(
-    serve: Any, join: Join, sample: Sample, rig: ModuleType, inbox: Any, tmp_path: Path
-) -> None:
-    folder = tmp_path / "kept"
-    first = serve("--state", str(folder))
-    link = join(first.endpoint)
-    feed(link, "rf", sample, 1, 4)
-    learner(link, inbox, "rf", lambda status: status.ticks == 4)
-    assert first.stop() == 0
-    (file,) = folder.glob("*/rf-*.state")
-    older = bytearray(file.read_bytes())
-    older[8:10] = (1).to_bytes(2, "little")
-    body = bytes(older[50:])
-    older[18:50] = hashlib.sha256(bytes(older[8:10]) + body).digest()
-    file.write_bytes(older)
-    second = serve("--state", str(folder))
-    line = f"written by an older version (format 1, this one reads {FORMAT})"
-    assert f"state refused: {file.name}: {line}" in rig.watched(join(second.endpoint))
-    (told,) = [text for text in second.log.read_text().splitlines() if "state refused" in text]
-    assert line in told
-    assert second.stop() == 0
 
 
 def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(

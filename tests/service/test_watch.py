@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +20,7 @@ from adaptive_contact.wire import (
     servo_key,
     truth_key,
 )
+from waiting import matched
 
 
 def after_one_swing() -> Watch:
@@ -230,18 +230,11 @@ def test_the_command_over_zenoh(
 ) -> None:
     served = serve()
     client = join(served.endpoint)
-    servo, real = client.publisher(servo_key("rf")), client.publisher(truth_key("rf"))
-    until = time.monotonic() + 20
-    while not servo.matched:
-        assert time.monotonic() < until
-        time.sleep(0.005)
+    servo, real = matched(client.publisher(servo_key("rf"))), client.publisher(truth_key("rf"))
     arguments = ("watch", "--connect", served.endpoint, "--once")
     process = cli(*arguments, "--json", "--seconds", "3")
     # Until it subscribes there is nobody for the truth; from then on it sees the touches.
-    until = time.monotonic() + 30
-    while not real.matched:
-        assert time.monotonic() < until
-        time.sleep(0.005)
+    matched(real)
     real.put(truth(0, False))
     real.put(truth(100, True))
     real.put(truth(300, False))

@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-import structlog
+from rig import at_work
 from structlog.testing import capture_logs
 
 from adaptive_contact.errors import LinkError
@@ -22,8 +22,9 @@ from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
-from adaptive_contact.service.watchdog import LOOK_S, STALL_S, Watchdog
+from adaptive_contact.service.watchdog import LOOK_S, Watchdog
 from adaptive_contact.wire import ContactTruth, Message, ServoSample, servo_key
+from waiting import until
 
 S = 1_000_000_000
 
@@ -135,50 +136,6 @@ def test_half_a_minute_is_the_end() -> None:
     assert (line["event"], line["for_s"]) == ("worker stood still for too long, ending", 30.0)
 
 
-def test_telling_that_hangs_does_not_put_off_the_end() -> None:
-    told, ended, go_on = threading.Event(), threading.Event(), threading.Event()
-
-    def hangs(for_s: float) -> None:
-        told.set()
-        assert go_on.wait(60)
-
-    dog = Watchdog(
-        lambda: 0, lambda _: 0, on_stall=hangs, on_end=ended.set, give_up_s=STALL_S + 2 * LOOK_S
-    )
-    dog.start()
-    try:
-        assert told.wait(60)
-        assert ended.wait(60)
-    finally:
-        go_on.set()
-        dog.close()
-
-
-def test_a_log_that_nobody_reads_does_not_put_off_the_end() -> None:
-    ended, go_on = threading.Event(), threading.Event()
-
-    def hangs(*_: Any) -> Any:
-        assert go_on.wait(60)
-        raise structlog.DropEvent
-
-    dog = Watchdog(
-        lambda: 0,
-        lambda _: 0,
-        on_stall=lambda _: None,
-        on_end=ended.set,
-        give_up_s=STALL_S + 2 * LOOK_S,
-    )
-    before = structlog.get_config()["processors"]
-    structlog.configure(processors=[hangs])
-    try:
-        dog.start()
-        assert ended.wait(60)
-    finally:
-        go_on.set()
-        dog.close()
-        structlog.configure(processors=before)
-
-
 def test_a_put_that_blocks_is_told_once() -> None:
     bench = Bench()
     with capture_logs() as logs:
@@ -200,15 +157,6 @@ def test_a_put_that_blocks_for_half_a_minute_is_the_end() -> None:
     assert [line["event"] for line in logs if line["log_level"] == "critical"] == [
         "an event could not be sent, ending"
     ]
-
-
-def test_without_a_thread_messages_go_at_once() -> None:
-    box, gate = EventPublisher(), Gate()
-    gate.open.set()
-    box.post(gate, message(1), time.monotonic_ns())
-    assert gate.got == [1]
-    assert len(box.latencies()) == 1
-    assert box.latencies() == []
 
 
 def test_a_blocked_put_holds_only_the_outbox_up_and_the_oldest_are_counted_as_lost() -> None:
@@ -374,10 +322,7 @@ def test_a_learner_that_hangs_is_seen_by_everyone(
     client = join(router.endpoints[0])
     got = inbox(ServiceStatus)
     client.subscribe(SERVICE_STATUS, got, history=True)
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=[stop])
-    worker.start()
-    try:
+    with at_work(service, hang):
         got.wait(1)
         client.publisher(servo_key("lf")).put(sample(1))
         told = got.wait(lambda items: items[-1].note is not None)[-1]
@@ -385,24 +330,6 @@ def test_a_learner_that_hangs_is_seen_by_everyone(
         assert told.stalls == 1
         hang.set()
         assert got.wait(lambda items: items[-1].note is None)[-1].stalls == 1
-    finally:
-        hang.set()
-        stop.set()
-        worker.join(5)
-    assert not worker.is_alive()
-
-
-def test_giving_up_leaves_every_stack_and_an_exit_code(command: Any, tmp_path: Any) -> None:
-    log = tmp_path / "log"
-    with log.open("w") as stderr:
-        process = command(
-            "-c",
-            "from adaptive_contact.service.watchdog import give_up\n"
-            "def stuck(): give_up()\nstuck()",
-            stderr=stderr,
-        )
-        assert process.wait(60) == 70
-    assert "in stuck" in log.read_text()
 
 
 @pytest.mark.e2e
@@ -430,10 +357,7 @@ def test_a_service_whose_worker_hangs_ends_with_code_70(
         ready = process.stdout.readline()
         source = join(ready.split("listening on ")[1].split(";")[0])
         publisher = source.publisher(servo_key("lf"))
-        until = time.monotonic() + 20
-        while not publisher.matched:
-            assert time.monotonic() < until
-            time.sleep(0.005)
+        until(lambda: publisher.matched)
         publisher.put(sample(1))
         assert process.wait(60) == 70
     finally:

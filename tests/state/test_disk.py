@@ -19,6 +19,7 @@ from adaptive_contact.service.state import Record, StateStore
 from adaptive_contact.service.state import keeper as keeper_module
 from adaptive_contact.service.state.format import Position
 from adaptive_contact.service.state.keeper import StateKeeper
+from waiting import until
 
 from .conftest import Desk, Folder, Learner, S
 
@@ -298,10 +299,7 @@ def test_a_folder_that_becomes_free_is_used(folder: Folder) -> None:
         assert not keeper.due(desk, 100 * S)
         assert "in use by another service" in str(keeper.facts.error)
         owner.close()
-        until = time.monotonic() + 20
-        while not keeper.due(desk, 100 * S):
-            assert time.monotonic() < until
-            time.sleep(0.01)
+        until(lambda: keeper.due(desk, 100 * S))
         keeper.take(desk, 100 * S)
         assert keeper.flush(5)
     assert keeper.facts.error is None
