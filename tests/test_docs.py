@@ -93,13 +93,6 @@ def quotes(name: str) -> list[Quote]:
     return found
 
 
-def test_there_is_something_to_check() -> None:
-    names = {page.name for page in PAGES}
-    assert {"README.md", "CHANGELOG.md", "architecture.md", "messages.md"} <= names
-    assert len(quotes("adaptive-contact")) > 20
-    assert len(quotes("make")) > 2
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
     for target in _LINK.findall(parts(page)[0]):

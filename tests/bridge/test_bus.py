@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -13,12 +12,9 @@ import pytest
 from described import KNOWS_FAST
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
-from adaptive_contact.bridge.bus import Bus, Fault, Pong
-from adaptive_contact.bridge.drive import standing
-from adaptive_contact.bridge.port import PortLostError
+from adaptive_contact.bridge.bus import Bus, Fault
 from adaptive_contact.bridge.tables import Block
 from adaptive_contact.errors import BusError
-from adaptive_contact.robot import Port
 from adaptive_contact_sim.virtual import VirtualServo
 
 AX = {"model": "AX-12A", "protocol": 1}
@@ -34,27 +30,6 @@ def opened(rig) -> Bus:
     return bus
 
 
-def read_until(bus: Bus, ids: list[int], block: Block, deadline: float) -> None:
-    while time.monotonic() < deadline:
-        bus.read(ids, block)
-
-
-@pytest.mark.parametrize("kind", [AX, XL, FAST])
-def test_reads_every_servo(rig: Callable, kind: dict) -> None:
-    r = rig(**kind)
-    for i in range(6):
-        r.backend.place(i, 0.1 * i)
-    bus, joints = opened(r), r.plans[0].joints
-    block = joints[0].model.goal_and_motion
-    readings = bus.read([j.servo for j in joints], block)
-    for i, joint in enumerate(joints):
-        data = readings[joint.servo].data
-        assert data is not None
-        steps = block.part(data, joint.model.registers["present_position"])
-        assert joint.angle(steps) == pytest.approx(0.1 * i, abs=joint.model.step_rad)
-    bus.close()
-
-
 @pytest.mark.parametrize("kind", [XL, FAST])
 @pytest.mark.parametrize("alone", [True, False])
 def test_data_that_look_like_a_header_are_read(rig: Callable, kind: dict, alone: bool) -> None:
@@ -67,30 +42,6 @@ def test_data_that_look_like_a_header_are_read(rig: Callable, kind: dict, alone:
         readings = bus.read(servos, Block(112, 8 + more))
         assert {readings[i].data[:8] for i in servos} == {b"\xff\xff\xff\xff\xfd\xff\xff\xff"}
         assert [reading.fault for reading in readings.values()] == [None] * len(servos)
-    bus.close()
-
-
-@pytest.mark.parametrize("kind", [AX, XL])
-def test_pings_gets_and_puts(rig: Callable, kind: dict) -> None:
-    r = rig(**kind)
-    bus, model = opened(r), r.plans[0].joints[0].model
-    assert bus.ping(3) == Pong(model.number)
-    assert bus.ping(99) is None
-    assert bus.put(3, model.registers["torque_enable"], 1)
-    assert bus.get(3, model.registers["torque_enable"]) == 1
-    assert not bus.put(3, model.registers["model_number"], 5)  # read only: refused
-    assert bus.get(99, model.registers["id"]) is None
-    bus.close()
-
-
-@pytest.mark.parametrize("kind", [AX, XL])
-def test_one_sync_write_reaches_all(rig: Callable, kind: dict) -> None:
-    r = rig(**kind)
-    bus, model = opened(r), r.plans[0].joints[0].model
-    goal = model.registers["goal_position"]
-    bus.put_all(model.registers["torque_enable"], dict.fromkeys(range(1, 7), 1))
-    bus.put_all(goal, {i: model.centre + 10 * i for i in range(1, 7)})
-    assert [bus.get(i, goal) for i in range(1, 7)] == [model.centre + 10 * i for i in range(1, 7)]
     bus.close()
 
 
@@ -193,39 +144,12 @@ def test_error_bits_are_named(rig: Callable) -> None:
     bus.close()
 
 
-def test_an_alert_of_protocol_2_is_asked_for(rig: Callable) -> None:
-    r = rig(**XL)
-    bus, joints = opened(r), r.plans[0].joints
-    r.fault("error:id=4,bits=overheating")
-    model = joints[0].model
-    assert bus.read([j.servo for j in joints], model.motion)[4].alarms == ("hardware",)
-    state = bus.read([4], model.state)[4].data
-    assert state is not None
-    assert standing(model, model.state, state).alarms == ("overheating",)
-    bus.close()
-
-
 def test_an_error_without_data_is_no_index_error(rig: Callable) -> None:
     r = rig(**AX)
     bus = opened(r)
     reading = bus.read([1], Block(48, 40))[1]  # beyond the table: error status without data
     assert reading.fault is Fault.REFUSED
     assert "range" in reading.alarms
-    bus.close()
-
-
-def test_a_late_answer_is_not_taken_for_another_servos(rig: Callable) -> None:
-    r = rig(**AX)
-    for i in range(6):
-        r.backend.place(i, 0.1 * i)
-    bus, joints = opened(r), r.plans[0].joints
-    r.fault("late:id=2,ms=8")
-    register, block = joints[0].model.registers["present_position"], joints[0].model.motion
-    for _ in range(10):
-        for i, reading in enumerate(bus.read([j.servo for j in joints], block).values()):
-            if reading.data is not None:
-                steps = block.part(reading.data, register)
-                assert joints[0].angle(steps) == pytest.approx(0.1 * i, abs=0.01)
     bus.close()
 
 
@@ -241,35 +165,6 @@ def test_a_late_answer_is_counted_for_the_servo_that_gave_it(rig: Callable, kind
             bus.read([servo], block)
     assert bus.late[2] >= 3
     assert bus.late[5] == 0
-    bus.close()
-
-
-def test_a_hang_up_is_one_error_and_the_port_comes_back(rig: Callable) -> None:
-    r = rig(**AX)
-    bus, joints = opened(r), r.plans[0].joints
-    ids, block = [j.servo for j in joints], joints[0].model.motion
-    r.fault("hangup:@0+1000000")
-    deadline = time.monotonic() + 5
-    with pytest.raises(PortLostError, match=r"p0: .* is gone"):
-        read_until(bus, ids, block, deadline)
-    with pytest.raises(PortLostError):
-        bus.read(ids, block)
-    r.fault()
-    while time.monotonic() < deadline:
-        try:
-            bus.open()
-            break
-        except BusError:
-            continue
-    assert all(x.data is not None for x in bus.read(ids, block).values())
-    bus.close()
-
-
-def test_a_wrong_baud_rate_is_silence(rig: Callable, tmp_path: Path) -> None:
-    rig(**AX)
-    bus = Bus("p0", Port(device=str(tmp_path / "p0"), baud=57600))
-    bus.open()
-    assert bus.ping(1) is None
     bus.close()
 
 

@@ -79,12 +79,6 @@ def test_goals_stay_within_limits_and_steps_whatever_is_commanded(
         last = goal
 
 
-def test_nothing_is_written_without_a_command() -> None:
-    driver = Driver(leg())
-    assert all(driver.step([0.1, 0.2], k * TICK_NS) is None for k in range(100))
-    assert driver.mode is Mode.IDLE
-
-
 def test_nothing_is_written_while_it_is_not_known_where_the_leg_is() -> None:
     driver = Driver(leg())
     driver.receive(Command(desired=[0.3, 0.3]), 0)

@@ -66,35 +66,6 @@ def test_a_disturbed_line_makes_no_doubles(rig: Callable) -> None:
     assert check_ports(r.plans, full=False).errors == []
 
 
-def test_nobody_at_all(rig: Callable) -> None:
-    r = rig(**AX)
-    r.fault("silent:")
-    [line] = check_ports(r.plans, full=False).errors
-    assert "no servo answers at 1000000 baud" in line
-
-
-def test_wheel_mode(rig: Callable) -> None:
-    r = rig(**AX)
-    r.servo(1).store("upper_limit", 0)
-    [line] = check_ports(r.plans, full=False).errors
-    assert "servo 1 is in wheel mode" in line
-
-
-@pytest.mark.parametrize("kind", [AX, XL])
-def test_a_servo_that_answers_no_reads(rig: Callable, kind: dict) -> None:
-    r = rig(**kind)
-    r.servo(2).store("status_return", 0)
-    [line] = check_ports(r.plans, full=False).errors
-    assert "servo 2 answers to pings but not to reads" in line
-
-
-def test_a_wrong_operating_mode(rig: Callable) -> None:
-    r = rig(**XL)
-    r.servo(4).store("operating_mode", 1)
-    [line] = check_ports(r.plans, full=False).errors
-    assert "servo 4 is in operating mode 1 (velocity), expected 3 (position)" in line
-
-
 @pytest.mark.parametrize("kind", [AX, XL])
 def test_a_servo_that_has_shut_itself_down(rig: Callable, kind: dict) -> None:
     r = rig(**kind)

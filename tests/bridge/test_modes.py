@@ -78,19 +78,6 @@ def test_what_is_followed_is_let_through(rig: Callable, registers: dict[str, int
     assert findings.errors == findings.advice == []
 
 
-@pytest.mark.parametrize(("name", "value", "words", "remedy"), UNDRIVEN)
-def test_what_is_not_driven_gets_no_goal_though_no_handshake_refused_it(
-    run: Callable, name: str, value: int, words: str, remedy: str
-) -> None:
-    r = run("drive", **XM)
-    servo = r.rig.servo(1)
-    servo.store(name, value)
-    feed = r.commanding([0.4] * 3)
-    r.catcher.wait(feed(lambda c: any(words in line and remedy in line for line in c.lines)))
-    assert servo.writes == 0
-    assert not servo.torque
-
-
 def test_a_servo_that_is_replaced_by_one_set_differently_is_not_driven(run: Callable) -> None:
     r = run("drive", **XM)
     feed = r.commanding([0.4] * 3)

@@ -186,18 +186,6 @@ def test_a_p_gain_acts_on_the_quadruped() -> None:
     assert backend.plant.gain == pytest.approx(gain)
 
 
-def test_torque_on_an_x_servo_does_not_jump() -> None:
-    backend = KinematicBackend(1)
-    backend.place(0, 0.5)
-    model = models_named("XL330-M288")[0]
-    servo = VirtualServo(1, model, backend, 0, np.random.default_rng(1), noise_steps=0.0)
-    backend.place(0, -0.5)  # moved by hand
-    servo.write(model.registers["torque_enable"].address, b"\x01")
-    backend.advance(1.0)
-    backend.advance(2.0)
-    assert backend.angle(0) == pytest.approx(-0.5, abs=0.01)
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

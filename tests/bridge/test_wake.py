@@ -62,42 +62,6 @@ def test_a_standing_robot_is_taken_over_from_the_goals_in_force(
     assert written == sorted(written)  # never away from the goal in force, nor back
 
 
-@pytest.mark.parametrize(
-    # An AX servo's torque comes on with its goal.
-    ("kind", "lost"),
-    [(AX, "goal_position"), (XL, "goal_position"), (XL, "torque_enable")],
-)
-def test_torque_never_comes_on_with_an_old_goal_whatever_write_is_lost(
-    run: Callable, kind: dict, lost: str
-) -> None:
-    r = run("drive", **kind)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
-    servo = r.rig.servo(2)
-    registers, write, step = servo.model.registers, servo.write, servo.model.step_rad
-    servo.store("goal_position", servo.model.centre + round(0.8 / step))  # of its life before
-    left, jumps = [3], []
-
-    def spy(address: int, data: bytes) -> Any:
-        if address == registers[lost].address and left[0]:
-            left[0] -= 1
-            return None
-        if address == registers["torque_enable"].address:
-            jumps.append(abs(servo.value("goal_position") - servo.value("present_position")))
-        return write(address, data)
-
-    servo.write = spy
-
-    def feed(c: Any) -> bool:
-        r.command("l0", 0.3, 0.3, 0.3)
-        return c.ticks[-1]["l0"].measured == pytest.approx([0.3] * 3, abs=0.02)
-
-    r.catcher.wait(feed)
-    assert left == [0]
-    assert max(jumps, default=0) * step <= 0.15 / 5 + step
-    places = [tick["l0"].measured[1] for tick in r.catcher.ticks]
-    assert max(places) < 0.35
-
-
 @pytest.mark.parametrize("kind", [AX, XL])
 def test_a_servo_that_was_silent_and_has_held_its_goal_goes_on_from_it(
     run: Callable, kind: dict

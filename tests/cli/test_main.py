@@ -98,19 +98,6 @@ def test_a_stop_while_the_tick_is_compiled_is_clean(tmp_path: Path, number: sign
     assert not list(cache.glob("compiled-*/whole"))
 
 
-def test_the_help_loads_no_linear_algebra() -> None:
-    code = (
-        "import sys\n"
-        "from adaptive_contact.cli.main import main\n"
-        "sys.argv = ['adaptive-contact', '--help']\n"
-        "try: main()\n"
-        "except SystemExit: pass\n"
-        "assert not {'scipy', 'pysindy', 'mujoco', 'zenoh'} & set(sys.modules), 'too much'"
-    )
-    done = ran("-c", code)
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.parametrize(("asked", "others"), [("score", 0), ("state", 0), ("nosuch", 10)])
 def test_a_command_loads_itself_alone(asked: str, others: int) -> None:
     """All of them where it is none, so that the likeliest can be named."""

@@ -411,22 +411,6 @@ def test_other_folders_and_bags_are_refused(tmp_path, robot) -> None:
         list(read_recording(tmp_path / "none.db3", robot))
 
 
-@pytest.mark.parametrize("name", ["a.db3", "a.mcap", "a.db3.zstd"])
-def test_score_names_a_bag_that_it_refuses_once(tmp_path, config, name) -> None:
-    bag = tmp_path / "bag"
-    bag.mkdir()
-    (bag / name).write_bytes(b"hello, world")
-    with pytest.raises(RecordingError) as refused:
-        run("score", bag, "--config", config)
-    assert str(refused.value).count(str(bag)) == 1
-
-
-def test_an_mcap_of_our_own_is_no_bag(tmp_path) -> None:
-    with RecordingWriter(tmp_path / "own.mcap") as writer:
-        writer.write_message(servo_key("lf"), walk(1)[0][0]["lf"], 0)
-    assert len(list(read_recording(tmp_path / "own.mcap"))) == 1
-
-
 def test_an_export_is_read_back_by_rosbags(tmp_path: Path) -> None:
     """Joint states, contacts and truth, and the events of a replay in place of recorded ones."""
     source, out = tmp_path / "own.mcap", tmp_path / "bag"

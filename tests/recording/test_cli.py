@@ -230,19 +230,6 @@ class TestReplayToEvents:
         with pytest.raises(RecordingError, match="no servo sample"):
             run(replay, path, "--events", out)
 
-    @pytest.mark.parametrize("option", ["--events", "--plot"])
-    @pytest.mark.parametrize("link", [False, True])
-    def test_an_input_is_not_written_over(self, tmp_path: Path, option: str, link: bool) -> None:
-        path = out = tmp_path / "a.html"
-        write_walk(path)
-        if link:
-            out = tmp_path / "b.html"
-            out.symlink_to(path)
-        before = path.read_bytes()
-        with pytest.raises(ConfigurationError, match=f"what the command reads; .* {option}$"):
-            run(replay, path, option, out)
-        assert path.read_bytes() == before
-
     def test_an_output_that_cannot_be_written(self, tmp_path: Path) -> None:
         path = tmp_path / "a.mcap"
         write_walk(path)

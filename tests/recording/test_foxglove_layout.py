@@ -29,18 +29,6 @@ PANELS: dict[str, dict[str, Any]] = LAYOUT["configById"]
 DRAWN = (bool, int, float, str)
 
 
-def leaves(node: Any) -> Iterator[str]:
-    """Panels of a mosaic."""
-    if isinstance(node, str):
-        yield node
-        return
-    assert set(node) == {"direction", "splitPercentage", "first", "second"}
-    assert node["direction"] in ("row", "column")
-    assert 0 < node["splitPercentage"] < 100
-    yield from leaves(node["first"])
-    yield from leaves(node["second"])
-
-
 def paths() -> Iterator[tuple[str, dict[str, Any]]]:
     for panel, config in PANELS.items():
         for path in config.get("paths", ()):
@@ -61,19 +49,6 @@ def field_of(path: str) -> Any:
             assert kind is list, path
             kind = parts_of(arguments[0])[0]
     return kind
-
-
-def test_it_has_what_a_layout_has() -> None:
-    assert set(LAYOUT) == {
-        *("configById", "globalVariables", "userNodes", "playbackConfig", "layout"),
-    }
-    assert LAYOUT["playbackConfig"]["speed"] == 1
-    shown = list(leaves(LAYOUT["layout"]))
-    assert sorted(shown) == sorted(PANELS), "each panel has its place, and each place its panel"
-    for panel in PANELS:
-        kind, _, name = panel.partition("!")
-        assert kind in ("Plot", "StateTransitions", "RawMessages", "3D")
-        assert name
 
 
 @pytest.mark.parametrize(("panel", "path"), list(paths()))

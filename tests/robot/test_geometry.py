@@ -24,26 +24,6 @@ LENGTHS = (0.052, 0.066, 0.138)
 AXES = ("yaw", "pitch", "pitch")
 
 
-def foot_by_rotations(
-    q: list[float], lengths: tuple[float, ...], axes: tuple[str, ...]
-) -> np.ndarray:
-    """Chain of homogeneous rotations, link after link (pitch up = rotation about -y)."""
-    turn = Rotation.identity()
-    point = np.zeros(3)
-    for angle, length, axis in zip(q, lengths, axes, strict=True):
-        vector = [0, 0, angle] if axis == "yaw" else [0, -angle, 0]
-        turn = turn * Rotation.from_rotvec(vector)
-        point = point + turn.apply([length, 0, 0])
-    return point
-
-
-@given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
-def test_three_joints_match_a_chain_of_rotations(q: list[float]) -> None:
-    np.testing.assert_allclose(
-        foot(q, LENGTHS, AXES), foot_by_rotations(q, LENGTHS, AXES), atol=1e-12
-    )
-
-
 @given(st.floats(-1.2, 1.2), st.floats(-1.5, 1.5), st.floats(-2.6, -0.1))
 def test_the_inverse_undoes_the_forward(coxa: float, femur: float, tibia: float) -> None:
     point = foot([coxa, femur, tibia], LENGTHS, AXES)
@@ -67,46 +47,6 @@ def test_the_inverse_wants_three_links() -> None:
 
 def test_link_angles_add_pitches_only() -> None:
     np.testing.assert_allclose(link_angles([0.5, 0.2, -1.0], AXES), [0.0, 0.2, -0.8])
-
-
-@pytest.mark.parametrize(
-    "axes",
-    [
-        ("yaw", "pitch", "pitch"),
-        ("yaw", "pitch"),
-        ("pitch", "yaw", "pitch"),
-        ("pitch",),
-        ("roll", "pitch"),
-    ],
-)
-def test_the_place_of_one_posture_is_that_of_many(axes: tuple[str, ...]) -> None:
-    rng = np.random.default_rng(len(axes))
-    lengths = rng.uniform(0.02, 0.2, size=len(axes))
-    angles = rng.uniform(-3.0, 3.0, size=(50, len(axes)))
-    expected = foot(angles, lengths, axes)
-    chain = straight(lengths.tolist(), axes)
-    found = [chain.point(q) for q in angles.tolist()]
-    np.testing.assert_allclose(found, expected, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    "axes",
-    [
-        ("yaw", "pitch", "pitch"),
-        ("yaw", "pitch"),
-        ("pitch", "yaw", "pitch"),
-        ("pitch",),
-        ("roll", "pitch"),
-    ],
-)
-def test_the_height_s_gradient_is_its_slope(axes: tuple[str, ...]) -> None:
-    rng = np.random.default_rng(len(axes))
-    lengths = rng.uniform(0.02, 0.2, size=len(axes)).tolist()
-    step = 1e-6 * np.eye(len(axes))
-    for q in rng.uniform(-3.0, 3.0, size=(50, len(axes))):
-        slopes = (foot(q + step, lengths, axes) - foot(q - step, lengths, axes))[:, 2] / 2e-6
-        rises = straight(lengths, axes).height_gradients(q)
-        np.testing.assert_allclose(rises, slopes, atol=1e-9)
 
 
 def by_matrices(q: list[float], chain: Chain) -> np.ndarray:
@@ -188,33 +128,6 @@ def test_a_straight_leg_is_the_chain_of_its_links(q: list[float]) -> None:
     np.testing.assert_allclose(rotated.foot(q), short.foot(q), atol=1e-15)
     np.testing.assert_allclose(rotated.height_gradients(q), short.height_gradients(q), atol=1e-15)
     assert rotated.lifts.tolist() == short.lifts.tolist() == [False, True, True]
-
-
-def test_a_hip_that_rolls_has_its_foot_where_it_is() -> None:
-    """A Solo12-like leg, in closed form; yaw and pitch were 35 to 56 mm off."""
-    lateral, thigh, shank, aside = 0.014, 0.16, 0.16, 0.0374
-    leg = Leg(
-        id="fl",
-        joints=("haa", "hfe", "kfe"),
-        axes=("roll", (0, 1, 0), (0, 1, 0)),
-        origins_m=((0.0, lateral, 0.0), (0.0, aside, -thigh), (0.0, 0.008, -shank)),
-    )
-    assert leg.chain is not None
-    rng = np.random.default_rng(12)
-    q = rng.uniform((-0.8, -1.5, -2.6), (0.8, 1.5, 2.6), size=(500, 3))
-    roll, hip, knee = q.T
-    across = lateral + aside + 0.008
-    down = thigh * np.cos(hip) + shank * np.cos(hip + knee)
-    expected = np.stack(
-        [
-            -thigh * np.sin(hip) - shank * np.sin(hip + knee),
-            across * np.cos(roll) + down * np.sin(roll),
-            across * np.sin(roll) - down * np.cos(roll),
-        ],
-        axis=1,
-    )
-    np.testing.assert_allclose(leg.chain.foot(q), expected, atol=2e-16)
-    assert leg.chain.lifts.all()
 
 
 def test_joints_that_never_raise_the_foot_are_known() -> None:

@@ -8,68 +8,14 @@ from adaptive_contact.score import (
     Events,
     LegOutcome,
     LegStream,
-    SwingTable,
     is_harmful,
     match,
-    swings_to_recovery,
     truth_changes,
 )
 from adaptive_contact.wire import ContactTruth
 
 MS = 1_000_000
 SWING_MS = 700  # 30 ticks of swing, 5 of stance
-
-
-def table(errors: list[int], touched: list[bool] | None = None) -> SwingTable:
-    n = len(errors)
-    flags = [k % 2 == 0 for k in range(n)] if touched is None else touched
-    zeros = np.zeros(n, dtype=np.int64)
-    return SwingTable(
-        start_ns=np.arange(n, dtype=np.int64) * SWING_MS * MS,
-        end_ns=np.arange(n, dtype=np.int64) * SWING_MS * MS + 580 * MS,
-        ticks=zeros + 30,
-        judged=zeros + 30,
-        touches=np.array(flags, dtype=np.int64),
-        hits=zeros,
-        misses=np.array(errors, dtype=np.int64),
-        false_alarms=zeros,
-        neutral=zeros,
-        judged_after=zeros,
-        alarms_after=zeros,
-    )
-
-
-def test_nothing_lost_is_0() -> None:
-    assert swings_to_recovery(table([0] * 30), 0) == 0
-
-
-def test_one_error_is_allowed_two_are_not() -> None:
-    assert swings_to_recovery(table([0, 1] + [0] * 30), 0) == 0
-    assert swings_to_recovery(table([0, 1, 1] + [0] * 30), 0) == 2  # from the second error on
-    assert swings_to_recovery(table([0, 2, *([0] * 30)]), 0) == 2
-
-
-def test_counts_from_the_first_swing_after_the_drift() -> None:
-    errors = [1] * 10 + [0] * 10 + [1] * 4 + [0] * 30
-    assert swings_to_recovery(table(errors), 20 * SWING_MS * MS) == 3
-    assert swings_to_recovery(table(errors), 20 * SWING_MS * MS - 1) == 3
-    assert swings_to_recovery(table(errors), 20 * SWING_MS * MS + 1) == 2
-
-
-def test_never() -> None:
-    assert swings_to_recovery(table([1] * 60), 0) is None
-    assert swings_to_recovery(table([0] * 19), 0) is None
-    assert swings_to_recovery(table([0] * 30), 20 * SWING_MS * MS) is None
-
-
-def test_a_stretch_without_contacts_says_nothing() -> None:
-    touched = [False] * 30 + [True, False] * 20
-    assert swings_to_recovery(table([0] * 70, touched), 0) == 0  # 0..38 hold 5 with contact
-    # Blind from the first touch on: thirty swings without one had shown nothing.
-    blind = [0] * 30 + [1, 0] * 4 + [0] * 32
-    assert swings_to_recovery(table(blind, touched), 0) == 35  # 35..54 hold the last of them
-    assert swings_to_recovery(table([0] * 30, [False] * 26 + [True] * 4), 0) is None
-    assert swings_to_recovery(table([0] * 40, [True] * 40), 0) is None
 
 
 def outcome(found: list[bool], alarms: int) -> LegOutcome:

@@ -24,7 +24,6 @@ from adaptive_contact_sim.robots import ROBOTS, simulated_robot
 from adaptive_contact_sim.scenario import parse_drift, parse_scenario
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.training import TRAINING_RUNS
 
 
 def quadruped(gait: str, ground: str, seconds: float) -> Run:
@@ -206,25 +205,3 @@ def test_the_quadrupeds_baseline_finds_its_touches(gait: str, seconds: float) ->
     assert touches > 20
     assert found >= touches - 1  # one of a walk is seen as the next swing lifts off
     assert alarms <= 1
-
-
-def test_shipped_baselines_are_of_the_runs_that_are_named() -> None:
-    assert set(TRAINING_RUNS) == set(ROBOTS)
-    seeds = [run.settings.seed for runs in TRAINING_RUNS.values() for run in runs]
-    assert len(set(seeds)) == len(seeds)
-    assert 1000 < min(seeds) <= max(seeds) < 5000  # reports use others
-    for name, runs in TRAINING_RUNS.items():
-        assert {run.settings.robot for run in runs} == {name}
-        baseline = shipped_baseline(ROBOTS[name].description.name)
-        assert baseline is not None
-        assert set(baseline.legs) == set(ROBOTS[name].layout.legs)
-        seconds = sum(run.seconds for run in runs)
-        said = f"{len(runs)} simulated runs, {seconds:.0f} s, seeds {runs[0].settings.seed} to "
-        assert said in baseline.origin
-        assert baseline.origin.endswith("; ".join(run.name for run in runs))
-
-
-def test_every_description_names_what_the_layout_does() -> None:
-    for robot in ROBOTS.values():
-        assert robot.description.leg_ids == robot.layout.legs
-        assert all(leg.joints == robot.layout.joints for leg in robot.description.legs)

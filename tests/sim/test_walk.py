@@ -103,23 +103,6 @@ def test_a_planned_turn_comes_before_the_touch() -> None:
     assert np.abs(then - turned).max() < 0.002
 
 
-def test_service_stops_a_leg_only_when_it_says_so() -> None:
-    settings = SimulationSettings(
-        motion=WalkSettings(stop_on="service"), terrain=TerrainSettings(kind="flat"), seed=3
-    )
-    silent, told = Simulation(settings), Simulation(settings)
-    swings = {"silent": 0, "told": 0}
-    for _ in range(400):
-        for name, sim in (("silent", silent), ("told", told)):
-            tick = sim.tick()
-            swings[name] += tick.samples["rf"].phase == "swing"
-            if name == "told":
-                for truth in tick.truth:
-                    sim.notify_contact(truth.leg, truth.message.contact)
-    assert swings["told"] < 0.9 * swings["silent"]
-    told.notify_contact("nobody")  # unknown legs are ignored
-
-
 def test_a_stale_word_of_the_service_does_not_stop_the_next_swing() -> None:
     settings = SimulationSettings(
         motion=WalkSettings(stop_on="service"), terrain=TerrainSettings(kind="flat"), seed=3

@@ -9,7 +9,6 @@ import contextlib
 import json
 import lzma
 import os
-import re
 import subprocess
 import sys
 import threading
@@ -56,13 +55,10 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 @contextlib.contextmanager
-def serving(folder: Path, log: Path, later: tuple[str, int] | None = None) -> Iterator[Link]:
-    """A link to `serve`, of this version or a later one; it is asked to end and then has ended."""
-    program = ("-m", "adaptive_contact")
-    if later is not None:
-        program = ("-c", LATER, later[0], str(later[1]))
+def serving(folder: Path, log: Path) -> Iterator[Link]:
+    """A link to `serve`; it is asked to end and then has ended."""
     command = [
-        *(sys.executable, *program, "serve", "--listen", "127.0.0.1:0"),
+        *(sys.executable, "-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0"),
         *("--config", str(folder / "robot.toml"), "--baseline", str(folder / "baseline.json")),
         *("--state", str(folder / "state")),
     ]
@@ -129,97 +125,6 @@ def test_serve_goes_on_from_what_the_version_before_has_learned(before: Path) ->
     assert old.read_bytes()[8:10] == content[8:10]
     assert record.body["follower"]["format"] == first.body["follower"]["format"]
     assert old.with_suffix(".before").read_bytes() == content
-
-
-# Loads one module with another number as its `FORMAT`, then runs the command line: a version that
-# is yet to come.  All else is this version's, what it has compiled too.
-LATER = """
-import re, sys
-from importlib.abc import MetaPathFinder
-from importlib.machinery import PathFinder, SourceFileLoader
-
-NAME, NUMBER = sys.argv[1:3]
-
-class Later(SourceFileLoader):
-    def get_code(self, fullname):
-        text, times = re.subn(
-            r"(?m)^FORMAT: Final = \\d+$", f"FORMAT: Final = {NUMBER}", self.get_source(fullname)
-        )
-        assert times == 1, NAME
-        return compile(text, self.path, "exec")
-
-class Finder(MetaPathFinder):
-    def find_spec(self, fullname, path, target=None):
-        spec = PathFinder.find_spec(fullname, path) if fullname == NAME else None
-        if spec is not None:
-            spec.loader = Later(fullname, spec.origin)
-        return spec
-
-sys.meta_path.insert(0, Finder())
-sys.argv = ["adaptive-contact", *sys.argv[3:]]
-from adaptive_contact.cli.main import main
-main()
-"""
-
-
-@pytest.mark.e2e
-@pytest.mark.parametrize(
-    ("module", "number"),
-    [
-        ("adaptive_contact.learn.state", SNAPSHOT_FORMAT + 1),
-        ("adaptive_contact.service.state.format", FORMAT + 1),
-    ],
-)
-def test_a_step_back_from_a_version_with_another_format_goes_on_from_its_own_state(
-    before: Path, module: str, number: int
-) -> None:
-    """This version, a later one, this one and the later one again, as processes on one folder."""
-    later = (module, number)
-    logs = [before / f"log-{i}" for i in range(4)]
-
-    with serving(before, logs[0]) as link:
-        fed(link, 1, 5)
-        spoken(link, lambda status: status.ticks == SAVED["ticks"] + 5)
-    own = files(before / "state")
-
-    with serving(before, logs[1], later) as link:  # from the baseline, with counts of its own
-        fed(link, 6, 3)
-        upgraded = spoken(link, lambda status: status.ticks > 0)
-        assert upgraded.model_version == 0
-        assert upgraded.buffer.swings == 0
-        spoken(link, lambda status: status.ticks == 3)
-    left = files(before / "state")
-    assert left.items() >= own.items()
-    (theirs,) = (content for name, content in left.items() if name not in own)
-    if module.endswith("format"):
-        assert theirs[8:10] == number.to_bytes(2, "little")
-    else:
-        written = unpack(theirs)
-        assert isinstance(written, Record)
-        assert written.body["follower"]["format"] == number
-
-    with serving(before, logs[2]) as link:
-        back = spoken(link, lambda status: True)
-        assert (back.ticks, back.contacts) == (SAVED["ticks"] + 5, SAVED["contacts"])
-        assert back.model_version == SAVED["model_version"]
-        assert back.buffer.swings == SAVED["swings"]
-        fed(link, 9, 2)  # the 3 that the later version had are missed here
-        assert spoken(link, lambda status: status.ticks == SAVED["ticks"] + 7).missed == 3
-
-    with serving(before, logs[3], later) as link:  # and the 2 that this one had, there
-        assert spoken(link, lambda status: True).ticks == 3
-        fed(link, 11, 1)
-        assert spoken(link, lambda status: status.ticks == 4).missed == 2
-
-    said = [[line for line in log.read_text().splitlines() if "state " in line] for log in logs]
-    restored, left_alone = (
-        "state restored",
-        "state of other settings, another baseline or another version is left",
-    )
-    for lines, line in zip(said, (restored, left_alone, restored, restored), strict=True):
-        assert len(lines) == 1, lines
-        assert line in lines[0]
-        assert "leg=rf" in re.sub(r"\x1b\[[0-9;]*m", "", lines[0])
 
 
 def spoken(link: Link, test: Any) -> LearnerStatus:

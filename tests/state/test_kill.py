@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import os
 import subprocess
 import sys
@@ -21,22 +20,18 @@ from adaptive_contact.service.state import Record, StateStore, list_states
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import ServoSample, decode, servo_key
 
+from .saver import LEGS, identity
+
 SAVER = Path(__file__).with_name("saver.py")
-LEGS = ("lf", "lm", "lr", "rf", "rm", "rr")
 
 
 def numbers(folder: Path) -> list[int]:
     """What each leg would go on from; every file that is there must be whole."""
-    spec = importlib.util.spec_from_file_location("saver", SAVER)
-    assert spec is not None
-    assert spec.loader is not None
-    saver = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(saver)
     store = StateStore.open(folder, "mini")
     assert store.trouble is None, "a killed service must not keep its folder locked"
     found = []
     for leg in LEGS:
-        records = [record for _, record in store.candidates(saver.identity(leg))]
+        records = [record for _, record in store.candidates(identity(leg))]
         assert records, leg
         for record in records:
             assert isinstance(record, Record), (leg, record)
