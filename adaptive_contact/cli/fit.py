@@ -247,7 +247,7 @@ def say_finding(finding: Finding, of: str = "") -> None:
 def check_conventions(
     robot: Robot, gathered: Gathered, *, bridge: bool = False, refuse: bool = True
 ) -> None:
-    """Refuse to learn legs whose angles are not counted as their description says.
+    """Refuse to learn legs whose signs, order or zeros are not those of their description.
 
     Args:
         robot: its description.
@@ -280,8 +280,9 @@ def check_conventions(
             say_finding(entry)
     if grave and refuse:
         raise ConfigurationError(
-            f"leg {', '.join(grave)}: angles are not counted as robot.toml says (above); nothing "
-            "is learned from them: correct robot.toml and run this again, or give --anyway"
+            f"leg {', '.join(grave)}: signs, order or zeros of the angles are not those of "
+            "robot.toml (above); nothing is learned from them: correct robot.toml and run this "
+            "again, or give --anyway"
         )
 
 

@@ -75,7 +75,7 @@ def about_learner(
                 "warning",
                 cause,
                 status.status,
-                "docs/operating.md says what each note asks for",
+                "docs/operating.md lists what to do for each note",
                 status.note,
                 key=key,
             )

@@ -129,7 +129,7 @@ SPOILT: dict[str, tuple[m.Mistake, str]] = {
     "one leg for all": (m.one_for_all, "legs send the same readings"),
     "joints that are missing": (m.angles(lambda row: row[:2]), "samples have 2 joints"),
     "milliseconds": (m.milliseconds, "seems to be in milliseconds"),
-    "float seconds": (m.float_seconds, "t_ns is no whole number"),
+    "float seconds": (m.float_seconds, "t_ns is not an integer"),
     "another rate": (m.slower(2.0), "20.0 ms apart (50.0 Hz): found 40.0 ms (25.0 Hz)"),
 }
 
@@ -154,7 +154,7 @@ def test_pitch_of_the_wrong_sign_is_refused(
 ) -> None:
     lines, refusal = said_of(m.pitch_down, sent, tmp_path, capsys)
     assert refusal is not None
-    assert "angles are not counted as robot.toml says" in str(refusal)
+    assert "signs, order or zeros of the angles are not those of" in str(refusal)
     assert all("directions = [1, -1, -1]" in line for line in lines)
     assert len(lines) == 6
 

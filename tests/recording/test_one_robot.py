@@ -149,7 +149,7 @@ def test_a_misspelt_key_is_named(
             lambda f: f | {n: [math.degrees(q) for q in f[n]] for n in ("measured", "desired")},
             "angles are not in radians: more than a turn; these look like degrees",
         ),
-        (lambda f: f | {"t_ns": f["t_ns"] / 1e9}, "t_ns is no whole number"),
+        (lambda f: f | {"t_ns": f["t_ns"] / 1e9}, "t_ns is not an integer"),
         (lambda f: f | {"t_ns": f["t_ns"] // 1000}, "it seems to be in microseconds"),
         (lambda f: f | {"t_ns": f["t_ns"] // 1_000_000}, "it seems to be in milliseconds"),
         (lambda f: f | {"t_ns": f["t_ns"] // 1_000_000_000}, "t_ns does not increase"),

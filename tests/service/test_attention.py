@@ -93,7 +93,7 @@ def test_all_legs_lost_point_to_what_they_have_in_common() -> None:
     note = "lifts have been 3.1 times as far from the model as they should for 40 swings: x"
     legs = [status(leg, status="ambiguous", note=note) for leg in ("lf", "lm", "rf", "rm")]
     (entry,) = look(view(service(), *legs), *legs)
-    assert "all legs move otherwise than their models" in entry[2]
+    assert "no leg moves as its model predicts" in entry[2]
     assert "signs" in entry[3]
 
 

@@ -137,12 +137,12 @@ def joint(j: int, value: Callable[[float, int], float]) -> Callable[[ServoSample
         ),
         (
             change(stream(), run=lambda s: s.seq),
-            "changes again and again: 149 times in 150",
+            "changes repeatedly: 149 times in 150",
             "error",
         ),
         (
             change(stream(), run=lambda s: s.seq // 30),
-            "changes again and again: 4 times in 150",
+            "changes repeatedly: 4 times in 150",
             "error",
         ),
         (change(stream(), t_ns=lambda s: -s.t_ns), "t_ns does not increase", "error"),
@@ -289,7 +289,7 @@ def test_no_service() -> None:
 
 def test_a_service_that_says_nothing() -> None:
     diagnosis = diagnose(receive(*good()[1:]), 3.0, alive=True)
-    assert "warning: a service is alive, but did not say how it is" in whats(diagnosis)
+    assert "warning: a service runs, but has published no status" in whats(diagnosis)
 
 
 def test_nobody_publishes() -> None:
@@ -321,7 +321,7 @@ def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
     [
         ("ambiguous", "look at the foot and its servos"),
         ("learning", "until the leg is known, let it swing"),
-        ("valid", "docs/operating.md says what each note asks for"),
+        ("valid", "docs/operating.md lists what to do for each note"),
     ],
 )
 def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> None:
@@ -336,14 +336,14 @@ def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> N
 @pytest.mark.parametrize(
     ("key", "what", "remedy"),
     [
-        ("robot/leg/rf/servos", "read by nobody", "did you mean robot/leg/rf/servo?"),
-        ("robot/legs/rf/servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
-        ("rf/servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
-        ("robot/rf/servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
-        ("robot/leg/servo/rf", "read by nobody", "did you mean robot/leg/rf/servo?"),
-        ("Robot/Leg/rf/Servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
-        ("robot/leg/rf/servo/coxa", "read by nobody", "did you mean robot/leg/rf/servo?"),
-        ("robot/leg/servo/rf/coxa", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("robot/leg/rf/servos", "nobody reads this key", "did you mean robot/leg/rf/servo?"),
+        ("robot/legs/rf/servo", "nobody reads this key", "did you mean robot/leg/rf/servo?"),
+        ("rf/servo", "nobody reads this key", "did you mean robot/leg/rf/servo?"),
+        ("robot/rf/servo", "nobody reads this key", "did you mean robot/leg/rf/servo?"),
+        ("robot/leg/servo/rf", "nobody reads this key", "did you mean robot/leg/rf/servo?"),
+        ("Robot/Leg/rf/Servo", "nobody reads this key", "did you mean robot/leg/rf/servo?"),
+        ("robot/leg/rf/servo/coxa", "nobody reads this key", "did you mean robot/leg/rf/servo?"),
+        ("robot/leg/servo/rf/coxa", "nobody reads this key", "did you mean robot/leg/rf/servo?"),
         ("hexa/robot/leg/rf/servo", "lie under 'hexa'", "--namespace hexa"),
         ("robot/leg/*/servo", "names no usable leg", "leg id"),
     ],
@@ -363,7 +363,7 @@ def test_an_odd_encoding_is_a_note_while_its_payloads_are_read() -> None:
     received = receive(*good())
     received.take(Received(servo_key("rf"), encode(stream(151)[-1]), "zenoh/bytes", 0, None))
     finding = only(diagnose(received, 3.0, alive=True).findings)
-    assert "the encoding zenoh/bytes is taken for msgpack" in finding.what
+    assert "the encoding zenoh/bytes is read as msgpack" in finding.what
     assert finding.level == "note", "what it holds can be read"
 
 
@@ -431,7 +431,7 @@ def test_what_the_service_says_of_itself_is_found() -> None:
     told = service(note="state: disk full", events_lost=3, slow_puts=5, late_puts=3, stalls=1)
     messages = [(SERVICE_STATUS, encode(told)), *good()[1:]]
     assert whats(diagnose(receive(*messages), 3.0, alive=True)) == [
-        "error: the service says: state: disk full",
+        "error: note of the service: state: disk full",
         "error: 3 contact events were lost: held up for too long, or the link was closed",
         "warning: 1 times the service stood still for a second or more",
         "note: 2 contact events were held up by a subscriber that hung",
