@@ -1,4 +1,4 @@
-"""Takes the learners of a robot's legs one tick further, in one compiled call for all of them.
+"""Processes a tick of all legs of a robot in one compiled call.
 
 :class:`LearnerBank` holds a learner per leg.  :class:`LegGroup` takes learners through a tick: this
 is what makes six legs cost little more than one.  A tick has two halves.  The first,
@@ -46,7 +46,7 @@ MAX_JOINTS: Final = 16
 
 
 class LegGroup:
-    """Takes several learners through time together.
+    """Processes the ticks of several learners together.
 
     Args:
         learners: any, of one robot or of several.
@@ -64,7 +64,7 @@ class LegGroup:
         self._open: set[int] = set()  # judged, and not finished
 
     def advance(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
-        """Take learners one sample further, each with its own.
+        """Process one sample per leg.
 
         Args:
             samples: the next of each learner, None where there is none.

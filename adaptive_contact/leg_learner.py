@@ -206,7 +206,7 @@ class ContactLearner:
         self.place.leg.release_pending = True
 
     def withdraw(self) -> ContactEvent | None:
-        """Withdraw the contact of a leg whose samples have stopped: it is not known any more.
+        """Withdraw the contact of a leg whose samples have stopped.
 
         Returns:
             The event that says so, of the last sample; None before the first.
@@ -467,7 +467,7 @@ class ContactLearner:
         self.place.leg.misread = self._misread
 
     def _let_go(self) -> None:
-        """Forget whether the leg touches: it is not known any more."""
+        """Reset the contact state to unknown."""
         leg = self.place.leg
         leg.release_pending |= leg.reported
         leg.contact, leg.loaded, leg.calm = False, True, 0

@@ -215,7 +215,7 @@ class LegReport:
         return self._learning.version
 
     def publish_withholding(self) -> None:
-        """Set for the tick whether contacts are reported, and in a swing that begins with it."""
+        """Set whether contacts are withheld, for this tick and a swing that begins with it."""
         self.read_status()
         leg, doubt = self._place.leg, self.doubt
         begun = leg.withholds_begun = self._withholds_at(doubt, fits=False)
@@ -256,7 +256,7 @@ class LegReport:
 
     @property
     def _void(self) -> bool:
-        """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
+        """Whether samples cannot be judged: heights or positions of the leg are unknown."""
         return self.misread or bool(self._place.leg.cause)
 
     def _withholds_at(self, doubt: Doubt | None, *, fits: bool) -> bool:
@@ -272,7 +272,7 @@ class LegReport:
 
     @property
     def _unjudged(self) -> bool:
-        """Whether the leg would be valid, and commands lift and lower it and nothing is judged."""
+        """Whether a valid leg is commanded to swing, and no swing could be judged."""
         return self._learning.status == "valid" and self._place.leg.unjudged >= UNJUDGED_TURNS
 
     @property
@@ -281,7 +281,7 @@ class LegReport:
         return "ambiguous" if doubted else self._learning.status
 
     def _note(self) -> str | None:
-        """What stops this leg from being judged, for a person; the gravest."""
+        """Return the most serious reason why the leg reports no contacts, for the operator."""
         adapter = self._adapter
         notes = (
             self.counters.fault_note,
@@ -304,7 +304,7 @@ class LegReport:
 
     @property
     def _unjudged_note(self) -> str | None:
-        """One line for a person when commands lift and lower the leg, and nothing is judged."""
+        """One line for a person when commanded swings could not be judged."""
         turns = self._place.leg.unjudged
         if turns < UNJUDGED_TURNS:
             return None

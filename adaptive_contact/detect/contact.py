@@ -90,7 +90,7 @@ def context_of(leg, command, before):
 
 @compiled
 def direction_of(leg, width):
-    """Return whose noise a window of so many ticks has: of lift, descent, or after the turn.
+    """Return the part of the swing whose noise a window has: lift, descent, or after the turn.
 
     A window that reaches back over the turn to stance is of the swing, which was judged before.
     So is the first residual after the turn: it is of the way to that sample.
@@ -160,7 +160,7 @@ def statistic(leg, noise, history, gradient, upward):
 
 @compiled
 def strikes(leg, history):
-    """Return whether a foot in its lift has lost so much of its way that it has struck something.
+    """Return whether a lifting foot lags so far behind its prediction that it struck something.
 
     A foot that lets go late, or is slow in what it can do, loses less.  While it is not known when
     readings are of, nothing is a strike.
@@ -232,7 +232,7 @@ def swing_tick(leg, score, distance, onset_ns, past_top):
 
 @compiled
 def let_go(leg):
-    """Forget whether the leg touches: it cannot be known."""
+    """Reset the contact state to unknown."""
     leg.release_pending |= leg.reported
     leg.contact, leg.loaded, leg.calm = False, True, 0
 
@@ -275,14 +275,14 @@ def note_contact(leg):
 
 @compiled
 def note_hole(leg, rows):
-    """Note lost or bad readings: what went on meanwhile shows in no residual."""
+    """Note lost or bad readings: their ticks have no residuals."""
     if leg.row_n > leg.lift_n:
         leg.hole_ns = rows[leg.row_n - 1].t_ns
 
 
 @compiled
 def note_push(leg, rows):
-    """Drop what a push that goes on may have made, from where it began.
+    """Drop the held rows from the onset of a lasting push.
 
     A push that no window shows adds up (Page's cumulative sum).  What is not learned of a descent
     is cheap; a touch that is learned hides the next one.
@@ -301,7 +301,7 @@ def note_push(leg, rows):
 
 @compiled
 def break_off(leg):
-    """Break off the swing: what comes does not connect, and it is not learned."""
+    """End the swing without learning it: the next sample does not connect."""
     leg.found |= BROKE_OFF
     leg.whole = leg.stood = leg.touching = False
     begin_labels(leg)

@@ -237,7 +237,7 @@ def watch_source(leg, past):
 
 @compiled
 def is_void(leg):
-    """Return whether samples say nothing of the leg: what is up, or where it is, is not known."""
+    """Return whether samples cannot be judged: heights or positions of the leg are unknown."""
     return leg.misread or leg.cause != NONE
 
 
@@ -328,7 +328,7 @@ def decide(leg, swing, past, model, noise, kept):
 
 @stage
 def hold_back(leg, swing, past, noise, kept, was_free, past_lift):
-    """Hold back what may be learned of the tick, until it is known what the swing was."""
+    """Hold the tick's row back until its swing is resolved."""
     if not leg.learning:
         return
     if leg.found & TOUCHED:
@@ -434,7 +434,7 @@ def finish_tick(handed):
         handed: as for :func:`judge_tick`.
 
     Returns:
-        Rows held back of the leg that has most.
+        Largest number of pending rows of any leg.
     """
     batch = receive_tick(handed)
     preview = batch.depths[1]

@@ -33,7 +33,7 @@ REACH_TICKS: Final = 200
 # A value that was refused twice to the last bit is what a failed read leaves behind: where it is
 # off the prediction by this many steps, it is suspect for one tick.
 KNOWN_QUANTA: Final = 3.0
-# So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
+# So many impossible readings in a row are accepted (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
 # A reading earlier than this, in periods, is moved by no more: its noise would grow with it.
 MOST_EARLY: Final = -0.5
@@ -66,7 +66,7 @@ def leverage(theta, domain):
 
 @compiled
 def restart_history(leg, suspects):
-    """Drop the past: what comes does not connect to it."""
+    """Clear the past: the next sample does not connect to it."""
     leg.filled = 0
     leg.predicted = False
     leg.usable = 0
@@ -77,7 +77,7 @@ def restart_history(leg, suspects):
 
 @compiled
 def predict_next(leg, past, model):
-    """Predict the next movement if that is not done and can be without a preview; True if it is."""
+    """Predict the next movement, unless that is done or needs a preview; True if predicted."""
     if not leg.predicted and leg.filled >= leg.length and model.depths[1] == 0:
         regressors(
             past.window, model.kind, model.first, model.entry, model.weight, model.knee, model.law,
@@ -222,8 +222,8 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
 def repair(leg, past, model, measured, valid, has_valid):
     """Fill the reading that enters the window, with substitutes for what is bad.
 
-    A good one is moved from its stamp to its tick.  Readings that are impossible again and again
-    are a new truth: the past is dropped.
+    A good one is moved from its stamp to its tick.  After ``MAX_IMPOSSIBLE``
+    outliers in a row the new value is accepted and the history reset.
 
     ``measured`` is (J,) rad, as it was read; ``valid`` says, if ``has_valid``, which joints have a
     reading.  What is filled is ``past.reading``.

@@ -269,7 +269,7 @@ def follow_one(legs, ring, t_ns, seq, restart):
 
 @compiled
 def restart_phase(leg, parts):
-    """Forget the parts of swings: what comes does not connect to what was."""
+    """Reset the parts of swings: the next sample does not connect to them."""
     leg.has_before = False
     leg.phase_part = UNKNOWN
     leg.part_whole = False

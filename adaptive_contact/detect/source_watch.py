@@ -69,7 +69,7 @@ class SourceWatch:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was found, and what the leg has shown of itself."""
+        """Reset the findings, and the evidence for them."""
         self._check = InformationCheck(len(self._leg.joints), self._place.leg.quantum)
         self._since_ns = 0
         self._twin = ""  # leg of the same readings
@@ -77,7 +77,7 @@ class SourceWatch:
 
     @property
     def cause(self) -> Doubt | None:
-        """``echo``, ``stale`` or ``phase`` while samples say nothing of the leg, else None."""
+        """``echo``, ``stale`` or ``phase`` while samples cannot be judged, else None."""
         return SOURCE_CAUSES[int(self._place.leg.cause)]
 
     @property

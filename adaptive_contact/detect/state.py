@@ -65,7 +65,7 @@ OFF: Final = 0.45
 
 @compiled
 def forget_state(leg):
-    """Forget whether the leg carries, as its source begins again; its sizes stay."""
+    """Reset the state to unknown when the source restarts; learned sizes stay."""
     leg.carried = leg.touches = False
     leg.pressed_n = leg.idle_n = 0
     leg.push_sum = 0.0
@@ -84,7 +84,7 @@ def hangs(leg):
 
 @compiled
 def sized(size, value, count, share):
-    """Return the size that a share of the values is below, moved by one more."""
+    """Update a running quantile by one more value; ``share`` of the values lie below it."""
     if count == 1:
         return value
     step = 2.0 * (STEP if count > FULL_TICKS else count**-0.7)
@@ -104,7 +104,7 @@ def follow_range(leg):
 
 @stage
 def follow_state(leg, sample, swing, past, noise):
-    """Take a judged tick into the state."""
+    """Update the state by a judged tick."""
     if not (leg.has_lengths and leg.has_model) or leg.misread or leg.cause or leg.rate_off:
         leg.p, leg.touches = np.nan, False
         return

@@ -144,12 +144,12 @@ class StreamGuard:
 
     @property
     def contested(self) -> bool:
-        """Whether two publishers take turns: the leg may be another one's."""
+        """Whether two publishers alternate: the samples may be of another leg."""
         return self._accepted <= self._contested_until
 
     @property
     def note(self) -> str | None:
-        """One line for a person while two publish, or the source restarts again and again."""
+        """One line for a person while two publish, or the source restarts repeatedly."""
         if self.contested and self._rivals and self._last is not None:
             used, other = self._last, max(self._rivals, key=lambda rival: rival.turns).newest
             who = f"{_named(used)} (used) and {_named(other)}"

@@ -193,7 +193,7 @@ def half_swing(leg, lengths_ticks):
 
 @compiled
 def stand(leg, swing, measured, desired, awaited):
-    """End the swing as the gait says stance, or go on until the touch."""
+    """End the swing when ``phase`` turns to stance, or continue until the touch."""
     last_desired, last_read = swing.last_desired, swing.last_read
     same = leg.has_desired
     for j in range(len(desired)):

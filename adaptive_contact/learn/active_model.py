@@ -80,7 +80,7 @@ class FirstSwings:
 
 
 class Good(NamedTuple):
-    """Holds a model that fitted, as the recursion that went on from it."""
+    """Holds a model that fitted, and the recursion from it."""
 
     version: int
     rls: RecursiveLeastSquares
@@ -187,7 +187,7 @@ class ActiveModel:
         return Good(self.version, rls, self.inflated)
 
     def return_to(self, good: Good) -> None:
-        """Restore a model: what was learned since was of something else."""
+        """Restore an earlier model, and drop what was learned since."""
         self._put(self.as_made.moved(good.rls.coefficients, good.version))
         self._go_on_from(good)
         self._good = good
@@ -198,7 +198,7 @@ class ActiveModel:
         self.recursion, self.inflated = self._recursion(model), False
 
     def baseline_is_better(self, rows: Rows) -> bool:
-        """Tell whether the baseline has fitted lifts much better than the model, this one included.
+        """Return whether the baseline has fitted lifts much better than the model, up to this one.
 
         Args:
             rows: of a lift, all free.

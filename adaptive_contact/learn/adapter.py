@@ -74,7 +74,7 @@ class _Kept(NamedTuple):
 
 
 class EventStatus(NamedTuple):
-    """Holds what the learning says of a leg, as its events report it."""
+    """Holds status, doubt and version of a leg, for its events."""
 
     # learning where a leg has no model, or began with a prior and is not known yet
     status: Status = "learning"
@@ -354,7 +354,7 @@ class Adapter:
             budget: rows at most.
 
         Returns:
-            What of free motion may be another.
+            Which parts of the free-motion model changed in this tick.
         """
         moved: Moved = NOTHING
         if self.buffer.unlearned:
@@ -471,7 +471,7 @@ class Adapter:
         self.buffer.add(rows, region, self._era)
 
     def _consider_baseline(self, rows: Rows) -> None:
-        """Return to the baseline where it fits again: mud is washed off, a battery is changed."""
+        """Return to the baseline if it fits again, such as after mud is washed off."""
         if not self.active.baseline_is_better(rows):
             return
         self.active.revert_to_baseline()

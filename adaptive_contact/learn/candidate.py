@@ -94,7 +94,7 @@ class StoredContacts:
         self._kept.clear()
 
     def found(self, coefficients: Array) -> Mask:
-        """Return which of them a model reports, whatever happened before.
+        """Return which of the stored contacts a model would report.
 
         In any of their ticks: an alarm that came too early, which a better model would not raise,
         is followed by the touch itself.
@@ -241,12 +241,12 @@ class Candidate:
 
     @property
     def trying(self) -> bool:
-        """Whether there is a candidate that wants :meth:`compare`."""
+        """Whether a candidate is on trial, for :meth:`compare`."""
         return self._candidate is not None
 
     @property
     def deciding(self) -> bool:
-        """Whether the row to come is the last of a trial, or one at which it is looked at again."""
+        """Whether the next row can decide a trial."""
         full = len(self._off) + 1 >= (PROBATION_ROWS if self._probation else TRIAL_ROWS)
         return full and self._again <= 1
 
@@ -258,7 +258,7 @@ class Candidate:
         Args:
             row: of a confirmed tick.
             off: (J,) how far the model in force was off there, over the noise.
-            model: in force; asked for where :attr:`deciding`, any other will do elsewhere.
+            model: in force; used only if :attr:`deciding`.
             valid: the lifts fit the model in force: then its contacts are, or will be, stored, and
                 a candidate waits until there are some to try it on.
         """

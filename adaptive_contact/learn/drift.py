@@ -117,7 +117,7 @@ class DriftMonitor:
 
     @property
     def unfit(self) -> bool:
-        """Whether the baseline was never this leg's: its first lifts were all, or nearly, far off.
+        """Whether the baseline is of another leg: nearly all of the first lifts were far off.
 
         Not while something may hold the foot: a leg that starts on a leash is this leg all the
         same, and a new start would learn it with its leash.

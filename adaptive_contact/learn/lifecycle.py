@@ -106,7 +106,7 @@ class Lifecycle:
         return floor
 
     def forget(self) -> None:
-        """Start again from a prior, or a wider one: what it began with was never this leg's."""
+        """Start again from a prior, or a wider one: the first model was of another leg."""
         if self._mode is LearnerMode.FROZEN:
             self._start = self.adapter = self.noise_tracker = None
             self.begun += 1

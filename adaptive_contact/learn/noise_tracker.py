@@ -171,7 +171,7 @@ class NoiseTracker:
 
     @property
     def after_known(self) -> bool:
-        """Whether what the leg does after the turn to stance, in the air, is known."""
+        """Whether the leg's noise after the turn to stance, in the air, is known."""
         return self._peaks is not None and not bool(np.isnan(self._peaks.largest[AFTER]).any())
 
     @property

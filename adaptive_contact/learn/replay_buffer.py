@@ -48,7 +48,7 @@ class Segment(NamedTuple):
 
 @dataclasses.dataclass(slots=True)
 class _Place:
-    """Says where the rows of a segment are, and the rest of what is known of it."""
+    """Locates the rows of a segment, and holds its other fields."""
 
     first: int
     count: int

@@ -135,7 +135,7 @@ class RecursiveLeastSquares:
         return True
 
     def copy(self, into: RecursiveLeastSquares | None = None) -> RecursiveLeastSquares:
-        """Return one that goes its own way from here; what is never written to is shared.
+        """Return an independent copy; constant arrays are shared.
 
         Args:
             into: an earlier copy that is not needed any more, to be written over where it fits.
@@ -150,7 +150,7 @@ class RecursiveLeastSquares:
         return into
 
     def __deepcopy__(self, _: object) -> RecursiveLeastSquares:
-        """As :meth:`copy`: what is bound to the arrays of one is of no use to another."""
+        """Return :meth:`copy`: compiled functions are bound to the arrays of one object."""
         return self.copy()
 
     def __getstate__(self) -> dict[str, Any]:

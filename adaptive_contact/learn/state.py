@@ -23,7 +23,7 @@ FORMAT: Final = 3
 
 
 class ImplausibleError(Exception):
-    """Says why a snapshot is not used; `restore` catches it, it never leaves the package."""
+    """Reports why a snapshot is not used; `restore` catches it, it never leaves the package."""
 
 
 def pack(array: Array) -> dict[str, object]:

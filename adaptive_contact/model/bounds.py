@@ -43,5 +43,5 @@ OfLegs = Meta(min_length=1, max_length=MAX_LEGS)
 
 
 def is_count(value: object) -> TypeGuard[int]:
-    """Return whether a value of a kept state can be counted on from."""
+    """Return whether a saved value is a valid count."""
     return isinstance(value, int) and 0 <= value <= _MOST_COUNT

@@ -91,7 +91,7 @@ def change_directions(model: LegModel, scale: Array, noise: Array) -> Array:
 
 
 def speaks_of(term: str, joint: str) -> bool:
-    """Return whether a term is of a joint; one whose name begins alike is another."""
+    """Return whether a term names a joint, whole: ``hip`` is not part of ``hip2``."""
     return re.search(rf"_{re.escape(joint)}(?!\w)", term) is not None
 
 

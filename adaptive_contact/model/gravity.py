@@ -1,4 +1,4 @@
-r"""The angles that gravity acts by, of any chain.
+r"""Finds the angles on which the torques of gravity depend, for any chain.
 
 A link's weight pulls along the vertical as the link sees it,
 :math:`u_i = R_i^\top \cdots R_1^\top e_z`, and every torque of gravity is made of the entries of
@@ -31,14 +31,14 @@ MOST_PER_JOINT: Final = 3
 
 
 class GravityAngle(NamedTuple):
-    """An angle that gravity acts by, a signed sum of joints."""
+    """Holds an angle on which gravity depends: a signed sum of joints."""
 
     name: str  # ``φ_knee``, or ``φ(roll+hip-knee)``
     weights: tuple[float, ...]  # (J,) 1, -1 or 0
 
 
 def gravity_angles(joints: Sequence[str], axes: Sequence[Axis]) -> tuple[GravityAngle, ...]:
-    """The angles that gravity acts by.
+    """Find the angles on which gravity depends.
 
     Args:
         joints: (J,) names.

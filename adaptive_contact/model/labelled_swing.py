@@ -73,7 +73,7 @@ class Rows:
         return map(Row, self.theta, self.target, self.t_ns.tolist())
 
     def then(self, later: Rows) -> Rows:
-        """Return these and later ones."""
+        """Return these rows, followed by later ones."""
         if not (self and later):
             return self or later
         values, records = (self.values, later.values), (self.records, later.records)

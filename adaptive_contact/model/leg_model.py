@@ -134,5 +134,5 @@ def report_of(leg: Leg, model: LegModel, threshold: float, origin: str | None) -
 
 
 def _terms(named: Iterable[tuple[str, float]]) -> list[ModelTerm]:
-    """Those that there are."""
+    """Return the terms that are in use."""
     return [ModelTerm(name=name, coefficient=float(c)) for name, c in named if c != 0.0]

@@ -173,7 +173,7 @@ class Library:
         return theta
 
     def _bend(self, theta: Array) -> None:
-        """Make the terms, in place, of what each is of the window before any function."""
+        """Apply the functions of the terms, in place."""
         shape = self._servo_shape
         theta[..., 0] = 1.0
         clipped = theta[..., shape.clipped]

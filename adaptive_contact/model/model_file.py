@@ -76,7 +76,7 @@ class Baseline:
         return thresholds_of(self.today().tails, false_alarms_per_hour)
 
     def today(self) -> Baseline:
-        """Return it with tails and peaks of the statistic that legs are judged by.
+        """Return the baseline with tails and peaks of the present statistic.
 
         Those of an older format are converted: what they exceed those of Gaussian residuals by is
         kept.  The file keeps its text, as saved states belong to that.
