@@ -259,9 +259,9 @@ JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
 EquationsOption = Annotated[bool, option("--equations", "Print every leg's equations, too.")]
 ForceOption = Annotated[bool, option("--force", "Replace files that are there already.")]
 AnywayOption = Annotated[
-    bool, option("--anyway", "Go on where samples seem not to be this robot's, or of no use.")
+    bool, option("--anyway", "Continue even if samples seem useless, or of another robot.")
 ]
-SeedOption = Annotated[int, option("--seed", "Of what is random.", min=0)]
+SeedOption = Annotated[int, option("--seed", "Seed of random numbers.", min=0)]
 ProcessesOption = Annotated[int, option("--processes", "Runs worked on at a time.", min=1, max=64)]
 BaselineOutOption = Annotated[
     Path, option("--out", "Where the baseline goes (JSON).", "FILE", short="-o")
@@ -298,13 +298,13 @@ AmbiguousOption = Annotated[
 ]
 LogLevelOption = Annotated[
     Literal["debug", "info", "warning", "error"],
-    option("--log-level", "Least level that is logged.", panel="Logging"),
+    option("--log-level", "Lowest level that is logged.", panel="Logging"),
 ]
 LogJsonOption = Annotated[
     bool, option("--log-json", "Log one JSON object per line.", panel="Logging")
 ]
 RealtimeOption = Annotated[
-    bool, option("--realtime", "Run before all ordinary processes (needs the right to).")
+    bool, option("--realtime", "Run before all ordinary processes (needs a permission).")
 ]
 
 

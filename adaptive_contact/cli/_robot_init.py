@@ -42,7 +42,7 @@ class Wishes:
         str | None,
         option(
             "--joints",
-            "Per leg, from the body outwards; 3 unless given.  A URDF has its own.",
+            "Joints per leg, from the body outwards; 3 by default.  A URDF has its own.",
             "NUMBER|NAME,NAME,...",
         ),
     ] = None
@@ -66,7 +66,8 @@ class Wishes:
         ),
     ] = None
     lengths: Annotated[
-        str | None, option("--lengths", "Of the links, where all legs are alike, m.", "M,M,...")
+        str | None,
+        option("--lengths", "Lengths of the links, m, if all legs are alike.", "M,M,..."),
     ] = None
     urdf: Annotated[
         Path | None,
@@ -90,7 +91,7 @@ class Wishes:
             "X,Y,Z[/...]",
         ),
     ] = None
-    name: Annotated[str | None, option("--name", "Of the robot.")] = None
+    name: Annotated[str | None, option("--name", "Name of the robot.")] = None
     resolution: Annotated[
         float | None,
         option(
@@ -107,7 +108,9 @@ class Wishes:
             "--rate", "Control ticks per second; 50 with --device.", "HZ", min=1.0, max=10_000.0
         ),
     ] = None
-    baud: Annotated[int | None, option("--baud", "Otherwise the usual ones are tried.")] = None
+    baud: Annotated[
+        int | None, option("--baud", "Baud rate; by default the usual ones are tried.")
+    ] = None
     configure: Annotated[
         bool,
         option(

@@ -53,14 +53,15 @@ def learn(
         float, seconds_option("--seconds", "How long to swing.", least=1.0, most=3600.0)
     ] = 60.0,
     amplitude: Annotated[
-        float, option("--amplitude", "Of driven swings, rad, each way.", min=0.05, max=1.5)
+        float,
+        option("--amplitude", "Amplitude of driven swings, rad, each way.", min=0.05, max=1.5),
     ] = 0.4,
     pose: Annotated[
         str | None,
         option(
             "--pose",
-            "Joint angles to swing around, as the legs stand when they walk; where they are "
-            "found without it.",
+            "Joint angles to swing around, as the legs stand when they walk; by default where "
+            "they are.",
             "RAD,RAD,...",
         ),
     ] = None,

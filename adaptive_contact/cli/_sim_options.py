@@ -77,7 +77,7 @@ class RunOptions:
             panel=_RUN,
         ),
     ] = None
-    seed: Annotated[int | None, option("--seed", "Of the run. [0]", min=0, panel=_RUN)] = None
+    seed: Annotated[int | None, option("--seed", "Seed of the run. [0]", min=0, panel=_RUN)] = None
     robot: Annotated[
         str | None,
         option(

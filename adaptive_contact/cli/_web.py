@@ -31,7 +31,7 @@ class Page:
         int | None,
         option(
             "--port",
-            "Of the page; without it, a free one.",
+            "Port of the page; by default a free one.",
             "N",
             min=0,
             max=65_535,

@@ -168,7 +168,7 @@ def dynamixel(
     ] = False,
     realtime: opt.RealtimeOption = False,
     device: DeviceOption = None,
-    baud: Annotated[int | None, option("--baud", "Instead of robot.toml's.")] = None,
+    baud: Annotated[int | None, option("--baud", "Baud rate instead of robot.toml's.")] = None,
     network: opt.Network,
     json: opt.JsonPayloadOption = False,
 ) -> None:
@@ -261,7 +261,7 @@ class VirtualOptions:
     )
     ports: Annotated[
         int | None,
-        option("--ports", "For a robot without ports of its own; one if left out.", min=1),
+        option("--ports", "Ports of a robot that has none described; 1 by default.", min=1),
     ] = None
     write_config: Annotated[
         Path | None, option("--write-config", "Write the robot.toml of this bus.", "FILE")
@@ -275,7 +275,7 @@ class VirtualOptions:
             "NAME",
         ),
     ] = None
-    height: Annotated[float, option("--height", "Of the stand: body over the floor, m.")] = 1.0
+    height: Annotated[float, option("--height", "Height of the body over the floor, m.")] = 1.0
     fault: Annotated[
         list[str] | None,
         option(
@@ -285,15 +285,17 @@ class VirtualOptions:
             "SPEC",
         ),
     ] = None
-    wire_time: Annotated[bool, option("--wire-time/--no-wire-time", "Packets take their time.")] = (
-        True
-    )
+    wire_time: Annotated[
+        bool, option("--wire-time/--no-wire-time", "Packets take time on the wire.")
+    ] = True
     realtime: opt.RealtimeOption = False
     seed: opt.SeedOption = 0
-    seconds: Annotated[float | None, seconds_option("--seconds", "Otherwise until Ctrl-C.")] = None
+    seconds: Annotated[
+        float | None, seconds_option("--seconds", "Stop after so long; otherwise at Ctrl-C.")
+    ] = None
     record: Annotated[
         Path | None,
-        option("--record", "Of a scenario: the simulator's own samples and truth.", "FILE.mcap"),
+        option("--record", "Record a scenario's own samples and truth.", "FILE.mcap"),
     ] = None
     force: opt.ForceOption = False
 

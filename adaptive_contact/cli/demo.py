@@ -58,11 +58,13 @@ def demo(
     out: Annotated[Path, option("--out", "Where report and figures go.", "FOLDER")] = _OUT,
     seconds: Annotated[
         float,
-        seconds_option("--seconds", "Of walking, in real time.", least=_SHORTEST_S, most=3600.0),
+        seconds_option(
+            "--seconds", "How long to walk, in real time.", least=_SHORTEST_S, most=3600.0
+        ),
     ] = 60.0,
-    seed: Annotated[int, option("--seed", "Of the walk.", min=0)] = 0,
+    seed: Annotated[int, option("--seed", "Seed of the walk.", min=0)] = 0,
     robot: Annotated[
-        str, option("--robot", "Which walks: hexapod, quadruped12.", "NAME")
+        str, option("--robot", "Robot that walks: hexapod, quadruped12.", "NAME")
     ] = "hexapod",
     web: Annotated[
         bool, option("--web", "Show it as a page in the browser, too.", panel=WEB_PANEL)

@@ -19,7 +19,7 @@ def paper(
     quick: Annotated[bool, option("--quick", "A few minutes: fewer legs, fewer hours.")] = False,
     workers: Annotated[int, option("--workers", "Processes, 0 for one per core.", min=0)] = 0,
     scheduler: SchedulerOption = None,
-    seed: Annotated[int, option("--seed", "Of all streams.", min=0, max=90)] = 0,
+    seed: Annotated[int, option("--seed", "Seed of all streams.", min=0, max=90)] = 0,
     stage: Annotated[
         list[str] | None, option("--stage", "Only this stage; repeatable.", "NAME")
     ] = None,

@@ -75,7 +75,7 @@ def replay(
         bool, option("--all", "Also publish recorded events, status and COMMANDS.")
     ] = False,
     keep_run: Annotated[
-        bool, option("--keep-run", "Leave `run` in the samples as recorded, not a new start.")
+        bool, option("--keep-run", "Keep the recorded `run` in the samples.")
     ] = False,
     force: opt.ForceOption = False,
     network: opt.Network,

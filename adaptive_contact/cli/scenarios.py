@@ -25,7 +25,7 @@ from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError
 
 app = Commands(
-    help="Drifts, contacts and trouble, replayed through the learner and lesser ones.",
+    help="Drifts, contacts and faults, replayed through the learner and simpler ones.",
     no_args_is_help=True,
 )
 

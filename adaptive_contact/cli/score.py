@@ -51,7 +51,7 @@ def score(
     json: opt.JsonOption = False,
     config: opt.ConfigOption = None,
     from_s: Annotated[float, seconds_option("--from", "Judge swings from here on.")] = 0.0,
-    to_s: Annotated[float | None, seconds_option("--to", "And up to here.")] = None,
+    to_s: Annotated[float | None, seconds_option("--to", "Judge swings up to here.")] = None,
     anyway: opt.AnywayOption = False,
 ) -> None:
     """Print recall, latency, precision and false alarms per robot-hour of a recording."""

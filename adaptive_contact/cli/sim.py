@@ -75,12 +75,15 @@ def pose(
     ] = None,
     soft: Annotated[float | None, option("--soft", "Share of obstacles that yield. [0]")] = None,
     approach: Annotated[
-        str | None, option("--approach", "How legs come.", "descent|slow|forward|graze")
+        str | None,
+        option("--approach", "How legs approach obstacles.", "descent|slow|forward|graze"),
     ] = None,
     workspace: Annotated[
         str | None, option("--workspace", "Where legs move.", "paper|whole")
     ] = None,
-    path: Annotated[str | None, option("--path", "What is straight.", "cartesian|joint")] = None,
+    path: Annotated[
+        str | None, option("--path", "In which coordinates paths are straight.", "cartesian|joint")
+    ] = None,
     react_ms: ReactOption = None,
     run: RunOptions,
     network: opt.Network,
@@ -122,7 +125,7 @@ def walk(
         str | None,
         option(
             "--phase",
-            "When it says stance: stopped by a touch, or as planned. [touch]",
+            "When `phase` turns to stance: at a touch, or as planned. [touch]",
             "touch|planned",
         ),
     ] = None,
@@ -151,7 +154,9 @@ def walk(
 def inject(
     kind: Annotated[
         str | None,
-        typer.Argument(metavar="KIND", help="What drifts (`sim list`); without it, what holds."),
+        typer.Argument(
+            metavar="KIND", help="Kind of drift (`sim list`); without it, print what is in force."
+        ),
     ] = None,
     value: Annotated[float | None, option("--value", "Absolute, in the kind's unit.")] = None,
     *,
@@ -159,7 +164,7 @@ def inject(
     joint: Annotated[str, option("--joint", metavar="JOINT|all")] = "all",
     shape: Annotated[str, option("--shape", metavar="step|ramp|pulse|walk")] = "step",
     duration: Annotated[float, seconds_option("--duration", "Of a shape.")] = 0.0,
-    seed: Annotated[int, option("--seed", "Of a random walk.", min=0)] = 0,
+    seed: Annotated[int, option("--seed", "Seed of a random walk.", min=0)] = 0,
     network: opt.Network,
     json: opt.JsonOption = False,
 ) -> None:
