@@ -36,7 +36,7 @@ from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.detect.stream import NEXT, StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
-from adaptive_contact.diagnose.angle_watch import ConventionWatch, MotionTrack
+from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.adapter import COEFFICIENTS, NOTHING, Adapter
@@ -306,7 +306,7 @@ class ContactLearner:
         self._sample = sample
         track = self._track
         if track is not None and (self._misread or track.finding is not None):
-            self._follow_convention(track)
+            self._follow_convention(grave=track.finding is not None and track.finding.grave)
         self.place.take(sample, result.missed, result.restart)
         return True
 
@@ -459,11 +459,11 @@ class ContactLearner:
             for part in parts:
                 adapter.learn(part)
 
-    def _follow_convention(self, track: MotionTrack) -> None:
+    def _follow_convention(self, *, grave: bool) -> None:
         """Stop judging a leg whose angles are not counted as described, or go on."""
-        if track.spoils and not self._misread:
+        if grave and not self._misread:
             self._let_go()
-        self._misread = track.spoils
+        self._misread = grave
         self.place.leg.misread = self._misread
 
     def _let_go(self) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptive_contact.conventions.judge import ConventionFinding
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.source import UNJUDGED_TURNS
 from adaptive_contact.detect.source_watch import SOURCE_CAUSES, RateWatch, SourceWatch
@@ -15,8 +16,8 @@ from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.detect.touch_point import PUSH_TICKS, TouchPoint, locate
-from adaptive_contact.diagnose.angle_watch import MotionTrack
-from adaptive_contact.diagnose.leg_ids import IdTrack
+from adaptive_contact.diagnose.leg_ids import Owner
+from adaptive_contact.diagnose.watch import Track
 from adaptive_contact.learn.adapter import Adapter, EventStatus
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import WhenAmbiguous
@@ -97,8 +98,8 @@ class LegReport:
 
     def __init__(
         self, leg: Leg, place: LegPlace, lifecycle: Lifecycle, guard: StreamGuard,
-        swing: SwingJudge, labels: SwingLabels, track: MotionTrack | None, ids: IdTrack | None,
-        when_ambiguous: WhenAmbiguous,
+        swing: SwingJudge, labels: SwingLabels, track: Track[ConventionFinding] | None,
+        ids: Track[Owner] | None, when_ambiguous: WhenAmbiguous,
     ) -> None:  # fmt: skip
         self._leg, self._place, self._lifecycle, self._guard = leg, place, lifecycle, guard
         self._swing, self._labels, self._track, self._ids = swing, labels, track, ids
@@ -283,12 +284,13 @@ class LegReport:
     def _note(self) -> str | None:
         """Return the most serious reason why the leg reports no contacts, for the operator."""
         adapter = self._adapter
+        ids = None if self._ids is None else self._ids.finding
         notes = (
             self.counters.fault_note,
             self._guard.note,
             self.rate.note,
             self.source.note,
-            None if self._ids is None else self._ids.note,
+            None if ids is None else ids.note,
             self._angles_note,
             self._swing.phase_unknown_note,
             self._lifecycle.note_now,

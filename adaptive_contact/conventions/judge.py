@@ -30,7 +30,15 @@ import numpy as np
 from adaptive_contact.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.conventions.rigid import BETTER, FLOOR, RIGID, Reading
 from adaptive_contact.conventions.sign_choices import SURE_SHARE, Alone, LegChoices
-from adaptive_contact.conventions.together import LAG_S, LOOSE, OPEN_RAD, SLOW_LAGS, Pairs, choose
+from adaptive_contact.conventions.together import (
+    LAG_S,
+    LOOSE,
+    OPEN_RAD,
+    SLOW_LAGS,
+    Pairs,
+    choose,
+    stands_of,
+)
 from adaptive_contact.notes import IN_ORDER, WRONG_WAY, ZEROS
 from adaptive_contact.robot.description import AngleFrame, Leg, Mount, Robot, angles_text
 
@@ -47,7 +55,6 @@ __all__ = [
 _UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
 _PUSHED: Final = "the foot is above its axis, and the ground pushes it down"
 _AGAINST: Final = "feet that stand move against each other, as they are described"
-# What every message of a finding has one of.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -328,7 +335,7 @@ def choose_signs(legs: Sequence[LegChoices], period_s: float) -> dict[str, Chose
     described = (0,) * len(legs)
     ticks = max(round(LAG_S / period_s), 1)
     for lag in (ticks, SLOW_LAGS * ticks):
-        pairs = Pairs(legs, lag)
+        pairs = Pairs(stands_of(legs, lag))
         before = _cost(pairs, described)
         if np.isfinite(before):
             break

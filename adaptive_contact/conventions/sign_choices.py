@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import Reading, Stream, pushed_up, standing
 from adaptive_contact.robot.description import Leg
@@ -211,15 +211,20 @@ class LegChoices:
 
     def carries(self, pattern: int, lag: int) -> bool:
         """Whether the ground pushes the foot up where it stands."""
-        at = np.flatnonzero(self.stands(pattern, lag))
+        at = self.stands(pattern, lag)
         read = self.chain.foot(self.readings[pattern].angles(self.motion.measured[at]))
         return pushed_up(self.chain.reach_m, self.height(pattern)[at], read[:, 2])
 
     # -- with others -----------------------------------------------------------------------------
 
-    def stands(self, pattern: int, lag: int) -> Mask:
-        """(n,) ticks in which the foot stands, and has for ``lag`` ticks."""
-        return standing(self.stream, self.height(pattern), lag, self._period_s)
+    def stands(self, pattern: int, lag: int) -> Ints:
+        """(m,) rows in which the foot stands, and has for ``lag`` ticks."""
+        return np.flatnonzero(standing(self.stream, self.height(pattern), lag, self._period_s))
+
+    def stood(self, place: Array, pattern: int, lag: int) -> tuple[Array, Ints]:
+        """Of (n, 3) places those where it stands and ``lag`` before, (m, 2, 3), and their ticks."""
+        rows = self.stands(pattern, lag)
+        return np.stack([place[rows], place[rows - lag]], axis=1), self.stream.grid[rows]
 
 
 def _median(values: Array) -> float:

@@ -7,9 +7,10 @@ open.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -52,25 +53,41 @@ OPEN_RAD: Final = 0.1
 ZERO_STARTS: Final = (0.0, -0.5, 0.5, -1.0, 1.0, -math.pi / 2, math.pi / 2)
 
 
+# Of leg i with pattern k, in ticks in which it stands: (m, 2, 3) m where its foot is and was on the
+# body, (m,) their number.
+Stands = Callable[[int, int], tuple[Array, Ints]]
+
+
+def stands_of(legs: Sequence[LegChoices], lag: int) -> Stands:
+    """Where legs stand under each of their patterns; ``lag``: ticks of a displacement."""
+
+    def stands(i: int, pattern: int) -> tuple[Array, Ints]:
+        leg = legs[i]
+        return leg.stood(on_body(leg.leg, leg.place(pattern)), pattern, lag)
+
+    return stands
+
+
 class Pairs:
     """rho² of pairs of legs, by the patterns of both, as it is asked for.
 
     Args:
-        legs: those that are compared.
-        lag: ticks of a displacement.
+        stands: the legs that are compared.
     """
 
-    def __init__(self, legs: Sequence[LegChoices], lag: int) -> None:
-        self.legs, self._lag = legs, lag
-        self._standing: dict[tuple[int, int], tuple[Array, Ints]] = {}
-        self._known: dict[tuple[int, int, int, int], tuple[float, float]] = {}
+    def __init__(self, stands: Stands) -> None:
+        self._pair = functools.cache(functools.partial(_compare, functools.cache(stands)))
 
     def cost(self, chosen: Sequence[int], i: int, least_partners: int = 2) -> float:
         """rho² of a leg with the others, weighed by how often they stand together.
 
         Infinite where it stands with too few.
         """
-        found = [self._pair(i, j, chosen[i], k) for j, k in enumerate(chosen) if j != i]
+        found = [
+            self._pair(i, j, chosen[i], k) if i < j else self._pair(j, i, k, chosen[i])
+            for j, k in enumerate(chosen)
+            if j != i
+        ]
         known = [(weight, ratio) for weight, ratio in found if weight > 0]
         if len(known) < least_partners:
             return np.inf
@@ -101,39 +118,21 @@ class Pairs:
         place = np.unravel_index(int(np.argmin(total)), total.shape)
         return [among[i][int(k)] for i, k in enumerate(place)]
 
-    def _pair(self, i: int, j: int, a: int, b: int) -> tuple[float, float]:
-        if i > j:
-            return self._pair(j, i, b, a)
-        key = (i, j, a, b)
-        if key not in self._known:
-            self._known[key] = self._compare(*key)
-        return self._known[key]
 
-    def _stands(self, i: int, pattern: int) -> tuple[Array, Ints]:
-        """Ticks in which a leg stands: (m, 2, 3) m where its foot is and was, (m,) their number."""
-        key = (i, pattern)
-        if key not in self._standing:
-            leg = self.legs[i]
-            rows = np.flatnonzero(leg.stands(pattern, self._lag))
-            place = on_body(leg.leg, leg.place(pattern))
-            both = np.stack([place[rows], place[rows - self._lag]], axis=1)
-            self._standing[key] = both, leg.stream.grid[rows]
-        return self._standing[key]
+def _compare(stands: Stands, i: int, j: int, a: int, b: int) -> tuple[float, float]:
+    """(weight, rho²) of legs i and j with patterns a and b; weight 0 where rho² is unknown.
 
-    def _compare(self, i: int, j: int, a: int, b: int) -> tuple[float, float]:
-        """(weight, rho²) of legs i and j with patterns a and b; weight 0 where rho² is unknown.
-
-        Legs that stand by turns meet in few ticks, those of a touch and a lift, which show little.
-        The weight is the square of the number of ticks.
-        """
-        (p, mine), (q, theirs) = self._stands(i, a), self._stands(j, b)
-        _, rows, columns = np.intersect1d(mine, theirs, return_indices=True)
-        count = len(rows)
-        if count < LEAST_ROWS:
-            return 0.0, np.inf
-        step = -(-count // MOST_ROWS)
-        ratio = rigidity(p[rows[::step]], q[columns[::step]])
-        return (float(count) ** 2, ratio) if np.isfinite(ratio) else (0.0, np.inf)
+    Legs that stand by turns meet in few ticks, those of a touch and a lift, which show little.
+    The weight is the square of the number of ticks.
+    """
+    (p, mine), (q, theirs) = stands(i, a), stands(j, b)
+    _, rows, columns = np.intersect1d(mine, theirs, return_indices=True)
+    count = len(rows)
+    if count < LEAST_ROWS:
+        return 0.0, np.inf
+    step = -(-count // MOST_ROWS)
+    ratio = rigidity(p[rows[::step]], q[columns[::step]])
+    return (float(count) ** 2, ratio) if np.isfinite(ratio) else (0.0, np.inf)
 
 
 def choose(legs: Sequence[LegChoices], period_s: float) -> dict[str, int]:
@@ -146,7 +145,7 @@ def choose(legs: Sequence[LegChoices], period_s: float) -> dict[str, int]:
     described = [0] * len(legs)
     ticks = max(round(LAG_S / period_s), 1)
     for lag in (ticks, SLOW_LAGS * ticks):
-        pairs = Pairs(legs, lag)
+        pairs = Pairs(stands_of(legs, lag))
         if all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
             break
     else:

@@ -15,23 +15,24 @@ of a left leg with its mirror image looks like a yaw of the wrong sign: both are
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Mask
-from adaptive_contact.detect.leg_batch import LegPlace
-from adaptive_contact.diagnose.kept_samples import KeptSamples
-from adaptive_contact.diagnose.standing_feet import LegRows, standing_feet
+from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.conventions.motion import LegMotion, control_ticks
+from adaptive_contact.detect.layout import KEPT
+from adaptive_contact.diagnose.standing_feet import StandingFeet
+from adaptive_contact.diagnose.watch import Watch
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.fit.train import cautious
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.window import stack
 from adaptive_contact.notes import SWAPPED
-from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot import Robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ServoSample
 
@@ -46,7 +47,6 @@ BETTER: Final = 1.04
 # with: in ten kinds of walks it is 0.83 to 1.08 times; of other robots of the kind 0.91 to 1.6, and
 # two legs of them are like two others' by chance.
 AT_HOME: Final = 1.1
-_ALL: Final = "*ids"
 
 
 class Owner(NamedTuple):
@@ -55,18 +55,34 @@ class Owner(NamedTuple):
     leg: str
     why: str
 
+    def agrees(self, other: Owner | None) -> bool:
+        """Whether another judgement has named the same leg."""
+        return other is not None and other.leg == self.leg
 
-def judge_fit(robot: Robot, baseline: Baseline, rows: Mapping[str, LegRows]) -> dict[str, Owner]:
+    @property
+    def note(self) -> str:
+        """One line for a person."""
+        return (
+            f"{SWAPPED} '{self.leg}': {self.why}; give legs the ids of robot.toml in the source, "
+            "or change them there"
+        )
+
+
+def judge_fit(
+    robot: Robot, baseline: Baseline, motions: Mapping[str, LegMotion]
+) -> dict[str, Owner]:
     """Compare every leg's residuals under its own and the others' baselines.
 
     Returns:
         By the name of the samples, the leg that they are of, where the models distinguish legs;
         the same name where the models show that it is right.
     """
-    errors: dict[str, dict[str, float]] = {}
-    for leg, of_leg in rows.items():
-        if leg in baseline.legs:
-            errors[leg] = _errors(robot, baseline, leg, of_leg)
+    ticks = control_ticks(motions, robot.period_s)
+    errors = {
+        leg: _errors(robot, baseline, leg, motion, ticks[leg])
+        for leg, motion in motions.items()
+        if leg in baseline.legs
+    }
     noise = {name: float(np.sqrt(np.mean(k.noise.rms**2))) for name, k in baseline.legs.items()}
     owners = {}
     for leg, under in errors.items():
@@ -102,17 +118,24 @@ def _circles(owners: Mapping[str, Owner]) -> dict[str, Owner]:
             del left[leg]
 
 
-def _errors(robot: Robot, baseline: Baseline, leg: str, rows: LegRows) -> dict[str, float]:
+def _errors(
+    robot: Robot, baseline: Baseline, leg: str, motion: LegMotion, ticks: Ints
+) -> dict[str, float]:
     """Root mean square of a leg's free residuals, rad, under every model of its library."""
     own = baseline.legs[leg].model
-    free = _free(robot.leg(leg), rows)
+    swing = motion.swing
+    if swing is None:
+        swing = infer_phase(motion.desired, robot.leg(leg))
+    if swing is None:
+        return {}
+    free = cautious(swing)
     theta, target = [], []
-    for part in np.split(np.arange(len(rows.seq)), np.flatnonzero(np.diff(rows.seq) != 1) + 1):
+    for part in np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) != 1) + 1):
         if len(part) <= own.library.window.length + 1:
             continue
-        cut = stack(rows.measured[part], rows.desired[part], own.library.window)
-        ticks = part[cut.tick]
-        use = np.flatnonzero(free[ticks] & free[np.minimum(ticks + 1, part[-1])])
+        cut = stack(motion.measured[part], motion.desired[part], own.library.window)
+        at = part[cut.tick]
+        use = np.flatnonzero(free[at] & free[np.minimum(at + 1, part[-1])])
         theta.append(own.library.evaluate(cut.measured[use], cut.desired[use], cut.preview[use]))
         target.append(cut.increment[use])
     if sum(map(len, target)) < LEAST_TICKS:
@@ -131,31 +154,31 @@ def _root(residuals: Array) -> float:
     return float(np.sqrt(squares[: math.ceil(0.95 * len(squares))].mean()))
 
 
-def _free(leg: Leg, rows: LegRows) -> Mask:
-    swing = rows.swing if rows.swing is not None else infer_phase(rows.desired, leg)
-    return np.zeros(len(rows.seq), dtype=bool) if swing is None else cautious(swing)
-
-
 def judge_ids(
-    robot: Robot, baseline: Baseline | None, rows: Mapping[str, LegRows]
+    robot: Robot, baseline: Baseline | None, motions: Mapping[str, LegMotion]
 ) -> dict[str, Owner]:
     """Find legs whose samples are another leg's.
 
     Returns:
         By the name that samples come under: the leg that they are of.
     """
-    known = {} if baseline is None else judge_fit(robot, baseline, rows)
+    known = {} if baseline is None else judge_fit(robot, baseline, motions)
     fitted = {leg: owner for leg, owner in known.items() if owner.leg != leg}
-    legs = [leg for leg in robot.legs if leg.id in rows and len(rows[leg.id].seq)]
-    places = standing_feet(legs, [rows[leg.id] for leg in legs], robot.period_s)
-    if places is None:
+    legs = [leg for leg in robot.legs if leg.id in motions]
+    if (
+        not 3 <= len(legs) <= 6
+        or len({leg.joint_axes for leg in legs}) > 1
+        or any(leg.chain is None or not leg.chain.is_straight for leg in legs)
+        or len({leg.mount for leg in legs}) < len(legs)
+    ):
         return fitted
-    if not fitted and places.rigid(range(len(legs))):  # as nearly always
+    places = StandingFeet(robot, motions)
+    if not fitted and places.rigid:  # as nearly always
         return {}
     orders = places.rigid_orders()
     if not orders:
         return fitted
-    ids = [leg.id for leg in legs]
+    ids = places.ids
     named = tuple(ids.index(fitted[leg].leg if leg in fitted else leg) for leg in ids)
     if fitted and named in orders:
         # Two legs may be like two others by chance; their feet then move against the rest.
@@ -181,108 +204,21 @@ def _either(names: Sequence[str]) -> str:
     return " or ".join(f"'{name}'" for name in names)
 
 
-@dataclasses.dataclass(frozen=True)
-class IdJob:
-    """Describes a judgement of whose samples come under each leg's name, for any process."""
-
-    leg: str
-    number: int
-    robot: Robot
-    baseline: Baseline | None
-    rows: Mapping[str, LegRows]
-
-    def run(self) -> dict[str, Owner]:
-        """Judge the samples."""
-        return judge_ids(self.robot, self.baseline, self.rows)
-
-
-class IdTrack:
-    """Follows whose samples come under one leg's name."""
-
-    def __init__(self, place: LegPlace, period_ns: int) -> None:
-        # the leg whose samples these are; None as long as they seem to be the leg's own
-        self.owner: Owner | None = None
-        self.suspected: Owner | None = None  # by the last judgement alone
-        self._place, self._period_ns = place, period_ns
-
-    @property
-    def rows(self) -> LegRows:
-        """Its newest samples."""
-        return rows_of(KeptSamples.of(self._place), self._period_ns)
-
-    @property
-    def note(self) -> str | None:
-        """One line for a person while the samples seem to be another leg's."""
-        return None if self.owner is None else note_of(self.owner)
-
-
-def rows_of(kept: KeptSamples, period_ns: int) -> LegRows:
-    """Number the samples of a leg by their time: legs need not count alike."""
-    ahead = round(int(kept.t_ns[0]) / period_ns) - kept.seq[0] if len(kept.seq) else 0
-    return LegRows(kept.seq + ahead, kept.measured, kept.desired, kept.swing)
-
-
-def note_of(owner: Owner) -> str:
-    """Write one line for a person on samples that seem to be another leg's."""
-    return (
-        f"{SWAPPED} '{owner.leg}': {owner.why}; give legs the ids of robot.toml in the source, or "
-        "change them there"
-    )
-
-
 def judge_recorded_ids(
     robot: Robot, samples: Mapping[str, Sequence[ServoSample]]
 ) -> dict[str, str]:
     """Write one line for each leg whose recorded samples seem to be another leg's."""
-    rows = {
-        leg: rows_of(KeptSamples.first(of_leg), round(robot.period_s * 1e9))
-        for leg, of_leg in samples.items()
-        if of_leg
-    }
-    return {leg: note_of(owner) for leg, owner in judge_ids(robot, None, rows).items()}
+    motions = {leg: LegMotion.of_samples(own[:KEPT]) for leg, own in samples.items() if own}
+    return {leg: owner.note for leg, owner in judge_ids(robot, None, motions).items()}
 
 
-class IdWatch:
-    """Judges, when it is time, whose samples come under each leg's name."""
+class IdWatch(Watch[Owner]):
+    """Watches whose samples come under each leg's name."""
 
     def __init__(self, robot: Robot, baseline: Baseline | None, refitter: Refitter) -> None:
-        self._robot, self._baseline, self._refitter = robot, baseline, refitter
-        self._tracks: dict[str, IdTrack] = {}
-        self._times = [round(time / robot.period_s) for time in TIMES_S]
-        self._ticks = self._jobs = 0
-        self._pending: int | None = None
+        judge = functools.partial(judge_ids, robot, baseline)
+        super().__init__(robot, refitter, "*ids", TIMES_S, judge)
 
-    def track(self, leg: Leg, place: LegPlace) -> IdTrack | None:
-        """Make the track of a described leg with arrays."""
-        if leg.id not in self._robot.leg_ids:
-            return None
-        self._tracks[leg.id] = IdTrack(place, round(self._robot.period_s * 1e9))
-        return self._tracks[leg.id]
-
-    def look(self) -> None:
-        """Judge, if it is time after this tick, and take a judgement when it is there."""
-        self._ticks += 1
-        if self._pending is not None:
-            owners = self._refitter.collect(_ALL, self._pending)
-            if owners is None:
-                return
-            assert isinstance(owners, dict)
-            self._pending = None
-            self._conclude(owners)
-        if not self._times or self._ticks < self._times[0]:
-            return
-        del self._times[0]
-        self._jobs += 1
-        self._pending = self._jobs
-        every = {leg: track.rows for leg, track in self._tracks.items()}
-        rows = {leg: of_leg for leg, of_leg in every.items() if len(of_leg.seq)}
-        self._refitter.submit(IdJob(_ALL, self._jobs, self._robot, self._baseline, rows))
-
-    def _conclude(self, owners: Mapping[str, Owner]) -> None:
+    def _conclude(self, found: Mapping[str, Owner]) -> None:
         for leg, track in self._tracks.items():
-            found = owners.get(leg)
-            if found is None:
-                track.owner = None
-            elif track.suspected is not None and found.leg == track.suspected.leg:
-                track.owner = found
-            track.suspected = found
+            track.take(found.get(leg), right=leg not in found)

@@ -19,9 +19,7 @@ from typing import Final
 import numpy as np
 import structlog
 
-from adaptive_contact.conventions.judge import Verdict
-from adaptive_contact.diagnose.angle_watch import ConventionJob
-from adaptive_contact.diagnose.leg_ids import IdJob
+from adaptive_contact.diagnose.watch import MotionJob
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult
 from adaptive_contact.service.refit_process import (
@@ -187,8 +185,4 @@ def result_of_lost(job: Job) -> object:
     if isinstance(job, RefitJob):
         empty = np.zeros((job.fit.terms, job.fit.outputs))
         return RefitResult(job.number, FitStatus.LOST, empty, 0.0, float("nan"))
-    if isinstance(job, ConventionJob):
-        return Verdict()
-    if isinstance(job, IdJob):
-        return {}
-    return None
+    return job.judge({}) if isinstance(job, MotionJob) else None

@@ -9,10 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.detect.history import MAX_STEP_RAD_S
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
-from adaptive_contact.diagnose.leg_ids import IdTrack, IdWatch, judge_ids
-from adaptive_contact.diagnose.standing_feet import LegRows
+from adaptive_contact.diagnose.leg_ids import IdWatch, Owner, judge_ids
+from adaptive_contact.diagnose.watch import Track
 from adaptive_contact.fit.refit_job import InlineRefitter
 from adaptive_contact.model import leg_library
 from adaptive_contact.model.library import with_changes
@@ -30,7 +31,7 @@ def place_of(robot: Robot, leg: Leg) -> LegPlace:
     return LegPlace(LegBatch([leg], library, [0.005], PERIOD_NS, max_step=MAX_STEP_RAD_S * 0.02))
 
 
-def commands_of(robot: Robot, seed: int) -> dict[str, LegRows]:
+def commands_of(robot: Robot, seed: int) -> dict[str, LegMotion]:
     """Commands of legs that stand on a body which moves and turns; found by Newton steps."""
     at = np.random.default_rng(seed).uniform(0.0, 6.0, 3) + np.arange(TICKS)[:, None] * 0.05
     way = 0.02 * np.sin(at[:, :2] * [1.0, 0.7])
@@ -64,7 +65,7 @@ def commands_of(robot: Robot, seed: int) -> dict[str, LegRows]:
         desired = np.array(rows)
         standing = np.zeros(TICKS, dtype=bool)
         lifted = desired + np.array([0.0, 0.02, 0.0])  # the ground holds the foot up
-        found[leg.id] = LegRows(np.arange(TICKS), lifted, desired, standing)
+        found[leg.id] = LegMotion(np.arange(TICKS) * PERIOD_NS, lifted, desired, standing)
     return found
 
 
@@ -106,7 +107,7 @@ def test_nothing_is_said_without_mounts_or_of_legs_that_hang() -> None:
     assert judge_ids(robot, None, hung) == {}
     for leg in rows:  # each to and fro by itself
         wild = np.cumsum(rng.normal(0.0, 0.01, (TICKS, 3)), axis=0)
-        rows[leg] = LegRows(np.arange(TICKS), wild, wild, np.zeros(TICKS, dtype=bool))
+        rows[leg] = LegMotion(rows[leg].t_ns, wild, wild, np.zeros(TICKS, dtype=bool))
     assert judge_ids(robot, None, rows) == {}
 
 
@@ -119,7 +120,7 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
     watch = IdWatch(robot, None, InlineRefitter())
     legs: dict[str, Leg] = {leg.id: leg for leg in robot.legs}
     places = {name: place_of(robot, leg) for name, leg in legs.items()}
-    tracks: dict[str, IdTrack] = {}
+    tracks: dict[str, Track[Owner]] = {}
     for name, leg in legs.items():
         track = watch.track(leg, places[name])
         assert track is not None
@@ -138,6 +139,6 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
             places[name].take(sample, 0, k == 0)
             places[name].batch.judge()
         watch.look()
-        said.append([name for name, track in tracks.items() if track.note is not None])
+        said.append([name for name, track in tracks.items() if track.finding is not None])
     assert said[900] == []  # after one judgement
     assert said[-1] == [a, b]

@@ -63,7 +63,8 @@ def classes() -> Iterator[type]:
                 frozen = getattr(getattr(kind, "__dataclass_params__", None), "frozen", False)
                 made = inspect.isfunction(vars(kind).get("__init__")) and not frozen
                 protocol = getattr(kind, "_is_protocol", False) or issubclass(kind, Exception)
-                if kind.__module__ == module.__name__ and made and not protocol:
+                whole = made and not protocol and not inspect.isabstract(kind)
+                if kind.__module__ == module.__name__ and whole:
                     yield kind
 
 
