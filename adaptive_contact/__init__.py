@@ -1,4 +1,4 @@
-"""Foot contacts from servo positions alone.
+"""Detects foot contacts from servo positions alone.
 
 Without Zenoh::
 

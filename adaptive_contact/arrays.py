@@ -1,4 +1,4 @@
-"""Types of arrays, for annotations, and numpy for modules that need it in a few functions only."""
+"""Defines types of arrays, and imports numpy late for modules that rarely need it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Durations as people write them: ``600``, ``90s``, ``10m``, ``1h30m``, ``500ms``."""
+"""Reads and writes durations: ``600``, ``90s``, ``10m``, ``1h30m``, ``500ms``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one exception tree of the project.
+"""Defines the one exception tree of the project.
 
 ::
 

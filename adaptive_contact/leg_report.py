@@ -1,4 +1,4 @@
-"""What is reported of one leg: its events, its status, and the note on what stops it."""
+"""Reports one leg: its events, its status, and the note on what stops it."""
 
 from __future__ import annotations
 

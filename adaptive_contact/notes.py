@@ -1,4 +1,4 @@
-"""Words by which programs know what a learner's note is about."""
+"""Defines the words by which programs recognise what a learner's note is about."""
 
 from __future__ import annotations
 

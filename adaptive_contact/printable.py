@@ -1,4 +1,4 @@
-r"""Text for people: what came over the wire or out of a file is shown, never obeyed.
+r"""Makes text from the wire or from files safe to show.
 
 A key, a note or an encoding may hold any character.  Terminals obey C0 and C1 control characters,
 and readers are misled by marks that change the direction of writing.  All of them are shown as

@@ -1,4 +1,4 @@
-"""Running before, or behind, the other work of a computer."""
+"""Sets a process' priority before, or behind, the other work of a computer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dynamixel buses: packets, control tables, a driver over the DynamixelSDK, and the control cycle.
+"""Drives Dynamixel buses: packets, control tables, the DynamixelSDK, the control cycle.
 
 Only this package imports dynamixel_sdk and serial, and of it only :mod:`.port` and :mod:`.bus`:
 packets and tables are plain data, which the virtual bus of the simulator uses too.  Nothing here

@@ -1,4 +1,4 @@
-"""A Dynamixel bus over the real DynamixelSDK: ping, read, write, with a result per servo.
+"""Reads and writes a Dynamixel bus over the DynamixelSDK, with a result per servo.
 
 What the SDK's packet handlers get wrong (docs/bridge.md lists it) is worked around here: packets
 are taken one by one, and the length that each gives is checked.  AX servos know no sync read: each

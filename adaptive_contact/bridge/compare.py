@@ -1,4 +1,4 @@
-"""Compare servos' registers: what differs among servos of a model, and what shapes their motion.
+"""Compares servos' registers: what differs among servos of a model, what shapes their motion.
 
 A leg's model is learned from its motion, and its slope is one number for the whole robot.  A servo
 that is set differently from the others is often one that was replaced; a limit on speed or

@@ -1,4 +1,4 @@
-"""One control tick of a port: read, command, sample.
+"""Runs one control tick of a port: read, command, sample.
 
 In *observe* mode nothing is ever written: goals are read along with the positions.  In *drive*
 mode goals and positions are read first, then the newest commands are limited and written with one

@@ -1,4 +1,4 @@
-"""Ask a bus who is there, and make a robot description of it."""
+"""Asks a bus which servos answer, and makes a robot description of them."""
 
 from __future__ import annotations
 

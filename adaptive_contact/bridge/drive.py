@@ -1,4 +1,4 @@
-"""From commands to goals: never a movement that no command asked for.
+"""Turns commands into goals: never a movement that no command asked for.
 
 When a leg moves, at which pace, and what must have been read before a servo is written a goal:
 docs/bridge.md, "Observe and drive"; why: decision 25.

@@ -1,4 +1,4 @@
-"""Check servos before a bridge starts: are they all there, the right ones, and set rightly?
+"""Checks servos before a bridge starts: missing, wrong, or wrongly set.
 
 One message reports everything that is wrong, and nothing because of one answer alone; what is
 looked for, and what ``configure`` writes: docs/bridge.md, "The handshake".

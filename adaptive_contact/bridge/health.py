@@ -1,4 +1,4 @@
-"""Health of each servo: counts faults, asks silent servos less often, reports stale readings.
+"""Follows each servo's health: counts faults, asks silent servos less often, finds stale readings.
 
 A servo that does not answer costs its timeout.  After a few such cycles it is asked once in a
 while only, so that the others keep their rate; with its first answer it is back.

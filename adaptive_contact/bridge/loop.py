@@ -1,4 +1,4 @@
-r"""A port's process: ticks on an even grid, outages survived, status once a second.
+r"""Runs a port's process: ticks on an even grid, outages survived, status once a second.
 
 Reading right after another controller's writes.
 

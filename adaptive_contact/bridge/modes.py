@@ -1,4 +1,4 @@
-r"""How a servo follows goals, off its registers: modes, limits, offsets, and position gain.
+r"""Reads from registers how a servo follows goals: modes, limits, offsets, position gain.
 
 Which modes are driven, observed or refused, and why: docs/bridge.md, "Modes and limits".  A servo
 of protocol 1.0, or an XL-320, is judged by its limits, any other by its operating mode.

@@ -1,4 +1,4 @@
-r"""Packets of both Dynamixel protocols: instructions, errors, and frames cut out of the bytes.
+r"""Encodes and decodes packets of both Dynamixel protocols.
 
 Protocol 1.0: ``FF FF id length code parameters checksum``.
 

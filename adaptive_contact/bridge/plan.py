@@ -1,4 +1,4 @@
-"""From a robot's description to what each port's process has to do."""
+"""Plans, from a robot's description, what each port's process has to do."""
 
 from __future__ import annotations
 

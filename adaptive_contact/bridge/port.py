@@ -1,4 +1,4 @@
-"""The DynamixelSDK's port, with what it gets wrong put right: docs/bridge.md lists it.
+"""Wraps the DynamixelSDK's port and corrects its faults; docs/bridge.md lists them.
 
 What its packet handlers get wrong is worked around in :mod:`adaptive_contact.bridge.bus`.
 

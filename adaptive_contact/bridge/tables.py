@@ -1,4 +1,4 @@
-"""Control tables as data: where each model keeps what the bridge reads and writes.
+"""Holds control tables as data: where each model keeps what the bridge reads and writes.
 
 The data is ``servos.toml``, beside this file.  Addresses, sizes, units and model numbers were
 compared, register by register, with

@@ -1,4 +1,4 @@
-r"""Movements to learn a leg from: free swings between random poses, gentle at both ends.
+r"""Generates movements to learn a leg from: free swings between random poses.
 
 A leg goes from a low pose to a high one and back, over and over, each leg at its own pace.  Poses
 are drawn around the one it was found in, within an amplitude and the joints' limits; between them

@@ -1,4 +1,4 @@
-"""The edges to the network: where samples and statuses go, and where commands come from."""
+"""Connects the bridge to the network: samples and statuses out, commands in."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Checks of what a source sends: one file per fault."""
+"""Checks what a source sends: one file per fault."""

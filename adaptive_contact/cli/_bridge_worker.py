@@ -1,4 +1,4 @@
-"""One port's process: the bridge's loop on one side, Zenoh on the other."""
+"""Runs one port's process: the bridge's loop on one side, Zenoh on the other."""
 
 from __future__ import annotations
 

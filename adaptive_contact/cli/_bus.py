@@ -1,4 +1,4 @@
-"""What commands need that use servos on a bus: which robot, which ports, a handshake."""
+"""Prepares commands that use servos on a bus: robot, ports, handshake."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A command of this project in a process of its own, ended by its id whatever happens."""
+"""Runs a command of this project in its own process, and ends it by its id."""
 
 from __future__ import annotations
 

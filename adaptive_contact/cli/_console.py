@@ -1,4 +1,4 @@
-"""The console for tables: text of the wire and of files is shown there, never obeyed."""
+"""Prints tables; text of the wire and of files is shown, never interpreted."""
 
 from __future__ import annotations
 

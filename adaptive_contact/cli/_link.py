@@ -1,4 +1,4 @@
-"""The link of a command that runs until Ctrl-C: how it is opened, and how it is left."""
+"""Opens and closes the link of a command that runs until Ctrl-C."""
 
 from __future__ import annotations
 

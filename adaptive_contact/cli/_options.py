@@ -1,4 +1,4 @@
-"""Options that several commands share, so that each is spelled and explained once."""
+"""Defines options that several commands share."""
 
 from __future__ import annotations
 

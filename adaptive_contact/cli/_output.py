@@ -1,4 +1,4 @@
-"""Standard output and standard error: what is said there, and what becomes of it.
+"""Writes to standard output and standard error, and handles their failures.
 
 Text of the wire and of files is shown, never obeyed: all lines for people go through :func:`say`.
 Where a stream cannot be written, for a full disk or a reader that is gone:

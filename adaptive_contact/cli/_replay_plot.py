@@ -1,4 +1,4 @@
-"""Pictures of a replay: per leg stance, contact and truth, test ratio, misses, and the joints.
+"""Draws a replay: per leg stance, contact and truth, test ratio, misses, and the joints.
 
 HTML is one file without anything from elsewhere, to zoom into.  Its size is bounded: where a
 recording is long, ticks are drawn together by their largest test ratio, so that no peak is lost.

@@ -1,4 +1,4 @@
-"""``adaptive-contact robot check``: every joint as it is now, by its bus or by its samples."""
+"""Runs ``robot check``: every joint as it is now, by its bus or by its samples."""
 
 from __future__ import annotations
 

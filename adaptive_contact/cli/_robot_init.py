@@ -1,4 +1,4 @@
-"""Behind ``robot init``: a description from a bus, from a URDF, from answers, or from them all."""
+"""Runs ``robot init``: a description from a bus, a URDF, answers, or all of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact robot learn``: swing the legs, keep what was read, fit it, say how good."""
+"""Runs ``robot learn``: swings the legs, records, fits, and judges the fit."""
 
 from __future__ import annotations
 

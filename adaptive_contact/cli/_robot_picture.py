@@ -1,4 +1,4 @@
-"""The robot from above and every leg from the side, as description and readings say, in an SVG.
+"""Draws the robot from above and every leg from the side, as an SVG.
 
 Beside each joint: a dashed line where its zero is, and an arrow the way its angle grows.
 """

@@ -1,4 +1,4 @@
-"""Signals that end a command."""
+"""Handles the signals that end a command."""
 
 from __future__ import annotations
 

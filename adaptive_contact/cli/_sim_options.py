@@ -1,4 +1,4 @@
-"""Options of ``adaptive-contact sim``, and what its commands share."""
+"""Defines options of ``sim``, and what its commands share."""
 
 from __future__ import annotations
 

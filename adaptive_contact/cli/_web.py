@@ -1,4 +1,4 @@
-"""The live page on the command line: its options, its one line, and the browser."""
+"""Adds the live page to a command: its options, its line of output, the browser."""
 
 from __future__ import annotations
 

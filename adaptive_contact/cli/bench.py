@@ -1,4 +1,4 @@
-"""``adaptive-contact bench``: the headline figures and the speeds, reproduced."""
+"""Defines ``adaptive-contact bench``: reproduces the headline figures and the speeds."""
 
 from __future__ import annotations
 

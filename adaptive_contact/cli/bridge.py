@@ -1,4 +1,4 @@
-"""``adaptive-contact bridge``: servos on Zenoh, real and virtual; the robot in other programs."""
+"""Defines ``adaptive-contact bridge``: servos on Zenoh, real and virtual; ROS 2; Foxglove."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact demo``: the whole thing in a minute.
+"""Defines ``adaptive-contact demo``: service and simulator for a minute, with a report.
 
 ``serve``, ``record`` and ``sim walk`` run as processes of their own; half way through, one leg of
 the robot drifts.  What was recorded is then judged by the rules of ``score``, drawn as ``replay

@@ -1,4 +1,4 @@
-"""``adaptive-contact doctor``: what is on the wire, and what looks wrong."""
+"""Defines ``adaptive-contact doctor``: names what looks wrong on the wire."""
 
 from __future__ import annotations
 

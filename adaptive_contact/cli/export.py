@@ -1,4 +1,4 @@
-"""``adaptive-contact export``: a recording for pandas, sheets, ROS 2; an older one for Foxglove."""
+"""Defines ``adaptive-contact export``: a recording for pandas, sheets, ROS 2, Foxglove."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact fit``: a baseline from recordings."""
+"""Defines ``adaptive-contact fit``: a baseline from recordings."""
 
 from __future__ import annotations
 

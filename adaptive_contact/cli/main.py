@@ -1,4 +1,4 @@
-"""``adaptive-contact``: one thin file per command, gathered here.
+"""Gathers the commands of ``adaptive-contact``, one thin file each.
 
 Command files import what takes long inside the function, so that ``--help`` and every command
 that does not fit starts without PySINDy (1.6 s), MuJoCo or matplotlib.

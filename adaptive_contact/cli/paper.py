@@ -1,4 +1,4 @@
-"""``adaptive-contact paper``: every experiment of the paper, and ours beside them."""
+"""Defines ``adaptive-contact paper``: every experiment of the paper, and ours beside them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact record``: what goes over the wire, into an MCAP file or several."""
+"""Defines ``adaptive-contact record``: the wire into an MCAP file or several."""
 
 from __future__ import annotations
 

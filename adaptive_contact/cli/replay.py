@@ -1,4 +1,4 @@
-"""``adaptive-contact replay``: a recording onto the wire, or straight through the learners."""
+"""Defines ``adaptive-contact replay``: a recording onto the wire, or through the learners."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact robot``: a new robot, from its bus to a baseline."""
+"""Defines ``adaptive-contact robot``: a new robot, from its bus to a baseline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact scenarios``: what the learner does when a leg changes, measured."""
+"""Defines ``adaptive-contact scenarios``: how the learner follows a leg that changes."""
 
 from __future__ import annotations
 

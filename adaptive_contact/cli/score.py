@@ -1,4 +1,4 @@
-"""``adaptive-contact score``: contact events against the simulator's truth."""
+"""Defines ``adaptive-contact score``: contact events against the simulator's truth."""
 
 from __future__ import annotations
 

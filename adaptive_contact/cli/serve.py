@@ -1,4 +1,4 @@
-"""``adaptive-contact serve``: the service."""
+"""Defines ``adaptive-contact serve``: the service."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact sim``: the simulated robot, and its shipped baseline learned again."""
+"""Defines ``adaptive-contact sim``: the simulated robot, and its baseline learned again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``adaptive-contact state``: what the service has kept of its learners."""
+"""Defines ``adaptive-contact state``: shows or removes what the service has learned."""
 
 from __future__ import annotations
 

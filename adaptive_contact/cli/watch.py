@@ -1,4 +1,4 @@
-"""``adaptive-contact watch``: a live table of a running service."""
+"""Defines ``adaptive-contact watch``: a live table of a running service."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Are a robot's angles counted as it is described: signs, zeros, order of joints."""
+"""Checks whether signs, zeros and order of a robot's joints are as described."""

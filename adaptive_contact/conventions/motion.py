@@ -1,4 +1,4 @@
-"""What the legs of a robot did: samples as arrays, and the control tick of each."""
+"""Holds the motion of a robot's legs: samples as arrays, and the control tick of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""Feet that stand do not move against each other, whatever the body does over them.
+r"""Tests whether standing feet keep their distances, whatever the body does over them.
 
 With the legs' mounts known, the distance of two standing feet is constant.  How far commanded feet
 break that is

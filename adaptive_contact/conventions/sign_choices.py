@@ -1,4 +1,4 @@
-"""One leg's angles under every choice of signs, and what it shows by itself.
+"""Computes one leg's angles under every choice of signs, and their plausibility.
 
 A leg that walks is below its axis, and higher in its swings than where it stands; the ground
 pushes it up.  Where that is turned round, all its pitch angles are.

@@ -1,4 +1,4 @@
-"""Which signs, order and zeros of all legs' joints explain how they move together.
+"""Finds signs, order and zeros of all legs' joints that explain how they move together.
 
 Feet that stand do not move against each other (``rigid.py``).  First signs
 are tried, then another order of joints, then zeros.  What more than one choice explains is left

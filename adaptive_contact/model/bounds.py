@@ -1,4 +1,4 @@
-"""Bounds of the numbers that a baseline or a kept state may hold.
+"""Bounds the numbers that a baseline or a saved state may hold.
 
 What lies beyond is no leg's; it would overflow, or silence the detection.  Beside each stands what
 the shipped baselines and that of a real robot have.

@@ -1,4 +1,4 @@
-"""What is known of the robot: its description, and the geometry of its legs."""
+"""Describes the robot: its description, and the geometry of its legs."""
 
 from __future__ import annotations
 

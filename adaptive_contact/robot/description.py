@@ -1,4 +1,4 @@
-r"""What a robot is said to be: its legs, their joints, servos and ports, and how it counts angles.
+r"""Defines a robot's description: legs, joints, servos, ports, and the convention of angles.
 
 A description is frozen, and checked once, on load (:mod:`adaptive_contact.robot.load`).
 

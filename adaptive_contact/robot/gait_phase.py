@@ -1,4 +1,4 @@
-"""Swing and stance from the commands alone, for controllers that do not report them.
+"""Infers swing and stance from the commands alone.
 
 The commanded foot height in the leg's frame decides: a swing begins when it rises out of the
 recent low, and ends when, after a descent, it stops changing.  Only commands are used: a leg

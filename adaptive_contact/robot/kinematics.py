@@ -1,4 +1,4 @@
-r"""Geometry of a leg: a chain of joints, each with an axis and the way to the next.
+r"""Computes the geometry of a leg: a chain of joints, each with an axis and an origin.
 
 Angles :math:`q` (J,) rad; the leg's frame has x along its zero direction, z up.  With all angles 0,
 joint i turns about the unit vector :math:`a_i`, and :math:`o_i` leads from it to the next joint,

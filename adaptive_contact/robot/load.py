@@ -1,4 +1,4 @@
-"""Robots read from TOML, with errors that say what is wrong where and what is expected there.
+"""Reads robots from TOML; errors say what is wrong where, and what is expected there.
 
 Only ``name``, ``period_s`` and the legs' ids and joints are needed; all else is optional.
 """

@@ -1,4 +1,4 @@
-r"""Legs from a URDF: joints, axes, origins and limits, by the links that are the feet.
+r"""Reads legs from a URDF: joints, axes, origins and limits, by the links that are the feet.
 
 Only the standard library's XML parser is used, and of the file only its links and joints: no mesh
 is opened, no package is resolved, nothing is loaded from anywhere.  Documents with a DOCTYPE, and

@@ -1,4 +1,4 @@
-"""A robot description as TOML, with comments that say what is still to be filled in."""
+"""Writes a robot description as TOML, with comments on what is still to be filled in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ROS 2 without ROS: what its messages, keys and bags mean for the legs of a robot.
+"""Joins ROS 2 without ROS: messages, keys and bags for the legs of a robot.
 
 Pure of any network: :mod:`adaptive_contact.service.ros2` sends and receives, and
 :mod:`adaptive_contact.service.recording` reads bags.  Only :mod:`adaptive_contact.ros2.types` needs

@@ -1,4 +1,4 @@
-"""Contacts as a bag of ROS 2 (rosbag2, MCAP), on the topics of the gateway.
+"""Writes contacts as a bag of ROS 2 (rosbag2, MCAP), on the topics of the gateway.
 
 Joint states and, from a simulator or foot switches, the truth go with them.  Needs rosbags (the
 extra ``ros2``).

@@ -1,4 +1,4 @@
-"""From messages of ROS 2 to the samples of legs, live and from a bag.
+"""Turns messages of ROS 2 into samples of legs, live and from a bag.
 
 A ``JointTrajectoryControllerState`` holds what a sample needs: ``feedback`` was read and
 ``reference`` is written in one update of the controller.  A ``JointState`` holds readings; the

@@ -1,4 +1,4 @@
-"""What was not used of ROS 2's messages: counted by topic and reason, and said now and then."""
+"""Counts messages of ROS 2 that were not used, by topic and reason, and reports them."""
 
 from __future__ import annotations
 

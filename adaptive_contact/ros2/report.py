@@ -1,4 +1,4 @@
-"""What ROS 2 receives of contacts and learners, as messages of its own types."""
+"""Encodes contacts and learner statuses as messages of ROS 2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Types of messages, keys, liveliness tokens and attachments of rmw_zenoh.
+"""Encodes types, keys, liveliness tokens and attachments of rmw_zenoh.
 
 A topic is published on ``<domain>/<topic>/<type>/<type hash>``.  Every node, publisher and
 subscription shows itself by a liveliness token under ``@ros2_lv``.  A message carries an

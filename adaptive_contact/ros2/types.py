@@ -1,4 +1,4 @@
-"""Message types of ROS 2: definitions, hashes, CDR.  Needs rosbags (the extra ``ros2``).
+"""Defines message types of ROS 2: definitions, hashes, CDR.  Needs rosbags (extra ``ros2``).
 
 rosbags brings the common interfaces.  Those of control_msgs are defined here by their fields, as
 hash and layout follow from these alone.  ``JointTrajectoryControllerState`` has had four

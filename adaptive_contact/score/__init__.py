@@ -1,4 +1,4 @@
-"""Events against truth: recall, latency, precision, false alarms per robot-hour.
+"""Scores events against truth: recall, latency, precision, false alarms per robot-hour.
 
 The rules are in ``docs/scoring.md``.  With arrays: a :class:`LegStream` and a detector's
 :class:`Events` go into :func:`match`, its outcomes into :func:`summarise`.  With messages:

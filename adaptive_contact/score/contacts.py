@@ -1,4 +1,4 @@
-"""From the simulator's truth to contacts: when a leg touched, and when it let go.
+"""Derives contacts from the simulator's truth: when a leg touched, and when it let go.
 
 The truth stream carries changes of state.  A contact begins when the force passes 0.5 N after at
 least 60 ms in the air, so that chatter is one contact; the simulator knows the force at every step

@@ -1,4 +1,4 @@
-"""Events of one leg against its contacts: touches found and missed, false alarms.
+"""Matches events of one leg to its contacts: touches found and missed, false alarms.
 
 The rules of ``docs/scoring.md``.  In short: an event belongs to the touch that it follows most
 closely, so that a window ends where the next touch begins.  The first ``contact: true`` in the

@@ -1,4 +1,4 @@
-"""What goes into a score, and what comes out, per leg: tables of touches and swings."""
+"""Holds input and outcome of a score, per leg: tables of touches and swings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording, scored: every leg's events against its truth.
+"""Scores a recording: every leg's events against its truth.
 
 The composition of this package for those who have messages; those who have arrays call
 :func:`~adaptive_contact.score.matching.match` and

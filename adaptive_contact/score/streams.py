@@ -1,4 +1,4 @@
-"""From messages to what is scored: samples, truth and events per leg, as arrays.
+"""Collects from messages what is scored: samples, truth and events per leg, as arrays.
 
 Samples are taken in one at a time and kept as plain numbers, 50 bytes each: ten hours of six legs
 fit in half a gigabyte.

@@ -1,4 +1,4 @@
-r"""The figures of a score: recall per row, latency, precision, false alarms, swings to recovery.
+r"""Computes the figures of a score: recall per row, latency, precision, false alarms, recovery.
 
 Intervals of shares and rates are exact: Clopper and Pearson, *The use of confidence or fiducial
 limits illustrated in the case of the binomial*, Biometrika 26 (1934), in terms of the incomplete

@@ -1,4 +1,4 @@
-"""A score as a table for a person, and as JSON for a program."""
+"""Formats a score as a table for people, and as JSON for programs."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The Zenoh shell around the learners: link, intake, server, watch, doctor, record, replay."""
+"""Runs the learners behind Zenoh: link, intake, server, watch, doctor, record, replay."""

@@ -1,4 +1,4 @@
-"""What needs a person now, with what to do: the banner over the live page.
+"""Lists what needs a person now, with what to do: the banner of the live page.
 
 ``doctor`` looks for three seconds at everything on the wire; this looks at what the service says of
 itself and of its legs, as often as it says it.  One cause is one entry, as there.

@@ -1,4 +1,4 @@
-"""What is on the wire, and what looks wrong: the examination behind ``doctor``.
+"""Examines what is on the wire, for ``doctor``.
 
 :class:`Examination` takes messages in for a few seconds; :func:`diagnose` then judges.  Neither
 knows the network: :func:`examine` does.

@@ -1,4 +1,4 @@
-"""Contact events on their way out, on a thread of their own.
+"""Publishes contact events, on a thread of its own.
 
 An event is put reliably, so links that take nothing any more hold the put up, until the service
 drops them (:mod:`adaptive_contact.service.sockets`).  The learners must not wait for that: the

@@ -1,4 +1,4 @@
-"""What ``doctor`` and ``fit`` find: one cause, one entry.
+"""Merges the faults that ``doctor`` and ``fit`` find: one cause, one entry.
 
 A check reports each :class:`Fault` with its :class:`Cause`.  :func:`entries` then leaves out what
 another cause of the same leg explains, and puts all legs of a cause into one :class:`Finding`.

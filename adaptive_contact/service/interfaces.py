@@ -1,4 +1,4 @@
-"""What passes over a link: plain values.  Imports no zenoh."""
+"""Defines the values that pass over a link.  Imports no zenoh."""
 
 from __future__ import annotations
 

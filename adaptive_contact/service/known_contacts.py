@@ -1,4 +1,4 @@
-"""Which contacts of a running service are known, for programs that show them or pass them on.
+"""Follows which contacts of a running service are known, for programs that show them.
 
 A contact holds while samples of its leg come, and while the service says so.  The service itself
 withdraws the contact of a leg that falls silent, by an event.  Where the service is gone, stands

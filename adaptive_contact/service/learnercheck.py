@@ -1,4 +1,4 @@
-"""What the learners' own statuses say is wrong, of one leg and of all together."""
+"""Finds faults in the learners' statuses, of one leg and of all together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One leg's place in the service: which samples are used, its publishers, its token, its silence.
+"""Keeps one leg's place in the service: samples in use, publishers, token, silence.
 
 A learner counts what it refuses; to read that takes a whole status (70 µs), too much for every
 sample.  So a guard like the learner's own judges here first (2 µs): given the same samples, and

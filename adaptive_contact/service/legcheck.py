@@ -1,4 +1,4 @@
-"""What a leg's servo stream looks like from outside, and what is wrong with it.
+"""Finds faults in a leg's stream of servo samples.
 
 Works on the samples of a few seconds, or of a recording; needs no service and no model.  Each fault
 says what was seen, what was expected, and what to do.

@@ -1,4 +1,4 @@
-"""Whether samples mean what their robot's description says: the examination of ``check --live``.
+"""Checks whether samples fit their robot's description, for ``robot check --live``.
 
 Works on the samples of any source.  Where a robot walks, signs, order and zeros are judged from its
 motion (:mod:`adaptive_contact.conventions.judge`).  Where it hangs or stands, its owner moves one

@@ -1,4 +1,4 @@
-"""Structured logs on stderr: `key=value` lines for people, JSON lines for machines; throttled."""
+"""Writes structured logs to stderr: ``key=value`` lines or JSON lines; throttled."""
 
 from __future__ import annotations
 

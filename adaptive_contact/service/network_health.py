@@ -1,4 +1,4 @@
-"""What is around the service: its router, other services, and samples on keys without a reader.
+"""Watches what is around the service: router, other services, keys without a reader.
 
 Two services on one network give every event twice, and are never wanted; nothing on the wire
 stops them, so each listens for the status of others and says that they are there.

@@ -1,4 +1,4 @@
-"""A recording read as that of one robot: its keys understood, and what is wrong with it named.
+"""Reads a recording as that of one robot, and names what is wrong with it.
 
 Keys may stand under a namespace, or begin with ``/`` as topics of ROS do: a recording has neither
 Zenoh's setting nor a person who would try another.  What is misspelt is named, not guessed; why

@@ -1,4 +1,4 @@
-"""The step that a servo's positions come in, from readings alone."""
+"""Estimates the step of a servo's positions, from readings alone."""
 
 from __future__ import annotations
 

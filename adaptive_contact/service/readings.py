@@ -1,4 +1,4 @@
-"""What a leg's readings look like against its commands, and what is wrong with them.
+"""Finds faults in a leg's readings, compared with its commands.
 
 Works on the samples of a few seconds, or of a recording; needs no model.
 """

@@ -1,4 +1,4 @@
-"""The process that refits, and its start: jobs come in on stdin, results go out on stdout.
+"""Runs refits in a process: jobs come in on stdin, results go out on stdout.
 
 A frame is 8 bytes of length, big endian, and a pickle.  Pickles are safe here because both ends are
 ours and the pipe is private.  The process ends with its stdin.

@@ -1,4 +1,4 @@
-"""Refits in another process, so that no tick waits for one.
+"""Sends refits to another process, so that no tick waits for one.
 
 A fit in a thread of the service raises a callback's latency from 0.4 to 12 ms (measured); in a
 process of its own, with one BLAS thread, it costs the service nothing but the pipe.  The process is

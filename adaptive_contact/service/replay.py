@@ -1,4 +1,4 @@
-"""Recordings played back: through the learners without a network, or onto the wire.
+"""Plays recordings back: through the learners without a network, or onto the wire.
 
 Through the learners a recording is a row of control ticks: consecutive samples until a leg comes
 round again.  Time is the samples' own, so the same file gives the same events, as fast as the

@@ -1,4 +1,4 @@
-"""The gateway between ROS 2 (over rmw_zenoh) and the service: two sessions and three threads.
+"""Runs the gateway between ROS 2 (rmw_zenoh) and the service: two sessions, three threads.
 
 ::
 

@@ -1,4 +1,4 @@
-"""Between Zenoh's callbacks and the worker: one bounded queue per leg.
+"""Queues samples between Zenoh's callbacks and the worker, bounded per leg.
 
 The callback side parses nothing but the key and never waits.  The worker takes rounds of at
 most one sample per leg, so a leg that floods delays the others by one sample, whatever its

@@ -1,4 +1,4 @@
-"""The service: servo samples in, contact events out.
+"""Runs the service: servo samples in, contact events out.
 
 One worker does all the work: it takes a batch from the queue (at most one sample per leg),
 hands it to the learners, and leaves the events to the publisher.  Learning, statuses and the

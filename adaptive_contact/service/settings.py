@@ -1,4 +1,4 @@
-"""How a process joins the Zenoh network, and why a router cannot be joined.  Imports no zenoh.
+"""Defines how a process joins the network, and why a router cannot be joined.  No zenoh.
 
 The service embeds a router on loopback; every other command is a client of it.  Peers do not
 relay for one another behind a hub (measured, ``docs/decisions``), so ``peer`` is not offered.

@@ -1,4 +1,4 @@
-"""The sockets under a Zenoh session (TCP and Unix), for what no configuration of Zenoh reaches.
+"""Controls the sockets under a Zenoh session (TCP and Unix), beyond Zenoh's configuration.
 
 Two things of a peer that hangs, or goes away without a word, stop a router for all others:
 

@@ -1,4 +1,4 @@
-"""ServiceStatus: what is true of the service as a whole, beside the legs' own LearnerStatus.
+"""Defines ServiceStatus: the state of the service, beside the legs' own LearnerStatus.
 
 Published once a second on ``robot/service/status``, and within 0.1 s when a complaint of its note
 comes or goes; kept for late joiners, so that ``watch`` and ``doctor`` can say what belongs to no

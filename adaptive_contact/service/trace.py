@@ -1,4 +1,4 @@
-"""The last ticks of every leg as they were judged, for a program that shows them.
+"""Keeps the last ticks of every leg as they were judged, for programs that show them.
 
 A page that draws command, reading, prediction and test ratio needs every tick, and a controller
 needs none of them.  So nothing is published: a program asks ``robot/leg/*/trace`` some ten times a

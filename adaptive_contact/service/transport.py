@@ -1,4 +1,4 @@
-"""The Zenoh configuration of a link, and what Zenoh logs.
+"""Makes the Zenoh configuration of a link, and filters what Zenoh logs.
 
 A configuration file comes first; ``DEFAULTS`` hold where it says nothing; our own settings
 (mode, endpoints, namespace) always hold.  Zenoh reads such a file itself but fills in its own

@@ -1,4 +1,4 @@
-"""What ``watch`` knows of a running service, from its messages alone.
+"""Follows a running service from its messages, for ``watch``.
 
 Truth, where a simulator publishes it, is matched to events by a simple form of ``docs/scoring.md``:
 a touch counts after 60 ms in the air, an event detects it within 120 ms, an event while the

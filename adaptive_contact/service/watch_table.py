@@ -1,4 +1,4 @@
-"""A :class:`~adaptive_contact.service.watch.View` as a table for a terminal."""
+"""Formats a :class:`~adaptive_contact.service.watch.View` as a table for a terminal."""
 
 from __future__ import annotations
 

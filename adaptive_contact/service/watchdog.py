@@ -1,4 +1,4 @@
-"""Looks at the worker and the publisher from outside, for they cannot say that they hang.
+"""Watches worker and publisher from outside, and reports when they hang.
 
 A worker that stands still is reported after a second (the log and ServiceStatus), an event whose
 put blocks after half a second.  After half a minute of either, the process ends with exit code 70

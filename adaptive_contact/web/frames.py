@@ -1,4 +1,4 @@
-"""What the page is given: ten frames a second, and a table of legs when it has changed.
+"""Makes the data of the page: ten frames a second, and a table of legs when it changes.
 
 A frame is JSON with what is new since the one before it:
 

@@ -1,4 +1,4 @@
-"""What of HTTP the page needs: the head of a request without a body, and one answer.
+"""Parses what the page needs of HTTP: the head of a request, and one answer.
 
 What a stranger sends can only fail to be one of a few exact requests; every answer carries the
 headers that keep other sites out.

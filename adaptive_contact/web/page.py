@@ -1,4 +1,4 @@
-"""The page's server and what feeds it, each on a thread of its own.
+"""Runs the page's server and what feeds it, each on a thread of its own.
 
 The feeding thread takes in what has been published, ten times a second, and hands bytes to the
 serving thread, which gives the same bytes to every browser.  A third one asks the service for its

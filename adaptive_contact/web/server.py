@@ -1,4 +1,4 @@
-"""An HTTP server for one page: a fixed set of paths, GET only, and one stream of events.
+"""Serves one page over HTTP: a fixed set of paths, GET only, and one stream of events.
 
 Requests carry no body, answers are bytes that are there already, and every connection but a stream
 closes after its answer.  Who may ask for what, why streams share one history, and why Python's own

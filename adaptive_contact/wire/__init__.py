@@ -1,4 +1,4 @@
-"""The wire contract: keys, messages and their encoding.  No logic, no sockets."""
+"""Defines the wire contract: keys, messages and their encoding.  No logic, no sockets."""
 
 from __future__ import annotations
 

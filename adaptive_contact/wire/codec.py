@@ -1,4 +1,4 @@
-"""Payload bytes to messages and back, msgpack or JSON.
+"""Encodes and decodes messages, as msgpack or JSON.
 
 Decoding is two steps: ``msgpack`` (with limits on every length, so that a hostile payload
 cannot make it allocate) or JSON (whose values are no longer than their text, and whose lists and

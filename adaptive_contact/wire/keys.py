@@ -1,4 +1,4 @@
-"""Zenoh keys of the wire contract.
+"""Defines the Zenoh keys of the wire contract.
 
 Keys carry no leading slash.  Several robots on one network are distinguished by Zenoh's
 ``namespace`` setting, which prefixes every key outside the process and strips it inside.

@@ -1,4 +1,4 @@
-"""The messages on the wire, one frozen struct each.
+"""Defines the messages on the wire, one frozen struct each.
 
 Field names are the wire's; units are in the names or in the docstring.  Times are ``int``
 nanoseconds of the *source's* clock.  All payloads carry ``v`` (contract version).  Unknown

@@ -1,4 +1,4 @@
-"""Recordings: what went over the wire, in an MCAP file.  The only package that imports mcap.
+"""Reads and writes recordings (MCAP).  The only package that imports mcap.
 
 Channel topic = Zenoh key.  Messages of the wire contract are protobuf, with their descriptors in
 the file, so that tools which know nothing of this project open it; readers get them as msgpack.

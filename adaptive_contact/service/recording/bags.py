@@ -1,4 +1,4 @@
-"""Bags of ROS 2 (rosbag2), read as recordings of the wire contract.
+"""Reads bags of ROS 2 (rosbag2) as recordings of the wire contract.
 
 The topics of ``[ros2]`` become ``robot/leg/*/servo`` and, of foot switches, ``robot/leg/*/truth``.
 The files are read one by one, whatever ``metadata.yaml`` says of them, so that a bag whose recorder

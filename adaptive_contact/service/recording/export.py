@@ -1,4 +1,4 @@
-"""Recordings for other programs: tables, bags of ROS 2, and older recordings as MCAP of today.
+"""Exports recordings: tables, bags of ROS 2, and older recordings as MCAP of today.
 
 Messages keep their keys, times and order; nothing is resampled.  What no table has (a key that the
 contract does not have, a payload that cannot be read) is counted by key and reason.  Memory does

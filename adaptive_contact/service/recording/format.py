@@ -1,4 +1,4 @@
-"""What writer and reader agree on: the record, and the names of encodings.
+"""Defines what writer and reader share: the record, and the names of encodings.
 
 Reference: the MCAP format, https://mcap.dev/spec, and its registry of message encodings.
 """

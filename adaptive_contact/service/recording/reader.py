@@ -1,4 +1,4 @@
-"""Reading a recording from the front: damage is stepped over and counted, memory is bounded.
+"""Reads a recording from the front; damage is skipped and counted, memory is bounded.
 
 An MCAP file is a row of records ``opcode u8, length u64, content``, little endian; a message is
 ``channel u16, sequence u32, log_time u64, publish_time u64, data``.  The walk is done here rather

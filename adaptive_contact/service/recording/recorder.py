@@ -1,4 +1,4 @@
-"""From the wire into a recording: everything that matches a key expression, as it comes."""
+"""Records the wire: everything that matches a key expression, as it comes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The robot as Foxglove draws it: joint states, transforms, and feet that are red while they touch.
+"""Draws the robot for Foxglove: joint states, transforms, and feet, red while they touch.
 
 Each is one topic with the whole robot in each message: a viewer that jumps to a time needs no other
 message, and a plot finds a joint always at the same place.  Topics begin with a slash, as no key

@@ -1,4 +1,4 @@
-"""Schemas of the messages of every key, for programs that know nothing of this project.
+"""Defines schemas of the messages of every key, for other programs.
 
 Protobuf descriptors are made from the structs of the wire; fields are numbered in their order.  A
 map is a repeated message of ``key`` and ``value``, which has the same bytes and which every reader

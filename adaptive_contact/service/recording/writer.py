@@ -1,4 +1,4 @@
-"""Writing a recording: any key, any bytes, in small chunks.
+"""Writes a recording: any key, any bytes, in small chunks.
 
 A message of the contract is written as protobuf; what is none keeps its bytes.
 """

@@ -1,4 +1,4 @@
-"""One leg's state as bytes: a header that never changes, a checksum, a msgpack map.
+"""Encodes one leg's state: a header that never changes, a checksum, a msgpack map.
 
 ::
 

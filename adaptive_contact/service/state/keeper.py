@@ -1,4 +1,4 @@
-"""When state is saved and restored, and a thread that waits for the disk.
+"""Schedules saving and restoring of state; a thread waits for the disk.
 
 The worker takes a snapshot, one leg at a time and only when no sample waits; the thread packs
 it, writes it and syncs it.  A disk that is slower than the snapshots come gets the newest of

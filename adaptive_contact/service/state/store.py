@@ -1,4 +1,4 @@
-"""A folder of states: ``DIR/ROBOT/LEG-LIBRARY-SETTINGS.state``, and the one before each.
+"""Stores states: ``DIR/ROBOT/LEG-LIBRARY-SETTINGS.state``, and the one before each.
 
 A save writes a new file, syncs it, and renames: at every instant there is a whole state, the
 newest or the one before it.  A state that was refused is set aside, ``.refused`` put after its
