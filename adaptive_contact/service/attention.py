@@ -21,7 +21,7 @@ _SHOWN_NS: Final = 60_000_000_000
 
 
 def remedy_of(note: str) -> str | None:
-    """What to do about the note of a leg, None where it is not known."""
+    """Return what to do about the note of a leg, None where it is not known."""
     return next((text for words, text in said()["notes"].items() if re.search(words, note)), None)
 
 
@@ -33,7 +33,7 @@ class Attention:
         self._grown_ns: dict[str, int] = {}
 
     def look(self, view: View, statuses: Mapping[str, LearnerStatus], now_ns: int) -> list[Finding]:
-        """What needs a person, the worst first."""
+        """List what needs a person, the worst first."""
         if not view.connected:
             remedy = (
                 "This page goes on by itself when `adaptive-contact serve`, or the router, is back."

@@ -287,7 +287,7 @@ def _about_keys(seen: Examination, seconds: float) -> _Faults:
 
 
 def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
-    """What is wrong with a key outside the contract, and what to do."""
+    """Return the fault of a key outside the contract, and its remedy."""
     if leg_of_key(key) is not None:
         return None
     namespace = namespace_of(key)
@@ -305,5 +305,5 @@ def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
 
 
 def _still(now: int, before: int) -> Level:
-    """What happened long ago is a note; what is happening is a fault."""
+    """Return the level of a count: a warning while it grows, else a note."""
     return "warning" if now > before else "note"

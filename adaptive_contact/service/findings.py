@@ -23,7 +23,7 @@ _DETAILS: Final = 2
 
 
 def many(count: float, total: int) -> bool:
-    """Whether so many samples of all are more than what any bus has."""
+    """Return whether a fault is more frequent than on any real bus."""
     # What happens to so few samples, or to such a share of them, is a note: a real bus drops or
     # spoils one reading in about 3,000, and one of a few hundred shows no share.
     return count > max(2, 2e-3 * total)
@@ -118,7 +118,7 @@ SPOILS: Final = frozenset(
 
 
 class Fault(NamedTuple):
-    """One thing that is wrong with one leg, as a check found it."""
+    """Holds one fault of one leg, as a check found it."""
 
     level: Level
     cause: Cause  # faults of one cause become one entry
@@ -172,7 +172,7 @@ def of_legs(legs: Iterable[str]) -> str:
 
 
 def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
-    """One entry for each cause, the worst first.
+    """Merge faults into one entry for each cause, the worst first.
 
     Args:
         faults: each with its leg, None for the whole robot; in the order in which legs are named.

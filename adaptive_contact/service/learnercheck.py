@@ -86,7 +86,7 @@ def about_learner(
 def all_lost(
     of_legs: Iterable[LearnerStatus], service: ServiceStatus | None
 ) -> Iterator[tuple[str, Fault]]:
-    """What all legs have in common is not of a foot.
+    """Report a fault that all legs share: it is not of a foot.
 
     Args:
         of_legs: last statuses of those whose streams show no cause.

@@ -206,7 +206,7 @@ class LegEndpoint:
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
 
     def heartbeat(self, now_ns: int) -> LegHeartbeat | None:
-        """How fresh what is known of the leg is; None before its first sample."""
+        """Age of the leg's newest sample; None before the first."""
         if self._seen_ns is None:
             return None
         return LegHeartbeat(

@@ -301,7 +301,7 @@ def _moved(leg: Leg, before: Array, now: Array) -> str:
 
 
 def _way(leg: Leg, by: Array) -> str:
-    """A way of the foot in the leg's frame, in words of the body's."""
+    """Describe a direction of the foot in words of the body's frame."""
     ahead, left, up = on_body(leg, by) - on_body(leg, np.zeros(3))
     ways = ((up, "up", "down"), (ahead, "forward", "back"), (left, "left", "right"))
     most = max(abs(way) for way, *_ in ways)

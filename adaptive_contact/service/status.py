@@ -55,7 +55,7 @@ class Latency:
 
 
 class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """How keeping state goes, for people."""
+    """Reports how saving of learned state goes, for people."""
 
     folder: str  # where
     restored: list[str]  # legs that went on from a saved state
@@ -72,7 +72,7 @@ SERVICE_STATUS: Final = "robot/service/status"
 
 
 class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """What the service knows of a leg."""
+    """Holds what the service knows of a leg."""
 
     joints: list[str]
     lengths: bool = False  # whether robot.toml has its `lengths_m`
@@ -98,7 +98,7 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ServiceStatus(Message, frozen=True, kw_only=True):
-    """How the service is, once a second."""
+    """Reports the state of the service, once a second."""
 
     version: str  # of the package
     # robot, period_s: of its `robot.toml`

@@ -53,7 +53,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="v", tag=VERS
 
 
 class ServoSample(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """What one leg's servos report and are commanded in control tick k.
+    """Holds the readings and commands of one leg in control tick k.
 
     Attributes:
         t_ns: source clock, strictly increasing per leg within a run.
@@ -62,7 +62,7 @@ class ServoSample(Message, frozen=True, kw_only=True, omit_defaults=True):
         desired: (J,) rad, written right after that read, in force until tick k + 1.
         preview: (M, J) rad, commands of the next M ticks (64 at most), where the controller knows
             them.
-        phase: the gait controller's word, where it gives one.
+        phase: as the gait controller states it, None where it does not.
         valid: (J,) False for a servo that did not answer or a reading known to be stale.
         run: new at each start of the source; a new run clears the window and keeps the model.
     """
@@ -78,7 +78,7 @@ class ServoSample(Message, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """A change of a leg's contact state, or a contact that is withheld.
+    """Reports a change of a leg's contact state, or a contact that is withheld.
 
     Attributes:
         t_ns, seq: of the sample that decided.
@@ -114,7 +114,7 @@ class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class LegState(Message, frozen=True, kw_only=True):
-    """Whether a leg touches in one tick, stance included; published while somebody subscribes.
+    """States whether the foot carries in one tick, stance included; sent to subscribers only.
 
     Attributes:
         t_ns, seq: of the sample.
@@ -139,7 +139,7 @@ class BufferCounts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DriftLevel(msgspec.Struct, frozen=True, kw_only=True):
-    """How far the leg has moved from its model.
+    """Measures how far the leg has moved from its model.
 
     ``level`` is the residual level of recent lifts over the model's own, 1.0 without drift.
     """
@@ -150,7 +150,7 @@ class DriftLevel(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RefitCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of the periodic sparse refits."""
+    """Counts what became of the periodic sparse refits."""
 
     promoted: int = 0
     refused: int = 0
@@ -159,7 +159,7 @@ class RefitCounts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LearnerStatus(Message, frozen=True, kw_only=True):
-    """How a leg's learner is, once a second and at each change of status.
+    """Reports the state of a leg's learner, once a second and at each change of status.
 
     Attributes:
         residual_rms: (J,) rad, of recent free ticks.
@@ -173,8 +173,8 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         withheld: contacts withheld so far, as the leg was ambiguous.
         doubt: why the leg is ambiguous, None while it is not.
         jitter_ms: root mean square of what ``t_ns`` has been off an even grid of late, ms.
-        untouched: swings without a sign of a touch up to 16 ticks after their turn to stance, of
-            those that could have shown one: a hole, most likely.
+        untouched: swings without a touch up to 16 ticks after their turn to stance, of those that
+            could have shown one: most likely a hole.
         untouched_ns: when the last of them was over, None while there was none.
         note: one line for a person when something is wrong, None when all is well.
     """
@@ -203,7 +203,7 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
 
 
 class LegHeartbeat(msgspec.Struct, frozen=True, kw_only=True):
-    """How fresh what is known of a leg is.
+    """Reports the age of a leg's newest sample.
 
     Attributes:
         t_ns: of the newest sample.
@@ -217,7 +217,7 @@ class LegHeartbeat(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Heartbeat(Message, frozen=True, kw_only=True):
-    """What the service publishes ten times a second, so that its end shows within half a second.
+    """Shows that the service runs, ten times a second; its end shows within half a second.
 
     Attributes:
         legs: those that have had a sample.
@@ -227,14 +227,14 @@ class Heartbeat(Message, frozen=True, kw_only=True):
 
 
 class ModelTerm(msgspec.Struct, frozen=True, kw_only=True):
-    """One term of a joint's equation: ``coefficient * name``."""
+    """Holds one term of a joint's equation: ``coefficient * name``."""
 
     name: str
     coefficient: float
 
 
 class ModelReport(Message, frozen=True, kw_only=True):
-    """A leg's model, answered on request.
+    """Reports a leg's model, on request.
 
     Attributes:
         terms: one list of terms per joint.
@@ -255,7 +255,7 @@ class ModelReport(Message, frozen=True, kw_only=True):
 
 
 class LegTrace(Message, frozen=True, kw_only=True):
-    """The last ticks of a leg as they were judged, answered on request; oldest first.
+    """Reports the last ticks of a leg as they were judged, on request; oldest first.
 
     Attributes:
         number: of the newest tick in it; ask for what came ``after`` that next time.
@@ -281,7 +281,7 @@ class LegTrace(Message, frozen=True, kw_only=True):
 
 
 class ContactTruth(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """What the simulator knows: a leg touches, or lets go.
+    """Reports the simulator's truth: a leg touches, or lets go.
 
     Attributes:
         t_ns: time of the physics step at which the state changed.
@@ -302,14 +302,14 @@ class ContactTruth(Message, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Command(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """What a controller wants of a leg: (J,) rad, and optionally the next M ticks, 64 at most."""
+    """Commands a leg: (J,) rad, and optionally the next M ticks, 64 at most."""
 
     desired: list[float]
     preview: list[list[float]] | None = None
 
 
 class Drift(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """A change of the simulated robot; ``value`` is absolute against nominal.
+    """Changes the simulated robot; ``value`` is absolute against nominal.
 
     Attributes:
         leg, joint: which, None for all.
@@ -328,7 +328,7 @@ class Drift(Message, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class DriftReply(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """The simulator's answer: whether it took the drift, and what now holds.
+    """Answers a drift: whether it was taken, and what is in force.
 
     Attributes:
         holds: drift in force, or under way, ``{kind: {leg: {joint: value}}}``; nominal
@@ -355,12 +355,12 @@ class Quantiles(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ServoCounts(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One servo since the start of the bridge.
+    """Counts the faults of one servo since the start of the bridge.
 
     Attributes:
         silent: it does not answer now.
-        alarms: what it complains of now, such as ``overload``; ``shutdown`` where it has switched
-            its drive off for that.
+        alarms: its alarms now, such as ``overload``; ``shutdown`` where it has switched its drive
+            off for that.
         faults: how often, by kind: ``no_answer``, ``corrupt``, ``refused``, ``stale`` (an old
             position again), ``unpunctual`` (read too far from its moment), ``carried_back`` (read
             off its moment, and put right by the servo's own speed), ``foreign_goal`` (its goal
@@ -373,7 +373,7 @@ class ServoCounts(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
 
 class BridgeStatus(Message, frozen=True, kw_only=True):
-    """How a port is.
+    """Reports the state of a port of the bridge, once a second.
 
     Attributes:
         t_ns: wall clock.
