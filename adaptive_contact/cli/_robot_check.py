@@ -195,15 +195,6 @@ def report_lines(report: LiveReport) -> list[str]:
                 f"at rest, by the description, feet of leg {' '.join(given)} are "
                 f"{min(given.values()):.0f} to {max(given.values()):.0f} mm {where}"
             )
-    if report.flatness is not None:
-        off = 1e3 * abs(report.flatness.off_m)
-        whose = report.flatness.leg
-        lines.append(
-            f"on a level floor: the foot of {whose} would be {off:.0f} mm "
-            f"{'above' if report.flatness.off_m > 0 else 'below'} the plane of the others"
-            if whose is not None
-            else f"on a level floor: one of the feet would be {off:.0f} mm off the others' plane"
-        )
     return lines
 
 

@@ -157,7 +157,7 @@ def _from_above(
         points = [at(point) for point in chains[leg.id]]
         for j in range(len(leg.joints)):
             parts.append(_link(points[j], points[j + 1], _COLOURS[j % len(_COLOURS)]))
-        if leg.joint_axes[0] == "yaw" and _straight(leg):
+        if leg.joint_axes[0] == "yaw" and leg.chain is not None and leg.chain.is_straight:
             yaw = np.pi / 2 + leg.mount.yaw_rad
             parts += _turning(points[0], points[1], yaw, _COLOURS[0])
         parts += _ends(points)
@@ -184,34 +184,32 @@ def _around(legs: Sequence[Leg]) -> list[Leg]:
 
 
 def _views(leg: Leg, angles: Sequence[float], *, placed: bool) -> list[_View]:
-    if _straight(leg):
-        # Without mounts the legs' places are unknown: each is drawn from above by itself.
-        return [_SIDE] if placed else [_SIDE, _ABOVE]
     assert leg.chain is not None
-    if np.abs(leg.chain.vectors[0, 2]) > _FACING:
-        return [_own_plane(leg, angles), _ABOVE]
-    return [_SIDE, _FRONT, *([] if placed else [_ABOVE])]
+    straight = leg.chain.is_straight
+    # Without mounts the legs' places are unknown: each is drawn from above by itself.
+    above = [] if placed and (straight or leg.chain.vectors[0, 2] ** 2 <= _FACING**2) else [_ABOVE]
+    if straight or leg.chain.vectors[0, 2] ** 2 > _FACING**2:
+        return [_own_plane(leg, angles), *above]
+    return [_SIDE, _FRONT, *above]
 
 
 def _own_plane(leg: Leg, angles: Sequence[float]) -> _View:
     """The upright plane of a leg that yaws, whichever way it points; the body on the left."""
     points = on_body(leg, chain(leg, angles))
-    away = next(
-        (way for way in (points[-1] - points[0], points[0]) if np.hypot(*way[:2]) > _LEAST_LINK
-         * float(np.ptp(points, axis=0).max())),
-        np.array([1.0, 0.0, 0.0]),
-    )  # fmt: skip
+    far = _LEAST_LINK * float(np.ptp(points, axis=0).max())
+    ways = [points[-1] - points[0], points[0], np.array([1.0, 0.0, 0.0])]
+    assert leg.chain is not None
+    if leg.chain.is_straight:  # whose foot may be on the side of the body
+        ahead = np.cross([0.0, 0.0, 1.0], leg.chain.frames(angles)[1][-1])
+        ways.insert(0, on_body(leg, ahead) - on_body(leg, np.zeros(3)))
+    away = next(way for way in ways if np.hypot(*way[:2]) > far)
     x, y = away[:2] / np.hypot(*away[:2])
     return _View(_SIDE.words, "outwards to the right, z up", (x, y, 0.0), _SIDE.up)
 
 
-def _straight(leg: Leg) -> bool:
-    return leg.chain is not None and leg.chain.is_straight
-
-
 def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _View) -> list[str]:
     assert leg.chain is not None
-    flat, turns = (_flat_straight if _straight(leg) else _flat_any)(leg, angles, view)
+    flat, turns = _flat(leg, angles, view)
     # Room for arrows all around, the heading above, and the joints' lines below.
     room = _CELL - 2 * _MARGIN, _CELL - _HEADING - _MARGIN - _LINE * len(leg.joints)
     # Never so large that a leg that stretches looks another one than a leg that stands.
@@ -224,8 +222,7 @@ def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _Vi
     parts = [_frame(left, top, _CELL)]
     parts.append(_text(left + 10, top + 20, leg.id, _INK, bold=True))
     parts.append(_text(left + 10, top + 36, f"{_side(leg)}{view.words}", _GREY))
-    if not _straight(leg):  # a straight one is drawn in its own plane, the body on the left
-        parts.append(_text(left + 10, top + 51, view.ways, _GREY))
+    parts.append(_text(left + 10, top + 51, view.ways, _GREY))
     for j in range(len(leg.joints)):
         parts.append(_link(at[j], at[j + 1], _COLOURS[j % len(_COLOURS)]))
     for j, zero_rad, way in turns:
@@ -239,19 +236,7 @@ def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _Vi
     return parts + _ends(at)
 
 
-def _flat_straight(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_Turn]]:
-    """A straight leg, the body on the left: in its own plane, or from above."""
-    points, above = chain(leg, angles), view is _ABOVE
-    reach = np.hypot(points[:, 0], points[:, 1]) * np.sign(points[:, 0] + 1e-9)
-    flat = points[:, :2] if above else np.stack([reach, points[:, 2]], axis=1)
-    # The direction in which each joint's link points when its angle is 0.
-    kind = "yaw" if above else "pitch"
-    axes = np.array([axis == kind for axis in leg.joint_axes])
-    before = np.concatenate([[0.0], np.cumsum(np.where(axes, np.asarray(angles), 0.0))[:-1]])
-    return flat, [(j, float(before[j]), 1) for j in np.flatnonzero(axes).tolist()]
-
-
-def _flat_any(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_Turn]]:
+def _flat(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_Turn]]:
     assert leg.chain is not None
     plane = np.array([view.right, view.up])
 

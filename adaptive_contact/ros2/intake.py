@@ -15,8 +15,13 @@ from typing import Any, Final
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, Robot
-from adaptive_contact.ros2.cdr import CdrError, UnknownHashError
-from adaptive_contact.ros2.problems import OnProblem, Reason, some
+from adaptive_contact.ros2.problems import (
+    CdrError,
+    OnProblem,
+    Reason,
+    UnknownHashError,
+    some,
+)
 from adaptive_contact.ros2.rmw import COMMANDS, FLAGS, STATES, RosType
 from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
 from adaptive_contact.wire import ContactTruth, Message, ServoSample

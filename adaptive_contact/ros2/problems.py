@@ -33,6 +33,14 @@ class Reason(enum.StrEnum):
 OnProblem = Callable[[str, Reason, str], None]
 
 
+class CdrError(Exception):
+    """A payload is no message of its type."""
+
+
+class UnknownHashError(Exception):
+    """A type's hash is of no definition that is known; the text names those that are."""
+
+
 class Complaints:
     """Counts problems, and lets one line of each kind through now and then.
 

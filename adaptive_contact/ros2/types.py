@@ -10,13 +10,14 @@ Reference: REP-2016 (type hashes); control_msgs at 6.8 and its branch ``humble``
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from adaptive_contact.ros2.cdr import CdrError, StateReader, UnknownHashError
+from adaptive_contact.ros2.problems import CdrError, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
 
 _POINT: Final = "trajectory_msgs/JointTrajectoryPoint"
@@ -41,11 +42,6 @@ class _Definition(NamedTuple):
         if self.scaling:
             lines.append("float64 speed_scaling_factor")
         return "\n".join([*lines, ""])
-
-    def reader(self) -> StateReader:
-        """A reader of it."""
-        points = tuple(self.points.split())
-        return StateReader(points, len(points) if self.multi else 0, scaling=self.scaling)
 
 
 _NEW: Final = "reference feedback error output"
@@ -86,13 +82,11 @@ class Types:
         own = self._stores["jazzy" if self._hashed else "humble"]
         self._own = own
         self.types: dict[str, Any] = own.types
-        self._readers = {
-            store.hash_rihs01(RosType.CONTROLLER_STATE): _CONTROLLER_STATES[name].reader()
-            for name, store in self._stores.items()
-        }
+        every = list(self._stores.values())
+        self._states = {store.hash_rihs01(RosType.CONTROLLER_STATE): [store] for store in every}
+        self._known = ", ".join(map(_short, self._states))
         # Definitions that a key without hash may mean, and a bag that says nothing.
-        every = list(self._readers.values())
-        self._unhashed = {NO_HASH: every[2:], "": every}
+        self._states |= {NO_HASH: every[2:], "": every}
         others = (name for name in RosType if name is not RosType.CONTROLLER_STATE)
         self._hashes: dict[str, str] = {name: own.hash_rihs01(name) for name in others}
 
@@ -116,26 +110,14 @@ class Types:
             known = self._hashes.get(type_name, "")
             if type_hash not in (NO_HASH, "", known):
                 raise UnknownHashError(_short(known))
-            try:
-                return self._own.deserialize_cdr(payload, type_name)
-            # What rosbags' generated code raises on bytes that are no such message.
-            except (
-                SerdeError,
-                struct.error,
-                ValueError,
-                IndexError,
-                OverflowError,
-                MemoryError,
-            ) as error:
-                raise CdrError(str(error) or type(error).__name__) from error
-        own = self._readers.get(type_hash)
-        readers = self._unhashed.get(type_hash, []) if own is None else [own]
-        if not readers:
-            raise UnknownHashError(", ".join(map(_short, self._readers)))
+            return _read(self._own, type_name, payload)
+        stores = self._states.get(type_hash)
+        if stores is None:
+            raise UnknownHashError(self._known)
         why = ""
-        for reader in readers:
+        for store in stores:
             try:
-                return reader.read(payload)
+                return _state(_read(store, type_name, payload))
             except CdrError as error:
                 why = why or str(error)
         raise CdrError(why)
@@ -143,6 +125,45 @@ class Types:
     def encode(self, message: Any) -> bytes:
         """CDR of a message made of :attr:`types`."""
         return bytes(self._own.serialize_cdr(message, message.__msgtype__))
+
+
+def _read(store: Typestore, type_name: str, payload: bytes) -> Any:
+    try:
+        return store.deserialize_cdr(payload, type_name)
+    # What rosbags' generated code raises on bytes that are no such message.
+    except (
+        SerdeError,
+        struct.error,
+        ValueError,
+        IndexError,
+        OverflowError,
+        MemoryError,
+    ) as error:
+        raise CdrError(str(error) or type(error).__name__) from error
+
+
+class ControllerState(NamedTuple):
+    """What a sample needs of a controller's state."""
+
+    header: Any
+    joint_names: Sequence[str]
+    # points of a trajectory
+    feedback: Any
+    reference: Any
+
+
+def _state(message: Any) -> ControllerState:
+    def point(name: str, old: str) -> Any:
+        """Humble fills both; a definition that is older has only the second."""
+        new = getattr(message, name, None)
+        return new if new is not None and len(new.positions) else getattr(message, old, new)
+
+    return ControllerState(
+        message.header,
+        message.joint_names,
+        point("feedback", "actual"),
+        point("reference", "desired"),
+    )
 
 
 def _short(type_hash: str) -> str:
