@@ -114,7 +114,7 @@ bench: env  ## the design's figures and speeds, in out/bench (half an hour or so
 	$(BIN)/python tests/service/bench_echo.py --assert
 
 bench-bridge: env  ## the bridge on three virtual ports: cycle, jitter, a silent servo, reconnects
-	$(BIN)/python tests/bridge/bench_bridge.py --minutes $(BRIDGE_MINUTES) $(BRIDGE_OPTIONS)
+	PYTHONPATH=tests $(BIN)/python tests/bridge/bench_bridge.py --minutes $(BRIDGE_MINUTES) $(BRIDGE_OPTIONS)
 
 scenarios: env  ## every drift through every learner; docs/adaptation.md (one to three hours, resumable)
 	$(BIN)/python -m adaptive_contact scenarios run --all --out out/scenarios

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import structlog
@@ -51,3 +53,16 @@ def logs_as_before() -> Iterator[None]:
     before = structlog.get_config()
     yield
     structlog.configure(**before)
+
+
+@pytest.fixture
+def program() -> Iterator[Callable[..., Any]]:
+    """Start a :class:`programs.Program`, which ends with the test, the newest first."""
+    from programs import Program
+
+    with contextlib.ExitStack() as running:
+
+        def start(*words: object, **where: Any) -> Program:
+            return running.enter_context(contextlib.closing(Program(*words, **where)))
+
+        yield start

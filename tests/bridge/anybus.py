@@ -1,6 +1,4 @@
-"""A virtual bus of any servos, set in any way: for tests, and for a look from the command line::
-
-    python tests/bridge/anybus.py DIR SECONDS SPEC...
+"""A virtual bus of any servos, set in any way.
 
 A SPEC is ``IDS:MODEL[:NAME=VALUE...]``, such as
 ``1-3:MX-28:lower_limit=4095:upper_limit=4095:at=-4.8``.
@@ -19,8 +17,6 @@ Registers are stored as they are, without what the servo does for a write; ``tor
 
 from __future__ import annotations
 
-import sys
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -181,20 +177,3 @@ def _ids(text: str) -> list[int]:
         first, _, last = part.partition("-")
         found += range(int(first), int(last or first) + 1)
     return found
-
-
-def main(words: Sequence[str]) -> None:
-    directory, seconds, specs = Path(words[0]), float(words[1]), words[2:]
-    directory.mkdir(parents=True, exist_ok=True)
-    server, _ = serve(directory, specs)
-    stop = threading.Event()
-    timer = threading.Timer(seconds, stop.set)
-    timer.daemon = True
-    timer.start()
-    with server:
-        print(f"{directory / 'port0'}: {' '.join(specs)}", flush=True)
-        server.run(stop)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -13,9 +13,8 @@ controller that commands all legs at 50 Hz.  Names are permanent:
 Cycle time and jitter come as quantiles of ten seconds and a port; the verdict is on a bound for
 the p99 of the whole run, put together from all of them.  Missed cycles are counted twice: by the
 bridge, and as gaps in ``seq`` of what arrives here; both have to be 0.  A virtual computer stands
-still now and then, for everybody; sleepers before everything else see it, and how many of the
-missed ticks fell into such a time stands beside.  So do the figures of a bare bus
-(:mod:`bare`) that ran all along: the bridge's over those is what the bridge is answerable for.
+still now and then, for everybody; so the figures of a bare bus (:mod:`bare`) that ran all along
+stand beside: the bridge's over those is what the bridge is answerable for.
 
 The bytes of a pseudo-terminal pass through workers of the kernel, which have no priority: on a
 computer with other work each of a cycle's 24 passages may wait for it, by milliseconds.  With
@@ -31,18 +30,16 @@ import math
 import os
 import queue
 import resource
-import signal
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from bare import BareBus  # beside this file
-from machine import STALL_MS, Computer, Stall, Stalls, Workers
 
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, router_settings
@@ -57,6 +54,7 @@ from adaptive_contact.wire import (
     leg_of_key,
     servo_key,
 )
+from programs import Program
 
 PERIOD_S = 0.02
 # Of a status' quantiles; after so long they are of what is to be measured alone.
@@ -90,6 +88,30 @@ class Verdict(NamedTuple):
         return f"  {self.what:<44} {self.got:8.2f} {self.unit:<6} <= {self.wanted:g}  {word}"
 
 
+class Workers:
+    """The kernel's workers for terminals, before ordinary processes for a while."""
+
+    def __init__(self) -> None:
+        self._raised: set[int] = set()
+
+    def raise_all(self) -> None:
+        """Raise those that there are now; they come and go."""
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit() or int(entry.name) in self._raised:
+                continue
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+                if (entry / "comm").read_text().startswith("kworker/u"):
+                    os.sched_setscheduler(int(entry.name), os.SCHED_RR, os.sched_param(30))
+                    self._raised.add(int(entry.name))
+
+    def lower_all(self) -> None:
+        """As they were."""
+        for number in self._raised:
+            with contextlib.suppress(ProcessLookupError):
+                os.sched_setscheduler(number, os.SCHED_OTHER, os.sched_param(0))
+        self._raised.clear()
+
+
 class Ears:
     """What arrives; Zenoh's threads only append."""
 
@@ -118,15 +140,12 @@ class Ears:
             if true(status):
                 return status
 
-    def gaps(self, begin_s: float, end_s: float, stalls: list[Stall]) -> tuple[int, int, float]:
-        """Ticks that never came, how many of them while a processor stood still, and jitter.
+    def gaps(self, begin_s: float, end_s: float) -> tuple[int, float]:
+        """Ticks of all legs that never came, and p99 of the arrivals' jitter in ms.
 
         Only of that time: what this process does afterwards holds up its own subscriber.
-
-        Returns:
-            Two counts over all legs, and p99 of the arrivals' jitter in ms.
         """
-        lost, excused, off = 0, 0, []
+        lost, off = 0, []
         for leg in LEGS:
             rows = [
                 (at, decode(payload, ServoSample, encoding).seq)
@@ -134,14 +153,10 @@ class Ears:
                 if name == leg and begin_s <= at < end_s
             ]
             at, seq = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-            # The clocks of two processes are one, so the grid is known but for its phase.
             rest = at - seq * PERIOD_S
             off.append(np.abs(rest - np.median(rest)))
-            for missing in set(range(int(seq[0]), int(seq[-1]))) - set(seq.tolist()):
-                due = float(np.median(rest)) + missing * PERIOD_S
-                lost += 1
-                excused += any(begin - PERIOD_S < due < end + PERIOD_S for begin, end in stalls)
-        return lost, excused, 1000 * float(np.quantile(np.concatenate(off), 0.99))
+            lost += int(seq[-1] - seq[0]) + 1 - len(set(seq.tolist()))
+        return lost, 1000 * float(np.quantile(np.concatenate(off), 0.99))
 
 
 class Windows:
@@ -190,31 +205,24 @@ def pooled(rows: list[Quantiles], share: float) -> float:
 WINDOW_NS = round(WINDOW_S * 1e9)
 
 
-def watch(ears: Ears, seconds: float) -> tuple[Windows, float, list[Stall]]:
-    """Follow the ports for some time."""
-    stalls, computer = Stalls(), Computer()
+def watch(ears: Ears, seconds: float) -> tuple[Windows, float]:
+    """Follow the ports for some time; when it began, monotonic."""
     began, windows = time.monotonic(), Windows()
     while (left := began + seconds - time.monotonic()) > 0:
         with contextlib.suppress(queue.Empty):
             windows.take(ears.statuses.get(timeout=left))
         if ears.workers is not None:
             ears.workers.raise_all()
-    stood = stalls.end()
-    longest_ms = 1000 * max((end - begin for begin, end in stood), default=0.0)
-    print(
-        f"  {computer}; a processor stood still for over {STALL_MS:g} ms {len(stood)} times, at "
-        f"most {longest_ms:.0f} ms"
-    )
-    return windows, began, stood
+    return windows, began
 
 
 def report(ears: Ears, options: Options, seconds: float, most_ms: float) -> list[Verdict]:
     bare_bus = BareBus(realtime=options.realtime)
-    windows, began, stalls = watch(ears, seconds)
+    windows, began = watch(ears, seconds)
     bare = bare_bus.end()
     if not windows.kept:
         raise SystemExit("no status of any port; is the bridge running?")
-    lost, excused, heard_ms = ears.gaps(began, began + seconds, stalls)
+    lost, heard_ms = ears.gaps(began, began + seconds)
     for what in ("cycle_ms", "jitter_ms"):
         p50, p99, worst, top = windows.told(what)
         print(
@@ -224,7 +232,7 @@ def report(ears: Ears, options: Options, seconds: float, most_ms: float) -> list
     print(f"  {windows.count('cycles')} cycles on {len(windows.last)} ports in {seconds:.0f} s")
     print(
         f"  {windows.count('missed')} missed, as the bridge counts; {lost} ticks of "
-        f"{len(LEGS)} legs did not come, {excused} of them while a processor stood still"
+        f"{len(LEGS)} legs did not come"
     )
     print(f"  jitter of arrival here, through the router: p99 {heard_ms:.2f} ms")
     cycle, jitter = windows.told("cycle_ms")[1], windows.told("jitter_ms")[1]
@@ -236,7 +244,7 @@ def report(ears: Ears, options: Options, seconds: float, most_ms: float) -> list
         Verdict("cycle, p99 of the run", cycle, most_ms, "ms"),
         Verdict("jitter of publication, p99 of the run", jitter, JITTER_MS, "ms"),
         Verdict("cycles missed, as the bridge counts", windows.count("missed"), 0, "cycles"),
-        Verdict(f"ticks that did not come ({excused} in a standstill)", lost, 0, "ticks"),
+        Verdict("ticks that did not come", lost, 0, "ticks"),
     ]
 
 
@@ -324,42 +332,15 @@ def command_all(link: Link, stop: threading.Event) -> None:
 
 
 def start(stack: contextlib.ExitStack, folder: str, *words: str) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "adaptive_contact", *words],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    said: queue.Queue[str | None] = queue.Queue()
-
-    def listen() -> None:
-        assert process.stdout is not None
-        for line in process.stdout:
-            said.put(line)
-        said.put(None)
-
-    reader = threading.Thread(target=listen, daemon=True)
-    reader.start()
-    stack.callback(end, process, reader, " ".join(words[:2]), time.monotonic())
-    lines = []
-    while not lines or "stop with" not in lines[-1]:
-        line = said.get(timeout=90)
-        if line is None:
-            raise SystemExit("".join(lines))
-        lines.append(line)
+    """A command of ours, ready; at its end it is told what it and its children took of a core."""
+    program = Program("-m", "adaptive_contact", *words, cwd=folder)
+    stack.callback(end, program, " ".join(words[:2]), time.monotonic())
+    program.wait_line("stop with", 90.0)
 
 
-def end(
-    process: subprocess.Popen[str], reader: threading.Thread, name: str, began_s: float
-) -> None:
-    """End a process, and tell what it and its children took of a core."""
+def end(program: Program, name: str, began_s: float) -> None:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    process.send_signal(signal.SIGTERM)
-    process.wait(30)
-    reader.join()
-    assert process.stdout is not None
-    process.stdout.close()
+    program.close()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     print(f"  `{name}` took {100 * busy / (time.monotonic() - began_s):.0f} % of a core")

@@ -32,9 +32,13 @@ from adaptive_contact_sim.virtual import (
 )
 
 sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
+import os
+
 from anybus import serve
 from described import KNOWS_FAST, Serve
 from kinematic import KinematicBackend
+
+from programs import Program
 
 PERIOD_S = 0.02
 
@@ -283,3 +287,15 @@ def bus(tmp_path: Path) -> Iterator[Serve]:
     for thread in threads:
         thread.join(5.0)
     stack.close()
+
+
+@pytest.fixture
+def start(program: Callable[..., Program], tmp_path: Path) -> Callable[..., Program]:
+    """Start a command of ours, or an example, in the test's folder."""
+    own = {**os.environ, "XDG_STATE_HOME": str(tmp_path)}
+
+    def begin(*words: str) -> Program:
+        module = () if words[0].endswith(".py") else ("-m", "adaptive_contact")
+        return program(*module, *words, cwd=tmp_path, env=own)
+
+    return begin

@@ -35,12 +35,6 @@ def test_check_tells_what_differs_and_what_shapes_the_motion(bus: Serve) -> None
     assert all(servo.writes == 0 for servo in servos)
 
 
-def test_servos_that_are_alike_and_free_say_nothing(bus: Serve) -> None:
-    device, _ = bus("1-2:AX-12A", "3:MX-28")
-    described = robot(device, ((1, 2, 3), ["AX-12A", "AX-12A", "MX-28"]))
-    assert compare(read_servos(plan_ports(described))) == []
-
-
 @pytest.mark.parametrize("model", ["AX-12A", "MX-106", "XL-320", "XL430-W250"])
 def test_every_register_that_is_compared_is_read(bus: Serve, model: str) -> None:
     """Those at the end of a control table, too."""

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adaptive_contact.bridge.bus import Fault, Reading
-from adaptive_contact.bridge.drive import EASY_SHARE, HOLD_AFTER_NS, Driver, Mode, complaint
+from adaptive_contact.bridge.drive import Driver, complaint
 from adaptive_contact.bridge.health import (
     ASK_EVERY,
     SILENT_AFTER,
@@ -22,9 +22,9 @@ from adaptive_contact.bridge.health import (
 )
 from adaptive_contact.bridge.loop import FAR_SHARE, PhaseLock
 from adaptive_contact.bridge.plan import LegPlan, plan_ports
-from adaptive_contact.bridge.transport import Mailbox, Pulse
+from adaptive_contact.bridge.transport import Pulse
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, Quantiles, ServoCounts, encode
+from adaptive_contact.wire import BridgeStatus, Command, Quantiles, ServoCounts, encode
 
 TICK_NS = 20_000_000
 
@@ -79,71 +79,12 @@ def test_goals_stay_within_limits_and_steps_whatever_is_commanded(
         last = goal
 
 
-def test_nothing_is_written_while_it_is_not_known_where_the_leg_is() -> None:
-    driver = Driver(leg())
-    driver.receive(Command(desired=[0.3, 0.3]), 0)
-    assert driver.step([None, 0.2], 0) is None
-    assert driver.step([0.1, 0.2], 1) is not None
-
-
-def test_a_leg_begins_without_a_servo_that_is_silent_and_takes_it_in_when_it_is_back() -> None:
-    driver = Driver(leg())
-    driver.receive(Command(desired=[0.3, 0.3]), 0)
-    assert driver.step([0.1, None], 0) is None  # it may answer in the next tick
-    assert driver.step([None, None], 1, absent=(0, 1)) is None
-    assert driver.step([0.1, None], 2, absent=(1,))[0] == pytest.approx(0.1 + 0.1 * EASY_SHARE)
-    driver.found(1, -0.2)
-    assert driver.step([0.12, -0.2], 3)[1] == pytest.approx(-0.2 + 0.1 * EASY_SHARE)
-
-
-def test_the_first_command_is_approached_at_an_easy_pace() -> None:
-    driver = Driver(leg())
-    for k in range(40):
-        driver.receive(Command(desired=[0.4, 0.0]), k * TICK_NS)
-        goal = driver.step([0.0, 0.0], k * TICK_NS)
-        assert goal is not None
-        if k == 0:
-            assert goal == pytest.approx([0.1 * EASY_SHARE, 0.0])
-    assert goal == pytest.approx([0.4, 0.0])
-    assert driver.mode is Mode.FOLLOWING
-
-
-def test_a_stream_that_stops_is_held_and_resumed_gently() -> None:
-    driver = Driver(leg())
-    driver.receive(Command(desired=[0.0, 0.0]), 0)
-    driver.step([0.0, 0.0], 0)
-    assert driver.mode is Mode.FOLLOWING
-    assert driver.step([0.0, 0.0], HOLD_AFTER_NS) is not None
-    assert driver.step([0.0, 0.0], HOLD_AFTER_NS + 1) is None
-    assert driver.mode is Mode.HOLDING
-    later = 10 * HOLD_AFTER_NS
-    driver.receive(Command(desired=[0.4, 0.0]), later)
-    assert driver.step([0.0, 0.0], later) == pytest.approx([0.02, 0.0])
-
-
 def test_a_joint_outside_its_limits_comes_back_and_goes_no_further() -> None:
     driver = Driver(leg())
     driver.receive(Command(desired=[0.9, 0.0]), 0)
     assert driver.step([0.7, 0.0], 0) == pytest.approx([0.7, 0.0])
     driver.receive(Command(desired=[0.0, 0.0]), 1)
     assert driver.step([0.7, 0.0], 1)[0] < 0.7
-
-
-def test_a_preview_is_limited_like_commands_and_belongs_to_one_tick() -> None:
-    driver = Driver(leg())
-
-    def step(k: int, *wanted: float, preview: list[list[float]] | None) -> None:
-        driver.receive(Command(desired=list(wanted), preview=preview), k * TICK_NS)
-        driver.step([0.0, 0.0], k * TICK_NS)
-
-    step(0, 0.0, 0.0, preview=[[0.05, 0.0], [0.3, 0.0], [0.9, -5.0]])
-    assert driver.preview == [
-        pytest.approx(row) for row in ([0.05, 0.0], [0.15, 0.0], [0.25, -0.1])
-    ]
-    driver.step([0.0, 0.0], TICK_NS)  # no command came
-    assert driver.preview is None
-    step(2, 0.3, 0.0, preview=[[0.4, 0.0]])  # more than a step: what follows is not what was told
-    assert driver.preview is None
 
 
 @pytest.mark.parametrize(
@@ -157,18 +98,6 @@ def test_a_preview_is_limited_like_commands_and_belongs_to_one_tick() -> None:
 )
 def test_commands_that_cannot_be_used(command: Command, words: str) -> None:
     assert words in complaint(command, 2)
-
-
-def test_the_mailbox_keeps_the_newest_and_counts_the_bad() -> None:
-    box = Mailbox()
-    for x in (0.1, 0.2):
-        box.put("l", encode(Command(desired=[x])), MSGPACK, 5)
-    command, arrival = box.take("l")
-    assert (command.desired, arrival) == ([0.2], 5)
-    assert box.take("l") is None
-    box.put("l", b"\x00rubbish", MSGPACK, 6)
-    assert box.take("l") is None
-    assert box.rejected == 1
 
 
 def test_silent_servos_are_asked_in_turn_and_come_back() -> None:

@@ -143,15 +143,6 @@ def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:
     assert "missing servo 3 (l0 j2)" in others[0]
 
 
-def test_an_xl320_shuts_down_by_its_torque_limit(bus: Serve) -> None:
-    device, [servo] = bus("1:XL-320")
-    described = robot(device, ((1,), "XL-320"), protocol=2)
-    servo.set_errors(0x01)  # overload
-    [line] = check_ports(plan_ports(described), full=False).advice
-    assert "shut down, its torque limit is 0" in line
-    assert "(35)" in line
-
-
 @pytest.mark.parametrize(
     ("port", "message"),
     [

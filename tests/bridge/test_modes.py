@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import pytest
 
@@ -11,7 +11,8 @@ from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.health import News, ServoHealth
 from adaptive_contact.bridge.modes import setting
 from adaptive_contact.bridge.packets import Status, fast_sync_status, split_fast_sync
-from adaptive_contact.bridge.tables import MODELS, models_named
+from adaptive_contact.bridge.plan import PortPlan
+from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
 
 AX = {"model": "AX-12A", "protocol": 1}
 MX = {"model": "MX-28", "protocol": 1}
@@ -92,38 +93,37 @@ def test_a_servo_that_is_replaced_by_one_set_differently_is_not_driven(run: Call
     assert not servo.torque
 
 
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
-def test_every_model_as_delivered_is_driven_over_its_whole_travel(model: object) -> None:
-    [one] = models_named(model.name)  # type: ignore[attr-defined]
-    registers = {"lower_limit": one.lowest, "upper_limit": one.highest, "operating_mode": 3}
-    registers |= {"resolution_divider": 1, "control_mode": 2, "secondary_id": 255}
+def read_from(model: ServoModel, **registers: int) -> list[bytes]:
+    """A servo's settings as they are read, those registers set, all else 0."""
     data = []
-    for block in one.settings:
+    for block in model.settings:
         memory = bytearray(block.size)
         for name, value in registers.items():
-            place = one.registers.get(name)
+            place = model.registers.get(name)
             if place and block.address <= place.address < block.address + block.size:
                 at = place.address - block.address
-                memory[at : at + place.size] = value.to_bytes(place.size, "little")
+                memory[at : at + place.size] = value.to_bytes(
+                    place.size, "little", signed=value < 0
+                )
         data.append(bytes(memory))
-    found = setting(one, data)
+    return data
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_every_model_as_delivered_is_driven_over_its_whole_travel(model: ServoModel) -> None:
+    ends = {"lower_limit": model.lowest, "upper_limit": model.highest}
+    modes = {"operating_mode": 3, "resolution_divider": 1, "control_mode": 2, "secondary_id": 255}
+    found = setting(model, read_from(model, **ends, **modes))
     assert found.wrong is found.undriven is None
-    assert (found.lowest, found.highest) == (one.lowest, one.highest)
+    assert (found.lowest, found.highest) == (model.lowest, model.highest)
 
 
 def test_a_homing_offset_takes_away_the_turn_that_torque_would_lose() -> None:
     """ROBOTIS forum 7814: homing -512, limits 2048 to 4095, at 3700: -396 once torque is on."""
     [model] = models_named("XC430-W240")
-    block = model.settings[0]
-    memory = bytearray(block.size)
-    for name, value in {
-        "operating_mode": 3, "homing_offset": -512, "lower_limit": 2048, "upper_limit": 4095,
-        "secondary_id": 255,
-    }.items():  # fmt: skip
-        place = model.registers[name]
-        at = place.address - block.address
-        memory[at : at + place.size] = value.to_bytes(place.size, "little", signed=value < 0)
-    found = setting(model, [bytes(memory)])
+    ends = {"lower_limit": 2048, "upper_limit": 4095}
+    modes = {"operating_mode": 3, "homing_offset": -512, "secondary_id": 255}
+    found = setting(model, read_from(model, **ends, **modes))
     assert (found.lowest, found.highest) == (2048, 3583)
 
 
@@ -159,62 +159,48 @@ def test_late_answers_are_waited_for_longer_and_named(rig: Callable, kind: dict)
     assert "missing servo 2 (l0 j1); check cable, power, id and baud rate" in line
 
 
+class Told:
+    """What is said of servos whose answers come late, or not at all."""
+
+    def __init__(self, plan: PortPlan) -> None:
+        self.health = {joint.servo: ServoHealth() for joint in plan.joints}
+        self.late = Counter[int]()
+        self.news = News(plan)
+        self.said: list[str] = []
+
+    def look(self, seconds: int, late: Iterable[int] = (), dead: Iterable[int] = ()) -> list[str]:
+        """Some seconds on: answers of some come late now and then, those of others not at all."""
+        for second in range(seconds):
+            self.late.update(late)
+            for servo, record in self.health.items():
+                misses = servo in dead or (servo in late and second % 2)
+                record.misses = 3 if misses else 0
+            self.said += self.news.lines(self.health, self.late)
+        said, self.said = self.said, []
+        return said
+
+
 def test_a_crowd_of_late_servos_is_one_line_and_a_single_one_is_named(rig: Callable) -> None:
-    plan = rig(**AX).plans[0]
-    health = {joint.servo: ServoHealth() for joint in plan.joints}
-    news, late = News(plan), Counter[int]()
-    said: list[str] = []
-    for second in range(60):
-        for servo in health:
-            late[servo] += 1
-            health[servo].misses = 3 * (second % 2)  # they come and go
-        said += news.lines(health, late)
-    assert len(said) == 1
-    assert "too busy" in said[0]
-    for record in health.values():
-        record.misses = 0
-    for _ in range(12):
-        said += news.lines(health, late)
-    assert said[1:] == ["port p0: answers come in time again"]
-    health[1].misses = 3
-    [line] = news.lines(health, late)
+    told = Told(rig(**AX).plans[0])
+    [busy] = told.look(60, late=(1, 2, 3, 4, 5, 6))
+    assert "too busy" in busy
+    assert told.look(12) == ["port p0: answers come in time again"]
+    [line] = told.look(1, dead=(1,))
     assert "servo 1 (l0 j0): no answer; check its cable and power" in line
 
 
 def test_a_dead_servo_is_named_on_a_busy_computer_too(rig: Callable) -> None:
     """The answers of all others come too late, now and then; of the dead one comes nothing."""
-    plan = rig(**AX).plans[0]
-    health = {joint.servo: ServoHealth() for joint in plan.joints}
-    news, late = News(plan), Counter[int]()
-    said: list[str] = []
-
-    def look(second: int, dead: bool) -> None:
-        for servo, record in health.items():
-            late[servo] += not (dead and servo == 2)
-            record.misses = 3 if dead and servo == 2 else 3 * (second % 2)
-        said.extend(news.lines(health, late))
-
-    for second in range(10):
-        look(second, dead=True)
-    busy, silent = said
+    told = Told(rig(**AX).plans[0])
+    busy, silent = told.look(10, late=(1, 3, 4, 5, 6), dead=(2,))
     assert "too busy" in busy
     assert silent == "port p0: servo 2 (l0 j1): no answer; check its cable and power"
-    for second in range(10):
-        look(second, dead=False)
-    assert said[2:] == ["port p0: servo 2 (l0 j1): answers again"]
+    assert told.look(10, late=range(1, 7)) == ["port p0: servo 2 (l0 j1): answers again"]
 
 
 def test_a_servo_whose_answers_keep_coming_late_is_not_sent_to_its_cable(rig: Callable) -> None:
-    plan = rig(**AX).plans[0]
-    health = {joint.servo: ServoHealth() for joint in plan.joints}
-    health[3].misses = 3
-    news, said = News(plan), []
-    for second in range(20):
-        said += news.lines(health, {3: second + 1})
-    assert len(said) == 1
-    assert (
-        "servo 3 (l0 j2): its answers come too late; set timeout_ms higher in [port.p0]" in said[0]
-    )
+    [line] = Told(rig(**AX).plans[0]).look(20, late=(3,), dead=(3,))
+    assert "servo 3 (l0 j2): its answers come too late; set timeout_ms higher in [port.p0]" in line
 
 
 def test_a_part_cut_short_spoils_a_fast_answer_and_is_no_reading() -> None:

@@ -5,11 +5,14 @@ Examples marked P1 are of the ROBOTIS e-manual "DYNAMIXEL Protocol 1.0", P2 of "
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import threading
 import tty
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -106,6 +109,9 @@ def test_status_packets_are_those_of_the_documents(
     codec: Codec, name: str, servo: int, error: int, data: str, packet: str
 ) -> None:
     assert codec.status(servo, error, bytes.fromhex(data)) == bytes.fromhex(packet)
+
+
+Asked = Callable[..., tuple[str, Any]]
 
 
 def test_fast_sync_read_is_answered_as_in_the_document() -> None:
@@ -205,31 +211,34 @@ def test_too_long_a_packet_is_refused(codec: Codec) -> None:
         codec.instruction(1, I.WRITE, bytes(1100))
 
 
-class Wire:
-    """The far end of a pseudo-terminal: keeps what is sent, answers with what it is given."""
+@pytest.fixture
+def asked(tmp_path: Path) -> Iterator[Asked]:
+    """What is sent for what is done on a bus, whose far end gives an answer."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    (tmp_path / "p").symlink_to(os.ttyname(slave))
 
-    def __init__(self, path: str, answers: list[bytes]) -> None:
-        self.sent: list[bytes] = []
-        self._answers = answers
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        Path(path).symlink_to(os.ttyname(self._slave))
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
+    def ask(answer: str, does: Callable[[Bus], object], **port: object) -> tuple[str, object]:
+        def serve() -> None:
+            sent.append(os.read(master, 1000))
+            os.write(master, bytes.fromhex(answer))
 
-    def _serve(self) -> None:
-        for answer in self._answers:
-            self.sent.append(os.read(self._master, 1000))
-            os.write(self._master, answer)
+        sent: list[bytes] = []
+        far = threading.Thread(target=serve, daemon=True)
+        far.start()
+        with contextlib.closing(
+            Bus("p", Port(device=str(tmp_path / "p"), timeout_ms=2000, **port))
+        ) as bus:
+            bus.open()
+            found = does(bus)
+            far.join(10.0)
+        return sent[0].hex(" ").upper(), found
 
-    def heard(self) -> list[str]:
-        self._thread.join(10.0)
-        os.close(self._slave)
-        os.close(self._master)
-        return [packet.hex(" ").upper() for packet in self.sent]
+    yield ask
+    os.close(slave)
+    os.close(master)
 
 
-P1_READ = ("FF FF 01 04 02 2B 01 CC", "FF FF 01 03 00 20 DB")
 P1_SYNC = (
     "FF FF FE 18 83 1E 04 00 10 00 50 01 01 20 02 60 03 02 30 00 70 01 03 20 02 80 03 12",
     {0: "10 00 50 01", 1: "20 02 60 03", 2: "30 00 70 01", 3: "20 02 80 03"},
@@ -238,56 +247,51 @@ P2_SYNC = (
     "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87",
     {1: "96 00 00 00", 2: "AA 00 00 00"},
 )
-P2_READ = (
-    "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA",
-    "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0 FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE",
-)
-
-
-def test_the_bridge_reads_an_ax_as_in_the_document(tmp_path: Path) -> None:
-    request, answer = P1_READ
-    wire = Wire(f"{tmp_path}/p", [bytes.fromhex(answer)])
-    bus = Bus("p", Port(device=f"{tmp_path}/p", protocol=1, timeout_ms=2000))
-    bus.open()
-    reading = bus.read([1], Block(0x2B, 1))[1]
-    bus.close()
-    assert reading.data == b"\x20"
-    assert wire.heard() == [request]
 
 
 @pytest.mark.parametrize(
     ("protocol", "address", "example"), [(1, 0x1E, P1_SYNC), (2, 0x74, P2_SYNC)]
 )
 def test_the_bridge_writes_to_all_as_in_the_documents(
-    tmp_path: Path, protocol: int, address: int, example: tuple[str, dict[int, str]]
+    asked: Asked, protocol: int, address: int, example: tuple[str, dict[int, str]]
 ) -> None:
     packet, rows = example
-    wire = Wire(f"{tmp_path}/p", [b""])
-    bus = Bus("p", Port(device=f"{tmp_path}/p", protocol=protocol))
-    bus.open()
     values = {i: int.from_bytes(bytes.fromhex(row), "little") for i, row in rows.items()}
-    assert bus.put_all(Register(address, 4), values)
-    assert wire.heard() == [packet]
-    bus.close()
+    write = asked("", lambda bus: bus.put_all(Register(address, 4), values), protocol=protocol)
+    assert write == (packet, True)
 
 
-def test_the_bridge_reads_xs_together_as_in_the_document(tmp_path: Path) -> None:
-    request, answers = P2_READ
-    wire = Wire(f"{tmp_path}/p", [bytes.fromhex(answers)])
-    bus = Bus("p", Port(device=f"{tmp_path}/p", protocol=2, timeout_ms=2000))
-    bus.open()
-    found = bus.read([1, 2], Block(0x84, 4))
-    bus.close()
-    assert [int.from_bytes(found[i].data, "little") for i in (1, 2)] == [166, 2079]
-    assert wire.heard() == [request]
+FAST_ANSWERS = [Status(i, 0, p.to_bytes(4, "little")) for i, p in ((3, 166), (7, 2079), (4, 1023))]
+READS: dict[str, Any] = {
+    "an AX": (
+        {"protocol": 1}, Block(0x2B, 1), {1: 32},
+        "FF FF 01 04 02 2B 01 CC", "FF FF 01 03 00 20 DB",
+    ),
+    "Xs together": (
+        {"protocol": 2}, Block(0x84, 4), {1: 166, 2: 2079},
+        "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA",
+        "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0 "
+        "FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE",
+    ),
+    "Xs fast": (
+        {"protocol": 2, "fast": True}, Block(0x84, 4), {3: 166, 7: 2079, 4: 1023},
+        "FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2",
+        fast_sync_status(FAST_ANSWERS).hex(),
+    ),
+}  # fmt: skip
 
 
-def test_the_bridge_reads_xs_fast_as_in_the_document(tmp_path: Path) -> None:
-    answers = [Status(i, 0, p.to_bytes(4, "little")) for i, p in ((3, 166), (7, 2079), (4, 1023))]
-    wire = Wire(f"{tmp_path}/p", [fast_sync_status(answers)])
-    bus = Bus("p", Port(device=f"{tmp_path}/p", protocol=2, fast=True, timeout_ms=2000))
-    bus.open()
-    found = bus.read([3, 7, 4], Block(0x84, 4))
-    bus.close()
-    assert [found[i].data for i in (3, 7, 4)] == [answer.data for answer in answers]
-    assert wire.heard() == ["FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2"]
+@pytest.mark.parametrize(
+    ("port", "block", "values", "request_", "answer"), READS.values(), ids=READS
+)
+def test_the_bridge_reads_as_in_the_documents(
+    asked: Asked,
+    port: dict[str, object],
+    block: Block,
+    values: dict[int, int],
+    request_: str,
+    answer: str,
+) -> None:
+    packet, found = asked(answer, lambda bus: bus.read(list(values), block), **port)
+    assert packet == request_
+    assert {i: int.from_bytes(found[i].data, "little") for i in values} == values

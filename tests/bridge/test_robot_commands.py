@@ -100,15 +100,6 @@ def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:
         group([found], 5, ("a", "b"))
 
 
-@real_time
-@pytest.mark.parametrize("kind", [AX, XL])
-def test_init_waits_for_a_slow_servo(rig: Callable, tmp_path: Path, kind: dict) -> None:
-    r = rig(**kind)
-    r.fault("late:id=5,ms=12")  # later than a bus in a hurry waits: a busy computer, or adapter
-    found = find_servos("p0", str(tmp_path / "p0"))
-    assert sorted(found.servos) == [1, 2, 3, 4, 5, 6]
-
-
 def test_an_unknown_model_is_named(rig: Callable, tmp_path: Path) -> None:
     r = rig(**AX)
     r.servo(3).store("model_number", 999)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compare import play
 from kinematic import KinematicBackend
 
 from adaptive_contact.bridge.plan import plan_ports
@@ -30,6 +29,7 @@ from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend, QuadrupedPlant
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
 from quadruped_stand import SCENARIOS, record
+from scoring import play
 
 
 def horns(robot: str = "hexapod") -> Horns:

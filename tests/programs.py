@@ -1,0 +1,87 @@
+"""Programs of Python in processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import Any, Final
+
+END_S: Final = 60.0
+
+
+class Program:
+    """A process, and the lines that it says; it is ended by :meth:`close` at the latest.
+
+    Args:
+        words: what follows the interpreter, such as ``-m adaptive_contact serve``.
+        python: another interpreter than that of the tests.
+        where: more for ``Popen``, such as ``cwd`` and ``env``.
+    """
+
+    def __init__(self, *words: object, python: str = sys.executable, **where: Any) -> None:
+        self.lines: list[str] = []
+        self._looked_at = 0
+        self._changed = threading.Condition()
+        self.process = subprocess.Popen(
+            [python, "-u", *map(str, words)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            encoding="utf-8",
+            **where,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._changed:
+                self.lines.append(line.rstrip("\n"))
+                self._changed.notify_all()
+
+    def wait_line(self, pattern: str, timeout_s: float = END_S, begin: int = 0) -> re.Match[str]:
+        """The match in the first line from one on; fails when the process ends before."""
+        until_s = time.monotonic() + timeout_s
+        while True:
+            ended = not self._reader.is_alive()
+            with self._changed:
+                for at, line in enumerate(self.lines[begin:], begin):
+                    if match := re.search(pattern, line):
+                        self._looked_at = at + 1
+                        return match
+                assert not ended, f"no '{pattern}' in {self.lines}"
+                assert time.monotonic() < until_s, f"no '{pattern}' in time in {self.lines}"
+                self._changed.wait(0.1)
+
+    def next_line(self, pattern: str, timeout_s: float = END_S) -> re.Match[str]:
+        """The match in the first line after the one that was found last."""
+        return self.wait_line(pattern, timeout_s, self._looked_at)
+
+    def wait(self, timeout_s: float = END_S) -> int:
+        """Wait for its end; its exit code."""
+        code = self.process.wait(timeout_s)
+        self._reader.join(END_S)
+        return code
+
+    def stop(self, number: int = signal.SIGINT) -> int:
+        """Ask it to end; its exit code."""
+        self.process.send_signal(number)
+        return self.wait()
+
+    def close(self) -> None:
+        """End it, if the test has not."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(END_S)
+            self.process.kill()
+        self.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
