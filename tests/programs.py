@@ -29,12 +29,11 @@ class Program:
         self._changed = threading.Condition()
         self.process = subprocess.Popen(
             [python, "-u", *map(str, words)],
-            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             encoding="utf-8",
-            **where,
+            **{"stdin": subprocess.DEVNULL, **where},
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
 import tomllib
@@ -34,6 +34,8 @@ from adaptive_contact.wire import (
     decode,
     servo_key,
 )
+from programs import Program
+from waiting import until
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MODEL = EXAMPLES.parent / "models" / "adaptive_contact_models" / "hexapod" / "robot.toml"
@@ -52,19 +54,17 @@ def test_the_examples_are_in_the_source_distribution() -> None:
     assert "examples" in settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
 
 
-def ended(process: subprocess.Popen[str], code: int) -> str:
-    """What a process that ends by itself has said; a traceback is none of it."""
-    said = process.communicate(timeout=600)[0]
-    assert process.returncode == code, said
+def ended(program: Program, code: int) -> str:
+    """What a program that ends by itself has said; a traceback is none of it."""
+    with contextlib.closing(program):
+        assert program.wait(600) == code, program.lines
+    said = "\n".join(program.lines)
     assert "Traceback" not in said
     return said
 
 
-def begin(example: str, *words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-u", str(EXAMPLES / example), *words],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+def begin(example: str, *words: str) -> Program:
+    return Program(EXAMPLES / example, *words)
 
 
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
@@ -93,7 +93,7 @@ def test_the_gait_controller_says_in_one_line_what_is_wrong(
 ) -> None:
     said = ended(begin("gait_controller.py", *words), 2)
     assert message in said
-    assert said.count("\n") == 1
+    assert "\n" not in said
 
 
 @pytest.mark.e2e
@@ -101,25 +101,19 @@ def test_the_gait_controller_without_a_bridge() -> None:
     with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
         said = ended(begin("gait_controller.py", "--connect", link.endpoints[0]), 2)
     assert said.startswith("gait_controller: no sample of leg 'rf' for 5 s; run")
-    assert said.count("\n") == 1
+    assert "\n" not in said
 
 
 @pytest.mark.e2e
-def test_a_bridge_without_a_router_says_so(rig: Callable, tmp_path: Path) -> None:
+def test_a_bridge_without_a_router_says_so(
+    rig: Callable, start: Callable[..., Program], tmp_path: Path
+) -> None:
     r = rig(model="AX-12A", protocol=1)
     (tmp_path / "robot.toml").write_text(write_robot(r.robot))
-    bridge = subprocess.Popen(
-        [sys.executable, "-u", "-m", "adaptive_contact", "bridge", "dynamixel", "--config",
-         str(tmp_path / "robot.toml"), "--connect", "tcp/127.0.0.1:1"],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
-    try:
-        assert bridge.stdout is not None
-        said = [bridge.stdout.readline() for _ in range(2)]
-        assert any("port p0: unreachable: nobody listens on" in line for line in said), said
-    finally:
-        bridge.send_signal(signal.SIGINT)
-        ended(bridge, 0)
+    words = ("--config", "robot.toml", "--connect", "tcp/127.0.0.1:1")
+    bridge = start("bridge", "dynamixel", *words)
+    bridge.wait_line("port p0: unreachable: nobody listens on")
+    assert bridge.stop() == 0
 
 
 def event(leg: str, t_ns: int, *, contact: bool, **more: object) -> ContactEvent:
@@ -275,29 +269,20 @@ class FakeBridge:
 
 @pytest.mark.slow
 @pytest.mark.e2e
-def test_the_gait_controller_holds_still_while_serve_is_dead() -> None:
+def test_the_gait_controller_holds_still_while_serve_is_dead(
+    start: Callable[..., Program],
+) -> None:
     """`serve` is killed while a leg steps: it is held where it is, and steps again once there is a
     service to say that a foot touches, from the top."""
-
-    def service(endpoint: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "adaptive_contact", "serve", "--no-state", "--connect",
-             endpoint, "--config", str(MODEL)],  # without a baseline it reports no contact
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-        )  # fmt: skip
-        assert process.stdout is not None
-        assert "connected to" in process.stdout.readline()
-        return process
-
-    def until(words: str) -> None:
-        assert controller.stdout is not None
-        for line in controller.stdout:
-            if words in line:
-                return
-        raise AssertionError(f"ended before it said '{words}'")
-
     leg = shipped_robot().leg("rf")
     assert leg.lengths_m is not None
+
+    def service() -> Program:
+        # Without a baseline it reports no contact.
+        words = ("--no-state", "--connect", link.endpoints[0], "--config", str(MODEL))
+        serve = start("serve", *words)
+        serve.wait_line("connected to")
+        return serve
 
     def height(goal: list[float]) -> float:
         return float(foot(goal, leg.lengths_m, leg.joint_axes)[2])
@@ -306,39 +291,21 @@ def test_the_gait_controller_holds_still_while_serve_is_dead() -> None:
         heights = [height(goal) for goal in bridge.commands[-4:]]
         return [after - before for before, after in itertools.pairwise(heights)]
 
-    def rises() -> bool:
-        return min(steps()) > 0.0
-
-    def descends() -> bool:
-        return max(steps()) < 0.0
-
-    running: list[subprocess.Popen[str]] = []
     with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link, FakeBridge(link, "rf") as bridge:
-        try:
-            running.append(service(link.endpoints[0]))
-            controller = begin(
-                "gait_controller.py", "--steps", "1000", "--connect", link.endpoints[0]
-            )
-            running.append(controller)
-            until("step 1: ")
-            for moves in (rises, descends):
-                while not moves():
-                    time.sleep(0.002)
-            running[0].kill()
-            until("no service reports contacts; holding still until one does")
-            # What was commanded before it noticed may still be on its way.
-            begun = len(bridge.commands) + 10
-            while len(bridge.commands) < begun + 50:
-                assert controller.poll() is None
-                time.sleep(0.02)
-            held = bridge.commands[begun:]
-            assert all(goal == held[0] for goal in held)
-            running.append(service(link.endpoints[0]))
-            until("step 2: ")
-            assert max(map(height, bridge.commands[begun:])) > height(held[0]) + 0.01
-        finally:
-            for process in running:
-                process.kill()
-                process.wait(60)
-                assert process.stdout is not None
-                process.stdout.close()
+        serve = service()
+        words = ("--steps", "1000", "--connect", link.endpoints[0])
+        controller = start(str(EXAMPLES / "gait_controller.py"), *words)
+        controller.next_line("step 1: ")
+        until(lambda: min(steps()) > 0.0)
+        until(lambda: max(steps()) < 0.0)
+        serve.stop(signal.SIGKILL)
+        controller.next_line("no service reports contacts; holding still until one does")
+        # What was commanded before it noticed may still be on its way.
+        begun = len(bridge.commands) + 10
+        until(lambda: len(bridge.commands) >= begun + 50)
+        assert controller.process.poll() is None
+        held = bridge.commands[begun:]
+        assert all(goal == held[0] for goal in held)
+        service()
+        controller.next_line("step 2: ")
+        assert max(map(height, bridge.commands[begun:])) > height(held[0]) + 0.01

@@ -11,21 +11,19 @@ import importlib.util
 import os
 import re
 import shlex
-import signal
 import socket
 import subprocess
 import sys
 import sysconfig
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from programs import Program
+
 ROOT = Path(__file__).parents[2]
-END_S = 60.0
 
 # Of a test that is the first to need a wheel's environment: building it compiles the tick.
 BUILD_S = 900
@@ -69,69 +67,6 @@ class Environment:
             timeout=timeout_s,
             check=False,
         )
-
-
-class Running:
-    """A process whose lines can be waited for."""
-
-    def __init__(self, environment: Environment, args: tuple[str, ...], cwd: Path) -> None:
-        self.lines: list[str] = []
-        self._changed = threading.Condition()
-        self.process = subprocess.Popen(
-            [environment.python, "-u", *args],
-            cwd=cwd,
-            env=environment.env,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            encoding="utf-8",
-        )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            with self._changed:
-                self.lines.append(line.rstrip("\n"))
-                self._changed.notify_all()
-        with self._changed:
-            self._changed.notify_all()
-
-    def wait_line(self, pattern: str, timeout_s: float = 60.0) -> re.Match[str]:
-        """The match in the first line that has one; fails when the process ends before."""
-
-        def found() -> re.Match[str] | None:
-            return next((m for line in self.lines if (m := re.search(pattern, line))), None)
-
-        until_s = time.monotonic() + timeout_s
-        with self._changed:
-            while (match := found()) is None:
-                left_s = until_s - time.monotonic()
-                assert left_s > 0, f"no '{pattern}' within {timeout_s} s in {self.lines}"
-                assert self._reader.is_alive(), f"no '{pattern}' in {self.lines}"
-                self._changed.wait(min(left_s, 1.0))
-        return match
-
-    def wait(self, timeout_s: float) -> int:
-        """Wait for its end; its exit code."""
-        code = self.process.wait(timeout_s)
-        self._reader.join(END_S)
-        return code
-
-    def stop(self, number: int = signal.SIGINT) -> int:
-        """Ask it to end; its exit code."""
-        self.process.send_signal(number)
-        return self.wait(END_S)
-
-    def close(self) -> None:
-        """End it by its id, if the test has not."""
-        if self.process.poll() is None:
-            self.process.kill()
-        self.wait(END_S)
-        assert self.process.stdout is not None
-        self.process.stdout.close()
 
 
 def _bare_variables() -> dict[str, str]:
@@ -230,18 +165,16 @@ def command(environment: Environment, tmp_path: Path) -> Callable[..., str]:
 
 
 @pytest.fixture
-def start(environment: Environment, tmp_path: Path) -> Iterator[Callable[..., Running]]:
+def start(
+    environment: Environment, program: Callable[..., Program], tmp_path: Path
+) -> Callable[..., Program]:
     """Start a command of ours, or with ``script`` one of Python, in the test's folder."""
-    running: list[Running] = []
 
-    def begin(*args: Any, script: bool = False) -> Running:
-        full = args if script else ("-m", "adaptive_contact", *args)
-        running.append(Running(environment, tuple(map(str, full)), tmp_path))
-        return running[-1]
+    def begin(*args: Any, script: bool = False) -> Program:
+        words = args if script else ("-m", "adaptive_contact", *args)
+        return program(*words, python=environment.python, cwd=tmp_path, env=environment.env)
 
-    yield begin
-    for process in reversed(running):
-        process.close()
+    return begin
 
 
 # A fit takes 80 s of a walk, and the tutorial learns for 100 s.
@@ -269,7 +202,7 @@ class Shell:
         own = {"HOME": str(folder), "XDG_STATE_HOME": str(folder / "state"), "BROWSER": "true"}
         self.environment = dataclasses.replace(environment, env=environment.env | own)
         self.folder = folder
-        self.jobs: list[tuple[str, Running]] = []
+        self.jobs: list[tuple[str, Program]] = []
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
@@ -293,7 +226,9 @@ class Shell:
                 # A service that joins a router needs the one before.
                 if job[0].split()[: len(kind)] == kind and not joins:
                     self.stop(job)
-            running = Running(environment, tuple(words), self.folder)
+            running = Program(
+                *words, python=environment.python, cwd=self.folder, env=environment.env
+            )
             self.jobs.append((said, running))
             running.wait_line(self.READY, 300.0)
             return "\n".join(running.lines)
@@ -323,7 +258,7 @@ class Shell:
         started = ["-m", "adaptive_contact"] if words[0] == "adaptive-contact" else []
         return line, [*started, *words[1:]]
 
-    def stop(self, job: tuple[str, Running]) -> None:
+    def stop(self, job: tuple[str, Program]) -> None:
         """End one that runs on, as Ctrl-C does."""
         line, running = job
         if running.process.poll() is None:

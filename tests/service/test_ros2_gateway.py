@@ -38,7 +38,8 @@ from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.ros2 import WAITING, Gateway, Inbox
-from waiting import free_address
+from programs import Program
+from waiting import free_address, until
 
 pytestmark = pytest.mark.e2e
 
@@ -96,49 +97,25 @@ def ros(port: int) -> Iterator[zenoh.Session]:
         yield session
 
 
-class Running:
-    """A process whose lines can be waited for."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.process = process
-        self.lines: list[str] = []
-        self._changed = threading.Condition()
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            with self._changed:
-                self.lines.append(line.rstrip())
-                self._changed.notify_all()
-
-    def wait(self, test: Callable[[list[str]], Any], timeout_s: float = 20.0) -> list[str]:
-        with self._changed:
-            assert self._changed.wait_for(lambda: test(self.lines), timeout_s), self.lines[-8:]
-            return list(self.lines)
-
-    def says(self, *words: str, times: int = 1) -> list[str]:
-        """Lines that hold all words, once there are so many."""
-
-        def found(lines: list[str]) -> list[str]:
-            return [line for line in lines if all(word in line for word in words)]
-
-        return found(self.wait(lambda lines: len(found(lines)) >= times))
+def says(program: Program, *words: str) -> list[str]:
+    """The lines that hold all words, once there are some."""
+    found: list[str] = until(
+        lambda: [line for line in program.lines if all(word in line for word in words)],
+        lambda: program.lines[-8:],
+    )
+    return found
 
 
 @pytest.fixture
-def gateway(command, config: Path, port: int) -> Callable[..., Running]:
+def gateway(program, config: Path, port: int) -> Callable[..., Program]:
     """Starts `bridge ros2`, and waits until it reads."""
 
-    def start(endpoint: str, *args: str) -> Running:
-        process = command(
+    def start(endpoint: str, *args: str) -> Program:
+        running: Program = program(
             *("-m", "adaptive_contact", "bridge", "ros2", "--config", str(config)),
             *("--connect", endpoint, "--ros-connect", f"127.0.0.1:{port}", *args),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
         )
-        running = Running(process)
-        running.says("reading", STATE)
+        says(running, "reading", STATE)
         return running
 
     return start
@@ -201,14 +178,15 @@ class Publisher:
 
 def until_used(publisher: Publisher, samples: Any) -> None:
     """Publish until the first sample arrives: the declarations travel."""
-    end_s = time.monotonic() + 20.0
-    while not samples.items and time.monotonic() < end_s:
+
+    def arrived() -> bool:
         publisher.put(publisher.cdr(publisher.state([0.0] * 6)))
-        threading.Event().wait(0.02)
-    assert samples.items
+        return bool(samples.items)
+
+    until(arrived)
 
 
-def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, command, ros, port) -> None:
+def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, program, ros, port) -> None:
     if importlib.util.find_spec("zenoh_ros2_sdk") is None:
         pytest.skip("needs zenoh-ros2-sdk (extra 'ros2-test')")
     served = serve()
@@ -217,13 +195,8 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, command, ros, port)
     link.subscribe(servo_key("rf"), samples)
     link.subscribe(learner_key("rf"), learners)
     gateway(served.endpoint)
-    foreign = Running(
-        command(
-            str(Path(__file__).parent / "foreign_ros2.py"),
-            str(port),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
+    foreign: Program = program(
+        Path(__file__).parent / "foreign_ros2.py", port, stdin=subprocess.PIPE
     )
 
     def told(topic: str) -> list[Any]:
@@ -233,11 +206,11 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, command, ros, port)
             if line["topic"] == topic
         ]
 
-    foreign.wait(lambda _: len(told("rf")) >= 6 and told("diagnostics") and told("states"))
+    until(lambda: len(told("rf")) >= 6 and told("diagnostics") and told("states"))
     assert foreign.process.stdin is not None
     foreign.process.stdin.write("quiet\n")
     foreign.process.stdin.flush()
-    foreign.wait(lambda _: told("sent"))
+    until(lambda: told("sent"))
 
     ticks = told("sent")[0]["ticks"]
     foreign.process.stdin.close()
@@ -331,7 +304,7 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(
         ("300000 bytes, at most",),
         ("NaN or infinite", "lf_coxa"),
     ):
-        assert len(running.says(STATE, *words)) == 1  # of three
+        assert len(says(running, STATE, *words)) == 1  # of three
 
     # A flood on the way in, and contacts on the way out, of a leg whose samples come all the while.
     standing = rig.Robot50(served.endpoint, ("lf",), run=2**62, touch=lambda _: True)
@@ -406,10 +379,10 @@ def test_a_router_that_comes_back(serve, gateway, join, inbox, port) -> None:
     with open_router(port) as first:
         running = gateway(served.endpoint)
         until_used(Publisher(first), samples)
-    running.says("ROS 2 cannot be reached")
+    says(running, "ROS 2 cannot be reached")
     samples.items.clear()
     with open_router(port) as second:
-        running.says("the service and ROS 2 are there")
+        says(running, "the service and ROS 2 are there")
         until_used(Publisher(second), samples)
 
 
@@ -419,7 +392,7 @@ def test_legs_without_samples_are_told_of(serve, gateway, ros) -> None:
     node = rmw.Node(0, "aa", "controller")
     token = ros.liveliness().declare_token(node.endpoint_token("MP", 1, other, rmw.STREAM))
     running = gateway(served.endpoint)
-    (line,) = running.says("no sample of legs lf, rf yet")
+    (line,) = says(running, "no sample of legs lf, rf yet")
     assert "nobody publishes there" in line
     assert "/joint_controller/state" in line
     token.undeclare()

@@ -8,9 +8,6 @@ from __future__ import annotations
 import contextlib
 import json
 import lzma
-import os
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,6 +24,7 @@ from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.state import FORMAT, Record, StateStore, settings_digest, unpack
 from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.wire import LearnerStatus, ServoSample, decode, learner_key, servo_key
+from programs import Program
 
 from .conftest import Desk
 
@@ -55,34 +53,18 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 @contextlib.contextmanager
-def serving(folder: Path, log: Path) -> Iterator[Link]:
-    """A link to `serve`; it is asked to end and then has ended."""
-    command = [
-        *(sys.executable, "-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0"),
-        *("--config", str(folder / "robot.toml"), "--baseline", str(folder / "baseline.json")),
-        *("--state", str(folder / "state")),
-    ]
-    paths = os.pathsep.join(path for path in sys.path if path)
-    with (
-        log.open("w") as stderr,
-        subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            text=True,
-            env={**os.environ, "PYTHONPATH": paths},
-            cwd=folder,  # what `-m` finds in the current folder comes before any path
-        ) as serve,
-    ):
-        try:
-            assert serve.stdout is not None
-            endpoint = serve.stdout.readline().split("listening on ")[1].split(";")[0]
-            with Link.open(client_settings([endpoint], wait=False)) as link:
-                yield link
-            serve.terminate()
-            assert serve.wait(60) == 0
-        finally:
-            serve.kill()
+def serving(folder: Path) -> Iterator[tuple[Link, Program]]:
+    """`serve` and a link to it; it is asked to end and then has ended."""
+    serve = Program(
+        *("-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0", "--state", "state"),
+        *("--config", "robot.toml", "--baseline", "baseline.json"),
+        cwd=folder,
+    )
+    with contextlib.closing(serve):
+        endpoint = serve.wait_line(r"listening on (\S+?)[;,]")[1]
+        with Link.open(client_settings([endpoint], wait=False)) as link:
+            yield link, serve
+        assert serve.stop() == 0
 
 
 def fed(link: Link, first: int, count: int) -> None:
@@ -104,8 +86,7 @@ def test_serve_goes_on_from_what_the_version_before_has_learned(before: Path) ->
     """The whole service: what it counts goes on, and so does the number that its source counts."""
     (old,) = (before / "state").rglob("*.state")
     content = old.read_bytes()
-    log = before / "log"
-    with serving(before, log) as link:
+    with serving(before) as (link, serve):
         told = spoken(link, lambda status: True)
         assert (told.ticks, told.contacts) == (SAVED["ticks"], SAVED["contacts"])
         assert told.model_version == SAVED["model_version"]
@@ -114,8 +95,8 @@ def test_serve_goes_on_from_what_the_version_before_has_learned(before: Path) ->
         fed(link, 8, 5)  # 7 were lost while the service was replaced
         after = spoken(link, lambda status: status.ticks == SAVED["ticks"] + 5)
         assert after.missed == 7
-    assert "state restored" in log.read_text()
-    assert "state refused" not in log.read_text()
+    assert any("state restored" in line for line in serve.lines)
+    assert not any("state refused" in line for line in serve.lines)
     # A step back: what was saved at the end is in the format that the version before reads, and
     # the state that it had left is the one before.
     record, first = unpack(old.read_bytes()), unpack(content)

@@ -8,12 +8,12 @@ import json
 import shutil
 import signal
 import subprocess
-import time
 import urllib.request
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
+
+from waiting import until
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
@@ -51,7 +51,7 @@ class Chromium:
             start_new_session=True,  # its processes end together
         )
         told = profile / "DevToolsActivePort"
-        wait_for(lambda: told.exists() and told.read_text().count("\n") >= 1, "the DevTools port")
+        until(lambda: told.exists() and told.read_text().count("\n") >= 1, "the DevTools port")
         self._port = int(told.read_text().split()[0])
         self.pid = self._process.pid
 
@@ -146,7 +146,7 @@ class Tab:
 
     def wait(self, expression: str, timeout_s: float = 30.0) -> Any:
         """Wait until an expression holds; its value."""
-        return wait_for(lambda: self.value(expression), expression, timeout_s)
+        return until(lambda: self.value(expression), expression, timeout_s)
 
     def picture(self, path: Path, *, whole: bool = False) -> None:
         """Take a screenshot."""
@@ -161,12 +161,3 @@ class Tab:
     def close(self) -> None:
         """End the connection; the tab ends with its browser."""
         self._stack.close()
-
-
-def wait_for(test: Callable[[], Any], what: str, timeout_s: float = 30.0) -> Any:
-    """Wait until a test gives something true."""
-    until = time.monotonic() + timeout_s
-    while not (value := test()):
-        assert time.monotonic() < until, f"not in {timeout_s} s: {what}"
-        time.sleep(0.05)
-    return value

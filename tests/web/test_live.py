@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import subprocess
-import sys
-import threading
 import time
 import urllib.error
 import urllib.request
@@ -27,8 +24,10 @@ from adaptive_contact.wire import (
     learner_key,
     trace_key,
 )
+from programs import Program
+from waiting import until
 
-from .chromium import Chromium, Tab, found, wait_for
+from .chromium import Chromium, Tab, found
 
 pytestmark = pytest.mark.e2e
 
@@ -44,52 +43,15 @@ Promise.all(['data', 'stream', 'theme', 'plots', 'charts'].map((name) => import(
 """
 
 
-class Running:
-    """A command as a process; its lines are kept."""
-
-    def __init__(self, *args: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "adaptive_contact", *args],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
-        self.lines: list[str] = []
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip("\n"))
-
-    def wait_line(self, pattern: str, timeout_s: float = 60.0) -> re.Match[str]:
-        def match() -> re.Match[str] | None:
-            assert self.process.poll() is None or self.lines, "it has ended without a word"
-            return next((m for line in list(self.lines) if (m := re.search(pattern, line))), None)
-
-        found_: re.Match[str] = wait_for(match, f"{pattern} in {self.lines}", timeout_s)
-        return found_
-
-    def end(self, number: int = signal.SIGINT) -> int:
-        self.process.send_signal(number)
-        return self.process.wait(60)
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait(60)
-        self._reader.join(20)
-        assert self.process.stdout is not None
-        self.process.stdout.close()
+def begun(*words: str) -> Program:
+    return Program("-m", "adaptive_contact", *words, start_new_session=True)
 
 
 class Robot:
     """Service, simulated robot and page."""
 
     def __init__(self) -> None:
-        self.parts: list[Running] = []
+        self.parts: list[Program] = []
         service = self.begin("serve", "--no-state", "--listen", "tcp/127.0.0.1:0")
         # The first start of a revision compiles, which takes long beside other work.
         self.endpoint = service.wait_line(r"listening on (tcp/\S+?)[;,]", 180).group(1)
@@ -97,8 +59,8 @@ class Robot:
         self.page = self.begin("watch", "--web", "--no-browser", "--connect", self.endpoint)
         self.url = self.page.wait_line(r"live page at (http://\S+)").group(1)
 
-    def begin(self, *args: str) -> Running:
-        part = Running(*args)
+    def begin(self, *args: str) -> Program:
+        part = begun(*args)
         self.parts.append(part)
         return part
 
@@ -326,7 +288,7 @@ def test_text_of_the_wire_is_text(robot: Robot, tab: Tab) -> None:
             found: str = tab.value("document.getElementById('banner').textContent")
             return found if "<script>alert(1)</script>" in found else None
 
-        text = wait_for(seen, "the note in the banner")
+        text = until(seen, "the note in the banner")
     assert "\\u202e\\u001b[2J" in text
     assert tab.value("document.querySelectorAll('#banner img, #banner script').length") == 0
     assert tab.value("document.title") != "1"
@@ -451,31 +413,31 @@ def test_a_port_in_use_and_options_that_do_not_go_together_are_one_line(robot: R
         (("--web", "--json"), "--web shows a page; leave --once and --json out"),
         (("--port", "1234"), "--host, --port and --no-browser are of the page; give --web"),
     ):
-        second = Running("watch", *args, "--connect", robot.endpoint)
-        assert second.process.wait(60) == 2
+        second = begun("watch", *args, "--connect", robot.endpoint)
+        assert second.wait() == 2
         second.close()
         assert len(second.lines) == 1
         assert line in second.lines[0]
 
 
 def test_the_page_is_there_before_the_router_is() -> None:
-    page = Running("watch", "--web", "--no-browser", "--connect", "tcp/127.0.0.1:1")
+    page = begun("watch", "--web", "--no-browser", "--connect", "tcp/127.0.0.1:1")
     try:
         url = page.wait_line(r"live page at (http://\S+)").group(1)
         line = "nobody listens on tcp/127.0.0.1:1"
-        wait_for(lambda: line in str(_banner(url)), line)
-        assert page.end() == 0
+        until(lambda: line in str(_banner(url)), line)
+        assert page.stop() == 0
     finally:
         page.close()
 
 
 def test_the_service_goes_and_comes_back(robot: Robot) -> None:
     """Last, as it ends the service: the page says so, and a page that ends is ended well."""
-    robot.parts[0].end()
-    wait_for(lambda: "the router is lost" in str(_banner(robot.url)), "the banner", 30)
+    robot.parts[0].stop()
+    until(lambda: "the router is lost" in str(_banner(robot.url)), "the banner", 30)
     robot.begin("serve", "--no-state", "--listen", robot.endpoint)
-    wait_for(lambda: "router" not in str(_banner(robot.url)), "the banner without it", 60)
-    assert robot.page.end(signal.SIGTERM) == 0
+    until(lambda: "router" not in str(_banner(robot.url)), "the banner without it", 60)
+    assert robot.page.stop(signal.SIGTERM) == 0
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(robot.url, timeout=5)
 
