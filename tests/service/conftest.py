@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from typer.testing import CliRunner
@@ -259,3 +260,29 @@ def sample() -> Callable[..., ServoSample]:
         )
 
     return make
+
+
+class Users(NamedTuple):
+    """Files of the documented set of users."""
+
+    service: Path
+    robot: Path
+    viewer: Path
+    stranger: Path
+
+
+@pytest.fixture
+def users(tmp_path: Path) -> Users:
+    """As docs/security.md has them; the stranger has mistyped the robot's password."""
+    text = (HERE.parents[1] / "docs/security.md").read_text(encoding="utf-8")
+    service, robot = re.findall(r"```json5\n(.*?)```", text, re.DOTALL)[:2]
+    (names,) = re.findall(r"```text\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "users").write_text(names)
+    files = Users(*(tmp_path / f"{name}.json5" for name in Users._fields))
+    own = str(tmp_path / "users")
+    files.service.write_text(service.replace("/etc/adaptive-contact/users", own))
+    files.robot.write_text(robot)
+    viewer = robot.replace('"robot"', '"viewer"').replace("CHANGE-ME-2", "CHANGE-ME-3")
+    files.viewer.write_text(viewer)
+    files.stranger.write_text(robot.replace("CHANGE-ME-2", "CHANGE-MY-2"))
+    return files

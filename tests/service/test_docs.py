@@ -63,17 +63,6 @@ def test_the_examples_are_good_messages() -> None:
     assert encode(read_event, JSON).decode() == event
 
 
-def test_links_lead_somewhere() -> None:
-    def anchors(text: str) -> set[str]:
-        titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-        return {re.sub(r"[^a-z0-9 -]", "", title.lower()).replace(" ", "-") for title in titles}
-
-    for anchor in re.findall(r"\]\(#([^)]*)\)", TEXT):
-        assert anchor in anchors(TEXT), anchor
-    for anchor in re.findall(r"\]\(messages\.md#([^)]*)\)", OPERATING):
-        assert anchor in anchors(TEXT), anchor
-
-
 def contacts_code() -> str:
     part = TEXT.split("## A safe subscriber")[1]
     (code,) = re.findall(r"```python\n(.*?)```", part, re.DOTALL)

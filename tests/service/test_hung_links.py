@@ -29,31 +29,6 @@ TOLD = re.compile("links dropped that held up|links lost")
 LINKS = [int(text) for text in os.environ.get("LINKS", "4,20").split(",")]
 VIEWERS = [int(text) for text in os.environ.get("VIEWERS", "130").split(",")]
 SOURCE = "10.231.7.1"
-TEXT = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
-
-
-class Users(NamedTuple):
-    """Files of the documented set."""
-
-    service: Path
-    robot: Path
-    viewer: Path
-
-
-@pytest.fixture
-def users(tmp_path: Path) -> Users:
-    service, robot = re.findall(r"```json5\n(.*?)```", TEXT, re.DOTALL)[:2]
-    (names,) = re.findall(r"```text\n(.*?)```", TEXT, re.DOTALL)
-    (tmp_path / "users").write_text(names)
-    files = Users(*(tmp_path / f"{name}.json5" for name in Users._fields))
-    files.service.write_text(
-        service.replace("/etc/adaptive-contact/users", str(tmp_path / "users"))
-    )
-    files.robot.write_text(robot)
-    files.viewer.write_text(
-        robot.replace('"robot"', '"viewer"').replace("CHANGE-ME-2", "CHANGE-ME-3")
-    )
-    return files
 
 
 class Namespace(NamedTuple):
@@ -159,7 +134,7 @@ def test_subscribers_that_hang_on_a_unix_socket_hold_up_nobody(
 
 @pytest.mark.parametrize("viewers", VIEWERS)
 def test_viewers_behind_a_proxy_that_stops_reading_hold_up_nobody(
-    serve: Any, command: Any, rig: ModuleType, users: Users, viewers: int
+    serve: Any, command: Any, rig: ModuleType, users: Any, viewers: int
 ) -> None:
     """Read-only users of the documented set, whose sessions say that they may be silent for hours.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import signal
-import subprocess
 import threading
 import time
 import urllib.request
@@ -23,7 +22,7 @@ pytest.importorskip("foxglove", reason="needs the extra 'foxglove'")
 pytest.importorskip("websockets")
 
 from test_foxglove_live import Client
-from test_ros2_gateway import Running, open_router
+from test_ros2_gateway import open_router
 from test_ros2_gateway import port as port  # a fixture
 
 from adaptive_contact.ros2 import rmw
@@ -38,6 +37,7 @@ from adaptive_contact.wire import (
     LegHeartbeat,
     decode,
 )
+from programs import Program
 from test_docs import contacts_class
 
 LEGS = ("lf", "rf")
@@ -164,7 +164,7 @@ def quietly(over: threading.Event, read: Callable[..., None], *args: Any) -> Non
 @pytest.mark.e2e
 @pytest.mark.timeout(240)
 def test_no_form_shows_a_contact_for_longer_than_is_known(
-    serve: Any, command: Any, rig: Any, port: int, tmp_path: Path
+    serve: Any, program: Any, rig: Any, port: int, tmp_path: Path
 ) -> None:
     """Causes, one after the other; after each, what is known is shown again."""
     config = tmp_path / "robot.toml"  # of the service, too
@@ -176,12 +176,9 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
         wire = kept.enter_context(closing(rig.Wire(endpoint)))
         source = kept.enter_context(closing(rig.Robot50(endpoint, LEGS)))
 
-        def begin(*args: str) -> Running:
-            process = command(
-                "-u", "-m", "adaptive_contact", *args, "--connect", wire.endpoint,
-                stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            )  # fmt: skip
-            return Running(process)
+        def begin(*args: str) -> Program:
+            started: Program = program("-m", "adaptive_contact", *args, "--connect", wire.endpoint)
+            return started
 
         ros = kept.enter_context(open_router(port))
         _kept = read_ros(forms, ros)
@@ -205,10 +202,9 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
                 and forms.say("events", event.leg, event.contact, event.status != "silent")
             ),
         )
-        (line,) = foxglove.says("open ws://")
-        quietly(over, read_foxglove, forms, int(line.split("ws://127.0.0.1:")[1].split()[0]))
-        (line,) = page.says("live page at")
-        quietly(over, read_page, forms, line.split("live page at ")[1].split()[0])
+        shown = foxglove.wait_line(r"open ws://127\.0\.0\.1:(\d+)")
+        quietly(over, read_foxglove, forms, int(shown[1]))
+        quietly(over, read_page, forms, page.wait_line(r"live page at (\S+)")[1])
         lines = (json.loads(text) for text in _follow(watch))
         quietly(over, read_rows, "watch", forms, lines)
 
@@ -270,7 +266,7 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
         assert forms.faults == []
 
 
-def _follow(running: Running) -> Iterator[str]:
+def _follow(running: Program) -> Iterator[str]:
     """Lines as they come."""
     seen = 0
     while running.process.poll() is None:

@@ -112,20 +112,6 @@ class Standing:
         return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0), threads, lacks
 
 
-class Vanishing(ProcessRefitter):
-    """Its process is there when it is first looked at, and gone when it is looked at again."""
-
-    looks: Iterator[subprocess.Popen[bytes] | None] | None = None
-
-    @property  # type: ignore[override]
-    def _process(self) -> subprocess.Popen[bytes] | None:
-        return None if self.looks is None else next(self.looks, None)
-
-    @_process.setter
-    def _process(self, process: subprocess.Popen[bytes] | None) -> None:
-        """Nobody asks for what is put here."""
-
-
 @pytest.fixture
 def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
@@ -172,6 +158,13 @@ def wait(refitter: Refitter, leg: str, number: int) -> object:
     return found[0]
 
 
+def refitted(refitter: Refitter, job: RefitJob) -> RefitResult:
+    refitter.submit(job)
+    found = wait(refitter, job.leg, job.number)
+    assert isinstance(found, RefitResult)
+    return found
+
+
 def _submitted(refitter: ProcessRefitter, job: Standing | Noted) -> int:
     refitter.submit(job)  # type: ignore[arg-type]
     return job.number
@@ -184,16 +177,13 @@ def test_the_result_is_that_of_a_refit_in_line(
     inline.submit(job())
     expected = inline.collect("rf", 1)
     assert isinstance(expected, RefitResult)
-    refitter.submit(job())
-    found = wait(refitter, "rf", 1)
-    assert isinstance(found, RefitResult)
+    found = refitted(refitter, job())
     assert found.status is FitStatus.OK
     assert np.array_equal(found.coefficients, expected.coefficients)
     assert refitter.collect("rf", 1) is None, "a result is given once"
     # The process is killed between two jobs: the next one starts another.
     started[0].kill()
-    refitter.submit(job("lf", 5))
-    assert isinstance(wait(refitter, "lf", 5), RefitResult)
+    assert refitted(refitter, job("lf", 5)).status is FitStatus.OK
     assert refitter.failures == 0
     assert len(started) == 2
 
@@ -233,8 +223,7 @@ def test_a_process_that_hangs_before_a_large_job_is_replaced(
     started: list[subprocess.Popen[bytes]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    refitter.submit(job())
-    assert isinstance(wait(refitter, "rf", 1), RefitResult)
+    assert refitted(refitter, job()).status is FitStatus.OK
     (hanging,) = started
     hanging.send_signal(signal.SIGSTOP)
     start = start_process
@@ -246,10 +235,7 @@ def test_a_process_that_hangs_before_a_large_job_is_replaced(
     monkeypatch.setattr(refits, "start_process", patient)
     refitter.timeout_s = 1.0
     # The job fills the pipe, so that writing it never ends by itself.
-    refitter.submit(large(2))
-    found = wait(refitter, "rf", 2)
-    assert isinstance(found, RefitResult)
-    assert found.status is FitStatus.OK
+    assert refitted(refitter, large(2)).status is FitStatus.OK
     assert refitter.failures == 0
     assert hanging.wait(60) == -signal.SIGKILL
 
@@ -277,27 +263,20 @@ def test_processes_that_hang_are_given_up(
     monkeypatch.setattr(refits, "start_process", hangs)
     refitter.timeout_s = 1.0
     with capture_logs() as logs:
-        refitter.submit(large(1))
-        found = wait(refitter, "rf", 1)
-    assert isinstance(found, RefitResult)
-    assert found.status is FitStatus.LOST
+        assert refitted(refitter, large(1)).status is FitStatus.LOST
     assert refitter.failures == 1
     assert [line["event"] for line in logs] == ["refit given up"]
     assert [process.wait(60) for process in started] == [-signal.SIGKILL] * 2
     # The next job has a process of its own again.
     monkeypatch.setattr(refits, "start_process", start)
     refitter.timeout_s = 20.0
-    refitter.submit(job("rf", 2))
-    again = wait(refitter, "rf", 2)
-    assert isinstance(again, RefitResult)
-    assert again.status is FitStatus.OK
+    assert refitted(refitter, job("rf", 2)).status is FitStatus.OK
 
 
 def test_closing_does_not_wait_for_a_process_that_hangs(
     refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]]
 ) -> None:
-    refitter.submit(job())
-    assert isinstance(wait(refitter, "rf", 1), RefitResult)
+    assert refitted(refitter, job()).status is FitStatus.OK
     (hanging,) = started
     hanging.send_signal(signal.SIGSTOP)
     refitter.submit(large(2))
@@ -308,28 +287,15 @@ def test_closing_does_not_wait_for_a_process_that_hangs(
     assert hanging.wait(60) == -signal.SIGKILL
 
 
-def test_closing_while_the_process_ends_is_no_fault() -> None:
-    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
-        refitter = Vanishing()
-        refitter.looks = iter([process])
-        refitter.close()
-        assert process.wait(60) == -signal.SIGKILL
-
-
 def test_a_job_that_kills_its_process_twice_is_answered_as_failed(
     refitter: ProcessRefitter,
 ) -> None:
     deadly = Deadly(**{f.name: getattr(job(), f.name) for f in dataclasses.fields(RefitJob)})
-    refitter.submit(deadly)
-    found = wait(refitter, "rf", 1)
-    assert isinstance(found, RefitResult)
+    found = refitted(refitter, deadly)
     assert found.status is FitStatus.LOST
     assert not found.coefficients.any()
     assert refitter.failures == 1
-    refitter.submit(job("rf", 2))
-    again = wait(refitter, "rf", 2)
-    assert isinstance(again, RefitResult)
-    assert again.status is FitStatus.OK
+    assert refitted(refitter, job("rf", 2)).status is FitStatus.OK
 
 
 def test_a_process_that_cannot_be_started_costs_its_job_and_no_other(
@@ -340,16 +306,10 @@ def test_a_process_that_cannot_be_started_costs_its_job_and_no_other(
 
     with monkeypatch.context() as short, capture_logs() as logs:
         short.setattr(refits, "start_process", no_memory)
-        refitter.submit(job("rf", 1))
-        lost = wait(refitter, "rf", 1)
-    assert isinstance(lost, RefitResult)
-    assert lost.status is FitStatus.LOST
+        assert refitted(refitter, job("rf", 1)).status is FitStatus.LOST
     assert refitter.failures == 1
     assert [(line["event"], line["leg"]) for line in logs] == [("refit given up", "rf")]
-    refitter.submit(job("rf", 2))
-    found = wait(refitter, "rf", 2)
-    assert isinstance(found, RefitResult)
-    assert found.status is not FitStatus.LOST
+    assert refitted(refitter, job("rf", 2)).status is not FitStatus.LOST
 
 
 def test_the_current_folder_has_no_say_in_the_process(
@@ -358,10 +318,7 @@ def test_the_current_folder_has_no_say_in_the_process(
     """It may be anybody's, and what it imports there would run as the service's user."""
     (tmp_path / "numpy.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nraise SystemExit(1)")
     monkeypatch.chdir(tmp_path)
-    refitter.submit(job("rf", 1))
-    found = wait(refitter, "rf", 1)
-    assert isinstance(found, RefitResult)
-    assert found.status is not FitStatus.LOST
+    assert refitted(refitter, job("rf", 1)).status is not FitStatus.LOST
     assert not (tmp_path / "ran").exists()
 
 
@@ -397,10 +354,7 @@ def test_one_that_was_started_before_is_used_and_ended(
 ) -> None:
     process = start_process(hurry=True)
     with contextlib.closing(ProcessRefitter(timeout_s=20.0, process=process)) as refitter:
-        refitter.submit(job("rf", 1))
-        found = wait(refitter, "rf", 1)
-        assert isinstance(found, RefitResult)
-        assert found.status is FitStatus.OK
+        assert refitted(refitter, job("rf", 1)).status is FitStatus.OK
     assert not started, "no other was needed"
     assert process.wait(60) == -signal.SIGKILL
     end_process(process)  # once more does no harm

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import os
 import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
@@ -32,11 +34,11 @@ from adaptive_contact.wire import (
     servo_key,
     trace_key,
 )
+from programs import Program
 from waiting import matched
 
 TEXT = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
-SERVICE, ROBOT, TLS_SERVICE, TLS_CLIENT = re.findall(r"```json5\n(.*?)```", TEXT, re.DOTALL)
-(USERS,) = re.findall(r"```text\n(.*?)```", TEXT, re.DOTALL)
+_, _, TLS_SERVICE, TLS_CLIENT = re.findall(r"```json5\n(.*?)```", TEXT, re.DOTALL)
 # A wrong password is one, too: it is a right one mistyped, or somebody's of another robot.
 MISTYPED = "CHANGE-MY-2"
 SECRETS = ("CHANGE-ME-1", "CHANGE-ME-2", "CHANGE-ME-3", MISTYPED)
@@ -44,48 +46,24 @@ SECRETS = ("CHANGE-ME-1", "CHANGE-ME-2", "CHANGE-ME-3", MISTYPED)
 Sample = Callable[..., ServoSample]
 
 
-class Folder(NamedTuple):
-    """The files of the documented set."""
-
-    service: Path
-    robot: Path
-    viewer: Path
-    stranger: Path
-
-
-@pytest.fixture
-def files(tmp_path: Path) -> Folder:
-    users = tmp_path / "users"
-    users.write_text(USERS)
-    texts = {
-        "service": SERVICE.replace("/etc/adaptive-contact/users", str(users)),
-        "robot": ROBOT,
-        "viewer": ROBOT.replace('"robot"', '"viewer"').replace("CHANGE-ME-2", "CHANGE-ME-3"),
-        "stranger": ROBOT.replace("CHANGE-ME-2", MISTYPED),
-    }
-    for name, text in texts.items():
-        (tmp_path / f"{name}.json5").write_text(text)
-    return Folder(*(tmp_path / f"{name}.json5" for name in Folder._fields))
-
-
 class Guarded:
     """The service with the documented set, open to other machines, and its users."""
 
-    def __init__(self, served: Any, join: Callable[..., Link], files: Folder) -> None:
+    def __init__(self, served: Any, join: Callable[..., Link], users: Any) -> None:
         self.served = served
         self.endpoint: str = served.endpoint.replace("0.0.0.0", "127.0.0.1")
         self._join = join
-        self._files = files
+        self._users = users
 
     def user(self, name: str) -> Link:
         """A session of a user's own, by the user's file."""
-        return self._join(self.endpoint, zenoh_config=getattr(self._files, name))
+        return self._join(self.endpoint, zenoh_config=getattr(self._users, name))
 
 
 @pytest.fixture
-def guarded(serve: Any, join: Callable[..., Link], files: Folder) -> Guarded:
-    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(files.service))
-    return Guarded(served, join, files)
+def guarded(serve: Any, join: Callable[..., Link], users: Any) -> Guarded:
+    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(users.service))
+    return Guarded(served, join, users)
 
 
 @pytest.fixture
@@ -111,9 +89,9 @@ def certificates(tmp_path: Path) -> Path:
 
 @pytest.mark.e2e
 def test_only_the_service_publishes_contacts_and_statuses(
-    guarded: Guarded, files: Folder, inbox: Any, sample: Sample
+    guarded: Guarded, users: Any, inbox: Any, sample: Sample
 ) -> None:
-    for config in (None, files.stranger):
+    for config in (None, users.stranger):
         with pytest.raises(NoRouterError, match="user and password"):
             Link.open(client_settings([guarded.endpoint], wait=False, zenoh_config=config))
 
@@ -244,11 +222,16 @@ def test_who_is_there_is_told_to_who_asks_for_everything(
     assert guarded.served.stop() == 0
 
 
+def logged(level: str, code: str, *args: object) -> str:
+    """What a program, and Zenoh in it, says at a level of Zenoh's log."""
+    with closing(Program("-c", code, *args, env={**os.environ, "RUST_LOG": level})) as program:
+        assert program.wait(600) == 0, program.lines[-5:]
+    return "\n".join(program.lines)
+
+
 @pytest.mark.e2e
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with openssl")
-def test_zenohs_own_log_holds_no_key_of_an_endpoint(
-    command: Any, certificates: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_zenohs_own_log_holds_no_key_of_an_endpoint(certificates: Path) -> None:
     parts = {
         "root_ca_certificate": "ca.pem",
         "listen_certificate": "service.pem",
@@ -273,19 +256,14 @@ def test_zenohs_own_log_holds_no_key_of_an_endpoint(
         for side in ("listen", "connect")
     ]
     for level in ("debug", "trace"):
-        monkeypatch.setenv("RUST_LOG", level)
-        process = command("-c", code, *options, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        log, _ = process.communicate(timeout=600)
-        assert process.returncode == 0, log[-500:]
+        log = logged(level, code, *options)
         assert "DEBUG" in log
         for name in ("listen_private_key", "connect_private_key"):
             assert coded[name][40:80] not in log, name
 
 
 @pytest.mark.e2e
-def test_no_key_is_logged_where_a_connection_fails(
-    command: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_key_is_logged_where_a_connection_fails() -> None:
     """Nor where an address cannot be listened on: both are warnings of Zenoh's."""
     code = (
         "import socket, sys\n"
@@ -302,17 +280,13 @@ def test_no_key_is_logged_where_a_connection_fails(
     )
     key = base64.b64encode(b"a key that nobody may see").decode()
     for level in ("error", "warn", "trace"):
-        monkeypatch.setenv("RUST_LOG", level)
-        process = command("-c", code, key, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        log, _ = process.communicate(timeout=600)
-        assert log.count("failed\n") == 2, log[-500:]
+        log = logged(level, code, key)
+        assert log.count("failed") == 2, log[-500:]
         assert key not in log, level
 
 
 @pytest.mark.e2e
-def test_zenohs_own_log_holds_no_password(
-    command: Any, files: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_zenohs_own_log_holds_no_password(users: Any) -> None:
     code = (
         "import sys; from pathlib import Path\n"
         "from adaptive_contact.service.link import Link, NoRouterError\n"
@@ -324,14 +298,7 @@ def test_zenohs_own_log_holds_no_password(
         "    except NoRouterError as refused: print(refused)"
     )
     for level in ("debug", "trace"):
-        monkeypatch.setenv("RUST_LOG", level)
-        process = command(
-            *("-c", code, str(files.service), str(files.robot), str(files.stranger)),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-        )
-        log, _ = process.communicate(timeout=600)
-        assert process.returncode == 0
+        log = logged(level, code, users.service, users.robot, users.stranger)
         assert "DEBUG" in log
         assert "refused: " in log
         assert not [line[:300] for line in log.splitlines() for one in SECRETS if one in line]

@@ -137,19 +137,6 @@ def test_states_are_published_while_somebody_subscribes(
     assert len(got.items) == 3
 
 
-def test_late_joiners_get_the_last_event(step: Lockstep, inbox: Any, sample: Sample) -> None:
-    step.work(1, lf=sample(1, contact=True))
-    step.work(2, lf=sample(2))
-    step.work(3, lf=sample(3, contact=True))
-    got = inbox(ContactEvent)
-    step.client.subscribe(contact_key("lf"), got, history=True)
-    assert got.wait(1)[0].seq == 3
-    (reply,) = step.client.query(ALL_CONTACT)
-    last = decode(reply.payload, ContactEvent)
-    assert isinstance(last, ContactEvent)
-    assert (last.leg, last.seq, last.contact) == ("lf", 3, True)
-
-
 def test_statuses_once_a_second_and_at_each_change(
     step: Lockstep, inbox: Any, sample: Sample
 ) -> None:
@@ -389,38 +376,3 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
         assert done.wait(20)
     assert most[0] == 2
     assert all(bank.learner(leg).status.ticks == 40 for leg in legs)
-
-
-def test_models_are_told_of_in_no_half_tick(
-    step: Lockstep, sample: Sample, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A report that fails makes its leg begin anew, which must not meet the rest of a tick."""
-    done: list[str] = []
-
-    class Asked:
-        key = model_key("lf")
-
-        def covers(self, key: str) -> bool:
-            return key == self.key
-
-        def reply(self, message: object, key: str | None = None) -> None:
-            done.append("told")
-
-        def refuse(self, reason: str) -> None:
-            done.append(reason)
-
-        def close(self) -> None:
-            done.append("closed")
-
-    judge = step.bank.judge
-    monkeypatch.setattr(step.bank, "judge", lambda given: (done.append("judged"), judge(given))[1])
-    monkeypatch.setattr(step.bank, "finish", lambda: done.append("finished"))
-    step.work(0, lf=sample(0))
-    done.clear()
-    raw = Raw(encode(sample(1)), MSGPACK, 1, 1)
-    step.service.work(Batch(samples={"lf": raw}, requests=[Asked()]), 1)
-    assert done == ["judged"]
-    step.service.finish()
-    assert done == ["judged", "finished", "told", "closed"]
-    step.service.finish()
-    assert len(done) == 4, "nothing was judged since"
