@@ -9,7 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 import structlog
@@ -53,6 +53,31 @@ def logs_as_before() -> Iterator[None]:
     before = structlog.get_config()
     yield
     structlog.configure(**before)
+
+
+class Said(NamedTuple):
+    """How a command ended, and what it said."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def ours(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Said]:
+    """Run a command of ours in this process, to its exit code."""
+    from adaptive_contact.cli import main
+
+    main.load_commands()
+
+    def run(*words: object) -> Said:
+        monkeypatch.setattr("sys.argv", ["adaptive-contact", *map(str, words)])
+        code = main.run()
+        return Said(code, *capsys.readouterr())
+
+    return run
 
 
 @pytest.fixture

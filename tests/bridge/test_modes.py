@@ -146,7 +146,7 @@ def test_when_all_answers_are_late_the_computer_is_named_once(rig: Callable) -> 
     assert "this computer is too busy" in errors[0]
 
 
-@pytest.mark.parametrize("kind", [AX, XM])
+@pytest.mark.parametrize("kind", [AX, pytest.param(XM, marks=pytest.mark.slow)])
 def test_late_answers_are_waited_for_longer_and_named(rig: Callable, kind: dict) -> None:
     """Of servos that do answer, what is wrong is found all the same."""
     r = rig(**kind, legs=1)

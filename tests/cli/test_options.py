@@ -32,6 +32,7 @@ def _all(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, 
         yield from _all(below, (*path, name))
 
 
+@pytest.mark.slow
 def test_no_help_shows_a_type_behind_a_flag(program: Any, monkeypatch: Any) -> None:
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("NO_COLOR", "1")
@@ -45,6 +46,7 @@ def test_no_help_shows_a_type_behind_a_flag(program: Any, monkeypatch: Any) -> N
     assert seen > 25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_help_fills_its_lines(program: Any, monkeypatch: Any, width: int) -> None:
     """Docstrings break at the source's width, terminals at theirs."""

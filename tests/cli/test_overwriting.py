@@ -66,14 +66,13 @@ def _all(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
 
 
 @pytest.fixture
-def said(monkeypatch: Any, tmp_path: Path, capsys: Any) -> Any:
+def said(monkeypatch: Any, tmp_path: Path, ours: Any) -> Any:
     """Run a command in an empty folder: its exit code, and what it says on standard error."""
     monkeypatch.chdir(tmp_path)
 
     def run(*words: str) -> tuple[int, str]:
-        monkeypatch.setattr("sys.argv", ["adaptive-contact", *words])
-        main.load_commands()
-        return main.run(), capsys.readouterr().err
+        code, _, err = ours(*words)
+        return code, err
 
     return run
 

@@ -27,39 +27,34 @@ from adaptive_contact.robot.write import write_robot
 from . import mistakes as m
 
 
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    full = [sys.executable, "-m", "adaptive_contact", *map(str, arguments)]
-    return subprocess.run(full, capture_output=True, text=True, timeout=600, check=False)
-
-
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path: Path = tmp_path_factory.mktemp("walk") / "walk.mcap"
-    done = run("sim", "walk", "--seconds", "90", "--seed", "4", "--offline", "--record", path)
-    assert done.returncode == 0, done.stderr
+    words = ["sim", "walk", "--seconds", "90", "--seed", "4", "--offline", "--record", str(path)]
+    subprocess.run([sys.executable, "-m", "adaptive_contact", *words], check=True, timeout=600)
     return path
 
 
-def test_inputs_are_read_once_and_not_written_over(walk: Path, tmp_path: Path) -> None:
+def test_inputs_are_read_once_and_not_written_over(ours: Any, walk: Path, tmp_path: Path) -> None:
     config, link = tmp_path / "robot.toml", tmp_path / "again.mcap"
     config.write_text(write_robot(shipped_robot()))
     link.symlink_to(walk)
     before = config.read_bytes(), walk.read_bytes()
     for out in (config, walk):
-        done = run("fit", walk, "--config", config, "-o", out)
-        assert (done.returncode, "what the command reads" in done.stderr) == (2, True), done.stderr
-    done = run("fit", walk, link, "-o", tmp_path / "b.json")
-    assert done.returncode == 2
-    assert done.stderr.endswith(f"{link} is given twice; give every recording once\n")
+        done = ours("fit", walk, "--config", config, "-o", out)
+        assert (done.code, "what the command reads" in done.err) == (2, True), done.err
+    done = ours("fit", walk, link, "-o", tmp_path / "b.json")
+    assert done.code == 2
+    assert done.err.endswith(f"{link} is given twice; give every recording once\n")
     assert (config.read_bytes(), walk.read_bytes()) == before
 
 
-def test_a_good_fit_says_so_leg_by_leg(walk: Path, tmp_path: Path) -> None:
-    done = run("fit", walk, "-o", tmp_path / "legs.json")
-    assert done.returncode == 0, done.stderr
+def test_a_good_fit_says_so_leg_by_leg(ours: Any, walk: Path, tmp_path: Path) -> None:
+    done = ours("fit", walk, "-o", tmp_path / "legs.json")
+    assert done.code == 0, done.err
     assert (tmp_path / "legs.json").exists()
-    assert "(rad)" not in done.stdout, "equations are printed on request"
-    last = done.stdout.splitlines()[-6:]
+    assert "(rad)" not in done.out, "equations are printed on request"
+    last = done.out.splitlines()[-6:]
     assert [line.split(":")[0] for line in last] == [
         f"leg {leg}" for leg in ("lf", "lm", "lr", "rf", "rm", "rr")
     ]
@@ -134,7 +129,18 @@ SPOILT: dict[str, tuple[m.Mistake, str]] = {
 }
 
 
-@pytest.mark.parametrize(("mistake", "words"), SPOILT.values(), ids=SPOILT.keys())
+# One of each check; test_table.py has them all, by name.
+QUICK = ("degrees", "goals as readings", "readings held for four ticks", "another order")
+QUICK += ("joints that are missing", "milliseconds")
+
+
+@pytest.mark.parametrize(
+    ("mistake", "words"),
+    [
+        pytest.param(*row, id=name, marks=() if name in QUICK else pytest.mark.slow)
+        for name, row in SPOILT.items()
+    ],
+)
 def test_a_recording_that_doctor_would_name_is_refused_in_one_line(
     sent: list[m.Sent],
     tmp_path: Path,
@@ -185,6 +191,7 @@ def test_what_spoils_a_few_ticks_is_named(
     assert words in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", [m.encoder_seam, m.raw_zeros(0.005)], ids=["seam", "zeros"])
 def test_what_is_named_does_not_enter_a_baseline(
     walk: Path, tmp_path: Path, mistake: m.Mistake
@@ -257,35 +264,33 @@ def test_steps_over_a_fiftieth_of_a_radian_are_refused(step: float, refused: boo
     assert any("is over 0.02 rad" in line for line in lines) == refused
 
 
-def test_what_is_no_model_is_not_written(walk: Path, tmp_path: Path) -> None:
+def test_what_is_no_model_is_not_written(ours: Any, walk: Path, tmp_path: Path) -> None:
     messages = list(m.never_stance(m.read(walk), np.random.default_rng(1)))
-    done = run("fit", m.write(tmp_path / "made.mcap", messages), "-o", tmp_path / "legs.json")
-    assert done.returncode == 1, done.stdout
+    done = ours("fit", m.write(tmp_path / "made.mcap", messages), "-o", tmp_path / "legs.json")
+    assert done.code == 1, done.out
     assert not (tmp_path / "legs.json").exists()
-    assert sum("no leg swings for seconds" in line for line in done.stderr.splitlines()) == 1
-    assert "no baseline was written" in done.stderr.splitlines()[-1]
+    assert sum("no leg swings for seconds" in line for line in done.err.splitlines()) == 1
+    assert "no baseline was written" in done.err.splitlines()[-1]
 
 
-def test_a_recording_of_other_legs_is_named(walk: Path, tmp_path: Path) -> None:
+def test_a_recording_of_other_legs_is_named(ours: Any, walk: Path, tmp_path: Path) -> None:
     renamed = m.renamed({"lf": "LF"})
     made = m.write(tmp_path / "made.mcap", list(renamed(m.read(walk), np.random.default_rng(1))))
-    done = run("fit", made, "-o", tmp_path / "legs.json")
-    assert "no --config: taken for the shipped robot 'hexapod-ax12a'" in done.stderr
-    assert "not used: leg LF, which robot 'hexapod-ax12a' lacks; it has leg lf" in done.stderr
+    done = ours("fit", made, "-o", tmp_path / "legs.json")
+    assert "no --config: taken for the shipped robot 'hexapod-ax12a'" in done.err
+    assert "not used: leg LF, which robot 'hexapod-ax12a' lacks; it has leg lf" in done.err
 
 
 @pytest.mark.parametrize("command", ["replay", "score"])
 def test_what_seems_of_no_use_is_judged_on_request(
-    sent: list[m.Sent], tmp_path: Path, command: str
+    ours: Any, sent: list[m.Sent], tmp_path: Path, command: str
 ) -> None:
     made = m.write(tmp_path / "made.mcap", list(m.milliseconds(sent, np.random.default_rng(1))))
     more = ["--events", tmp_path / "events.jsonl", "--force"] if command == "replay" else []
-    done = run(command, made, *more)
-    assert done.returncode == 2
-    assert done.stderr.endswith(
-        "nothing can be judged by its samples (see above); --anyway goes on\n"
-    )
-    assert "--anyway" not in run(command, made, *more, "--anyway").stderr
+    done = ours(command, made, *more)
+    assert done.code == 2
+    assert done.err.endswith("nothing can be judged by its samples (see above); --anyway goes on\n")
+    assert "--anyway" not in ours(command, made, *more, "--anyway").err
 
 
 @pytest.mark.parametrize(
@@ -298,6 +303,7 @@ def test_what_seems_of_no_use_is_judged_on_request(
     ids=["readings", "both, not yet judged by the feet", "both"],
 )
 def test_exchanged_joints_are_one_cause_in_a_replay(
+    ours: Any,
     sent: list[m.Sent],
     tmp_path: Path,
     mistake: m.Mistake,
@@ -307,15 +313,15 @@ def test_exchanged_joints_are_one_cause_in_a_replay(
 ) -> None:
     part = [one for one in sent if one.at_ns <= sent[0].at_ns + seconds * 1e9]
     made = m.write(tmp_path / "made.mcap", list(mistake(part, np.random.default_rng(1))))
-    done = run("replay", made, "--events", tmp_path / "events.jsonl")
-    _, _, *told = done.stderr.splitlines()
+    done = ours("replay", made, "--events", tmp_path / "events.jsonl")
+    _, _, *told = done.err.splitlines()
     assert sum(words in line for line in told) == lines
     assert not [line for line in told if words not in line and ("foot" in line or ";" in line)]
 
 
 @pytest.mark.parametrize("command", ["fit", "replay", "score"])
 def test_no_command_takes_the_shipped_robot_silently_or_for_another(
-    sent: list[m.Sent], tmp_path: Path, command: str
+    ours: Any, sent: list[m.Sent], tmp_path: Path, command: str
 ) -> None:
     more = {
         "fit": ["-o", tmp_path / "legs.json"],
@@ -326,10 +332,10 @@ def test_no_command_takes_the_shipped_robot_silently_or_for_another(
     line = (
         "no --config: taken for the shipped robot 'hexapod-ax12a' (lf, lm, lr, rf, rm, rr; 20 ms)"
     )
-    assert line in run(command, nameless, *more).stderr
+    assert line in ours(command, nameless, *more).err
     named = m.write(tmp_path / "two.mcap", sent[:2000], {"robot": "my-robot"})
-    done = run(command, named, *more)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
+    done = ours(command, named, *more)
+    assert done.code == 2
+    (line,) = done.err.splitlines()
     assert "recorded from robot 'my-robot'" in line
     assert "give the --config of 'my-robot'" in line

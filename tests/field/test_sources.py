@@ -13,7 +13,11 @@ SECONDS = 45.0  # the first seconds, in which nothing is known of a source, are 
 
 @pytest.mark.parametrize(
     ("loop", "seed"),
-    [("late 0 to 0.25", 5), ("one in 4 slips 0.25", 5), ("all slip 0 to 0.15", 6)],
+    [
+        ("one in 4 slips 0.25", 5),
+        pytest.param("late 0 to 0.25", 5, marks=pytest.mark.slow),
+        pytest.param("all slip 0 to 0.15", 6, marks=pytest.mark.slow),
+    ],
 )
 def test_a_loop_that_is_late_finds_its_touches(loop: str, seed: int) -> None:
     """Where delays add up it is 6 to 8 % slower in the mean, and in some moments by more."""

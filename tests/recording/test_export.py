@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -206,28 +204,17 @@ def test_parquet_is_the_same_table(recorded: Path, tmp_path: Path) -> None:
         assert shown == texts
 
 
-def command(*arguments: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "adaptive_contact", "export", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-        **options,
-    )
-
-
-def test_damage_is_said_and_the_rest_exported(recorded: Path, tmp_path: Path) -> None:
+def test_damage_is_said_and_the_rest_exported(ours: Any, recorded: Path, tmp_path: Path) -> None:
     content = recorded.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(content[: len(content) // 3])
     intact = len(list(read_recording(cut)))
     assert 0 < intact < len(MESSAGES)
-    done = command(cut, "--to", "mcap", "-o", tmp_path / "out.mcap")
-    assert done.returncode == 0
+    done = ours("export", cut, "--to", "mcap", "-o", tmp_path / "out.mcap")
+    assert done.code == 0
     damaged = read_recording(cut)
     list(damaged)
-    assert f"adaptive-contact: {cut}: {damaged.damage}" in done.stderr
+    assert f"adaptive-contact: {cut}: {damaged.damage}" in done.err
     assert len(list(read_recording(tmp_path / "out.mcap"))) == intact
 
 
@@ -271,11 +258,11 @@ def test_nothing_to_export_leaves_no_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_one_line(recorded: Path) -> None:
-    done = command(recorded, "--to", "mcap", "-o", "/dev/full", "--force")
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "No space left" in done.stderr
+def test_a_full_disk_is_one_line(ours: Any, recorded: Path) -> None:
+    done = ours("export", recorded, "--to", "mcap", "-o", "/dev/full", "--force")
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert "No space left" in done.err
 
 
 def test_a_number_of_more_than_64_bits_is_counted(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 import msgpack
 import pytest
 
-from adaptive_contact.cli import main
 from adaptive_contact.robot import inverse, shipped_robot
 from adaptive_contact.service.one_robot import OneRobot
 from adaptive_contact.service.recording import Record, RecordingWriter, read_recording
@@ -66,19 +65,9 @@ def _write(
 
 
 @pytest.fixture
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Callable[[str, Path], tuple[int, str, str]]:
-    main.load_commands()
-    more = {"replay": ["--events", "-"], "score": ["--json"], "fit": ["-o", str(tmp_path / "out")]}
-
-    def run_(command: str, path: Path) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["adaptive-contact", command, str(path), *more[command]])
-        code = main.run()
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return run_
+def run(ours: Any, tmp_path: Path) -> Callable[[str, Path], tuple[int, str, str]]:
+    more = {"replay": ["--events", "-"], "score": ["--json"], "fit": ["-o", tmp_path / "out"]}
+    return lambda command, path: ours(command, path, *more[command])
 
 
 def _score(said: str) -> Any:

@@ -32,7 +32,7 @@ from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 
-pytestmark = pytest.mark.e2e
+pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
 SECONDS = 20.0
 # Faster than life, and well within what the service keeps up with.
