@@ -77,7 +77,7 @@ class Program:
     def close(self) -> None:
         """End it, if the test has not."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+            self.process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(END_S)
             self.process.kill()

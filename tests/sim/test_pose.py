@@ -57,7 +57,14 @@ def test_free_air_is_free_and_the_body_stands() -> None:
         assert run.legs[leg].contact.mean() > 0.99
 
 
-@pytest.mark.parametrize("approach", ["descent", "graze", "forward", "slow"])
+@pytest.mark.parametrize(
+    "approach",
+    [
+        "descent",
+        "slow",
+        *(pytest.param(way, marks=pytest.mark.slow) for way in ("graze", "forward")),
+    ],
+)
 def test_obstacles_are_met_on_descents(approach: str) -> None:
     motion = PoseSettings(approach=approach, obstacles=ObstacleSettings(probability=1.0))
     run = record_arrays(SimulationSettings(motion=motion, seed=3), 30.0)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,10 +26,11 @@ from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
 
 
-def quadruped(gait: str, ground: str, seconds: float) -> Run:
+@functools.cache
+def quadruped(gait: str, seconds: float) -> Run:
     base = SimulationSettings.of("quadruped12", "walk", gait)  # type: ignore[arg-type]
     settings = dataclasses.replace(
-        base, terrain=dataclasses.replace(base.terrain, kind=ground), seed=11
+        base, terrain=dataclasses.replace(base.terrain, kind="rough"), seed=11
     )
     return record_arrays(settings, seconds)
 
@@ -37,7 +38,7 @@ def quadruped(gait: str, ground: str, seconds: float) -> Run:
 @pytest.mark.parametrize(("gait", "swings", "pace"), [("trot", 50, 0.05), ("walk", 20, 0.02)])
 def test_the_quadruped_walks_and_touches(gait: str, swings: int, pace: float) -> None:
     seconds = {"trot": 12.0, "walk": 20.0}[gait]
-    run = quadruped(gait, "rough", seconds)
+    run = quadruped(gait, seconds)
     way = np.linalg.norm(np.diff(run.position_m[::50, :2], axis=0), axis=1).sum()
     assert way > pace * seconds
     assert run.position_m[:, 2].min() > 0.12
@@ -142,7 +143,7 @@ def test_a_scenario_names_its_robot() -> None:
         parse_scenario('mode = "walk"\nrobot = "cat"', name="x", source="x")
 
 
-def test_a_recording_names_its_robot(tmp_path: Path) -> None:
+def test_a_recording_names_its_robot(ours: Any, tmp_path: Path) -> None:
     """Without --config, and with the baseline that ships."""
     base = SimulationSettings.of("leg5", "pose")
     assert isinstance(base.motion, PoseSettings)
@@ -150,32 +151,29 @@ def test_a_recording_names_its_robot(tmp_path: Path) -> None:
     motion = dataclasses.replace(base.motion, obstacles=plates)
     path, events = tmp_path / "leg.mcap", tmp_path / "leg.jsonl"
     record_file(dataclasses.replace(base, motion=motion, seed=31), 60.0, path)
-    command = (sys.executable, "-m", "adaptive_contact")
     out = []
     for arguments in (
         ("replay", str(path), "--events", str(events)),
         ("score", str(path), "--events", str(events), "--json"),
         ("score", str(path), "--frozen", "--json"),
     ):
-        done = subprocess.run(
-            [*command, *arguments], capture_output=True, text=True, timeout=600, check=True
-        )
-        assert "taken for the shipped robot 'leg5' (leg; 20 ms)" in done.stderr
-        out.append(done.stdout)
+        done = ours(*arguments)
+        assert done.code == 0
+        assert "taken for the shipped robot 'leg5' (leg; 20 ms)" in done.err
+        out.append(done.out)
     replayed, both = json.loads(out[1]), json.loads(out[2])
     for found in (replayed, both["product"], both["frozen"]):
         assert found["counted"]["touches"] == replayed["counted"]["touches"] > 20
         assert found["counted"]["found"] >= found["counted"]["touches"] - 1
         assert found["false_alarms"] <= 1
-    arguments = ("score", str(path), "--frozen", "--events", str(events))
-    done = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "leave out --events" in done.stderr
+    done = ours("score", path, "--frozen", "--events", events)
+    assert done.code == 2
+    assert "leave out --events" in done.err
 
 
-@pytest.mark.parametrize(("gait", "seconds"), [("trot", 10.0), ("walk", 20.0)])
+@pytest.mark.parametrize(("gait", "seconds"), [("trot", 12.0), ("walk", 20.0)])
 def test_the_quadrupeds_baseline_finds_its_touches(gait: str, seconds: float) -> None:
-    run = quadruped(gait, "rough", seconds)
+    run = quadruped(gait, seconds)
     robot, baseline = shipped_robot("quadruped12"), shipped_baseline("quadruped12")
     assert baseline is not None
     touches = found = alarms = 0
