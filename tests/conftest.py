@@ -91,3 +91,12 @@ def program() -> Iterator[Callable[..., Any]]:
             return running.enter_context(contextlib.closing(Program(*words, **where)))
 
         yield start
+
+
+@pytest.fixture
+def router() -> Iterator[Any]:
+    """A link that others join, at a free port of loopback."""
+    from adaptive_contact.service.link import Link, router_settings
+
+    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
+        yield link

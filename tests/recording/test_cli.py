@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from adaptive_contact.cli.replay import replay
 from adaptive_contact.cli.score import score
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import inverse, shipped_robot
-from adaptive_contact.service.link import Link, router_settings
+from adaptive_contact.service.link import Link
 from adaptive_contact.service.recording import RecordingWriter, read_recording
 from adaptive_contact.wire import (
     JSON,
@@ -235,12 +235,6 @@ class TestReplayToEvents:
         write_walk(path)
         with pytest.raises(ConfigurationError, match="cannot be written"):
             run(replay, path, "--events", tmp_path / "no" / "out.jsonl")
-
-
-@pytest.fixture
-def router() -> Iterator[Link]:
-    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
-        yield link
 
 
 def start(command: str, *arguments: str | Path) -> subprocess.Popen[str]:

@@ -20,7 +20,7 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.service.link import Link, client_settings, router_settings
+from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Message, ServoSample, decode, servo_key
 
 HERE = Path(__file__).parent
@@ -101,12 +101,6 @@ def rig() -> ModuleType:
 @pytest.fixture
 def robot() -> Robot:
     return parse_robot(ROBOT, source="test")
-
-
-@pytest.fixture
-def router() -> Iterator[Link]:
-    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
-        yield link
 
 
 @pytest.fixture

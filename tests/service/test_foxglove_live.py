@@ -25,7 +25,7 @@ from websockets.typing import Subprotocol
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
-from adaptive_contact.service.link import Link, Request, client_settings, router_settings
+from adaptive_contact.service.link import Link, Request, client_settings
 from adaptive_contact.wire import (
     HEARTBEAT,
     ContactEvent,
@@ -119,12 +119,6 @@ class Client:
             pool.Add(file)
         made = message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"]))
         return topic, time_ns, made.FromString(received[13:])
-
-
-@pytest.fixture
-def router() -> Iterator[Link]:
-    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
-        yield link
 
 
 @pytest.fixture

@@ -8,12 +8,12 @@ import sys
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 
 from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.link import Link, client_settings, router_settings
+from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import (
     ALL_SERVO,
     ALL_TRUTH,
@@ -215,12 +215,6 @@ def test_pace_does_not_drift() -> None:
         assert pace.wait(clock)
     assert clock.now == pytest.approx(100.0, abs=0.001)
     assert pace.late == 0
-
-
-@pytest.fixture
-def router() -> Iterator[Link]:
-    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
-        yield link
 
 
 def command(*arguments: str) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import socket
 import threading
-import time
 from collections.abc import Callable
 
 from adaptive_contact.web import WebSettings
@@ -51,12 +50,6 @@ class Running:
 
         self.loop.call_soon_threadsafe(run)
         assert done.wait(60)
-
-    def until(self, test: Callable[[], bool]) -> None:
-        end = time.monotonic() + 20
-        while not test():
-            assert time.monotonic() < end
-            time.sleep(0.005)
 
     def connect(self) -> socket.socket:
         return socket.create_connection(("127.0.0.1", self.port), 20)

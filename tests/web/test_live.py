@@ -150,6 +150,7 @@ def test_nothing_is_answered_to_who_asks_for_everything(robot: Robot) -> None:
         assert "trace" not in kinds
 
 
+@pytest.mark.slow
 def test_it_draws_every_leg(tab: Tab) -> None:
     names = tab.value("[...document.querySelectorAll('.leg .name')].map(e => e.textContent)")
     assert names == LEGS
@@ -179,6 +180,7 @@ _HAS_COLOUR = """(name) => {
 }"""
 
 
+@pytest.mark.slow
 def test_a_leg_opens_with_its_joints_and_equations(tab: Tab) -> None:
     tab.value("document.querySelector('.leg').click()")
     tab.wait("document.querySelectorAll('.equation').length === 3")
@@ -226,6 +228,7 @@ def _values_can_be_read(tab: Tab) -> None:
     assert float(said[3][:-1]) == pytest.approx(reading, abs=0.006)
 
 
+@pytest.mark.slow
 def test_six_legs_fill_a_large_screen(tab: Tab) -> None:
     tab.size(2560, 1440)
     tab.wait("innerWidth === 2560 && document.querySelectorAll('.leg').length === 6")
@@ -239,6 +242,7 @@ def test_six_legs_fill_a_large_screen(tab: Tab) -> None:
     assert max(bottom for *_, bottom in boxes) < 1440, "no leg has to be scrolled to"
 
 
+@pytest.mark.slow
 def test_it_looks_back(tab: Tab) -> None:
     tab.value("document.getElementById('span').value = '3000'")
     tab.value("document.getElementById('span').dispatchEvent(new Event('change'))")
@@ -257,6 +261,7 @@ def test_it_looks_back(tab: Tab) -> None:
     tab.wait("state.end === null && document.getElementById('when').textContent === 'now'")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [320, 390, 768, 1280])
 def test_it_fits_a_phone(tab: Tab, width: int) -> None:
     tab.size(width, 844, phone=width < 500)
@@ -268,6 +273,7 @@ def test_it_fits_a_phone(tab: Tab, width: int) -> None:
     tab.value("document.getElementById('detail-close').click()")
 
 
+@pytest.mark.slow
 def test_text_of_the_wire_is_text(robot: Robot, tab: Tab) -> None:
     """A note that would be a page of its own is shown, letter by letter."""
     note = '<img src=x onerror="document.title=1"><script>alert(1)</script>\u202e\x1b[2J'
@@ -298,6 +304,7 @@ def test_text_of_the_wire_is_text(robot: Robot, tab: Tab) -> None:
     assert policy == "TypeError", "trusted types are asked for"
 
 
+@pytest.mark.slow
 def test_its_memory_is_flat(tab: Tab) -> None:
     """Two hours of frames, as fast as they go: what is kept after half an hour stays as it is."""
     tab.value("stream.source.close(); state.over = 'test'; forget()")
@@ -313,6 +320,7 @@ def test_its_memory_is_flat(tab: Tab) -> None:
     assert sizes[-1] - sizes[0] < 0.5, f"MB of the heap after each half hour: {sizes}"
 
 
+@pytest.mark.slow
 def test_an_outage_is_drawn_as_a_gap(tab: Tab, tmp_path: Path) -> None:
     """No event says that the contact of a source that died in stance is not known."""
     tab.value("stream.source.close(); state.over = 'test'; forget(); state.span = 20000")
@@ -393,6 +401,7 @@ globalThis.feedFrames = (first, count) => {
 """
 
 
+@pytest.mark.slow
 def test_pictures(tab: Tab, tmp_path: Path) -> None:
     """A picture in light and dark: the page follows what the reader prefers."""
     shades = {}

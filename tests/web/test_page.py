@@ -5,24 +5,18 @@ from __future__ import annotations
 import json
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from adaptive_contact.service.link import Link, Request, client_settings, router_settings
+from adaptive_contact.service.link import Link, Request, client_settings
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.web import LivePage, WebSettings, page
 from adaptive_contact.wire import LearnerStatus, LegTrace, learner_key, trace_key
 
 pytestmark = pytest.mark.e2e
-
-
-@pytest.fixture
-def router() -> Iterator[Link]:
-    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
-        yield link
 
 
 def events(url: str, enough: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.web import WebSettings, http, server
 from adaptive_contact.web.server import MOST_STREAMS
+from waiting import until
 
 from .running import FRAME, Running, answer_of, everything, read_until
 
@@ -347,9 +348,9 @@ def test_a_stream_resumes_where_it_was(running: Running) -> None:
         with running.stream(after) as one:
             times = re.findall(rb'"t":(\d)', read_until(one, b'{"t":4}\n\n'))
         assert times == [b"%d" % t for t in range(first, 5)], after
-    running.until(lambda: running.site.streams == 0)
+    until(lambda: running.site.streams == 0)
     with running.stream(f"{session}.99") as one:  # from the future: what comes next
-        running.until(lambda: running.site.streams == 1)
+        until(lambda: running.site.streams == 1)
         running.push(b'{"t":5}')
         assert re.findall(rb'"t":(\d)', read_until(one, b"}\n\n")) == [b"5"]
 
@@ -357,11 +358,11 @@ def test_a_stream_resumes_where_it_was(running: Running) -> None:
 def test_the_last_words_end_a_stream(running: Running) -> None:
     running.push()
     with running.stream() as one:
-        running.until(lambda: running.site.streams == 1)
+        until(lambda: running.site.streams == 1)
         running.on_loop(lambda: running.site.history.end('over\n\nid: 1\ndata: "x"'))
         body = answer_of(everything(one))[2]
     assert json.loads(body.split(b"event: end\ndata: ")[1].strip()) == 'over\n\nid: 1\ndata: "x"'
-    running.until(lambda: running.site.streams == 0)
+    until(lambda: running.site.streams == 0)
 
 
 def test_one_browser_too_many_gets_a_line(running: Running) -> None:
@@ -370,14 +371,14 @@ def test_one_browser_too_many_gets_a_line(running: Running) -> None:
     try:
         for one in streams:
             read_until(one, b"\n\n")
-        running.until(lambda: running.site.streams == MOST_STREAMS)
+        until(lambda: running.site.streams == MOST_STREAMS)
         with running.stream() as one:
             status, _, body = answer_of(everything(one))
         assert status == 503
         assert body == b"%d browsers look already, as many as may; close one\n" % MOST_STREAMS
         assert running.get("/")[0] == 200, "the page itself is still there"
         streams.pop().close()
-        running.until(lambda: running.site.streams < MOST_STREAMS)
+        until(lambda: running.site.streams < MOST_STREAMS)
         with running.stream() as one:
             assert read_until(one, b"\n\n").startswith(b"HTTP/1.1 200 ")
     finally:
@@ -398,7 +399,7 @@ def test_a_hundred_that_hang_hold_up_nobody(
         one.sendall(f"GET /stream HTTP/1.1\r\nHost: {running.host}\r\n\r\n".encode())
         hung.append(one)
     try:
-        running.until(lambda: running.site.streams == 100)
+        until(lambda: running.site.streams == 100)
         with running.stream() as well:
             read_until(well, b'{"t":0}')
             seen, dropped = 0, False
