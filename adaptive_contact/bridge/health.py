@@ -23,15 +23,6 @@ from adaptive_contact.wire import ServoCounts
 SILENT_AFTER: Final = 3
 # A silent servo is asked every so many cycles, 0.2 s at 50 Hz.
 ASK_EVERY: Final = 10
-# A position that stays to the step while the servo says it moves this many steps a tick is stale:
-# half a step of noise alone makes it change.
-STALE_STEPS: Final = 3.0
-# A reading whose moment is not known to this much of a position step, as the joint moves, cannot
-# stand for its tick: half of it is the noise of a reading anyway.
-UNPUNCTUAL_STEPS: Final = 1.0
-# One read this far off its moment is not carried back: at 100 rad/s² a joint's own speed gives
-# where it was 5 ms ago to a quarter of an AX-12A's step, and 10 ms ago to one.
-MOST_OFF_S: Final = 0.005
 
 
 @dataclasses.dataclass
@@ -128,7 +119,9 @@ def is_stale(
     # Of one sign: a joint that has turned round meanwhile may well be where it was.
     if steps != before or speed_rad_s * speed_before_rad_s <= 0.0:
         return False
-    return min(abs(speed_rad_s), abs(speed_before_rad_s)) > STALE_STEPS * tick_step_rad
+    # A position that stays to the step while the servo says it moves this many steps a tick is
+    # stale: half a step of noise alone makes it change.
+    return min(abs(speed_rad_s), abs(speed_before_rad_s)) > 3.0 * tick_step_rad
 
 
 @dataclasses.dataclass
@@ -173,11 +166,15 @@ class Punctuality:
         # What is less than this much of a step off is left as it was read.
         if abs(off_s) * abs(speed_rad_s) <= 0.5 * step_rad:
             correction = 0.0
-        elif abs(off_s) <= MOST_OFF_S:
+        # One read this far off its moment is not carried back: at 100 rad/s² a joint's own speed
+        # gives where it was 5 ms ago to a quarter of an AX-12A's step, and 10 ms ago to one.
+        elif abs(off_s) <= 0.005:
             correction = -off_s * speed_rad_s
         else:
             return None
-        return None if unknown_s * abs(speed_rad_s) > UNPUNCTUAL_STEPS * step_rad else correction
+        # A reading whose moment is not known to a position step, as the joint moves, cannot stand
+        # for its tick: half of it is the noise of a reading anyway.
+        return None if unknown_s * abs(speed_rad_s) > step_rad else correction
 
 
 _LATE: Final = (

@@ -238,11 +238,6 @@ class Codec:
         return crc16(packet).to_bytes(2, "little")
 
 
-# A dead servo is asked five times in that time, with all others and alone; a disturbed line need
-# not make all questions long.
-_MOST_AWAITED: Final = 15
-
-
 class Awaited:
     """Answers that may still come.
 
@@ -267,7 +262,9 @@ class Awaited:
         """Note a question, by the bytes of data that its answer has."""
         known = [one for one in self._sizes.get(servo, ()) if one[1] > now_s]
         # An answer that has not come within this time does not come.
-        self._sizes[servo] = [*known[-_MOST_AWAITED:], (size, now_s + 1.0)]
+        # A dead servo is asked five times in that time, with all others and alone; a disturbed line
+        # need not make all questions long.
+        self._sizes[servo] = [*known[-15:], (size, now_s + 1.0)]
 
     def strike(self, servo: int, size: int, *, late: bool = False) -> bool:
         """Strike out an answer that has come; False if none of so many bytes was awaited."""

@@ -71,12 +71,6 @@ BAND: Final = 6
 LEAST_TRAVEL_RAD: Final = 0.02
 # What a look needs at most.
 NEEDED_SAMPLES: Final = MOST_TICKS + LAGS + OLD_TICKS
-# Readings are another leg's where its commands leave less than this share of what its own leave.
-TWIN_RATIO: Final = 0.5
-# Looks in a row, two a stride, that find a fault, or none, before it counts.
-LOOKS: Final = 2
-# Steps by which a tick before may be off and belong to the fault.
-SINCE_STEPS: Final = 2.0
 # Readings are on a grid where so many are, to a tenth of its step.
 GRID_SHARE: Final = 0.95
 GRID_RAD: Final = 1e-5
@@ -162,7 +156,8 @@ class InformationCheck:
             self._agreed = 0 if decided else self._agreed
             return False
         self._agreed += 1
-        if self._agreed < LOOKS:
+        # Looks in a row, two a stride, that find a fault, or none, before it counts.
+        if self._agreed < 2:
             return False
         self._agreed = 0
         self.found = finding
@@ -195,7 +190,9 @@ class InformationCheck:
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
         own = None if twin is None else departure(twin, ticks, steps)
-        if own is not None and own.rest < TWIN_RATIO * off.rest:
+        # Readings are another leg's where its commands leave less than this share of what its own
+        # leave.
+        if own is not None and own.rest < 0.5 * off.rest:
             return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
         # What is old stays so until it is clearly not.
         ratio = OLD_STAYS if self.found and self.found.kind == "old" else OLD_RATIO
@@ -218,7 +215,8 @@ class Departure(NamedTuple):
         """Count the samples up to the newest of which the same function holds for joints."""
         off = samples.measured - self.constants
         off -= np.einsum("tpj,jp->tj", basis(samples.desired), self.coefficients)
-        beyond = np.flatnonzero((np.abs(off) > SINCE_STEPS * self.steps)[:, joints].any(axis=1))
+        # Steps by which a tick before may be off and belong to the fault.
+        beyond = np.flatnonzero((np.abs(off) > 2.0 * self.steps)[:, joints].any(axis=1))
         # A single reading that a bus has spoilt is no beginning.
         beyond = beyond[1:][np.diff(beyond) <= 2]
         return len(off) - (int(beyond[-1]) + 1 if len(beyond) else 0)

@@ -37,9 +37,6 @@ LEAST_WAY_M: Final = 0.002
 MOST: Final = 4.0
 # Starts of a search: steps of an offset, rad, by the number of pitch joints; more are not searched.
 START_STEPS_RAD: Final = {1: math.pi / 8, 2: math.pi / 4, 3: math.pi / 2}
-# Rows of a leg that show whether a start is worth a search, and the share that must be below the
-# axis there; a start is not yet the answer.
-GLANCED: Final = 60
 # rho of feet that stand: 0.03 to 0.08 where the description is right.
 RIGID: Final = 0.1
 # A foot that carries is above its command by these shares of the leg's reach.  Three to six of six
@@ -411,7 +408,9 @@ def fit_readings(
     if step is None or any(stream.leg.joint_axes != axes for stream in streams):
         return None
     legs = len(streams)
-    glanced = [np.arange(0, len(s.grid), max(len(s.grid) // GLANCED, 1)) for s in streams]
+    # Rows of a leg that show whether a start is worth a search, and the share that must be below
+    # the axis there; a start is not yet the answer.
+    glanced = [np.arange(0, len(s.grid), max(len(s.grid) // 60, 1)) for s in streams]
     phase_given = all(stream.swing is not None for stream in streams)
     plain = Reading.plain(len(axes))
     met = meetings(streams)

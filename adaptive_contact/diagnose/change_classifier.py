@@ -25,8 +25,6 @@ KINDS: Final = ("friction", "drive", "load")
 LEAST_SHARE: Final = 0.3
 # ...of so many ticks, two lifts or so...
 LEAST_ROWS: Final = 8
-# Speed at which friction is three quarters of what it comes to.
-KNEE_RAD_S: Final = 1.0
 
 
 class _Shapes(NamedTuple):
@@ -47,7 +45,8 @@ class ChangeClassifier:
 
     def __init__(self, model: LegModel, noise: Array) -> None:
         self._model, self._noise = model, noise
-        self._knee = KNEE_RAD_S * model.library.period_s
+        # At 1 rad/s friction is three quarters of what it comes to.
+        self._knee = model.library.period_s
         self._shapes = [_shapes(model, joint) for joint in range(len(noise))]
         # Where one kind alone has shapes, every change would be reported as that kind.
         self._comparable = all(any(of[kind] for _, of in self._shapes) for kind in KINDS)

@@ -43,10 +43,6 @@ LEAST_TICKS: Final = 150
 # Another leg's model is the right one where it errs by so much less than the leg's own.  Of the
 # shipped hexapod's legs the two most alike err by 1.08 times as much under each other's models.
 BETTER: Final = 1.04
-# And where all legs err by no more than this many times the noise that their models were learned
-# with: in ten kinds of walks it is 0.83 to 1.08 times; of other robots of the kind 0.91 to 1.6, and
-# two legs of them are like two others' by chance.
-AT_HOME: Final = 1.1
 
 
 class Owner(NamedTuple):
@@ -96,7 +92,10 @@ def judge_fit(
     # A leg that has changed may fit another's model by chance; legs that changed places do all.
     owners = _circles(owners)
     at_home = all(
-        under.get(owner, 0.0) <= AT_HOME * noise[owner]
+        # All legs err by no more than this many times the noise that their models were learned
+        # with: in ten kinds of walks it is 0.83 to 1.08 times; of other robots of the kind
+        # 0.91 to 1.6, and two legs of them are like two others' by chance.
+        under.get(owner, 0.0) <= 1.1 * noise[owner]
         for leg, under in errors.items()
         for owner in [owners[leg].leg if leg in owners else leg]
     )

@@ -24,13 +24,6 @@ from adaptive_contact.model.training_domain import Domain
 
 # The sparsest model whose held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005
-# By what logarithm held-out errors must fall, where the prior is to be held on to: by 0.03 to 0.6
-# on 30 swings of most legs, by less than this on ten minutes of a leg that ships (decision 43).
-LEAST_GAIN: Final = 0.02
-# Mean leverage of held-out rows from which on any gain is enough: what the other folds do not
-# determine is then more than the noise.  It is 20 to 800 on most of an arm's motions, 0.05 to 2.7
-# on those 65 swings, 0.01 to 0.1 on ten minutes of walking.
-UNDETERMINED: Final = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -224,7 +217,13 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
             gains[strength] = held.gain(without, with_it, rounding)
     best = max(gains.values(), default=0.0)
     beyond = float((np.square(held.spread(plain.manner)) - 1.0).mean())
-    if best < (0.0 if beyond > UNDETERMINED else LEAST_GAIN):
+    # By what logarithm held-out errors must fall, where the prior is to be held on to: by 0.03 to
+    # 0.6 on 30 swings of most legs, by less than this on ten minutes of a leg that ships (decision
+    # 43).
+    # Mean leverage of held-out rows from which on any gain is enough: what the other folds do not
+    # determine is then more than the noise.  It is 20 to 800 on most of an arm's motions, 0.05 to
+    # 2.7 on those 65 swings, 0.01 to 0.1 on ten minutes of walking.
+    if best < (0.0 if beyond > 10.0 else 0.02):
         return None
     # Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
     return max(strength for strength, gain in gains.items() if gain >= 0.9 * best)

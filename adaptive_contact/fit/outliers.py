@@ -24,16 +24,10 @@ from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.fit.sparse_regression import FitSettings, fit_sparse
 from adaptive_contact.model.factor import Factor
 
-# Rows further out than this many standard deviations, in whitened distance, are no noise: a touch
-# in a recording assumed free, or a bad reading.  Free ticks reach 6 in 10^6.
-OUTLIER_SIGMA: Final = 10.0
 # Share that the first fits are made of: three times the touches that a tenth would be may be among
 # the rest.
 CORE_SHARE: Final = 0.75
 STEPS: Final = 30  # of concentration
-# Where the foot touched in more than this share of the swings, the light touches that stay within
-# it are many enough to set the tail.
-MANY_SWINGS: Final = 0.01
 # Ticks beside one that stands out, in which a touch begins or ends.
 GUARD_TICKS: Final = 1
 # Rows that a class of speed needs for a noise of its own.
@@ -45,9 +39,6 @@ MAD_DEVIATION: Final = 1.4826
 # so many position steps: standard deviation, and median of the size.
 DEVIATION_STEPS: Final = 6**-0.5
 MEDIAN_STEPS: Final = 1.0 - 2**-0.5
-# The deviation of three normal joints, over that of the three quarters of their ticks that lie
-# nearest: (0.75 / P(χ²₅ < 4.1))^½, rounded.
-CORE_DEVIATION: Final = 1.25
 
 
 def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
@@ -65,7 +56,9 @@ def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
         residual = target - theta @ fit_sparse(factor, FitSettings()).coefficients
         # Median absolute deviation: the outliers must not set the scale they are judged by.
         sigma = MAD_DEVIATION * np.median(np.abs(residual[keep]), axis=0)
-        near = np.abs(residual) < OUTLIER_SIGMA * np.maximum(sigma, DEVIATION_STEPS * quantum_rad)
+        # Rows further out than this many standard deviations, in whitened distance, are no noise: a
+        # touch in a recording assumed free, or a bad reading.  Free ticks reach 6 in 10^6.
+        near = np.abs(residual) < 10.0 * np.maximum(sigma, DEVIATION_STEPS * quantum_rad)
         keep = np.asarray(keep & near.all(axis=1))
     return keep
 
@@ -116,13 +109,17 @@ class _Swings:
         # it.
         near: Mask = np.asarray((self._deviations(keep) < 6.0).all(axis=1))
         touched = len(np.unique(self._swing[~near]))
-        if tail and touched <= MANY_SWINGS * (int(self._swing[-1]) + 1):
+        # Where the foot touched in more than this share of the swings, the light touches that stay
+        # within it are many enough to set the tail.
+        if tail and touched <= 0.01 * (int(self._swing[-1]) + 1):
             keep = _with_their_touch(near, self._swing)
         return Untouched(keep, touched)
 
     def _explained(self) -> Mask:
         keep = self._core()
-        widen = CORE_DEVIATION
+        # The deviation of three normal joints, over that of the three quarters of their ticks that
+        # lie nearest: (0.75 / P(χ²₅ < 4.1))^½, rounded.
+        widen = 1.25
         # Rounds of letting in.
         for _ in range(8):
             # In any joint; free ticks go further out once in 700.

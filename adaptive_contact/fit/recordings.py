@@ -45,8 +45,6 @@ BEFORE_TICKS: Final = 1
 AFTER_TICKS: Final = 3
 # Stamps on each side of a late one, by which it is judged whether the loop slipped.
 SLIP_TICKS: Final = 25
-# And on each side of a tick, over which stamps off the grid are averaged.
-GRID_TICKS: Final = 50
 # Truth comes 20 ms after its samples, for it states a mean force, and on a key of its own, which
 # may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
 ASTRAY_NS: Final = 1_000_000_000
@@ -294,7 +292,8 @@ def _tick_times(rows: list[ServoSample], period_ns: int) -> Ints:
     off = np.array([sample.t_ns for sample in rows], dtype=np.int64) - grid
     total = np.concatenate(([0], np.cumsum(off - off[0])))
     k = np.arange(len(rows))
-    reach = np.minimum(np.minimum(k, k[::-1]), GRID_TICKS)  # even on both sides
+    # Ticks on each side over which stamps off the grid are averaged.
+    reach = np.minimum(np.minimum(k, k[::-1]), 50)  # even on both sides
     mean = (total[k + reach + 1] - total[k - reach]) / (2 * reach + 1)
     return np.asarray(grid + off[0] + np.round(mean).astype(np.int64))
 

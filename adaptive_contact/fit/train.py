@@ -46,8 +46,6 @@ MOST_FOLDS: Final = 10
 # λ in units of the residual's own root mean square: a term that moves the prediction by less
 # than a fiftieth of the noise cannot be distinguished from none; one that moves it by all is law.
 SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
-# Sums over several ticks are judged from so many on.
-FEW_TICKS: Final = 200
 # Without truth: the last ticks of a swing may hold the touch that ended it.
 LAST_TICKS: Final = 6
 
@@ -415,7 +413,8 @@ def _spans(residual: Array, rows: Rows) -> dict[int, tuple[Array, Array]]:
         # Places only grow, so that so many in a row have no gap.
         apart = rows.position[span - 1 :] - rows.position[: len(total) - span]
         sums = (total[span:] - total[:-span])[apart == span - 1]
-        if len(sums) >= FEW_TICKS:
+        # Sums over several ticks are judged from so many on.
+        if len(sums) >= 200:
             found[span] = (_rms(sums[:, :joints]), _rms(sums[:, joints:]))
     return found
 

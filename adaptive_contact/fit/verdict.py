@@ -18,10 +18,6 @@ from adaptive_contact.robot import Robot
 # own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
 _NOISE_STEPS: Final = 0.82
 _GOOD, _FAIR = 2.5, 4.0
-# One score in a thousand of free ticks is above the chi-square quantile of so many joints, 16.3 of
-# three.  Thresholds are for far rarer ones: 35 and more of good recordings, below 0.2 where
-# readings are copies of commands or a swing never ends.
-_LEAST_EXCEEDANCE: Final = 1e-3
 # Four steps of an AX-12A, the coarsest servo known here: with coarser ones a touch hides in a step.
 _COARSEST_RAD: Final = 0.02
 # Joints of one line that are shown; the others are counted.
@@ -105,7 +101,10 @@ def _residuals(robot: Robot, training: Training) -> Iterator[str]:
 def _thresholds(robot: Robot, training: Training) -> Iterator[str]:
     if not training.figures:
         return
-    least = float(free_quantile(_LEAST_EXCEEDANCE))
+    # One score in a thousand of free ticks is above the chi-square quantile of so many joints, 16.3
+    # of three.  Thresholds are for far rarer ones: 35 and more of good recordings, below 0.2 where
+    # readings are copies of commands or a swing never ends.
+    least = float(free_quantile(1e-3))
     lowest = float(training.baseline.thresholds(robot.detector.false_alarms_per_hour).min())
     if not lowest >= least:
         yield (

@@ -20,17 +20,6 @@ from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import friction_terms, soft_term
 
-# Standard deviation of a change of a whole family of terms, as a share of itself.  A battery that
-# sags from 12 V to 9.4 V takes a fifth off a drive's; a wider prior leaves the end of a descent,
-# where the law saturates, uncertain for ten swings.
-FAMILY_SHARE: Final = 0.1
-# Of the softness that the first model predicts: 1 is a servo half as stiff.
-SOFT_SHARE: Final = 0.5
-# Of friction against the movement that the first model predicts, at each knee, in noise units:
-# four times as much moves a prediction by 2 to 4 units, six times by up to 7.
-FRICTION_UNITS: Final = 2.0
-# Of what friction against the last movement and a joint's own speed add to that.
-SPEED_UNITS: Final = 0.5
 # Of a single term of a joint's own drive.
 TERM_UNITS: Final = 0.3
 # Of everything else, what says where the leg is included: along a lift that can look like friction,
@@ -73,14 +62,18 @@ def change_directions(model: LegModel, scale: Array, noise: Array) -> Array:
             terms = enumerate(library.names)
             family = [i for i, t in terms if t.startswith(kind) and speaks_of(t, name)]
             move = np.zeros(p)
-            move[family] = FAMILY_SHARE * own[family]
+            # Standard deviation of a change of a whole family of terms, as a share of itself.  A
+            # battery that sags from 12 V to 9.4 V takes a fifth off a drive's; a wider prior leaves
+            # the end of a descent, where the law saturates, uncertain for ten swings.
+            move[family] = 0.1 * own[family]
             rows.append(move)
         support = core_support(model)[:, joint]
         for row in np.flatnonzero(support):
             term = library.names[row]
             move = np.zeros(p)
             soft = term == soft_term(name)
-            move[row] = SOFT_SHARE if soft else _units(term, name) * noise[joint] / scale[row]
+            # Of the softness that the first model predicts: 1 is a servo half as stiff.
+            move[row] = 0.5 if soft else _units(term, name) * noise[joint] / scale[row]
             rows.append(move)
         every.append(rows)
     most = max(map(len, every))
@@ -98,9 +91,12 @@ def speaks_of(term: str, joint: str) -> bool:
 def _units(term: str, joint: str) -> float:
     """How far a single term may move, in noise units."""
     if term in friction_terms(joint):
-        return FRICTION_UNITS
+        # Of friction against the movement that the first model predicts, at each knee, in noise
+        # units: four times as much moves a prediction by 2 to 4 units, six times by up to 7.
+        return 2.0
     if term in (f"tanh(v_{joint}/v₀)", f"v_{joint}"):
-        return SPEED_UNITS
+        # Of what friction against the last movement and a joint's own speed add to that.
+        return 0.5
     return TERM_UNITS if term != "1" and term in _own_terms(joint) else OTHER_UNITS
 
 

@@ -15,7 +15,7 @@ absolute link angles :math:`\phi_i` are what is left.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,6 @@ from adaptive_contact.robot.description import Axis
 from adaptive_contact.robot.kinematics import AXES, Vector, yaws_then_pitches
 
 Complex = NDArray[np.complex128]
-
-# Angles per joint: a hip of yaw, roll and pitch, knee and ankle need 7 for 5 joints.  Of a chain
-# with more, those that fewer joints turn are kept: its library is to stay small enough to learn.
-MOST_PER_JOINT: Final = 3
 
 
 class GravityAngle(NamedTuple):
@@ -68,7 +64,10 @@ def gravity_angles(joints: Sequence[str], axes: Sequence[Axis]) -> tuple[Gravity
         vertical = {of: turned[of] for of in _simplest(there, 729)}
         # Of an angle and its negative, which come in pairs, one is enough.
         found |= dict.fromkeys(of for of in vertical if _leading(of) > 0)
-    kept = _simplest(list(found), MOST_PER_JOINT * len(axes))
+    # Angles per joint: a hip of yaw, roll and pitch, knee and ankle need 7 for 5 joints.  Of a
+    # chain with more, those that fewer joints turn are kept: its library is to stay small enough to
+    # learn.
+    kept = _simplest(list(found), 3 * len(axes))
     return tuple(
         GravityAngle(_name(joints, signs), tuple(float(sign) for sign in signs)) for signs in kept
     )

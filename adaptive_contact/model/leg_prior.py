@@ -37,9 +37,6 @@ from adaptive_contact.model.tail import Tail
 OTHERS: Final = (
     "v_{}", "v_{}[k-1]", "v_{}[k-2]", "sat(e_{}/s)", "sat(e_{}[k-1]/s)", "sat(e⁻_{}/s)",
 )  # fmt: skip
-# Residuals of legs alike in step and slope differ by a third; as no level below this noise is
-# followed, a quiet leg is judged as one that is a little noisy.
-NOISY: Final = 1.28
 # Shape of a tail fitted to few ticks is worthless; the pooled one of the shipped baselines is 0 to
 # 0.1, and the heavier end costs a third more threshold.
 PRIOR_SHAPE: Final = 0.1
@@ -167,7 +164,9 @@ def leg_prior(library: Library, quantum_rad: float, widening: float = 1.0) -> Le
         single = np.zeros((len(rest), p))
         single[np.arange(len(rest)), rest] = deviation * slope
         spread.append(widening * np.concatenate([own, single]))
-    sigma = NOISY * math.hypot(of.noise_quanta * quantum_rad, of.noise_slopes * slope)
+    # Residuals of legs alike in step and slope differ by a third; as no level below this noise is
+    # followed, a quiet leg is judged as one that is a little noisy.
+    sigma = 1.28 * math.hypot(of.noise_quanta * quantum_rad, of.noise_slopes * slope)
     covariance = np.zeros((CONTEXTS, len(WINDOWS), joints, joints))
     covariance[:] = np.multiply.outer(np.array(of.sums) * sigma**2, np.eye(joints))
     noise = NoiseModel(covariance, np.ones(CONTEXTS))

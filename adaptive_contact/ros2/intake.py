@@ -27,8 +27,6 @@ from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
 from adaptive_contact.wire import ContactTruth, Message, ServoSample
 
 _NS: Final = 1_000_000_000
-# Distinct sets of joint names of one topic that are kept.
-_MOST_LAYOUTS: Final = 64
 # A leg that goes so far away from its last command, this long after it, follows commands that do
 # not arrive.  One that holds its pose, or is still on its way, needs none.
 _NO_COMMAND_S: Final = 1.0
@@ -355,7 +353,8 @@ class Intake:
         layouts = self._layouts.setdefault(topic, {})
         found = layouts.get(names)
         if found is None:
-            if len(layouts) >= _MOST_LAYOUTS:
+            # Distinct sets of joint names of one topic that are kept.
+            if len(layouts) >= 64:
                 layouts.clear()
             found = layouts[names] = self._lay_out(topic, names)
         if len(found) < len(self._roles[topic].states):

@@ -18,14 +18,6 @@ _STEP_SHARE: Final = 0.85  # of readings on one grid; of a grid at random it is 
 # of 1,000 grids: each is near a line by chance in a case of five, ten more than two in one of 10^7.
 _LEAST_LINES: Final = 12
 STEP_TOLERANCE: Final = 0.05
-# What is finer than robot.toml says has to fit nearly all: readings between the lines of a grid
-# (carried to their tick's moment, interpolated) are near lines a half, a third or a sixth as far
-# apart where they are few.  Of AX-12A on a busy computer, up to a third are such.
-_FINER_SHARE: Final = 0.95
-# And no multiple of it may hold more readings than a grid's every k-th line does, but for one case
-# in so many: n phases at random have a mean longer than sqrt(2 ln(1/p) / n) with less than p, also
-# where there are but two phases.
-_STEP_CHANCE: Final = 1e-2
 # A grid is found in so many of a joint's different readings as well as in those of an hour.
 _MOST_VALUES: Final = 400
 # Readings are counted in bins of an eighth of the least step, by which the finest grid's mean is
@@ -74,7 +66,10 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
     found = _on_grid(values, coarse, until, _STEP_SHARE)
     if found is not None:
         return found
-    found = _on_grid(values, until, fine, _FINER_SHARE)
+    # What is finer than robot.toml says has to fit nearly all: readings between the lines of a grid
+    # (carried to their tick's moment, interpolated) are near lines a half, a third or a sixth as
+    # far apart where they are few.  Of AX-12A on a busy computer, up to a third are such.
+    found = _on_grid(values, until, fine, 0.95)
     return None if found is None else _multiple(values, found, span, expected_rad)
 
 
@@ -90,7 +85,10 @@ def _multiple(values: Array, step_rad: float, span: float, expected_rad: float |
         k = round(expected_rad / step_rad)
         near = k > 1 and abs(k * step_rad / expected_rad - 1.0) <= STEP_TOLERANCE
         multiples = [k] if near else []
-    chance = _STEP_CHANCE / max(len(multiples), 1)
+    # No multiple of it may hold more readings than a grid's every k-th line does, but for one
+    # case in so many: n phases at random have a mean longer than sqrt(2 ln(1/p) / n) with less than
+    # p, also where there are but two phases.
+    chance = 1e-2 / max(len(multiples), 1)
     by_chance = math.sqrt(2.0 * math.log(1.0 / chance) / len(values))
     centred = values - values.mean()
     for k in multiples:

@@ -41,10 +41,6 @@ _COPY_SHARE: Final = 0.98
 _COPY_SPEEDS: Final = 3.0
 # Ticks that comparing a joint's motion with its command's needs.
 _FEWEST_MOVING: Final = 50
-# Readings that are held: of the ticks in which a joint goes a step a tick and more, over so many
-# ticks on each side, more than this share read the same as the tick before.  Held for two ticks it
-# is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions 0.24 at most.
-_HELD_SHARE: Final = 0.4
 # Where the step of the encoder is not known, readings on no grid are copies if they are this near.
 _EQUAL_RAD: Final = 2e-6
 
@@ -220,7 +216,11 @@ def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[F
         # That one step, computed in two ways, may be off.
         coarser = float(gaps.min(initial=np.inf, where=gaps > 1e-9))
         share = held_share(samples, joint, max(step_rad, coarser))
-        if share > _HELD_SHARE:
+        # Readings that are held: of the ticks in which a joint goes a step a tick and more, over so
+        # many ticks on each side, more than this share read the same as the tick before.  Held for
+        # two ticks it is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions 0.24
+        # at most.
+        if share > 0.4:
             shares[name] = share
     if shares:
         most = max(shares.values())

@@ -30,9 +30,6 @@ from adaptive_contact.service.findings import Finding
 from adaptive_contact.service.watch import LegView, Verdict, View
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, LegTrace
 
-# A source's clock has jumped where a tick is this far from the time of its arrival: a service that
-# stands still for a second gives its ticks later, at their own times.
-_JUMP_NS: Final = 2_000_000_000
 # Contacts that wait for the first tick of their leg, which shows its clock.
 _MOST_WAITING: Final = 1024
 # Text of the wire that is shown: notes are a line, and nothing stops a stranger's from being long.
@@ -136,7 +133,9 @@ class Frames:
     def _follow(self, leg: str, newest_ns: int, now_ns: int) -> None:
         """A tick of a leg has arrived that was taken just now."""
         known = self._offsets.get(leg)
-        if known is not None and abs(newest_ns + known - now_ns) < _JUMP_NS:
+        # A source's clock has jumped where a tick is this far from the time of its arrival: a
+        # service that stands still for a second gives its ticks later, at their own times.
+        if known is not None and abs(newest_ns + known - now_ns) < 2_000_000_000:
             return
         own = now_ns - newest_ns
         others = [other for name, other in self._offsets.items() if name != leg]
