@@ -91,7 +91,7 @@ def test_the_newest_and_the_one_before_are_set_aside_side_by_side(opened: StateS
     assert opened.others(WHO) == 0
 
 
-@pytest.mark.parametrize("step", ["write", "fsync", "replace_old", "replace_new"])
+@pytest.mark.parametrize("step", ["write", "fsync", "replace_state", "replace_new"])
 def test_a_failure_at_any_step_leaves_a_whole_state(
     opened: StateStore, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
@@ -129,18 +129,6 @@ def test_a_crash_between_the_renames_loses_nothing(opened: StateStore) -> None:
     opened.path(WHO).replace(opened.path(WHO).with_suffix(".before"))
     opened.path(WHO).with_suffix(".new").write_bytes(b"half of a st")
     assert versions(opened) == [1]
-
-
-def test_a_file_system_without_links_still_keeps_the_one_before(
-    opened: StateStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuses(*_: Any) -> None:
-        raise PermissionError(errno.EPERM, "Operation not permitted")
-
-    monkeypatch.setattr(Path, "hardlink_to", refuses)
-    for version in (1, 2, 3):
-        opened.save(record(version))
-    assert versions(opened) == [3, 2]
 
 
 def test_one_service_at_a_time_saves(opened: StateStore, tmp_path: Path) -> None:
@@ -277,7 +265,7 @@ def test_folders_and_files_are_the_user_s_own(tmp_path: Path) -> None:
     made.close()
 
 
-@pytest.mark.parametrize("suffix", [".new", ".state", ".before", ".old"])
+@pytest.mark.parametrize("suffix", [".new", ".state", ".before"])
 @pytest.mark.parametrize("kind", ["symbolic", "hard"])
 def test_a_save_writes_through_no_link(opened: StateStore, suffix: str, kind: str) -> None:
     victim = opened.folder.parent / "victim"

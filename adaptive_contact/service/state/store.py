@@ -169,7 +169,8 @@ class StateStore:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            self._keep_before(path)
+            with contextlib.suppress(FileNotFoundError):
+                self._rename(newest, path.with_suffix(BEFORE).name)
             self._rename(new, newest)
             with contextlib.suppress(OSError):  # a file system that cannot keeps its own order
                 os.fsync(self._handle)
@@ -177,23 +178,6 @@ class StateStore:
             with contextlib.suppress(OSError):
                 self._remove(new)
             raise
-
-    def _keep_before(self, path: Path) -> None:
-        """Make the newest state the one before; it stays where it is until it is replaced."""
-        newest, before, old = path.name, path.with_suffix(BEFORE).name, path.with_suffix(_OLD).name
-        try:
-            os.stat(newest, dir_fd=self._handle, follow_symlinks=False)
-        except FileNotFoundError:
-            return
-        self._remove(old)
-        try:
-            os.link(
-                newest, old, src_dir_fd=self._handle, dst_dir_fd=self._handle, follow_symlinks=False
-            )
-        except OSError:  # a file system without links: for an instant there is only the one before
-            self._rename(newest, before)
-            return
-        self._rename(old, before)
 
     def _rename(self, name: str, to: str) -> None:
         os.replace(name, to, src_dir_fd=self._handle, dst_dir_fd=self._handle)
@@ -209,7 +193,7 @@ def is_of_leg(path: Path, leg: str) -> bool:
 
 
 def list_rest(root: Path) -> list[Path]:
-    """What saves that were killed have left below a folder; ``.old`` is a whole state."""
+    """What saves that were killed have left; ``.old``, of earlier versions, is a whole state."""
     return sorted(path for path in root.glob("*/*") if path.suffix in (_NEW, _OLD))
 
 
