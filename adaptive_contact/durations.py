@@ -38,3 +38,11 @@ def seconds_of(text: str) -> float | None:
         total, last, several = total + float(part[1]) * size, size, True
         if not rest:
             return total if math.isfinite(total) else None
+
+
+def duration(seconds: float) -> str:
+    """Write a duration in one unit, such as ``1.5 min``."""
+    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.1f} s"

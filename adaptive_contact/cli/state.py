@@ -21,6 +21,7 @@ from adaptive_contact.cli._options import (
     option,
 )
 from adaptive_contact.cli._output import say, say_json
+from adaptive_contact.durations import duration
 from adaptive_contact.errors import ConfigurationError, reason_of
 from adaptive_contact.printable import printable
 from adaptive_contact.service.settings import shown_path
@@ -73,7 +74,7 @@ def _table(found: Sequence[Stored], rows: Sequence[dict[str, Any]]) -> Table:
         table.add_row(
             Text(printable(row["leg"]) if known else "-"),
             str(row["model_version"]) if known else "-",
-            _duration(row["age_s"]) if known else "-",
+            duration(row["age_s"]) if known else "-",
             f"{row['bytes'] / 1000:.0f} kB",
             "sound" if row["refused"] is None else "refused",
             Text(printable(shown_path(Path(stored.path.name)))),
@@ -201,10 +202,3 @@ def _row(stored: Stored) -> dict[str, Any]:
     if stored.path.suffix == ".refused":
         row["refused"] = "refused by the service; the log says why"
     return row
-
-
-def _duration(seconds: float) -> str:
-    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.0f} s"

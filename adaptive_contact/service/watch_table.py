@@ -14,6 +14,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
+from adaptive_contact.durations import duration
 from adaptive_contact.printable import printable
 from adaptive_contact.service.watch import LegView, View
 from adaptive_contact.wire import Status
@@ -44,7 +45,7 @@ def headline(view: View) -> Text:
             style="yellow",
         )
     line = Text(
-        f"{printable(service.robot)}  up {_duration(service.uptime_s)}  {service.events} events"
+        f"{printable(service.robot)}  up {duration(service.uptime_s)}  {service.events} events"
     )
     if service.event_latency is not None:
         delay = service.event_latency
@@ -238,13 +239,13 @@ def _status(leg: LegView) -> Text:
 
 def _change(leg: LegView) -> Text:
     """What the leg has changed in, as far as is known, and when."""
-    when = None if leg.changed_s is None else f"{_duration(leg.changed_s)} ago"
+    when = None if leg.changed_s is None else f"{duration(leg.changed_s)} ago"
     words = ", ".join(filter(None, (leg.kind, when)))
     return Text(printable(words)) if words else Text("-", style="dim")
 
 
 def _age(age_s: float | None) -> Text:
-    return Text("-", style="dim") if age_s is None else Text(f"{_duration(max(age_s, 0.0))} ago")
+    return Text("-", style="dim") if age_s is None else Text(f"{duration(max(age_s, 0.0))} ago")
 
 
 def _latency(leg: LegView) -> Text:
@@ -291,11 +292,3 @@ def counts_of(counts: Mapping[str, int]) -> str:
     """All reasons by number, the largest first: no loss is out of sight behind others."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     return ", ".join(f"{printable(reason)} {number}" for reason, number in ordered if number)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    if seconds < 3600:
-        return f"{seconds / 60:.1f} min"
-    return f"{seconds / 3600:.1f} h"

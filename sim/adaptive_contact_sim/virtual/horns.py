@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,10 +13,6 @@ from adaptive_contact.arrays import Array
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.virtual.backend import Backend
-
-if TYPE_CHECKING:
-    from adaptive_contact_sim.plant import Plant
-    from adaptive_contact_sim.virtual.quadruped import QuadrupedPlant
 
 STEP_S: Final = 0.001
 # Further behind than this, lost time is let go.
@@ -78,11 +74,11 @@ class OnStand(Backend):
 
     Args:
         horns: how the servos are mounted.
-        plant: the robot's physics.
+        plant: the robot's physics: its steps, and angles and speeds of its joints.
         start_rad: (n,) joint angles at first.
     """
 
-    def __init__(self, horns: Horns, plant: Plant | QuadrupedPlant, start_rad: Array) -> None:
+    def __init__(self, horns: Horns, plant: Any, start_rad: Array) -> None:
         self._horns, self._plant = horns, plant
         self._goal = start_rad.copy()
         self._on = np.zeros(len(start_rad), dtype=np.bool_)
@@ -106,7 +102,7 @@ class OnStand(Backend):
             behind = 0
         for _ in range(min(behind, 5)):  # Steps made at one call: more would keep the bus waiting.
             self.step()
-        return self._start_s + (self._plant.steps + 1) * STEP_S
+        return float(self._start_s + (self._plant.steps + 1) * STEP_S)
 
     def angle(self, index: int) -> float:
         """Angle of a servo's horn, rad."""
