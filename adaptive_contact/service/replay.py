@@ -29,11 +29,12 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError, RecordingError
-from adaptive_contact.robot import AngleFrame, Robot
+from adaptive_contact.robot import Robot
 from adaptive_contact.score import ROWS, Contacts, Gatherer, LegOutcome, contacts_of, match
 from adaptive_contact.service.link import Link, Publisher
 from adaptive_contact.service.recording import Record
 from adaptive_contact.service.settings import SILENT_AFTER_S
+from adaptive_contact.service.trace import Judged, judged_tick
 from adaptive_contact.wire import (
     ContactEvent,
     Reject,
@@ -324,28 +325,24 @@ class TraceBank:
             if learner is None:
                 continue
             used = self._judged_ns(leg) != before[leg]
-            judged = learner.judged() if used else None
-            ratio = np.nan
-            if judged is not None and np.any(np.isfinite(judged.scores)):
-                ratio = float(np.nanmax(judged.scores))
+            judged = judged_tick(learner, sample) if used else None
+            ratio = np.nan if judged is None else judged.test_ratio
             self._t_ns.setdefault(leg, array("q")).append(sample.t_ns)
             self._ratio.setdefault(leg, array("d")).append(ratio)
             p = learner.state.p if used else None
             self._p.setdefault(leg, array("d")).append(np.nan if p is None else p)
-            self._draw(leg, sample, None if judged is None else judged.residual)
+            self._draw(leg, sample, judged)
         self._bank.finish()
         self._events += events
         return events
 
-    def _draw(self, leg: str, sample: ServoSample, residual: Array | None) -> None:
-        described = self._bank.robot.leg(leg) if leg in self._bank.robot.leg_ids else None
+    def _draw(self, leg: str, sample: ServoSample, judged: Judged | None) -> None:
         if leg not in self._curves:
             numbers = [f"joint {j}" for j in range(len(sample.measured))]
-            self._curves[leg] = Curves(numbers if described is None else described.joints)
-        predicted = [np.nan] * len(sample.measured)
-        if residual is not None and len(residual) == len(predicted):
-            ways = 1 if described is None else AngleFrame(described).directions
-            predicted = np.subtract(sample.measured, np.multiply(ways, residual)).tolist()
+            robot = self._bank.robot
+            named = robot.leg(leg).joints if leg in robot.leg_ids else numbers
+            self._curves[leg] = Curves(named)
+        predicted = [np.nan] * len(sample.measured) if judged is None else judged.predicted
         self._curves[leg].add(sample.t_ns, sample.measured, sample.desired, predicted)
 
     def _judged_ns(self, leg: str) -> int:

@@ -141,7 +141,7 @@ class Service:
         self._unfinished: list[int] = []  # arrivals of samples that are not learned from yet
         self._event_latency = Latency()
         self._asked: list[Request] = []
-        self._tracer = Tracer(robot)
+        self._tracer = Tracer()
         self._untraced: list[tuple[str, ServoSample]] = []  # samples that a page asks for
         self._states: list[tuple[Publisher, LegState]] = []  # that somebody subscribes to
         self._refused: set[str] = set()  # legs whose sample in hand the learner refuses
@@ -419,16 +419,22 @@ class Service:
         """Keep the tick for a page that asks for it."""
         # Of two ticks of a leg in one go the learner knows the last.
         last = dict(self._untraced)
+        learners = {leg: self._endpoints[leg].learner for leg in last}
         self._tracer.take(
             (
                 (
                     leg,
                     sample,
-                    judged_tick(self._endpoints[leg].learner) if sample is last[leg] else None,
+                    judged_tick(learners[leg], sample) if sample is last[leg] else None,
                 )
                 for leg, sample in self._untraced
             ),
-            {leg: self._endpoints[leg].learner.state for leg in last},
+            {leg: learner.state for leg, learner in learners.items()},
+            {
+                leg: bool(learner.place.leg.swing_phase)
+                for leg, learner in learners.items()
+                if learner.leg.chain is not None
+            },
         )
         self._untraced.clear()
 

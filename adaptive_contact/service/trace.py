@@ -14,8 +14,7 @@ from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from adaptive_contact.arrays import np
-from adaptive_contact.robot import AngleFrame, Leg, Robot
-from adaptive_contact.robot.gait_phase import PhaseTracker
+from adaptive_contact.robot import AngleFrame
 from adaptive_contact.service.link import Link
 from adaptive_contact.wire import (
     LegState,
@@ -41,7 +40,7 @@ _MOST_ANSWERED: Final = 200
 class Judged(NamedTuple):
     """How the learner judged its last tick."""
 
-    residual: list[float]  # (J,) rad, measured minus predicted, in the description's angles
+    predicted: list[float]  # (J,) rad, what was expected to be measured, in the source's angles
     test_ratio: float  # statistic over threshold, the largest of its windows
 
 
@@ -53,44 +52,11 @@ class _Tick(NamedTuple):
     p: float | None  # that the foot carries
 
 
-class _Leg:
-    """Ticks of one leg.
-
-    Args:
-        described: by ``robot.toml``; None for a leg that it lacks.
-    """
-
-    def __init__(self, described: Leg | None) -> None:
-        self.ticks: deque[_Tick] = deque(maxlen=MOST_TICKS)
-        self.frame = None if described is None else AngleFrame(described)
-        self._described = described
-        chain = None if described is None else described.chain
-        self._tracker = PhaseTracker(size=1.0 if chain is None else chain.size)
-
-    def swing(self, sample: ServoSample) -> bool | None:
-        """Whether the sample, or else its command, says that the leg swings."""
-        if sample.phase is not None:
-            return sample.phase == "swing"
-        leg = self._described
-        if leg is None or leg.chain is None or len(sample.desired) != len(leg.joints):
-            return None
-        desired = sample.desired if self.frame is None else self.frame.angles(sample.desired)
-        height = leg.chain.point(desired)[2]
-        return self._tracker.update(height) == "swing"
-
-    def predicted(self, sample: ServoSample, residual: list[float]) -> list[float]:
-        """(J,) rad in the source's angles."""
-        directions = (1,) * len(residual) if self.frame is None else self.frame.directions
-        turned = zip(sample.measured, directions, residual, strict=True)
-        return [measured - direction * off for measured, direction, off in turned]
-
-
 class Tracer:
     """Keeps ticks while they are asked for; all calls from the worker."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self._legs: dict[str, _Leg] = {}
+    def __init__(self) -> None:
+        self._legs: dict[str, deque[_Tick]] = {}
         self._number = 0
         self._until_ns = 0
 
@@ -102,17 +68,25 @@ class Tracer:
         self,
         samples: Iterable[tuple[str, ServoSample, Judged | None]],
         states: Mapping[str, LegState] | None = None,
+        swings: Mapping[str, bool] | None = None,
     ) -> None:
-        """Keep the samples of a tick, and the states that follow from them."""
+        """Keep the samples of a tick, with the states that follow from them.
+
+        Args:
+            samples: with how they were judged.
+            states: of legs, by their newest samples.
+            swings: whether the legs' newest commands show a swing, where that is known.
+        """
         self._number += 1
         for name, sample, judged in samples:
-            leg = self._legs.get(name)
-            if leg is None:
-                known = name in self._robot.leg_ids
-                leg = self._legs[name] = _Leg(self._robot.leg(name) if known else None)
             state = (states or {}).get(name)
-            p = None if state is None or state.seq != sample.seq else state.p
-            leg.ticks.append(_Tick(self._number, sample, leg.swing(sample), judged, p))
+            newest = state is not None and state.seq == sample.seq
+            p = state.p if state is not None and newest else None
+            swing = (swings or {}).get(name) if newest else None
+            if sample.phase is not None:
+                swing = sample.phase == "swing"
+            ticks = self._legs.setdefault(name, deque(maxlen=MOST_TICKS))
+            ticks.append(_Tick(self._number, sample, swing, judged, p))
 
     def answer(self, legs: Iterable[str], after: str | None, now_ns: int) -> list[LegTrace]:
         """What came after the number that is asked for, as much as one answer holds.
@@ -133,8 +107,8 @@ class Tracer:
         asked = {leg: self._legs[leg] for leg in legs if leg in self._legs}
         numbers = sorted(
             tick.number
-            for leg in asked.values()
-            for tick in takewhile(lambda tick: fresh or tick.number > begin, reversed(leg.ticks))
+            for ticks in asked.values()
+            for tick in takewhile(lambda tick: fresh or tick.number > begin, reversed(ticks))
         )
         last = self._number
         if len(numbers) > _MOST_ANSWERED and fresh:
@@ -143,37 +117,34 @@ class Tracer:
             last = numbers[_MOST_ANSWERED - 1]
         elif fresh:
             begin = -1
-        return [self._trace(name, leg, begin, last) for name, leg in asked.items()]
-
-    def _trace(self, name: str, leg: _Leg, after: int, last: int) -> LegTrace:
-        newest = takewhile(lambda tick: tick.number > after, reversed(leg.ticks))
-        ticks = [tick for tick in newest if tick.number <= last]
-        ticks.reverse()
-        return LegTrace(
-            leg=name,
-            number=last,
-            t_ns=[tick.sample.t_ns for tick in ticks],
-            seq=[tick.sample.seq for tick in ticks],
-            swing=[tick.swing for tick in ticks],
-            measured=[tick.sample.measured for tick in ticks],
-            desired=[tick.sample.desired for tick in ticks],
-            predicted=[
-                None
-                if tick.judged is None or len(tick.judged.residual) != len(tick.sample.measured)
-                else leg.predicted(tick.sample, tick.judged.residual)
-                for tick in ticks
-            ],
-            test_ratio=[None if tick.judged is None else tick.judged.test_ratio for tick in ticks],
-            p=[tick.p for tick in ticks],
-        )
+        return [_trace(name, ticks, begin, last) for name, ticks in asked.items()]
 
 
-def judged_tick(learner: ContactLearner) -> Judged | None:
-    """How a learner judged the tick that it has just finished; None where it could not."""
+def _trace(leg: str, kept: deque[_Tick], after: int, last: int) -> LegTrace:
+    newest = takewhile(lambda tick: tick.number > after, reversed(kept))
+    ticks = [tick for tick in newest if tick.number <= last]
+    ticks.reverse()
+    return LegTrace(
+        leg=leg,
+        number=last,
+        t_ns=[tick.sample.t_ns for tick in ticks],
+        seq=[tick.sample.seq for tick in ticks],
+        swing=[tick.swing for tick in ticks],
+        measured=[tick.sample.measured for tick in ticks],
+        desired=[tick.sample.desired for tick in ticks],
+        predicted=[None if tick.judged is None else tick.judged.predicted for tick in ticks],
+        test_ratio=[None if tick.judged is None else tick.judged.test_ratio for tick in ticks],
+        p=[tick.p for tick in ticks],
+    )
+
+
+def judged_tick(learner: ContactLearner, sample: ServoSample) -> Judged | None:
+    """How a learner judged its last sample; None where it could not."""
     tick = learner.judged()
     if tick is None:
         return None
-    return Judged(tick.residual.tolist(), float(np.nanmax(tick.scores)))
+    off = np.multiply(AngleFrame(learner.leg).directions, tick.residual)
+    return Judged(np.subtract(sample.measured, off).tolist(), float(np.fmax.reduce(tick.scores)))
 
 
 class TraceReader:

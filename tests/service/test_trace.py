@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import numpy as np
+
+from adaptive_contact.leg_learner import JudgedTick
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Judged, Tracer
+from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Tracer, judged_tick
 from adaptive_contact.wire import LegState, Phase, ServoSample
 
 S = 1_000_000_000
@@ -40,7 +45,7 @@ def asked(tracer: Tracer, after: str | None = None, now_ns: int = 0) -> dict[str
 
 
 def test_ticks_are_wanted_while_somebody_asks() -> None:
-    tracer = Tracer(ROBOT)
+    tracer = Tracer()
     assert not tracer.wanted(0)
     assert asked(tracer) == {}
     assert tracer.wanted(int(LEASE_S * S) - 1)
@@ -52,7 +57,7 @@ def test_ticks_are_wanted_while_somebody_asks() -> None:
 
 
 def test_a_tick_has_the_p_of_its_own_state() -> None:
-    tracer = Tracer(ROBOT)
+    tracer = Tracer()
     asked(tracer)
     state = LegState(t_ns=2, seq=2, contact=True, p=0.9, known=True)
     tracer.take([("rf", sample(1), None), ("rf", sample(2), None)], {"rf": state})
@@ -62,7 +67,7 @@ def test_a_tick_has_the_p_of_its_own_state() -> None:
 
 
 def test_each_asker_gets_what_it_has_not_had() -> None:
-    tracer = Tracer(ROBOT)
+    tracer = Tracer()
     asked(tracer)
     for seq in (1, 2, 3):
         tracer.take([("rf", sample(seq), None), ("lf", sample(seq), None)])
@@ -75,7 +80,7 @@ def test_each_asker_gets_what_it_has_not_had() -> None:
 
 
 def test_a_number_that_is_none_gets_all() -> None:
-    tracer = Tracer(ROBOT)
+    tracer = Tracer()
     asked(tracer)
     tracer.take([("rf", sample(1), None)])
     for after in (None, "", "-1", "x", "1e3", "٣", "9" * 5000, "999"):
@@ -83,7 +88,7 @@ def test_a_number_that_is_none_gets_all() -> None:
 
 
 def test_what_is_kept_and_what_is_answered_is_bounded() -> None:
-    tracer = Tracer(ROBOT)
+    tracer = Tracer()
     asked(tracer)
     for seq in range(3 * MOST_TICKS):
         tracer.take([("rf", sample(seq), None)])
@@ -92,7 +97,7 @@ def test_what_is_kept_and_what_is_answered_is_bounded() -> None:
 
 
 def test_who_falls_behind_gets_all_in_several_answers() -> None:
-    tracer = Tracer(ROBOT)
+    tracer = Tracer()
     asked(tracer)
     for seq in range(MOST_TICKS):
         tracer.take([("rf", sample(seq), None), ("lf", sample(seq), None)])
@@ -111,10 +116,14 @@ def test_who_falls_behind_gets_all_in_several_answers() -> None:
 
 
 def test_a_prediction_is_in_the_angles_of_the_source() -> None:
-    tracer = Tracer(ROBOT)
+    tracer = Tracer()
     asked(tracer)
     # In the description's angles the reading of the femur is 0.5 - 0.2, and was expected at 0.28.
-    tracer.take([("rf", sample(1), Judged([0.01, 0.02, 0.0], 1.5)), ("lf", sample(1), None)])
+    scores = np.array([1.5, 0.1, np.nan])
+    tick = JudgedTick(np.array([0.01, 0.02, 0.0]), scores, np.ones(3))
+    learner = SimpleNamespace(leg=ROBOT.leg("rf"), judged=lambda: tick)
+    judged = judged_tick(learner, sample(1))  # type: ignore[arg-type]
+    tracer.take([("rf", sample(1), judged), ("lf", sample(1), None)])
     rf, lf = tracer.answer(("rf", "lf"), None, 0)
     (predicted,) = rf.predicted
     assert predicted is not None
@@ -124,23 +133,12 @@ def test_a_prediction_is_in_the_angles_of_the_source() -> None:
 
 
 def test_swing_is_the_samples_word_or_the_commands() -> None:
-    tracer = Tracer(ROBOT)
+    tracer = Tracer()
     asked(tracer)
-    for seq, femur in enumerate((0.2, 0.2, 0.1, 0.0, -0.1, -0.2)):  # counted downwards: it rises
-        silent = sample(seq, None, femur)
-        tracer.take([("rf", silent, None), ("lf", silent, None), ("xx", silent, None)])
-    rf, lf, stranger = tracer.answer(("rf", "lf", "xx"), None, 0)
-    assert rf.swing == [False, False, True, True, True, True]
-    assert lf.swing == [None] * 6, "without lengths nobody knows"
-    assert stranger.swing == [None] * 6
-    tracer.take([("rf", sample(6, "stance", -0.3), None)])
-    assert tracer.answer(("rf",), None, 0)[0].swing[-1] is False
-
-
-def test_a_sample_of_other_joints_is_kept_as_it_is() -> None:
-    tracer = Tracer(ROBOT)
-    asked(tracer)
-    tracer.take([("rf", sample(1, None, joints=2), Judged([0.0] * 3, 1.0))])
-    (trace,) = tracer.answer(("rf",), None, 0)
-    assert trace.predicted == [None]
-    assert trace.swing == [None]
+    state = LegState(t_ns=2, seq=2, contact=False, p=0.1, known=True)
+    silent = [("rf", sample(1, None), None), ("rf", sample(2, None), None)]
+    tracer.take([*silent, ("lf", sample(2, None), None)], {"rf": state, "lf": state}, {"rf": True})
+    tracer.take([("rf", sample(3, "stance"), None)], {"rf": state}, {"rf": True})
+    rf, lf = tracer.answer(("rf", "lf"), None, 0)
+    assert rf.swing == [None, True, False]
+    assert lf.swing == [None], "without lengths nobody knows"
