@@ -33,7 +33,7 @@ from adaptive_contact.detect.layout import (
     WEIGHED,
 )
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
-from adaptive_contact.detect.stream import NEXT, StreamGuard
+from adaptive_contact.detect.stream import NEXT, Accepted, StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import ConventionWatch
@@ -110,6 +110,7 @@ class ContactLearner:
         place: the leg's arrays.
         lifecycle: which model the leg has, and what follows it.
         report: what is said of it.
+        answer: how the last sample connects to the stream, or why it was refused.
 
     Raises:
         ConfigurationError: the robot has no such leg.
@@ -143,7 +144,8 @@ class ContactLearner:
         self._misread = False  # the leg's angles are not counted as described
         self._faulty = False  # samples say nothing of the leg
         self._contested = False  # two publishers take turns
-        self._sample: ServoSample | None = None  # of the tick in hand
+        self.answer: Accepted | Reject = NEXT  # to the last sample
+        self._sample: ServoSample | None = None  # the last that was accepted
         self._swing = SwingJudge(self.leg, self.place)
         self._labels = SwingLabels(self.place, self._swing)
         self.report = LegReport(
@@ -217,6 +219,16 @@ class ContactLearner:
         return msgspec.structs.replace(
             self._release(sample), status="silent", withheld=True, p=None
         )
+
+    @property
+    def last_sample(self) -> ServoSample | None:
+        """The last one that was accepted, in the description's angles."""
+        return self._sample
+
+    @property
+    def older_runs(self) -> tuple[int | None, ...]:
+        """Of publishers that the one in force has superseded, the oldest first."""
+        return self._guard.older_runs
 
     @property
     def contact(self) -> bool:
@@ -296,7 +308,7 @@ class ContactLearner:
         """Put a sample into the arrays, for the tick to judge; False if it is refused."""
         if self._frame is not None:
             sample = self._frame.sample(sample)
-        result = self._guard.admit(sample)
+        result = self.answer = self._guard.admit(sample)
         if self._guard.contested is not self._contested:
             self._contested = self._guard.contested
             self.report.publish_withholding()

@@ -1,9 +1,5 @@
 """Keeps one leg's place in the service: samples in use, publishers, token, silence.
 
-A learner counts what it refuses; to read that takes a whole status (70 µs), too much for every
-sample.  So a guard like the learner's own judges here first (2 µs): given the same samples, and
-taken over from the same state, it gives the same answers.
-
 A leg is ``silent`` when no usable sample came for half a second, or none in which a servo answered;
 that is the service's word, not the learner's, for a learner that gets no samples knows of no time
 passing.
@@ -17,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import msgspec
 import structlog
 
-from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP, StreamGuard
+from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.logs import FaultLog, LogThrottle
 from adaptive_contact.service.settings import SILENT_AFTER_S, leg_token
@@ -44,57 +40,41 @@ T = TypeVar("T")
 _log = structlog.get_logger()
 
 
-class Admission:
-    """Judges the samples of one leg as its learner will.
+class Downtime:
+    """Counts the samples of a leg that passed while the service was down.
 
     Args:
-        joints: J, what a sample must bring.
-        resumes: where the leg's source was when the service was last here.
+        before: where the leg's source was when the service was last here.
     """
 
-    def __init__(self, joints: int, resumes: Position | None = None) -> None:
-        self.position = resumes  # of the last sample that was used
-        # samples that passed while the service was down
-        self.missed_down = 0 if resumes is None else resumes.missed_down
+    def __init__(self, before: Position | None = None) -> None:
+        self.missed = 0 if before is None else before.missed_down
         # Until it is known how many samples passed meanwhile.
-        self._resumes = resumes
+        self.before = before
         self._first_seq = self._in_order = 0  # number of the stream's first sample, its samples
-        self._guard = StreamGuard(joints)
-        if resumes is not None:
-            runs = {"run": resumes.run, "old_runs": list(resumes.superseded)}
-            self._guard.restore({"begun": True, **runs})
 
-    @property
-    def resuming(self) -> bool:
-        """Whether it is not known yet how many samples passed while the service was down."""
-        return self._resumes is not None
-
-    def judge(self, sample: ServoSample) -> Reject | None:
-        """Why the next sample is refused, None if it is used; all have to come by here in order."""
-        answer = self._guard.admit(sample)
-        if isinstance(answer, Reject):
-            return answer
-        self._count_missed_down(sample, restart=answer.restart)
-        if self._resumes is None:
-            older = self._guard.older_runs
-            self.position = Position(sample.run, sample.seq, self.missed_down, older)
-        return None
-
-    def _count_missed_down(self, sample: ServoSample, *, restart: bool) -> None:
-        """Count what passed while the service was down; a long gap, once a stream confirms it."""
-        before = self._resumes
+    def follow(self, sample: ServoSample, *, restart: bool) -> None:
+        """Take in an accepted sample; a long gap counts once a stream confirms it."""
+        before = self.before
         if before is None:
             return
         if sample.run != before.run:  # another start of the source: no number shows losses
-            self._resumes = None
+            self.before = None
             return
         if restart:
             self._first_seq, self._in_order = sample.seq, 0
         self._in_order += 1
         gap = self._first_seq - before.seq - 1
         if gap <= SHORT_GAP or self._in_order >= CONFIRM_SAMPLES:
-            self.missed_down += gap if 0 < gap < LONGEST_GAP else 0
-            self._resumes = None
+            self.missed += gap if 0 < gap < LONGEST_GAP else 0
+            self.before = None
+
+    def position(self, learner: ContactLearner) -> Position | None:
+        """Where the leg's source is, by the last sample that was used."""
+        last = learner.last_sample
+        if last is None or self.before is not None:
+            return self.before
+        return Position(last.run, last.seq, self.missed, learner.older_runs)
 
 
 class JointAvailability:
@@ -153,8 +133,7 @@ class LegEndpoint:
         self._reported = learner.status  # as of the last look; changes since are reported
         self.model_version = self._reported.model_version  # as the last look found it
         self.received_samples = 0  # readable samples so far, used or not
-        self.position = resumes  # of the last one that was used
-        self._admission = Admission(joints, resumes)
+        self._downtime = Downtime(resumes)
         self._answers = JointAvailability(joints)
         self._link = link
         self.contact = link.publisher(contact_key(leg), reliable=True, history=1)
@@ -176,17 +155,17 @@ class LegEndpoint:
         self._faults = FaultLog()
 
     def note_sample(self, sample: ServoSample, now_ns: int) -> Reject | None:
-        """Note a readable sample.
+        """Note a readable sample that the learner has just been given.
 
         Returns:
-            Why the learner will refuse it, and count it; None if it will use it.
+            Why it has refused it; None if it has used it.
         """
         self.received_samples += 1
-        refused = self._admission.judge(sample)
-        if refused is not None:
-            self._unused, self._unused_ns = refused, now_ns
-            return refused
-        self.position = self._admission.position
+        answer = self.learner.answer
+        if isinstance(answer, Reject):
+            self._unused, self._unused_ns = answer, now_ns
+            return answer
+        self._downtime.follow(sample, restart=answer.restart)
         self._used_ns = now_ns
         if not self._answers.follow(sample.valid, now_ns):
             return None
@@ -194,6 +173,11 @@ class LegEndpoint:
         if self._token is None:
             self._token = self._link.token(leg_token(self.leg))
         return None
+
+    @property
+    def position(self) -> Position | None:
+        """Where the source is, by the last sample that was used; None before the first."""
+        return self._downtime.position(self.learner)
 
     def refused(self, why: Rejected, now_ns: int) -> None:
         """Count a payload that could not be read."""
@@ -237,7 +221,7 @@ class LegEndpoint:
         self.model_version = status.model_version
         changed = status.status != self._published
         due = changed or now_ns - self._published_ns >= _STATUS_PERIOD_NS
-        if self._admission.resuming:
+        if self._downtime.before is not None:
             # The first samples show what passed while the service was down: until then, counts
             # would not add up.  Only a leg without any is reported.
             due = self.silent(now_ns) and now_ns - self._published_ns >= _STATUS_PERIOD_NS
@@ -254,7 +238,7 @@ class LegEndpoint:
     def status(self, now_ns: int) -> LearnerStatus:
         """The learner's status, with what only the service can know put in."""
         status = self._ask(lambda: self.learner.status)
-        missed_down = self._admission.missed_down
+        missed_down = self._downtime.missed
         if missed_down:
             status = msgspec.structs.replace(status, missed=status.missed + missed_down)
         notes = [] if status.note is None else [status.note]
@@ -309,7 +293,7 @@ class LegEndpoint:
         seen = self._seen_ns
         since_s = (now_ns - (self._since_ns if seen is None else seen)) / 1e9
         how_long = f"{'yet, after' if seen is None else 'for'} {since_s:.1f} s"
-        if self._admission.resuming:
+        if self._downtime.before is not None:
             how_long += ", and `missed` lacks what passed while the service was down"
         if self._unused is None or now_ns - self._unused_ns > _SILENT_AFTER_NS:
             return f"no sample {how_long}"

@@ -144,7 +144,6 @@ class Service:
         self._tracer = Tracer()
         self._untraced: list[tuple[str, ServoSample]] = []  # samples that a page asks for
         self._states: list[tuple[Publisher, LegState]] = []  # that somebody subscribes to
-        self._refused: set[str] = set()  # legs whose sample in hand the learner refuses
         self._throttle = LogThrottle()
         self._keeper = keeper
         self._sweeper = sweeper
@@ -230,14 +229,13 @@ class Service:
             key = repr(batch.stranger)[:120]
             self._refuse(Reject.UNKNOWN_LEG, now_ns, batch.strangers, key=key)
         samples: dict[str, ServoSample] = {}
-        self._refused.clear()
         for leg, raw in batch.samples.items():
             endpoint = self._endpoints.get(leg)
             sample = None if endpoint is None else self._sample(endpoint, raw, now_ns)
             if sample is not None:
                 samples[leg] = sample
         if samples:
-            self._update(samples, batch.samples)
+            self._update(samples, batch.samples, now_ns)
         for leg in batch.samples.keys() - self._endpoints.keys():
             self._newcomer(leg, batch.samples[leg], now_ns)
         self._asked += batch.requests
@@ -367,10 +365,6 @@ class Service:
             endpoint.refused(read_, now_ns)
             self._warn("payload refused", read_.reason, now_ns, leg=leg, detail=read_.detail)
             return None
-        refused = endpoint.note_sample(read_, now_ns)
-        if refused is not None:
-            self._refused.add(leg)
-            self._warn("payload refused", refused, now_ns, leg=leg)
         return read_
 
     def _newcomer(self, leg: str, raw: Raw, now_ns: int) -> None:
@@ -392,16 +386,22 @@ class Service:
         self._samples += 1
         self._refuse(reason, now_ns, key=servo_key(leg), detail=detail)
 
-    def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
+    def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw], now_ns: int) -> None:
         for event in self._bank.judge(samples):
             self._post(event, raws[event.leg].arrival_ns)
-        for leg in samples.keys() - self._refused:
+        used = []
+        for leg, sample in samples.items():
             endpoint = self._endpoints[leg]
+            refused = endpoint.note_sample(sample, now_ns)
+            if refused is not None:
+                self._warn("payload refused", refused, now_ns, leg=leg)
+                continue
+            used.append((leg, sample))
             if endpoint.state.matched:
                 self._states.append((endpoint.state, endpoint.learner.state))
         self._unfinished += [raws[leg].arrival_ns for leg in samples]
         if self._tracer.wanted(time.monotonic_ns()):
-            self._untraced += [pair for pair in samples.items() if pair[0] not in self._refused]
+            self._untraced += used
 
     def _post(self, event: ContactEvent | None, arrival_ns: int) -> None:
         if event is None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from adaptive_contact.detect.stream import StreamGuard
+from adaptive_contact.detect.stream import NEXT, Accepted, StreamGuard
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import (
     ContactEvent,
@@ -44,6 +44,8 @@ class FakeLearner:
         self.t_ns = self.seq = 0
         self.rejects: Counter[str] = Counter()
         self.guard = StreamGuard(joints)
+        self.answer: Accepted | Reject = NEXT
+        self.last_sample: ServoSample | None = None
         self.note: str | None = None
         self.refits = RefitCounts()
         self.drift = DriftLevel()
@@ -72,6 +74,10 @@ class FakeLearner:
     def state(self) -> LegState:
         p = 0.9 if self.contact else 0.1
         return LegState(t_ns=self.t_ns, seq=self.seq, contact=self.contact, p=p, known=True)
+
+    @property
+    def older_runs(self) -> tuple[int | None, ...]:
+        return self.guard.older_runs
 
     def judged(self) -> None:
         """There is no residual."""
@@ -121,10 +127,11 @@ class FakeLearner:
         )
 
     def update(self, sample: ServoSample) -> ContactEvent | None:
-        found = self.guard.admit(sample)
-        if isinstance(found, Reject):
-            self.count(found)
+        self.answer = self.guard.admit(sample)
+        if isinstance(self.answer, Reject):
+            self.count(self.answer)
             return None
+        self.last_sample = sample
         self.ticks += 1
         self.t_ns, self.seq = sample.t_ns, sample.seq
         contact = abs(sample.measured[0] - sample.desired[0]) > 0.2

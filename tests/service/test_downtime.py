@@ -1,4 +1,4 @@
-"""What is told of a sample is what the learner does with it, and a restart changes none of it."""
+"""What passed while the service was down is counted, and who publishes is known after it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from adaptive_contact.detect.stream import MAX_OLD_RUNS, SHORT_RUN_SAMPLES, TAKE_BACK_SAMPLES
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.service.leg_endpoint import Admission
+from adaptive_contact.service.leg_endpoint import Downtime
 from adaptive_contact.service.state.format import Position
 from adaptive_contact.wire import Reject, ServoSample
 
@@ -35,50 +35,36 @@ def sample(k: int, *, run: int | None = 1, t0: int = 0, **other: object) -> Serv
     return ServoSample(**{**fields, **other})  # type: ignore[arg-type]
 
 
-anything = st.builds(
-    sample,
-    st.integers(0, 60),
-    run=st.sampled_from([None, 1, 2, 2**70]),
-    t0=st.integers(-STEP, 3 * STEP),
-    measured=st.lists(st.floats(), min_size=1, max_size=3) | st.just([0.1, 0.2]),
-)
+class Admission:
+    """A leg's place in a service that was last here where ``resumes`` says."""
 
+    def __init__(self, resumes: Position | None = None) -> None:
+        self.learner = ContactLearner(parse_robot(ROBOT, source="test"), "rf")
+        self.downtime = Downtime(resumes)
+        if resumes is not None:  # as from the snapshot that was saved with the position
+            runs = {"run": resumes.run, "old_runs": list(resumes.superseded)}
+            saved = {**self.learner.snapshot(), "stream": {"begun": True, **runs}}
+            assert self.learner.restore(saved) is None
 
-@given(
-    st.lists(anything, max_size=80),
-    st.none()
-    | st.builds(
-        Position,
-        st.sampled_from([None, 1, 2]),
-        st.integers(0, 60),
-        superseded=st.lists(st.sampled_from([None, 1, 2])).map(tuple),
-    ),
-)
-def test_the_learner_does_what_is_told_of_each_sample(
-    stream: list[ServoSample], resumes: Position | None
-) -> None:
-    admission = Admission(2, resumes)
-    learner = ContactLearner(parse_robot(ROBOT, source="test"), "rf")
-    if resumes is not None:  # as from the snapshot that was saved with the position
-        runs = {"run": resumes.run, "old_runs": list(resumes.superseded)}
-        assert learner.restore({**learner.snapshot(), "stream": {"begun": True, **runs}}) is None
-    for one in stream:
-        before = learner.status
-        refused = admission.judge(one)
-        learner.update(one)
-        after = learner.status
-        if refused is None:
-            assert (after.ticks, after.rejects) == (before.ticks + 1, before.rejects)
-            assert admission.position is not None
-            # A long gap over the restart counts, and moves the position, with its third sample.
-            assert admission.resuming or admission.position[:2] == (one.run, one.seq)
-        else:
-            reason = str(refused)
-            assert after.ticks == before.ticks
-            assert after.rejects == {
-                **before.rejects,
-                reason: before.rejects.get(reason, 0) + 1,
-            }
+    def judge(self, one: ServoSample) -> Reject | None:
+        self.learner.update(one)
+        answer = self.learner.answer
+        if isinstance(answer, Reject):
+            return answer
+        self.downtime.follow(one, restart=answer.restart)
+        return None
+
+    @property
+    def position(self) -> Position | None:
+        return self.downtime.position(self.learner)
+
+    @property
+    def missed_down(self) -> int:
+        return self.downtime.missed
+
+    @property
+    def resuming(self) -> bool:
+        return self.downtime.before is not None
 
 
 @given(
@@ -90,10 +76,10 @@ def test_the_learner_does_what_is_told_of_each_sample(
 def test_publishers_are_told_apart_over_a_restart_as_without_one(
     runs: list[int | None], at: int
 ) -> None:
-    whole, broken = Admission(2), Admission(2)
+    whole, broken = Admission(), Admission()
     for k, run in enumerate(runs):
         if k == at:
-            broken = Admission(2, broken.position)
+            broken = Admission(broken.position)
         one = sample(k, run=run)
         assert broken.judge(one) == whole.judge(one)
     before, after = whole.position, broken.position
@@ -104,7 +90,7 @@ def test_publishers_are_told_apart_over_a_restart_as_without_one(
 
 
 def test_a_superseded_publisher_is_taken_back_when_none_of_the_newer_one_comes_between() -> None:
-    admission = Admission(2, Position(8, 100, superseded=(7,)))
+    admission = Admission(Position(8, 100, superseded=(7,)))
     refused = Reject.OTHER_PUBLISHER
     for k in range(200):
         assert admission.judge(sample(k, run=7)) == refused
@@ -133,7 +119,7 @@ def test_a_superseded_publisher_is_taken_back_when_none_of_the_newer_one_comes_b
 def test_what_is_no_sample_brings_no_publisher_back(
     change: dict[str, object], reason: Reject
 ) -> None:
-    admission = Admission(2, Position(8, 100, superseded=(7,)))
+    admission = Admission(Position(8, 100, superseded=(7,)))
     for k in range(2 * TAKE_BACK_SAMPLES):
         told = admission.judge(sample(k, run=7, **change))
         assert told is reason
@@ -141,7 +127,7 @@ def test_what_is_no_sample_brings_no_publisher_back(
 
 def test_one_that_started_while_the_service_was_down_is_the_newest() -> None:
     """The newer one comes first, the one that was in force before the restart goes on, too."""
-    admission = Admission(2, Position(8, 100))
+    admission = Admission(Position(8, 100))
     for k in range(100):
         assert admission.judge(sample(k, run=9)) == USED
         assert admission.judge(sample(k, run=8)) is Reject.OTHER_PUBLISHER
@@ -149,7 +135,7 @@ def test_one_that_started_while_the_service_was_down_is_the_newest() -> None:
 
 
 def test_publishers_remembered_are_bounded() -> None:
-    admission = Admission(2, Position(0, 1))
+    admission = Admission(Position(0, 1))
     for run in range(1, 100):
         for seq in range(SHORT_RUN_SAMPLES):
             assert admission.judge(sample(seq, run=run)) == USED
@@ -158,7 +144,7 @@ def test_publishers_remembered_are_bounded() -> None:
 
 
 def test_one_wild_number_after_a_restart_of_the_service_counts_nothing() -> None:
-    admission = Admission(2, Position(1, 100))
+    admission = Admission(Position(1, 100))
     assert admission.judge(sample(0, seq=9_000_000, t_ns=1)) == USED
     told = [admission.judge(sample(k)) for k in range(200, 240)]
     assert told[-1] == USED
@@ -168,10 +154,10 @@ def test_one_wild_number_after_a_restart_of_the_service_counts_nothing() -> None
 
 
 def test_a_long_gap_over_a_restart_counts_though_the_service_is_killed_again_before() -> None:
-    first = Admission(2, Position(1, 100))
+    first = Admission(Position(1, 100))
     assert first.judge(sample(5000)) == USED
     assert first.resuming
-    again = Admission(2, first.position)
+    again = Admission(first.position)
     told = [again.judge(sample(k)) for k in range(6000, 6010)]
     assert told == [USED] * 10
     assert not again.resuming
