@@ -94,6 +94,17 @@ def program() -> Iterator[Callable[..., Any]]:
 
 
 @pytest.fixture
+def cli(program: Callable[..., Any]) -> Callable[..., Any]:
+    """Starts one of our commands alone, so that this test does not need all the others."""
+
+    def start(name: str, *words: object, **where: Any) -> Any:
+        code = f"import typer; from adaptive_contact.cli.{name} import {name}; typer.run({name})"
+        return program("-c", code, *words, **where)
+
+    return start
+
+
+@pytest.fixture
 def router() -> Iterator[Any]:
     """A link that others join, at a free port of loopback."""
     from adaptive_contact.service.link import Link, router_settings

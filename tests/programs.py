@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final
 
 END_S: Final = 60.0
+_PAGE: Final = os.sysconf("SC_PAGE_SIZE")
+
+# A router that listens where it is told, or at a free port, which it says.
+ROUTER: Final = """
+import sys, threading
+from adaptive_contact.service.link import Link, router_settings
+with Link.open(router_settings([sys.argv[1]])) as link:
+    print(link.endpoints[0], flush=True)
+    threading.Event().wait()
+"""
 
 
 class Program:
@@ -20,27 +33,36 @@ class Program:
     Args:
         words: what follows the interpreter, such as ``-m adaptive_contact serve``.
         python: another interpreter than that of the tests.
+        before: what runs the interpreter, such as ``ip netns exec NAME``.
         where: more for ``Popen``, such as ``cwd`` and ``env``.
     """
 
-    def __init__(self, *words: object, python: str = sys.executable, **where: Any) -> None:
+    def __init__(
+        self,
+        *words: object,
+        python: str = sys.executable,
+        before: Sequence[str] = (),
+        **where: Any,
+    ) -> None:
         self.lines: list[str] = []
         self._looked_at = 0
         self._changed = threading.Condition()
         self.process = subprocess.Popen(
-            [python, "-u", *map(str, words)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
+            [*before, python, "-u", *map(str, words)],
             text=True,
             encoding="utf-8",
-            **{"stdin": subprocess.DEVNULL, **where},
+            **{
+                "stdin": subprocess.DEVNULL,
+                "stdout": subprocess.PIPE,
+                "stderr": subprocess.STDOUT,
+                **where,
+            },
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
+        for line in self.process.stdout or ():
             with self._changed:
                 self.lines.append(line.rstrip("\n"))
                 self._changed.notify_all()
@@ -78,9 +100,27 @@ class Program:
         """End it, if the test has not."""
         if self.process.poll() is None:
             self.process.terminate()
+            self.process.send_signal(signal.SIGCONT)  # one that stands still hears nothing
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(END_S)
             self.process.kill()
         self.wait()
-        assert self.process.stdout is not None
-        self.process.stdout.close()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+
+def resident_mb(pid: int) -> float:
+    """Resident memory of a process; NaN of one that is just ending."""
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE / 1e6
+    except (OSError, IndexError):
+        return float("nan")
+
+
+def children_of(pid: int) -> list[int]:
+    """Processes that a process has started, and theirs."""
+    found: list[int] = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):  # the thread is just ending
+            found += map(int, task.read_text().split())
+    return found + [one for child in found for one in children_of(child)]

@@ -73,6 +73,18 @@ def each_sample(change: Callable[[Sent, np.random.Generator], Sent]) -> Mistake:
     return made
 
 
+def remembering(
+    change: Callable[[Sent, np.random.Generator, dict[str, Any]], Sent],
+) -> Mistake:
+    """A mistake that is made in every sample, by what is kept of earlier ones."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        kept: dict[str, Any] = {}
+        yield from each_sample(lambda sent, rng: change(sent, rng, kept))(messages, rng)
+
+    return made
+
+
 def angles(change: Callable[[Angles], Angles], *names: str) -> Mistake:
     """The same change to the readings and to the commands, or to the fields named."""
     fields = names or ("measured", "desired")
@@ -89,17 +101,12 @@ def angles(change: Callable[[Angles], Angles], *names: str) -> Mistake:
 def _stamped(late_periods: Callable[[Sent, np.random.Generator], float]) -> Mistake:
     """Stamps off by so many periods; readings and numbers are right."""
 
-    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
-        newest: dict[str, int] = {}
-        for sent in messages:
-            if not sent.is_sample:
-                yield sent
-                continue
-            t_ns = sent.body["t_ns"] + round(late_periods(sent, rng) * PERIOD_NS)
-            newest[sent.key] = t_ns = max(newest.get(sent.key, 0) + 1, t_ns)
-            yield sent.but(t_ns=t_ns)
+    def changed(sent: Sent, rng: np.random.Generator, newest: dict[str, int]) -> Sent:
+        t_ns = sent.body["t_ns"] + round(late_periods(sent, rng) * PERIOD_NS)
+        newest[sent.key] = t_ns = max(newest.get(sent.key, 0) + 1, t_ns)
+        return sent.but(t_ns=t_ns)
 
-    return made
+    return remembering(changed)
 
 
 # A loop that takes turns: three short cycles and a long one.
@@ -180,51 +187,45 @@ def encoder_seam(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]
         yield sent.but(**first)
 
 
+def _written(sent: Sent, ticks: int, goals: dict[str, Any]) -> Angles:
+    """The goal of so many ticks ago."""
+    written = goals.setdefault(sent.key, [])
+    written.append(sent.body["desired"])
+    earlier: Angles = written[max(len(written) - 1 - ticks, 0)]
+    return earlier
+
+
 def echoed(delay: int = 0) -> Mistake:
     """The goal, as written so many ticks ago, is published as the reading."""
+    return remembering(lambda sent, _, goals: sent.but(measured=_written(sent, delay, goals)))
 
-    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
-        written: dict[str, list[Angles]] = {}
-        for sent in messages:
-            if not sent.is_sample:
-                yield sent
-                continue
-            goals = written.setdefault(sent.key, [])
-            goals.append(sent.body["desired"])
-            yield sent.but(measured=goals[max(len(goals) - 1 - delay, 0)])
 
-    return made
+def late_goals(ticks: int) -> Mistake:
+    """Goals are published so many ticks after they were written."""
+    return remembering(lambda sent, _, goals: sent.but(desired=_written(sent, ticks, goals)))
 
 
 def noisy_goals(delay: int, rad: float = 1e-4) -> Mistake:
     """The goal of so many ticks ago is published as the reading, with noise."""
 
-    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
-        for sent in echoed(delay)(messages, rng):
-            if sent.is_sample:
-                row = sent.body["measured"]
-                sent = sent.but(measured=[x + float(rng.normal(0.0, rad)) for x in row])
-            yield sent
+    def changed(sent: Sent, rng: np.random.Generator, goals: dict[str, Any]) -> Sent:
+        row = _written(sent, delay, goals)
+        return sent.but(measured=[x + float(rng.normal(0.0, rad)) for x in row])
 
-    return made
+    return remembering(changed)
 
 
 def held(ticks: int, *, by_turns: bool = False) -> Mistake:
     """Each reading is published for so many ticks; all legs are read at once, or by turns."""
 
-    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
-        turns: dict[str, int] = {}
-        read: dict[str, Angles] = {}
-        for sent in messages:
-            if not sent.is_sample:
-                yield sent
-                continue
-            turn = turns.setdefault(sent.leg, len(turns)) if by_turns else 0
-            if sent.leg not in read or sent.body["seq"] % ticks == turn % ticks:
-                read[sent.leg] = sent.body["measured"]
-            yield sent.but(measured=read[sent.leg])
+    def changed(sent: Sent, _: np.random.Generator, read: dict[str, Any]) -> Sent:
+        read.setdefault(sent.leg, sent.body["measured"])
+        turn = list(read).index(sent.leg) if by_turns else 0
+        if sent.body["seq"] % ticks == turn % ticks:
+            read[sent.leg] = sent.body["measured"]
+        return sent.but(measured=read[sent.leg])
 
-    return made
+    return remembering(changed)
 
 
 def rounded(step: float) -> Mistake:
@@ -232,48 +233,14 @@ def rounded(step: float) -> Mistake:
     return angles(lambda row: [round(x / step) * step for x in row], "measured")
 
 
-def frozen(joint: int) -> Mistake:
-    """A servo that answers with its first reading for ever."""
-
-    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
-        first: dict[str, float] = {}
-        for sent in messages:
-            if not sent.is_sample:
-                yield sent
-                continue
-            row = list(sent.body["measured"])
-            row[joint] = first.setdefault(sent.key, row[joint])
-            yield sent.but(measured=row)
-
-    return made
+def _shared(sent: Sent, _: np.random.Generator, shared: dict[str, Any]) -> Sent:
+    if not shared or sent.leg == shared["leg"]:
+        shared |= {"leg": sent.leg, **{k: sent.body[k] for k in ("measured", "desired")}}
+    return sent.but(measured=shared["measured"], desired=shared["desired"])
 
 
-def one_for_all(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
-    """A loop over legs whose publishers share one variable: all send one leg's angles."""
-    shared: dict[str, Any] = {}
-    for sent in messages:
-        if not sent.is_sample:
-            yield sent
-            continue
-        if not shared or sent.leg == shared["leg"]:
-            shared = {"leg": sent.leg, **{k: sent.body[k] for k in ("measured", "desired")}}
-        yield sent.but(measured=shared["measured"], desired=shared["desired"])
-
-
-def late_goals(ticks: int) -> Mistake:
-    """Goals are published so many ticks after they were written."""
-
-    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
-        written: dict[str, list[Angles]] = {}
-        for sent in messages:
-            if not sent.is_sample:
-                yield sent
-                continue
-            goals = written.setdefault(sent.key, [])
-            goals.append(sent.body["desired"])
-            yield sent.but(desired=goals[max(len(goals) - 1 - ticks, 0)])
-
-    return made
+# A loop over legs whose publishers share one variable: all send one leg's angles.
+one_for_all = remembering(_shared)
 
 
 def caught(leg: str, from_s: float, most_rad: float) -> Mistake:
@@ -291,17 +258,17 @@ def caught(leg: str, from_s: float, most_rad: float) -> Mistake:
 def without_torque(joint: int, step_rad: float = AX12_STEP) -> Mistake:
     """A servo that answers but has no torque: only the last step of its encoder flickers."""
 
-    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
-        first: dict[str, float] = {}
-        for sent in messages:
-            if not sent.is_sample:
-                yield sent
-                continue
-            row = list(sent.body["measured"])
-            row[joint] = first.setdefault(sent.key, row[joint]) + step_rad * int(rng.integers(2))
-            yield sent.but(measured=row)
+    def changed(sent: Sent, rng: np.random.Generator, first: dict[str, float]) -> Sent:
+        row = list(sent.body["measured"])
+        row[joint] = first.setdefault(sent.key, row[joint]) + step_rad * int(rng.integers(2))
+        return sent.but(measured=row)
 
-    return made
+    return remembering(changed)
+
+
+def frozen(joint: int) -> Mistake:
+    """A servo that answers with its first reading for ever."""
+    return without_torque(joint, 0.0)
 
 
 degrees = angles(lambda row: [math.degrees(x) for x in row])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -39,10 +38,9 @@ pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys.store import Typestore
 
-from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
+from ros_messages import Messages
 
 TICK = 20_000_000
 START = 1_700_000_000_000_000_000
@@ -111,7 +109,7 @@ def walk(swings: int = 4) -> list[tuple[dict[str, ServoSample], list[tuple[str, 
     return ticks
 
 
-class BagWriter:
+class BagWriter(Messages):
     """Writes ticks into a bag of rosbags."""
 
     def __init__(
@@ -121,7 +119,7 @@ class BagWriter:
         storage: StoragePlugin = StoragePlugin.MCAP,
         compressed: CompressionMode = CompressionMode.NONE,
     ) -> None:
-        self.store: Typestore = typestore()
+        super().__init__()
         self.writer = Writer(path, version=9, storage_plugin=storage)
         if compressed is not CompressionMode.NONE:
             self.writer.set_compression(compressed, CompressionFormat.ZSTD)
@@ -140,49 +138,14 @@ class BagWriter:
             self._connections[kind] = self.writer.add_connection(
                 topic, message.__msgtype__, typestore=self.store
             )
-        payload = bytes(self.store.serialize_cdr(message, kind[1])) if raw is None else raw
+        payload = self.cdr(message) if raw is None else raw
         self.writer.write(self._connections[kind], time_ns, payload)
 
-    def header(self, t_ns: int) -> Any:
-        types = self.store.types
-        stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
-        return types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-
-    def flag(self, value: bool) -> Any:
-        return self.store.types[RosType.BOOL](data=value)
-
-    def joints(self, names: list[str], positions: list[float], t_ns: int) -> Any:
-        empty = np.zeros(0)
-        return self.store.types[RosType.JOINT_STATE](
-            self.header(t_ns), names, np.array(positions), empty, empty
-        )
-
-    def state(self, samples: dict[str, ServoSample]) -> Any:
-        types = self.store.types
-        duration = types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
-        nothing = types["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]([], [], [], duration)
-        empty = np.zeros(0)
-
-        def point(angles: Iterable[float]) -> Any:
-            return types["trajectory_msgs/msg/JointTrajectoryPoint"](
-                np.array(list(angles)), empty, empty, empty, duration
-            )
-
+    def state_of(self, samples: dict[str, ServoSample]) -> Any:
         names = [f"{leg}_{joint}" for leg in samples for joint in "cft"]
-        return types[RosType.CONTROLLER_STATE](
-            header=self.header(next(iter(samples.values())).t_ns),
-            joint_names=names,
-            reference=point(q for sample in samples.values() for q in sample.desired),
-            feedback=point(q for sample in samples.values() for q in sample.measured),
-            error=point([]),
-            output=point([]),
-            multi_dof_joint_names=[],
-            multi_dof_reference=nothing,
-            multi_dof_feedback=nothing,
-            multi_dof_error=nothing,
-            multi_dof_output=nothing,
-            speed_scaling_factor=1.0,
-        )
+        read = [q for sample in samples.values() for q in sample.measured]
+        told = [q for sample in samples.values() for q in sample.desired]
+        return self.state(names, read, told, next(iter(samples.values())).t_ns)
 
     def tick(
         self, samples: dict[str, ServoSample], truth: list[tuple[str, ContactTruth]] = ()
@@ -190,7 +153,7 @@ class BagWriter:
         at = next(iter(samples.values())).t_ns + LATE
         for leg, sample in samples.items():
             self.put(f"/gait/{leg}/swing", self.flag(sample.phase == "swing"), at - 2)
-        self.put(STATE, self.state(samples), at)
+        self.put(STATE, self.state_of(samples), at)
         for leg, change in truth:
             self.put(f"/feet/{leg}", self.flag(change.contact), change.t_ns + LATE)
 
@@ -238,7 +201,7 @@ def test_messages_that_do_not_unpack_are_a_line(tmp_path, robot, bomb) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         samples = walk(1)[0][0]
         bag.tick(samples)
-        bag.put(STATE, bag.state(samples), START + TICK, raw=bomb)
+        bag.put(STATE, bag.state_of(samples), START + TICK, raw=bomb)
     found, recording = read(tmp_path / "bag", robot)
     assert len(found[servo_key("lf")]) == 1
     assert [note for note in recording.notes if "a message is no" in note]
@@ -282,9 +245,9 @@ def test_what_is_missing_is_told_a_line_each(tmp_path, robot) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         for samples, _ in walk(1):
             only = {"lf": samples["lf"]}
-            bag.put("/other/controller_state", bag.state(samples), samples["lf"].t_ns)
+            bag.put("/other/controller_state", bag.state_of(samples), samples["lf"].t_ns)
             bag.put("/feet/lf", bag.joints(JOINTS, [0.0] * 6, 1), samples["lf"].t_ns)
-            message = bag.state(only)
+            message = bag.state_of(only)
             message.joint_names[2] = "lf_gripper"
             bag.put(STATE, message, samples["lf"].t_ns)
         bag.put(STATE, message, START + 99 * TICK, raw=b"\x00\x01\x00\x00junk")
@@ -308,7 +271,7 @@ def test_what_is_missing_is_told_a_line_each(tmp_path, robot) -> None:
 def test_a_missing_state_topic_names_those_that_fit(tmp_path, robot) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         for samples, _ in walk(1):
-            bag.put("/other/controller_state", bag.state(samples), samples["lf"].t_ns)
+            bag.put("/other/controller_state", bag.state_of(samples), samples["lf"].t_ns)
     _, recording = read(tmp_path / "bag", robot)
     (line,) = [note for note in recording.notes if STATE in note]
     assert "such topics are /other/controller_state" in line

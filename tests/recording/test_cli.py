@@ -237,18 +237,6 @@ class TestReplayToEvents:
             run(replay, path, "--events", tmp_path / "no" / "out.jsonl")
 
 
-def start(command: str, *arguments: str | Path) -> subprocess.Popen[str]:
-    """A command in a process of its own, without those of others."""
-    code = f"import typer; from adaptive_contact.cli.{command} import {command} as c; typer.run(c)"
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-
-
 def publish_until_file_grows(router: Link, path: Path) -> int:
     """Publish samples until some are written out; how many were put."""
     publisher = router.publisher("robot/leg/rf/servo")
@@ -262,24 +250,16 @@ def publish_until_file_grows(router: Link, path: Path) -> int:
     return count
 
 
-def await_line(process: subprocess.Popen[str], word: str) -> None:
-    assert process.stderr is not None
-    line = process.stderr.readline()
-    assert word in line, line
-
-
 @pytest.mark.e2e
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_record_ends_cleanly_on_a_signal(
-    router: Link, tmp_path: Path, number: signal.Signals
+    router: Link, cli: Any, tmp_path: Path, number: signal.Signals
 ) -> None:
     path = tmp_path / "a.mcap"
-    process = start("record", path, "--connect", router.endpoints[0])
-    await_line(process, "recording robot/**")
+    recorder = cli("record", path, "--connect", router.endpoints[0])
+    recorder.wait_line(r"recording robot/\*\*")
     count = publish_until_file_grows(router, path)
-    process.send_signal(number)
-    output, errors = process.communicate(timeout=WAIT_S)
-    assert process.returncode == 0, errors
+    assert recorder.stop(number) == 0, recorder.lines
     recording = read_recording(path)
     records = list(recording)
     assert not recording.truncated
@@ -288,7 +268,7 @@ def test_record_ends_cleanly_on_a_signal(
     assert [r.payload for r in records] == sorted(r.payload for r in records)
     assert {r.key for r in records} == {"robot/leg/rf/servo"}
     assert all(abs(r.log_time_ns - time.time_ns()) < 120e9 for r in records)
-    assert f"{len(records)} messages of 1 keys" in output
+    recorder.wait_line(f"{len(records)} messages of 1 keys")
     assert recording.about["key"] == "robot/**"
 
 
@@ -307,20 +287,18 @@ def test_record_refuses_what_zenoh_would(tmp_path: Path, key: str) -> None:
 
 
 @pytest.mark.e2e
-def test_replay_onto_the_wire_and_back_into_a_file(router: Link, tmp_path: Path) -> None:
+def test_replay_onto_the_wire_and_back_into_a_file(router: Link, cli: Any, tmp_path: Path) -> None:
     source, copy = tmp_path / "a.mcap", tmp_path / "b.mcap"
     write_walk(source)
-    recorder = start("record", copy, "--connect", router.endpoints[0])
-    await_line(recorder, "recording robot/**")
+    recorder = cli("record", copy, "--connect", router.endpoints[0])
+    recorder.wait_line(r"recording robot/\*\*")
     publish_until_file_grows(router, copy)
     arguments = ["--connect", router.endpoints[0], "--speed", "max", "--keep-run"]
-    player = start("replay", source, *arguments)
-    _, errors = player.communicate(timeout=WAIT_S)
-    assert player.returncode == 0, errors
-    assert "169 of 173 messages published on 2 keys" in errors
+    player = cli("replay", source, *arguments)
+    assert player.wait() == 0, player.lines
+    player.wait_line("169 of 173 messages published on 2 keys")
     publish_until_file_grows(router, copy)  # what was put before is written by then
-    recorder.send_signal(signal.SIGINT)
-    recorder.communicate(timeout=WAIT_S)
+    assert recorder.stop() == 0
     heard = [r for r in read_recording(copy) if not r.payload.startswith(b"sample ")]
     for kind in ("servo", "truth"):
         sent = [r.payload for r in read_recording(source) if r.key.endswith(kind)]
@@ -329,7 +307,7 @@ def test_replay_onto_the_wire_and_back_into_a_file(router: Link, tmp_path: Path)
 
 @pytest.mark.e2e
 def test_encodings_and_keys_that_zenoh_cannot_send_are_counted(
-    router: Link, tmp_path: Path
+    router: Link, cli: Any, tmp_path: Path
 ) -> None:
     """Zenoh 1.10 panics at an encoding of 256 letters and a key of 65,536; 255 arrive."""
     path = tmp_path / "a.mcap"
@@ -347,11 +325,10 @@ def test_encodings_and_keys_that_zenoh_cannot_send_are_counted(
             heard.set()
 
     router.subscribe("robot/leg/*/servo", hear)
-    process = start("replay", path, "--connect", router.endpoints[0], "--speed", "max", "--all")
-    _, said = process.communicate(timeout=WAIT_S)
-    assert process.returncode == 0, said
-    assert "panic" not in said
-    assert "malformed 9" in said
+    player = cli("replay", path, "--connect", router.endpoints[0], "--speed", "max", "--all")
+    assert player.wait() == 0
+    player.wait_line("malformed 9")
+    assert not [line for line in player.lines if "panic" in line]
     assert heard.wait(WAIT_S)
     assert sorted(n for n in arrived if n > 100) == [254, 254, 254, 255]
 

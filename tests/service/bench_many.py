@@ -15,9 +15,9 @@ an event was lost, a leg has no learner, or memory still grows by more than 0.17
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import threading
@@ -46,6 +46,8 @@ from adaptive_contact.wire import (
     encode,
     servo_key,
 )
+from programs import Program, children_of, resident_mb
+from soak.memory import slope_of
 
 PERIOD_S = 0.02
 WALK_S = 60.0
@@ -59,7 +61,6 @@ WARM_UP_S = 120.0
 MOST_SLOPE_MB_MIN = 5.0 / 30.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 M = TypeVar("M", bound=Message)
-_PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def described(folder: Path, legs: int) -> tuple[Path, Path, list[str]]:
@@ -188,16 +189,7 @@ def used(process: int) -> Used:
         fields = rest.split()
         label = "main" if task.name == str(process) else name.split("(", 1)[1].rstrip("0123456789-")
         threads[label] += (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
-    resident = int(Path(f"/proc/{process}/statm").read_text().split()[1]) * _PAGE_MB
-    return Used(threads, resident)
-
-
-def children(process: int) -> list[int]:
-    """Ids of a process's children."""
-    found = []
-    for task in Path(f"/proc/{process}/task").iterdir():
-        found += [int(text) for text in (task / "children").read_text().split()]
-    return found
+    return Used(threads, resident_mb(process))
 
 
 def latencies_ms(heard: Collected, feeder: Feeder, copies: list[str]) -> np.ndarray:
@@ -223,8 +215,6 @@ def quantiles(late: np.ndarray) -> dict[str, float]:
 
 def slope_mb_min(rows: list[tuple[float, float]]) -> float | None:
     """Of memory over the last half, or 330 s where that is longer; None in a shorter run."""
-    from soak.memory import slope_of
-
     last_s = rows[-1][0] if rows else 0.0
     half_s = min(last_s / 2.0, last_s - SLOPE_S)
     return slope_of([row for row in rows if row[0] >= half_s])
@@ -245,32 +235,21 @@ def main() -> int:
 def served(chosen: argparse.Namespace, state: str) -> int:
     """Start the service, walk its legs, and end it."""
     config, baseline, copies = described(chosen.out, chosen.legs)
-    command = [
-        *(sys.executable, "-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0"),
-        *("--config", str(config), "--baseline", str(baseline)),
-        *("--state", state),
+    words = (
+        *("-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0"),
+        *("--config", config, "--baseline", baseline, "--state", state),
         *(["--realtime"] if chosen.realtime else []),
-    ]
+    )
     began = time.monotonic()
-    with (chosen.out / "serve.log").open("w") as log:
-        serve = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
-    try:
-        assert serve.stdout is not None
-        ready = serve.stdout.readline()
-        if "listening on " not in ready:
-            print(f"no service: see {chosen.out / 'serve.log'}", file=sys.stderr)
-            return 1
+    with (
+        (chosen.out / "serve.log").open("w") as log,
+        contextlib.closing(Program(*words, stderr=log)) as serve,
+    ):
+        endpoint = serve.wait_line("listening on ([^;]+);", 600.0)[1]
         print(f"the service was ready after {time.monotonic() - began:.1f} s", flush=True)
-        endpoint = ready.split("listening on ")[1].split(";")[0]
         with Link.open(client_settings([endpoint], wait=False)) as link:
-            return walked(link, serve.pid, copies, chosen.minutes * 60.0, chosen.out)
-    finally:
-        serve.terminate()
-        try:
-            serve.wait(20)
-        except subprocess.TimeoutExpired:
-            serve.kill()
-            serve.wait(5)
+            service = serve.process.pid
+            return walked(link, service, copies, chosen.minutes * 60.0, chosen.out)
 
 
 def walked(link: Link, service: int, copies: list[str], seconds: float, out: Path) -> int:
@@ -358,7 +337,7 @@ def judged(
             "after_warm_up": next((mb for at, mb in memory if at >= WARM_UP_S), None),
             "last": last.memory_mb,
             "slope_mb_min": slope,
-            "workers": sum(used(child).memory_mb for child in children(service)),
+            "workers": sum(map(resident_mb, children_of(service))),
         },
         "cores": {
             name: (seconds - first.threads[name]) / took_s

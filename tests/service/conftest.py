@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import itertools
-import os
 import re
-import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -22,6 +19,7 @@ from typer.testing import CliRunner
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Message, ServoSample, decode, servo_key
+from programs import Program
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the helpers beside the tests
@@ -74,18 +72,15 @@ class MessageInbox(Inbox):
         super().__call__(decode(received.payload, self._kind, received.encoding))
 
 
-@dataclass
-class Served:
-    """A service in its own process."""
+class Served(Program):
+    """A service with the fake learner in a process of its own."""
 
-    process: subprocess.Popen[str]
-    endpoint: str
-    ready: str
-    log: Path
-
-    def stop(self, number: int = signal.SIGTERM, timeout_s: float = 20.0) -> int:
-        self.process.send_signal(number)
-        return self.process.wait(timeout_s)
+    def __init__(self, *words: object, log: Path, wait: bool) -> None:
+        self.log = log
+        with log.open("w") as stderr:
+            super().__init__(HERE / "fake_service.py", "--save-often", *words, stderr=stderr)
+        self.ready = self.wait_line("").string if wait else ""
+        self.endpoint = self.ready.partition("listening on ")[2].partition(";")[0]
 
 
 @pytest.fixture(scope="session")
@@ -121,45 +116,6 @@ def join() -> Iterator[Callable[..., Link]]:
 @pytest.fixture
 def inbox() -> Callable[..., Inbox]:
     return lambda kind=None: Inbox() if kind is None else MessageInbox(kind)
-
-
-@pytest.fixture
-def command() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts this interpreter with arguments; ends it by its id if the test did not."""
-    running: list[subprocess.Popen[str]] = []
-
-    def start(
-        *args: str, within: Callable[..., list[str]] | None = None, **popen: Any
-    ) -> subprocess.Popen[str]:
-        paths = os.pathsep.join(path for path in sys.path if path)
-        line = [sys.executable, *args]
-        process = subprocess.Popen(
-            line if within is None else within(*line),
-            text=True,
-            env={**os.environ, "PYTHONPATH": paths},
-            **popen,
-        )
-        running.append(process)
-        return process
-
-    yield start
-    for process in running:
-        if process.poll() is None:
-            process.kill()
-        process.wait(60)
-        if process.stdout is not None:
-            process.stdout.close()
-
-
-@pytest.fixture
-def cli(command: Callable[..., subprocess.Popen[str]]) -> Callable[..., subprocess.Popen[str]]:
-    """Starts one of our commands alone, so that this test does not need all the others."""
-
-    def start(name: str, *args: str, **popen: Any) -> subprocess.Popen[str]:
-        code = f"import typer; from adaptive_contact.cli.{name} import {name}; typer.run({name})"
-        return command("-c", code, *args, stdout=subprocess.PIPE, **popen)
-
-    return start
 
 
 @pytest.fixture
@@ -212,30 +168,19 @@ def config(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def serve(
-    tmp_path: Path, config: Path, command: Callable[..., subprocess.Popen[str]]
-) -> Callable[..., Served]:
+def serve(tmp_path: Path, config: Path) -> Iterator[Callable[..., Served]]:
     """Starts `serve` with the fake learner in a process of its own."""
     count = itertools.count()
+    with contextlib.ExitStack() as running:
 
-    def start(*args: str, wait: bool = True) -> Served:
-        log = tmp_path / f"serve{next(count)}.log"
-        where = () if "--connect" in args or "--listen" in args else ("--listen", "127.0.0.1:0")
-        if "--state" not in args:
-            args = (*args, "--no-state")
-        with log.open("w") as stderr:
-            process = command(
-                str(HERE / "fake_service.py"),
-                *("--save-often", "--config", str(config), *where, *args),
-                stdout=subprocess.PIPE,
-                stderr=stderr,
-            )
-        assert process.stdout is not None
-        ready = process.stdout.readline() if wait else ""
-        endpoint = ready.split("listening on ")[1].split(";")[0] if "listening" in ready else ""
-        return Served(process, endpoint, ready, log)
+        def start(*args: str, wait: bool = True) -> Served:
+            log = tmp_path / f"serve{next(count)}.log"
+            where = () if {"--connect", "--listen"} & set(args) else ("--listen", "127.0.0.1:0")
+            state = () if "--state" in args else ("--no-state",)
+            served = Served("--config", config, *where, *args, *state, log=log, wait=wait)
+            return running.enter_context(contextlib.closing(served))
 
-    return start
+        yield start
 
 
 @pytest.fixture

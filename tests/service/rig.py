@@ -38,15 +38,6 @@ PERIOD_S = 0.02
 HALF = 10  # ticks of contact, ticks without
 S = 1_000_000_000
 
-# A router in a process of its own, on a port that is given or found.
-ROUTER = """
-import sys, threading
-from adaptive_contact.service.link import Link, router_settings
-with Link.open(router_settings([sys.argv[1]])) as link:
-    print(link.endpoints[0], flush=True)
-    threading.Event().wait()
-"""
-
 # Subscribers that hang when their process is stopped: foreign ones, with Zenoh's own settings but
 # for the lease (ms; that of our own commands), after which a router gives a silent link up.
 FOREIGN = """

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
+from programs import ROUTER, Program, resident_mb
 from waiting import free_address
 
 pytestmark = pytest.mark.e2e
@@ -25,20 +26,15 @@ pytestmark = pytest.mark.e2e
 # The 2 s, from the end of a cause to the arrival of an event on a sample sent after it; on
 # a machine that is too busy for it, SLACK_S gives some more.
 RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0"))
-PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
-def resident_mb(pid: int) -> float:
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * PAGE / 1e6
-
-
-def test_a_killed_router_comes_back(serve: Any, command: Any, rig: ModuleType) -> None:
+def test_a_killed_router_comes_back(serve: Any, program: Any, rig: ModuleType) -> None:
     endpoint = f"tcp/{free_address()}"
 
-    def start() -> Any:
-        process = command("-c", rig.ROUTER, endpoint, stdout=-1)
-        assert process.stdout.readline().strip() == endpoint
-        return process
+    def start() -> Program:
+        started: Program = program("-c", ROUTER, endpoint)
+        started.wait_line(re.escape(endpoint))
+        return started
 
     router = start()
     served = serve("--connect", endpoint)
@@ -47,8 +43,8 @@ def test_a_killed_router_comes_back(serve: Any, command: Any, rig: ModuleType) -
         listener.steady(robot, "rf", 2)
         listener.wait(lambda me: "rf" in me.statuses)
         before = listener.statuses["rf"]
-        router.kill()
-        router.wait(5)
+        router.process.kill()
+        router.wait()
         last = robot.seq
         listener_lost = time.monotonic()
         while robot.seq < last + 50:  # a second of outage
@@ -78,9 +74,8 @@ def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleTy
         listener.steady(far, "rf", 2)
         wire.cut()
         began = len(listener.of("lf"))
-        listener.wait(lambda me: me.statuses["rf"].status == "silent")
+        listener.wait(lambda me: "rf" in me.statuses and me.statuses["rf"].status == "silent")
         assert str(listener.statuses["rf"].note).startswith("no sample for 0.")
-        listener.wait(lambda me: "rf" in me.statuses)
         before = listener.statuses["rf"]
         # Longer than the lease of 2 s, so that the link is given up and made anew.
         listener.wait(lambda me: len(me.of("lf")) >= began + 18)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-import re
-import subprocess
 import threading
 import time
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -18,6 +15,7 @@ from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import MSGPACK, ServoSample, decode, encode, servo_key
+from programs import resident_mb
 
 pytest.importorskip("mujoco")
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
@@ -68,26 +66,20 @@ def payload(n: int, seq: int) -> bytes:
     return encode(ServoSample(t_ns=t_ns, seq=seq, measured=measured, desired=good, phase=phase))
 
 
-def memory_mb(process: subprocess.Popen[Any]) -> float:
-    text = Path(f"/proc/{process.pid}/smaps_rollup").read_text()
-    return int(re.findall(r"^Rss: +(\d+) kB", text, re.MULTILINE)[0]) / 1024
-
-
 @pytest.mark.parametrize(
     ("names", "described_only"),
     [(300, False), (2000, False), (300, True)],
 )
 def test_invented_names_cost_the_legs_that_are_described_nothing(
-    command: Any, rig: ModuleType, names: int, described_only: bool
+    program: Any, rig: ModuleType, names: int, described_only: bool
 ) -> None:
     """Lateness is from the sample that decides to its event, before the names came and after."""
     ticks = walk(NAMES_S)
-    process = command(
+    service = program(
         *("-m", "adaptive_contact", "serve", "--listen", "tcp/127.0.0.1:0", "--no-state"),
         *(["--described-only"] if described_only else []),
-        stdout=subprocess.PIPE,
     )
-    endpoint = process.stdout.readline().split("listening on ")[1].split(";")[0]
+    endpoint = service.wait_line("listening on ([^;]+);")[1]
     listener = rig.Listener(endpoint)
     statuses: list[ServiceStatus] = []
 
@@ -102,7 +94,7 @@ def test_invented_names_cost_the_legs_that_are_described_nothing(
         walker = Walker(link, ticks)
         walker.start()
         listener.wait(lambda me: me.statuses["lf"].ticks >= 50 * NAMES_S / 2)
-        before_mb, began = memory_mb(process), time.monotonic()
+        before_mb, began = resident_mb(service.process.pid), time.monotonic()
         with Link.open(client_settings([endpoint], wait=False)) as inventor:
             publishers = [inventor.publisher(servo_key(f"x{n}")) for n in range(names)]
             for seq in range(1, SAMPLES + 1):
@@ -112,7 +104,7 @@ def test_invented_names_cost_the_legs_that_are_described_nothing(
             walker.join(60)
             lasts = {leg: sample.t_ns for leg, sample in ticks[-1].items()}
             listener.wait(lambda me: all(me.statuses[leg].t_ns == t for leg, t in lasts.items()))
-            more_mb = memory_mb(process) - before_mb
+            more_mb = resident_mb(service.process.pid) - before_mb
         for leg in lasts:
             status = listener.statuses[leg]
             assert (status.ticks, status.missed, status.rejects) == (len(ticks), 0, {}), leg
@@ -132,8 +124,7 @@ def test_invented_names_cost_the_legs_that_are_described_nothing(
         else:
             assert len(statuses[-1].legs) > 6
             assert "no room for another leg" in (statuses[-1].note or "")
-    process.terminate()
-    assert process.wait(60) == 0
+    assert service.stop() == 0
 
 
 def late(listener: Any, walker: Walker, after: float, before: float) -> list[float]:

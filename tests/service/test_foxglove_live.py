@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-import signal
 import struct
-import subprocess
 import sys
 import threading
 import time
@@ -239,21 +237,16 @@ def test_a_port_in_use_is_one_line(server: FoxgloveServer, router: Link) -> None
         FoxgloveServer(router, port=server.port)
 
 
-def test_the_command_says_where_and_ends_on_a_signal(router: Link, command: Any) -> None:
-    process = command(
+def test_the_command_says_where_and_ends_on_a_signal(router: Link, program: Any) -> None:
+    bridge = program(
         *("-m", "adaptive_contact", "bridge", "foxglove", "--port", "0"),
         *("--connect", router.endpoints[0]),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
     )
-    line = process.stdout.readline()
-    assert "open ws://127.0.0.1:" in line
-    client = Client(int(line.partition("ws://127.0.0.1:")[2].split()[0]))
+    client = Client(int(bridge.wait_line(r"open ws://127\.0\.0\.1:(\d+)")[1]))
     assert client.info["op"] == "serverInfo"
     client.close()
-    process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=600)[0] == ""
-    assert process.returncode == 0
+    assert bridge.stop() == 0
+    assert len(bridge.lines) == 1
 
 
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,8 +36,9 @@ class Namespace(NamedTuple):
 
     name: str
 
-    def command(self, *args: str) -> list[str]:
-        return ["ip", "netns", "exec", self.name, *args]
+    @property
+    def enter(self) -> tuple[str, ...]:
+        return ("ip", "netns", "exec", self.name)
 
     def cut(self) -> None:
         subprocess.run(["ip", "-n", self.name, "addr", "flush", "dev", f"{self.name}b"], check=True)
@@ -80,22 +81,22 @@ def delays_since(robot: Any, listener: Any, leg: str, since: float) -> list[floa
 
 @pytest.mark.parametrize("links", LINKS)
 def test_subscribers_that_hang_hold_up_nobody(
-    serve: Any, command: Any, rig: ModuleType, links: int
+    serve: Any, program: Any, rig: ModuleType, links: int
 ) -> None:
     served = serve()
     robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
-    hanging = command("-c", rig.FOREIGN, served.endpoint, str(links), stdout=subprocess.PIPE)
-    assert hanging.stdout.readline().strip() == "subscribed"
+    hanging = program("-c", rig.FOREIGN, served.endpoint, links)
+    hanging.wait_line("subscribed")
     with rig.closing(listener, robot):
         listener.steady(robot, "rf", 2)
-        hanging.send_signal(signal.SIGSTOP)
+        hanging.process.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
         began = len(listener.of("rf"))
         try:
             with rig.closing(rig.Pour(served.endpoint, "lf")):
                 listener.wait(lambda me: len(me.of("rf")) >= began + 25, 40.0)
         finally:
-            hanging.send_signal(signal.SIGCONT)
+            hanging.process.send_signal(signal.SIGCONT)
         assert max(delays_since(robot, listener, "rf", stopped)) < LONGEST_S
         listener.steady(robot, "rf")
         assert listener.statuses["rf"].missed == 0
@@ -109,7 +110,7 @@ def test_subscribers_that_hang_hold_up_nobody(
 
 @pytest.mark.parametrize("links", LINKS)
 def test_subscribers_that_hang_on_a_unix_socket_hold_up_nobody(
-    serve: Any, command: Any, rig: ModuleType, tmp_path: Path, links: int
+    serve: Any, program: Any, rig: ModuleType, tmp_path: Path, links: int
 ) -> None:
     """Nothing is acknowledged there, and what they say of their silence keeps them for hours."""
     served = serve("--listen", f"unixsock-stream/{tmp_path}/u", "--listen", "127.0.0.1:0")
@@ -118,11 +119,11 @@ def test_subscribers_that_hang_on_a_unix_socket_hold_up_nobody(
     own = tmp_path / "own.json5"
     own.write_text("{}")
     script = (rig.FOREIGN, here, str(links), str(own), "3600000")
-    hanging = command("-c", *script, stdout=subprocess.PIPE)
-    assert hanging.stdout.readline().strip() == "subscribed"
+    hanging = program("-c", *script)
+    hanging.wait_line("subscribed")
     with rig.closing(listener, robot):
         listener.steady(robot, "rf", 2)
-        hanging.send_signal(signal.SIGSTOP)
+        hanging.process.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
         with rig.closing(rig.Bulk(near, "rr")):
             shown = rig.watched(listener.link, "links of subscribers dropped", 60.0)
@@ -134,7 +135,7 @@ def test_subscribers_that_hang_on_a_unix_socket_hold_up_nobody(
 
 @pytest.mark.parametrize("viewers", VIEWERS)
 def test_viewers_behind_a_proxy_that_stops_reading_hold_up_nobody(
-    serve: Any, command: Any, rig: ModuleType, users: Any, viewers: int
+    serve: Any, program: Any, rig: ModuleType, users: Any, viewers: int
 ) -> None:
     """Read-only users of the documented set, whose sessions say that they may be silent for hours.
 
@@ -142,16 +143,15 @@ def test_viewers_behind_a_proxy_that_stops_reading_hold_up_nobody(
     """
     served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(users.service))
     near = served.endpoint.replace("0.0.0.0", "127.0.0.1")
-    proxy = command("-c", rig.PROXY, near.removeprefix("tcp/"), stdout=subprocess.PIPE)
-    behind = f"tcp/{proxy.stdout.readline().strip()}"
+    proxy = program("-c", rig.PROXY, near.removeprefix("tcp/"))
+    behind = f"tcp/{proxy.wait_line('127').string}"
     sessions = (rig.FOREIGN, behind, str(viewers), str(users.viewer), "3600000")
-    reading = command("-c", *sessions, stdout=subprocess.PIPE)
-    assert reading.stdout.readline().strip() == "subscribed"
+    program("-c", *sessions).wait_line("subscribed")
     robot = rig.Robot50(near, ("lf", "rf"), zenoh_config=users.robot)
     listener = rig.Listener(near, zenoh_config=users.viewer)
     with rig.closing(listener, robot):
         listener.steady(robot, "rf", 2)
-        proxy.send_signal(signal.SIGSTOP)
+        proxy.process.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
         # What fills them, the kernel's buffers and then Zenoh's: 1.5 MB/s to each.
         with rig.closing(rig.Bulk(near, "rr", zenoh_config=users.robot)):
@@ -170,15 +170,14 @@ def test_viewers_behind_a_proxy_that_stops_reading_hold_up_nobody(
 
 @pytest.mark.parametrize("links", LINKS)
 def test_links_that_are_cut_without_a_word_hold_up_nobody(
-    serve: Any, command: Any, rig: ModuleType, namespace: Namespace, links: int
+    serve: Any, program: Any, rig: ModuleType, namespace: Namespace, links: int
 ) -> None:
     served = serve("--listen", "127.0.0.1:0", "--listen", f"{SOURCE}:0", "--insecure")
     near, inside = served.endpoint.split(", ")
     robot, listener = rig.Robot50(near, ("rf",)), rig.Listener(near)
     with rig.closing(listener, robot):
-        script = (rig.FOREIGN, inside, str(links))
-        far = command("-c", *script, stdout=subprocess.PIPE, within=namespace.command)
-        assert far.stdout.readline().strip() == "subscribed"
+        far = program("-c", rig.FOREIGN, inside, links, before=namespace.enter)
+        far.wait_line("subscribed")
         listener.steady(robot, "rf", 2)
         cut = time.monotonic()
         namespace.cut()

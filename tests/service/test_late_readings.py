@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -63,14 +62,12 @@ def message(key: str, body: Message) -> Any:
 
 
 def test_touches_are_found_in_readings_that_are_late_with_their_loop(
-    cli: Callable[..., subprocess.Popen[str]], join: Callable[..., Link], inbox: Any
+    cli: Any, join: Callable[..., Link], inbox: Any
 ) -> None:
     robot, rng = shipped_robot(), np.random.default_rng(7)
     period_ns = round(robot.period_s * 1e9)
     serve = cli("serve", "--no-state", "--listen", "tcp/127.0.0.1:0")
-    assert serve.stdout is not None
-    endpoint = serve.stdout.readline().split("listening on ")[1].split(";")[0]
-    client = join(endpoint)
+    client = join(serve.wait_line("listening on ([^;]+);")[1])
     events, statuses = inbox(ContactEvent), inbox(LearnerStatus)
     client.subscribe(ALL_CONTACT, events)
     client.subscribe(ALL_LEARNER, statuses)

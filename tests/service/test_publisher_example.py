@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import signal
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +21,13 @@ def test_it_needs_nothing_of_this_package() -> None:
 
 @pytest.mark.e2e
 def test_the_loop_waits_for_the_router_and_its_samples_are_used(
-    command: Any, join: Any, inbox: Any
+    program: Any, join: Any, inbox: Any
 ) -> None:
     endpoint = f"tcp/{free_address()}"
-    loop = command(str(EXAMPLE), endpoint, stderr=subprocess.PIPE)
-    assert loop.stderr.readline() == f"no router at {endpoint}; trying again\n"
-    words = ("serve", "--no-state", "--listen", endpoint)
-    served = command(
-        "-m", "adaptive_contact", *words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
-    assert "listening on" in served.stdout.readline()
+    loop = program(EXAMPLE, endpoint)
+    assert loop.wait_line("").string == f"no router at {endpoint}; trying again"
+    served = program("-m", "adaptive_contact", "serve", "--no-state", "--listen", endpoint)
+    served.wait_line("listening on")
     client = join(endpoint)
     statuses, samples = inbox(LearnerStatus), inbox(ServoSample)
     client.subscribe(learner_key("rf"), statuses)
@@ -44,9 +40,6 @@ def test_the_loop_waits_for_the_router_and_its_samples_are_used(
     assert {sample.phase for sample in samples.items} == {"swing", "stance"}
     assert [b.seq - a.seq for a, b in itertools.pairwise(heard)] == [1] * 49
     assert all(a.t_ns < b.t_ns for a, b in itertools.pairwise(heard))
-    loop.send_signal(signal.SIGINT)
-    assert loop.wait(60) == 130
-    assert "Traceback" not in loop.stderr.read()
-    loop.stderr.close()
-    served.send_signal(signal.SIGTERM)
-    assert served.wait(60) == 0
+    assert loop.stop() == 130
+    assert not [line for line in loop.lines if "Traceback" in line]
+    assert served.stop(signal.SIGTERM) == 0

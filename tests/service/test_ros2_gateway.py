@@ -39,6 +39,7 @@ from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.ros2 import WAITING, Gateway, Inbox
 from programs import Program
+from ros_messages import Messages
 from waiting import free_address, until
 
 pytestmark = pytest.mark.e2e
@@ -121,42 +122,16 @@ def gateway(program, config: Path, port: int) -> Callable[..., Program]:
     return start
 
 
-class Publisher:
+class Publisher(Messages):
     """A publisher of the far side, with rmw_zenoh's keys and attachments."""
 
     def __init__(self, session: zenoh.Session) -> None:
-        self.store = typestore()
+        super().__init__()
         self._session = session
         self._seq = 0
 
-    def state(self, read: list[float], told: list[float] | None = None) -> Any:
-        types = self.store.types
-        duration = types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
-        nothing = types["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]([], [], [], duration)
-        empty = np.zeros(0)
-
-        def point(angles: list[float]) -> Any:
-            return types["trajectory_msgs/msg/JointTrajectoryPoint"](
-                np.array(angles), empty, empty, empty, duration
-            )
-
-        t_ns = time.time_ns()
-        stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
-        names = ("reference", "feedback", "error", "output")
-        return types[RosType.CONTROLLER_STATE](
-            header=types["std_msgs/msg/Header"](stamp, ""),
-            joint_names=JOINTS,
-            reference=point(told or [0.0] * 6),
-            feedback=point(read),
-            error=point([]),
-            output=point([]),
-            multi_dof_joint_names=[],
-            speed_scaling_factor=1.0,
-            **{f"multi_dof_{name}": nothing for name in names},
-        )
-
-    def cdr(self, message: Any) -> bytes:
-        return bytes(self.store.serialize_cdr(message, message.__msgtype__))
+    def now(self, read: list[float], told: list[float] | None = None) -> Any:
+        return self.state(JOINTS, read, told or [0.0] * 6, time.time_ns())
 
     def put(
         self,
@@ -180,7 +155,7 @@ def until_used(publisher: Publisher, samples: Any) -> None:
     """Publish until the first sample arrives: the declarations travel."""
 
     def arrived() -> bool:
-        publisher.put(publisher.cdr(publisher.state([0.0] * 6)))
+        publisher.put(publisher.cdr(publisher.now([0.0] * 6)))
         return bool(samples.items)
 
     until(arrived)
@@ -285,15 +260,15 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(
     )
     until_used(publisher, samples)
 
-    good = publisher.cdr(publisher.state([0.1] * 6))
+    good = publisher.cdr(publisher.now([0.1] * 6))
     for _ in range(3):
         publisher.put(b"\x00\x01\x00\x00\x01", RosType.BOOL)
         publisher.put(good, hash_="RIHS01_" + 64 * "0")
         publisher.put(good[: len(good) // 2])
         publisher.put(b"")
         publisher.put(bytes(300_000))
-        publisher.put(publisher.cdr(publisher.state([np.nan] + [0.2] * 5)))
-    publisher.put(publisher.cdr(publisher.state([0.3] * 6)), lost=2)
+        publisher.put(publisher.cdr(publisher.now([np.nan] + [0.2] * 5)))
+    publisher.put(publisher.cdr(publisher.now([0.3] * 6)), lost=2)
     got = samples.wait(lambda all_: all_[-1].measured == [0.3] * 3)
     assert [s.valid for s in got if s.measured[1] == 0.2] == [[False, True, True]] * 3
     assert got[-1].seq - got[-2].seq == 3  # two were lost
@@ -398,32 +373,22 @@ def test_legs_without_samples_are_told_of(serve, gateway, ros) -> None:
     token.undeclare()
 
 
-def test_a_robot_without_topics_is_refused(command, tmp_path: Path) -> None:
+def test_a_robot_without_topics_is_refused(program, tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(ROBOT.split("[ros2]")[0] + '[[leg]]\nid = "a"\njoints = ["x"]\n')
-    process = command(
-        *("-m", "adaptive_contact", "bridge", "ros2", "--config", str(path)),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    _, said = process.communicate(timeout=600)
-    assert process.returncode == 2
-    assert len(said.splitlines()) == 1
+    refused = program("-m", "adaptive_contact", "bridge", "ros2", "--config", path)
+    assert refused.wait() == 2
+    (said,) = refused.lines
     assert "write [ros2]" in said
     assert str(path) in said
 
 
-def test_the_extra_is_named(command, config: Path) -> None:
+def test_the_extra_is_named(program, config: Path) -> None:
     code = (
         "import sys; sys.modules['rosbags'] = None; sys.argv[0] = 'adaptive-contact'; "
         "from adaptive_contact.cli.main import main; main()"
     )
-    process = command(
-        *("-c", code, "bridge", "ros2", "--config", str(config)),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    _, said = process.communicate(timeout=600)
-    assert process.returncode == 2
+    refused = program("-c", code, "bridge", "ros2", "--config", config)
+    assert refused.wait() == 2
+    (said,) = refused.lines
     assert "[ros2]'" in said
-    assert len(said.splitlines()) == 1

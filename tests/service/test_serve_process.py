@@ -105,13 +105,13 @@ def test_a_router_that_joins_another_says_only_what_it_knows(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_for_its_lines_ends_nothing(
-    router: Link, inbox: Any, command: Any, config: Path, fake: ModuleType
+    router: Link, inbox: Any, program: Any, config: Path, fake: ModuleType
 ) -> None:
     tokens = inbox()
     router.watch_tokens("robot/service", tokens)
     with Path("/dev/full").open("w") as full:
-        process = command(
-            *(str(fake.__file__), "--config", str(config), "--no-state"),
+        served = program(
+            *(fake.__file__, "--config", config, "--no-state"),
             *("--connect", router.endpoints[0]),
             stdout=full,
             stderr=full,
@@ -120,8 +120,7 @@ def test_a_full_disk_for_its_lines_ends_nothing(
     statuses = inbox(ServiceStatus)
     router.subscribe(SERVICE_STATUS, statuses)
     statuses.wait(2)  # it works on after the line that could not be written
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(60) == 0
+    assert served.stop() == 0
 
 
 def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:
@@ -150,9 +149,9 @@ def test_a_killed_service_is_no_longer_alive(serve: Any, join: Join, inbox: Any)
         assert router.query(SERVICE_STATUS) == []
 
 
-def test_configuration_errors_are_one_line(serve: Any, command: Any) -> None:
+def test_configuration_errors_are_one_line(serve: Any) -> None:
     served = serve("--listen", "0.0.0.0:0", wait=False)
-    assert served.process.wait(60) != 0
+    assert served.wait() != 0
     text = served.log.read_text()
     assert "--insecure" in text
     assert "Traceback" not in text

@@ -167,7 +167,7 @@ def test_the_command_over_zenoh(
     client = join(served.endpoint)
     servo, real = matched(client.publisher(servo_key("rf"))), client.publisher(truth_key("rf"))
     arguments = ("watch", "--connect", served.endpoint, "--once")
-    process = cli(*arguments, "--json", "--seconds", "3")
+    watching = cli(*arguments, "--json", "--seconds", "3", stderr=subprocess.DEVNULL)
     # Until it subscribes there is nobody for the truth; from then on it sees the touches.
     matched(real)
     real.put(truth(0, False))
@@ -178,26 +178,25 @@ def test_the_command_over_zenoh(
             real.put(truth(20 * seq - 5, True))
         servo.put(sample(seq, contact=seq >= 29))
     standing = rig.Robot50(served.endpoint, epoch_ns=0, first=40, touch=lambda _: True)
-    out, _ = process.communicate(timeout=600)
-    assert process.returncode == 0
-    view = json.loads(out)
+    assert watching.wait() == 0
+    view = json.loads("".join(watching.lines))
     assert view["alive"]
     assert view["service"]["robot"] == "mini"
     (leg,) = [leg for leg in view["legs"] if leg["leg"] == "rf"]
     assert (leg["contact"], leg["touches"], leg["seen"]) == (True, 1, 1)
     assert leg["latency_ms"] == 5.0
-    table_process = cli(*arguments, "--seconds", "0.3")
-    out, _ = table_process.communicate(timeout=600)
+    drawing = cli(*arguments, "--seconds", "0.3")
+    assert drawing.wait() == 0
     standing.close()
-    assert "mini" in out
-    assert "CONTACT" in out
+    assert "mini" in "".join(drawing.lines)
+    assert "CONTACT" in "".join(drawing.lines)
 
 
 @pytest.mark.e2e
-def test_looking_once_ends_where_there_is_no_router(command: Any) -> None:
+def test_looking_once_ends_where_there_is_no_router(program: Any) -> None:
     words = ("watch", "--connect", "tcp/127.0.0.1:1", "--once", "--wait", "0.3")
-    process = command("-m", "adaptive_contact", *words, stderr=subprocess.PIPE)
-    _, said = process.communicate(timeout=600)
-    process.stderr.close()
-    assert process.returncode == 2
-    assert "no router within 0.3 s: unreachable: nobody listens on tcp/127.0.0.1:1; start" in said
+    looking = program("-m", "adaptive_contact", *words)
+    assert looking.wait() == 2
+    looking.wait_line(
+        "no router within 0.3 s: unreachable: nobody listens on tcp/127.0.0.1:1; start"
+    )

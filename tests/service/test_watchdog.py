@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -335,31 +334,28 @@ def test_a_learner_that_hangs_is_seen_by_everyone(
 @pytest.mark.e2e
 @pytest.mark.parametrize("too", ["nothing", "the network", "the log"])
 def test_a_service_whose_worker_hangs_ends_with_code_70(
-    command: Any,
+    program: Any,
     config: Path,
     join: Callable[..., Link],
     sample: Callable[..., ServoSample],
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     too: str,
 ) -> None:
-    monkeypatch.syspath_prepend(Path(__file__).parent)
     log = tmp_path / "log"
     reader, unread = os.pipe()
     with log.open("w") as file:
-        process = command(
-            *("-c", HANGING, too, "--config", str(config)),
+        service = program(
+            *("-c", HANGING, too, "--config", config),
             *("--listen", "127.0.0.1:0", "--no-state"),
-            stdout=subprocess.PIPE,
             stderr=unread if too == "the log" else file,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
         )
     try:
-        ready = process.stdout.readline()
-        source = join(ready.split("listening on ")[1].split(";")[0])
+        source = join(service.wait_line("listening on ([^;]+);")[1])
         publisher = source.publisher(servo_key("lf"))
         until(lambda: publisher.matched)
         publisher.put(sample(1))
-        assert process.wait(60) == 70
+        assert service.wait() == 70
     finally:
         os.close(reader)
         os.close(unread)

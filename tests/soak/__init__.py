@@ -9,6 +9,6 @@ from __future__ import annotations
 
 from .conduct import conduct
 from .plan import SoakPlan
-from .verdict import Verdict, judge
+from .verdict import judge
 
-__all__ = ["SoakPlan", "Verdict", "conduct", "judge"]
+__all__ = ["SoakPlan", "conduct", "judge"]

@@ -9,21 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import signal
-import subprocess
-import sys
-import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
-from adaptive_contact.cli._child import Child
-from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
@@ -37,14 +30,15 @@ from adaptive_contact.wire import (
     decode,
     servo_key,
 )
+from programs import ROUTER, Program, children_of, resident_mb
 
 from .memory import Resident
 from .plan import Fault, FaultKind, SoakPlan
 
 __all__ = ["Broken", "Heard", "Take", "conduct"]
 
-_CONNECTED: Final = re.compile(r"connected to ")
-_START_S: Final = 60.0
+# A first start compiles, for minutes on a slow computer.
+_START_S: Final = 600.0
 _LOOK_S: Final = 0.05
 _MEMORY_EVERY_S: Final = 2.0
 _OUTAGE_S: Final = 1.0
@@ -54,8 +48,6 @@ _DEAD_S: Final = 10.0
 # A refit under way ends before its process sees that nobody waits for it; the longest is a minute.
 _ORPHAN_S: Final = 90.0
 _NS: Final = 1_000_000_000
-_ROUTER: Final = Path(__file__).with_name("router.py")
-_PAGE: Final = os.sysconf("SC_PAGE_SIZE")
 
 
 @dataclass(frozen=True)
@@ -65,14 +57,6 @@ class Broken:
     kind: FaultKind
     from_ns: int
     to_ns: int
-
-
-class _Orphan(NamedTuple):
-    """A child process of a service that was killed, told from a later one of its id."""
-
-    pid: int
-    born: str
-    killed_s: float
 
 
 @dataclass
@@ -104,53 +88,40 @@ class Take:
     broken: tuple[Broken, ...]
     resident: tuple[Resident, ...]
     simulator: str
-    left_behind: int = 0
+    left_behind: int
 
 
-def conduct(plan: SoakPlan, say: Callable[[str], None], stop: threading.Event) -> Take:
-    """Run a soak.
-
-    Args:
-        plan: what happens when; its folder must exist.
-        say: gets a line now and then.
-        stop: ends the run early when set.
-
-    Raises:
-        AdaptiveContactError: a process failed, or ``stop`` was set.
-    """
+def conduct(plan: SoakPlan) -> Take:
+    """Run a soak; the folder of its plan must exist."""
     with ExitStack() as stack:
         run = _Run(plan, stack)
-        say(f"router on {run.endpoint}, service {run.service.pid}, simulator starts")
+        pid = run.service.process.pid
+        print(f"router on {run.endpoint}, service {pid}, simulator starts", flush=True)
         recording = plan.out / "soak.mcap"
-        walk = Child("the simulator", _walk(plan, run.endpoint, recording))
-        stack.enter_context(walk)
+        walk = stack.enter_context(
+            contextlib.closing(Program(*_walk(plan, run.endpoint, recording)))
+        )
         began_s = time.monotonic()
         faults, next_word = deque(plan.faults), 0.0
-        while walk.running:
-            if stop.wait(_LOOK_S):
-                raise AdaptiveContactError("stopped")
+        while walk.process.poll() is None:
+            time.sleep(_LOOK_S)  # several processes and sockets: there is no one thing to wait for
             at_s = time.monotonic() - began_s
             run.look()
             if faults and at_s >= faults[0].at_s:
                 fault = faults.popleft()
                 run.do(fault)
-                say(f"{at_s:5.0f} s  {fault.kind} killed and started again")
+                print(f"{at_s:5.0f} s  {fault.kind} killed and started again", flush=True)
             if at_s >= next_word:
                 next_word += 60.0
-                say(f"{at_s:5.0f} s  {run.word()}")
-        walk.check()
+                print(f"{at_s:5.0f} s  {run.word()}", flush=True)
+        assert walk.wait() == 0, walk.lines[-5:]
         until_s = time.monotonic() + _SETTLE_S  # the last statuses are on their way
         while time.monotonic() < until_s:
-            time.sleep(_LOOK_S)  # several processes and sockets: there is no one thing to wait for
+            time.sleep(_LOOK_S)
             run.look()
-        return Take(
-            recording,
-            run.heard,
-            tuple(run.broken),
-            tuple(run.resident),
-            walk.lines[-1] if walk.lines else "",
-            run.left_behind,
-        )
+        left_behind = run.bury(_ORPHAN_S)
+        broken, resident = tuple(run.broken), tuple(run.resident)
+        return Take(recording, run.heard, broken, resident, walk.lines[-1], left_behind)
 
 
 class _Run:
@@ -160,20 +131,18 @@ class _Run:
         self.heard = Heard()
         self.broken: list[Broken] = []
         self.resident: list[Resident] = []
-        self.left_behind = 0
         self._plan = plan
-        self._stack = stack
-        self._orphans: list[_Orphan] = []
+        self._dead: list[Program] = []
+        self._orphans: dict[int, str] = {}  # their children, and when they were born
         self._waiting: deque[Received] = deque()
-        self._life = 0
         self._memory_s = 0.0
-        self._router = _start_router("tcp/127.0.0.1:0")
-        stack.callback(lambda: _end(self._router))
-        assert self._router.stdout is not None
-        self.endpoint = self._router.stdout.readline().strip()
+        self._router = Program("-c", ROUTER, "tcp/127.0.0.1:0")
+        stack.callback(lambda: self._router.close())
+        self.endpoint = self._router.wait_line("^tcp/").string
         self.service = self._start_service()
-        stack.callback(lambda: self.service.end())
-        stack.callback(self._bury)
+        stack.callback(lambda: self.service.close())
+        stack.callback(self.bury, 0.0)
+        self.service.wait_line("connected to ", _START_S)
         link = stack.enter_context(Link.open(client_settings([self.endpoint], wait=False)))
         link.subscribe(ALL_CONTACT, self._waiting.append, history=True)
         link.subscribe(ALL_LEARNER, self._waiting.append)
@@ -185,38 +154,33 @@ class _Run:
         """Take in what has come, and see that all is alive."""
         for _ in range(len(self._waiting)):
             self._take(self._waiting.popleft())
-        if not self.service.running:
-            raise self.service.failure()
-        if self._router.poll() is not None:
-            raise AdaptiveContactError("the router ended by itself")
+        for one in (self.service, self._router):
+            assert one.process.poll() is None, one.lines[-5:]
         now_s = time.monotonic()
         if now_s - self._memory_s >= _MEMORY_EVERY_S:
             self._memory_s = now_s
             after_s = now_s - self._service_began_s
-            pid = self.service.pid
+            pid = self.service.process.pid
             workers_mb = sum(resident_mb(child) for child in children_of(pid))
-            self.resident.append(Resident(self._life, after_s, resident_mb(pid), workers_mb))
-            self._watch_orphans(now_s)
+            self.resident.append(Resident(len(self._dead), after_s, resident_mb(pid), workers_mb))
 
     def do(self, fault: Fault) -> None:
         """Break something, and start it again."""
         from_ns = time.time_ns()
         if fault.kind == "router":
-            _end(self._router)
+            self._router.process.kill()
+            self._router.close()
             time.sleep(_OUTAGE_S)  # the length of the outage, not a synchronisation
-            self._router = _start_router(self.endpoint)
-            assert self._router.stdout is not None
-            self._router.stdout.readline()
+            self._router = Program("-c", ROUTER, self.endpoint)
+            self._router.wait_line("^tcp/")
         else:
-            dead = self.service
-            children = [(pid, born(pid)) for pid in children_of(dead.pid)]
-            crash_service(dead)
-            # Its output stays open as long as its children do: it is read to the end at ours.
-            self._stack.callback(dead.end)
-            now_s = time.monotonic()
-            self._orphans += [_Orphan(pid, born, now_s) for pid, born in children if born]
-            self._life += 1
+            dead = self.service.process
+            self._orphans |= {pid: born(pid) for pid in children_of(dead.pid)}
+            dead.kill()  # as a crash would: nothing is saved, nobody is told
+            dead.wait(_DEAD_S)
+            self._dead.append(self.service)
             self.service = self._start_service()
+            self.service.wait_line("connected to ", _START_S)
         self.broken.append(Broken(fault.kind, from_ns, time.time_ns()))
 
     def word(self) -> str:
@@ -224,106 +188,69 @@ class _Run:
         newest = {status.leg: status for _, status in self.heard.statuses[-50:]}
         missed = sum(status.missed for status in newest.values())
         promoted = sum(status.refits.promoted for status in newest.values())
-        refused = sum(status.refits.refused for status in newest.values())
         memory = self.resident[-1].mb if self.resident else 0.0
         return (
             f"{len(self.heard.events)} events, {missed} samples missed, refits {promoted} "
-            f"promoted {refused} refused, service {memory:.1f} MB"
+            f"promoted, service {memory:.1f} MB"
         )
 
-    def _watch_orphans(self, now_s: float) -> None:
-        """See that the children of a killed service end, and end those that do not."""
-        self._orphans = [one for one in self._orphans if born(one.pid) == one.born]
-        late = [one for one in self._orphans if now_s - one.killed_s > _ORPHAN_S]
-        self.left_behind += len(late)
-        self._orphans = [one for one in self._orphans if one not in late]
-        for one in late:
-            _kill(one)
+    def bury(self, patience_s: float) -> int:
+        """End the children of killed services that have not ended by themselves; how many."""
+        until_s = time.monotonic() + patience_s
+        living = [pid for pid, at in self._orphans.items() if at and born(pid) == at]
+        while living and time.monotonic() < until_s:
+            time.sleep(_LOOK_S)
+            living = [pid for pid in living if born(pid) == self._orphans[pid]]
+        for pid in living:
+            with contextlib.suppress(OSError):  # it has just ended
+                os.kill(pid, signal.SIGKILL)
+        for one in self._dead:  # its output stays open as long as its children do
+            one.close()
+        return len(living)
 
-    def _bury(self) -> None:
-        """Nothing stays behind, however early the run ends."""
-        for one in self._orphans:
-            _kill(one)
-
-    def _start_service(self) -> Child:
+    def _start_service(self) -> Program:
         self._service_began_s = time.monotonic()
+        words = ("-m", "adaptive_contact", "serve", "--connect", self.endpoint)
         state = self._plan.out / "state"
-        arguments = ("serve", "--connect", self.endpoint, "--state", str(state))
-        service = Child("the service", (*arguments, "--log-level", "warning"))
-        try:
-            service.wait_line(_CONNECTED, _START_S)
-        except BaseException:  # Ctrl-C, too: nobody else knows of it yet
-            service.end()
-            raise
-        return service
+        return Program(*words, "--state", state, "--log-level", "warning")
 
     def _take(self, received: Received) -> None:
         now_ns = time.time_ns() - (time.monotonic_ns() - received.arrival_ns)
         kind = received.key.rsplit("/", 1)[-1]
+        payload, encoding = received.payload, received.encoding
+        heard = self.heard
         if kind == "servo":
-            sample = decode(received.payload, ServoSample, received.encoding)
+            sample = decode(payload, ServoSample, encoding)
             if isinstance(sample, ServoSample):
                 second, lag_ns = sample.t_ns // _NS, now_ns - sample.t_ns
-                lags_ns = self.heard.lags_ns
-                lags_ns[second] = min(lag_ns, lags_ns.get(second, lag_ns))
+                heard.lags_ns[second] = min(lag_ns, heard.lags_ns.get(second, lag_ns))
                 return
         elif received.key == SERVICE_STATUS:
-            service = decode(received.payload, ServiceStatus, received.encoding)
+            service = decode(payload, ServiceStatus, encoding)
             if isinstance(service, ServiceStatus):
-                self.heard.services.append((now_ns, service))
+                heard.services.append((now_ns, service))
                 return
         elif kind == "contact":
-            event = decode(received.payload, ContactEvent, received.encoding)
+            event = decode(payload, ContactEvent, encoding)
             if isinstance(event, ContactEvent):
-                self.heard.events.append((now_ns, event))
+                heard.events.append((now_ns, event))
                 return
         else:
-            status = decode(received.payload, LearnerStatus, received.encoding)
+            status = decode(payload, LearnerStatus, encoding)
             if isinstance(status, LearnerStatus):
-                self.heard.statuses.append((now_ns, status))
+                heard.statuses.append((now_ns, status))
                 return
-        self.heard.unreadable += 1
+        heard.unreadable += 1
 
 
 def _walk(plan: SoakPlan, endpoint: str, recording: Path) -> tuple[str, ...]:
     drifts = [text for drift in plan.drifts for text in ("--drift", drift.option)]
     return (
-        *("sim", "walk", "--gait", "tripod", "--terrain", "rough", "--stop-on", "truth"),
+        *("-m", "adaptive_contact", "sim", "walk", "--gait", "tripod"),
+        *("--terrain", "rough", "--stop-on", "truth"),
         *("--seconds", f"{plan.seconds:g}", "--seed", str(plan.seed), *drifts),
         *("--record", str(recording), "--connect", endpoint),
     )
-
-
-def _start_router(endpoint: str) -> subprocess.Popen[str]:
-    command = [sys.executable, str(_ROUTER), endpoint]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-
-
-def crash_service(service: Child) -> None:
-    """Kill a service as a crash would: nothing is saved, nobody is told.
-
-    Raises:
-        AdaptiveContactError: it is not gone in time.
-    """
-    os.kill(service.pid, signal.SIGKILL)
-    until_s = time.monotonic() + _DEAD_S
-    while service.running:
-        if time.monotonic() > until_s:
-            raise AdaptiveContactError(f"the service lives {_DEAD_S:g} s after it was killed")
-        time.sleep(0.005)  # its end is asked for; there is nothing else to wait on
-
-
-def _kill(orphan: _Orphan) -> None:
-    if born(orphan.pid) == orphan.born:
-        with contextlib.suppress(OSError):  # it has just ended
-            os.kill(orphan.pid, signal.SIGKILL)
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    process.kill()
-    process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
 
 
 def born(pid: int) -> str:
@@ -333,19 +260,3 @@ def born(pid: int) -> str:
     except OSError:
         return ""
     return "" if fields[0] == "Z" else fields[19]
-
-
-def resident_mb(pid: int) -> float:
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE / 1e6
-    except (OSError, IndexError):  # it is just ending
-        return float("nan")
-
-
-def children_of(pid: int) -> list[int]:
-    """Processes that a process has started, and theirs."""
-    found = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(OSError):  # the thread is just ending
-            found += [int(child) for child in task.read_text().split()]
-    return found + [one for child in found for one in children_of(child)]

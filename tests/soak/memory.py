@@ -1,4 +1,4 @@
-"""Resident memory of a process over its life: a curve, its growth and its slope.
+"""Resident memory of a process over its life: its growth and its slope.
 
 Growth after the warm-up tells a service that swells; it cannot tell one that fills its buffers
 and stays from one that leaks, for the same few MB may be either.  The slope of the last half of
@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-__all__ = ["CURVE_S", "Grown", "Point", "Resident", "curves_of", "grown", "slope_of"]
+__all__ = ["Grown", "Resident", "grown", "slope_of"]
 
-CURVE_S: Final = 10.0
+_BLOCK_S: Final = 10.0
 # The last half of a life must be so long to have a slope: in less, one buffer is a leak.
 _SLOPE_S: Final = 300.0
 _EDGE: Final = 0.2  # of a life, at its begin and at its end, whose medians are compared
@@ -35,14 +35,6 @@ class Resident(NamedTuple):
     workers_mb: float = 0.0
 
 
-class Point(NamedTuple):
-    """Of a curve: medians over ten seconds, NaN where nothing was read."""
-
-    after_s: float
-    mb: float
-    workers_mb: float
-
-
 class Grown(NamedTuple):
     """What memory did in one life.
 
@@ -55,27 +47,6 @@ class Grown(NamedTuple):
     growth_mb: float
     last_mb: float
     slope_mb_min: float | None
-
-
-def curves_of(resident: Sequence[Resident]) -> list[list[Point]]:
-    """The curve of each life, a point every ten seconds."""
-    curves = []
-    for life in range(max((one.life for one in resident), default=-1) + 1):
-        blocks: dict[int, list[Resident]] = {}
-        for one in resident:
-            if one.life == life:
-                blocks.setdefault(int(one.after_s / CURVE_S), []).append(one)
-        curves.append(
-            [
-                Point(
-                    round(float(np.median([one.after_s for one in rows])), 1),
-                    round(_median([one.mb for one in rows]), 3),
-                    round(_median([one.workers_mb for one in rows]), 3),
-                )
-                for _, rows in sorted(blocks.items())
-            ]
-        )
-    return curves
 
 
 def grown(
@@ -116,7 +87,7 @@ def slope_of(rows: Sequence[tuple[float, float]]) -> float | None:
     if not rows or rows[-1][0] - rows[0][0] < _SLOPE_S:
         return None
     # A day has more pairs of points than memory has room for.
-    block_s = max(CURVE_S, (rows[-1][0] - rows[0][0]) / _MOST)
+    block_s = max(_BLOCK_S, (rows[-1][0] - rows[0][0]) / _MOST)
     blocks: dict[int, list[tuple[float, float]]] = {}
     for row in rows:
         blocks.setdefault(int(row[0] / block_s), []).append(row)
@@ -124,8 +95,3 @@ def slope_of(rows: Sequence[tuple[float, float]]) -> float | None:
     first, second = np.triu_indices(len(coarse), 1)
     rise = coarse[second] - coarse[first]
     return 60.0 * float(np.quantile(rise[:, 1] / rise[:, 0], _QUANTILE))
-
-
-def _median(values: Sequence[float]) -> float:
-    known = [value for value in values if value == value]
-    return float(np.median(known)) if known else float("nan")

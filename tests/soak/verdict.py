@@ -11,8 +11,6 @@ import functools
 from collections import Counter
 from typing import Any, Final
 
-import numpy as np
-
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, Gatherer, match
 from adaptive_contact.service.recording import read_recording
@@ -28,14 +26,15 @@ from .accounts import (
 )
 from .arrival import Arrivals, SourceClock, judge_arrivals
 from .conduct import Take
-from .memory import Grown, Point, curves_of, grown
+from .memory import Grown, Resident, grown
 from .plan import SoakPlan
 from .recovery import first_right_ns, recovery_of, right_events
-from .releases import judge_releases
 from .sections import (
     Section,
+    judge_releases,
     judge_sections,
     spans_between,
+    summed,
     windows_of,
 )
 from .unbroken import missed_anyway, unbroken
@@ -66,16 +65,9 @@ class Verdict:
     """What a soak came to.
 
     Attributes:
-        judged_ticks: swing leg-ticks outside the windows and ramps.
         inconsistent: events that no sample bears out, or that came twice.
-        false_alarms: ``contact: true`` outside of both while the leg touched nothing.
-        alarms: leg and time of each false alarm outside the windows, s of the walk.
-        touches, missed_touches: outside of both, of rows that count (docs/scoring.md).
-        misses: leg and time of each of them missed outside the windows, s of the walk.
-        others, others_missed: of the rows that do not: grazing, in the lift, too slow, too late.
-        releases, wrong_releases: outside of both; a wrong one is ``contact: false`` of a leg that
-            touched all along, and for more than 0.25 s after it.
-        wrong_released: leg and time of each wrong one outside the windows, s of the walk.
+        settled: outside the windows and ramps.
+        errors: what, leg and time of each error outside the windows, s of the walk.
         arrivals: how long events took to get here, those near a fault left out.
         source_behind_s: how far the simulator fell behind the wall clock.
         sections: the same from each window to the next, those of ramps told apart.
@@ -91,7 +83,7 @@ class Verdict:
             fault, too.
         memory_mb: of each life of the service.
         worker_mb: the same of its child processes.
-        memory_curve: of each life: s after its start, MB of the service and of its children.
+        resident: what both are computed from.
         left_behind: child processes that a killed service left for good.
         forgotten_s: per kill of the service, what it had learned and not saved, of the worst leg.
         refits: promoted, refused, rolled back.
@@ -103,18 +95,9 @@ class Verdict:
     """
 
     minutes: float
-    judged_ticks: int
     inconsistent: int
-    false_alarms: int
-    alarms: list[tuple[str, float]]
-    touches: int
-    missed_touches: int
-    misses: list[tuple[str, float]]
-    others: int
-    others_missed: int
-    releases: int
-    wrong_releases: int
-    wrong_released: list[tuple[str, float]]
+    settled: Section
+    errors: list[tuple[str, str, float]]
     arrivals: Arrivals
     source_behind_s: float
     sections: list[Section]
@@ -128,7 +111,7 @@ class Verdict:
     late_anyway: list[list[str]]
     memory_mb: list[Grown]
     worker_mb: list[Grown]
-    memory_curve: list[list[Point]]
+    resident: tuple[Resident, ...]
     left_behind: int
     forgotten_s: list[float]
     refits: dict[str, int]
@@ -175,8 +158,12 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         for leg, stream in streams.items()
     ]
     sections = judge_sections(outcomes, releases, spans_between(windows, epoch_ns, end_ns))
-    settled = [one for one in sections if not one.ramp]
-    edges = [(window.begin_ns, window.end_ns) for window in windows]
+    errors = [("false alarm", one.leg, one.alarms_ns) for one in outcomes]
+    errors += [
+        ("missed", one.leg, one.touches.onset_ns[one.touches.counted & ~one.touches.found])
+        for one in outcomes
+    ]
+    errors += [("wrong release", one.leg, one.t_ns[one.wrong]) for one in releases]
     right = right_events(take, outcomes, {leg: one.truth for leg, one in streams.items()})
     back = [recovery_of(fault, robot.leg_ids, right, outcomes, clock) for fault in take.broken]
     anyway = [
@@ -209,31 +196,13 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
     latency = services[-1].event_latency if services else None
     judged = Verdict(
         minutes=plan.minutes,
-        judged_ticks=sum(one.ticks for one in settled),
         inconsistent=inconsistent(take, seq_of) + take.heard.unreadable,
-        false_alarms=sum(one.false_alarms for one in settled),
-        alarms=[
-            (one.leg, _walked_s(at_ns, epoch_ns))
-            for one in outcomes
-            for at_ns in one.alarms_ns[_outside(one.alarms_ns, edges)]
-        ],
-        touches=sum(one.touches for one in settled),
-        missed_touches=sum(one.missed for one in settled),
-        misses=[
-            (one.leg, _walked_s(at_ns, epoch_ns))
-            for one in outcomes
-            for at_ns in one.touches.onset_ns[
-                _outside(one.touches.onset_ns, edges) & one.touches.counted & ~one.touches.found
-            ]
-        ],
-        others=sum(one.others for one in settled),
-        others_missed=sum(one.others_missed for one in settled),
-        releases=sum(one.releases for one in settled),
-        wrong_releases=sum(one.wrong_releases for one in settled),
-        wrong_released=[
-            (one.leg, _walked_s(at_ns, epoch_ns))
-            for one in releases
-            for at_ns in one.t_ns[_outside(one.t_ns, edges) & one.wrong]
+        settled=summed([one for one in sections if not one.ramp]),
+        errors=[
+            (what, leg, round((int(at_ns) - epoch_ns) / _NS, 2))
+            for what, leg, times_ns in errors
+            for at_ns in times_ns
+            if not any(window.begin_ns <= at_ns <= window.end_ns for window in windows)
         ],
         arrivals=judge_arrivals(
             ((at_ns, event.t_ns) for at_ns, event in take.heard.events), clock, shaken
@@ -250,7 +219,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         late_anyway=anyway,
         memory_mb=grown(take.resident, plan.warm_up_s, lambda one: one.mb),
         worker_mb=grown(take.resident, plan.warm_up_s, lambda one: one.workers_mb),
-        memory_curve=curves_of(take.resident),
+        resident=take.resident,
         left_behind=take.left_behind,
         forgotten_s=[
             max(forgotten_s(leg, seq_of[leg], take, fault, robot) for leg in robot.leg_ids)
@@ -306,14 +275,14 @@ def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
 
 def _detection_failures(found: Verdict) -> list[str]:
     lines = []
-    if not found.touches:
+    if not found.settled.touches:
         lines.append("not one touch was judged")
-    if found.false_alarms:
-        lines.append(f"{found.false_alarms} false alarms outside the windows")
-    if found.wrong_releases:
-        lines.append(f"{found.wrong_releases} releases of loaded legs outside the windows")
-    if found.missed_touches > max(FORGIVEN, MISSED_SHARE * found.touches):
-        lines.append(f"{found.missed_touches} of {found.touches} touches missed")
+    if found.settled.false_alarms:
+        lines.append(f"{found.settled.false_alarms} false alarms outside the windows")
+    if found.settled.wrong_releases:
+        lines.append(f"{found.settled.wrong_releases} releases of loaded legs outside the windows")
+    if found.settled.missed > max(FORGIVEN, MISSED_SHARE * found.settled.touches):
+        lines.append(f"{found.settled.missed} of {found.settled.touches} touches missed")
     for one in found.sections:
         share = RAMP_SHARE if one.ramp else MISSED_SHARE
         allowed = max(FORGIVEN, share * one.touches)
@@ -368,14 +337,3 @@ def _state_failures(found: Verdict, robot: Robot) -> list[str]:
         if lost_s > FORGETS_S
     ]
     return lines
-
-
-def _walked_s(at_ns: Any, epoch_ns: int) -> float:
-    return round((int(at_ns) - epoch_ns) / _NS, 2)
-
-
-def _outside(times_ns: Any, windows: list[tuple[int, int]]) -> Any:
-    keep = np.ones(len(times_ns), dtype=bool)
-    for begin, end in windows:
-        keep &= (times_ns < begin) | (times_ns > end)
-    return keep

@@ -39,15 +39,12 @@ def unprivileged() -> Iterator[None]:
         os.seteuid(0)
 
 
-def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
+def slowed(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keeper = folder.open()
-    desk = Desk(learner=Learner())
-    keeper.restore("rf", desk.learner, "servo", 0)
-    writing, go_on = threading.Event(), threading.Event()
+) -> tuple[threading.Event, threading.Event, list[int]]:
+    """A disk that saves once it may: whether it has begun, that it may, and what it has saved."""
+    writing, go_on, written = threading.Event(), threading.Event(), list[int]()
     save = folder.store.save
-    written: list[int] = []
 
     def slow(record: Record) -> None:
         writing.set()
@@ -56,6 +53,16 @@ def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
         save(record)
 
     monkeypatch.setattr(folder.store, "save", slow)
+    return writing, go_on, written
+
+
+def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = folder.open()
+    desk = Desk(learner=Learner())
+    keeper.restore("rf", desk.learner, "servo", 0)
+    writing, go_on, written = slowed(folder, monkeypatch)
     for number in range(1, 6):
         desk.learner.number = number  # type: ignore[attr-defined]
         desk.hear()
@@ -71,13 +78,7 @@ def test_a_disk_that_is_too_slow_at_the_end_is_told(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     keeper = folder.open()
-    writing, go_on = threading.Event(), threading.Event()
-
-    def slow(record: Record) -> None:
-        writing.set()
-        assert go_on.wait(60)
-
-    monkeypatch.setattr(folder.store, "save", slow)
+    writing, go_on, _ = slowed(folder, monkeypatch)
     for leg in ("lf", "rm", "lr"):  # the first is being written, the others wait
         desk = Desk(leg)
         keeper.restore(leg, desk.learner, "servo", 0)
@@ -117,15 +118,7 @@ def test_a_disk_that_does_not_answer_is_told(
     monkeypatch.setattr(keeper_module, "HANGS_S", 0.01)
     keeper, desk = folder.open(), Desk()
     keeper.restore("rf", desk.learner, "servo", 0)
-    writing, go_on = threading.Event(), threading.Event()
-    save = folder.store.save
-
-    def hangs(record: Record) -> None:
-        writing.set()
-        assert go_on.wait(60)
-        save(record)
-
-    monkeypatch.setattr(folder.store, "save", hangs)
+    writing, go_on, _ = slowed(folder, monkeypatch)
     with capture_logs() as logs:
         desk.hear()
         keeper.take(desk, 0)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +17,8 @@ from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.service.state import Record, StateStore, list_states
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import ServoSample, decode, servo_key
+from programs import Program
+from waiting import until
 
 from .saver import LEGS, identity
 
@@ -44,24 +44,15 @@ def numbers(folder: Path) -> list[int]:
 
 def kill_over_and_over(folder: Path, kills: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    paths = os.pathsep.join(path for path in sys.path if path)
     newest = 0
     said = 0  # rounds that were wholly on disk
     for _ in range(kills):
-        with subprocess.Popen(
-            [sys.executable, "-u", str(SAVER), str(folder), str(newest + 1)],
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONPATH": paths},
-        ) as process:
-            assert process.stdout is not None
+        with contextlib.closing(Program(SAVER, folder, newest + 1)) as saver:
             # Not before a first round: until then there may be nothing to open.
-            for _ in range(1 if said else 2):
-                process.stdout.readline()
+            saver.wait_line("ready" if said else r"\d")
             time.sleep(rng.uniform(0.0, 0.1))  # the instant of the kill, not a synchronisation
-            process.kill()
-            lines = process.stdout.read().split()
-        said = max([said, *(int(line) for line in lines if line.isdigit())])
+            saver.process.kill()
+        said = max([said, *(int(line) for line in saver.lines if line.isdigit())])
         found = numbers(folder)
         assert min(found) >= said, "what was said to be on disk is there"
         newest = max(found)
@@ -103,29 +94,21 @@ def fed(endpoint: str) -> Iterator[None]:
 @contextlib.contextmanager
 def serving(endpoint: str, folder: Path) -> Iterator[None]:
     """The real service, killed at the end."""
-    command = ("-m", "adaptive_contact", "serve", "--connect", endpoint, "--state", str(folder))
-    paths = os.pathsep.join(path for path in sys.path if path)
-    with subprocess.Popen(
-        [sys.executable, *command, "--log-level", "error"],
-        stdout=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": paths},
-    ) as process:
-        try:
-            yield
-            assert process.poll() is None, "it ended by itself"
-        finally:
-            process.kill()
+    words = ("-m", "adaptive_contact", "serve", "--connect", endpoint, "--state", folder)
+    with contextlib.closing(Program(*words, "--log-level", "error")) as service:
+        yield
+        assert service.process.poll() is None, "it ended by itself"
+        service.process.kill()
 
 
-def wait_status(link: Link, test: object) -> ServiceStatus:
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        for reply in link.query(SERVICE_STATUS, timeout_s=1.0):
-            status = decode(reply.payload, ServiceStatus, reply.encoding)
-            if isinstance(status, ServiceStatus) and callable(test) and test(status):
-                return status
-        time.sleep(0.1)
-    raise AssertionError("the service does not say so")
+def wait_status(link: Link, test: Callable[[ServiceStatus], bool]) -> ServiceStatus:
+    def told() -> list[ServiceStatus]:
+        replies = link.query(SERVICE_STATUS, timeout_s=1.0)
+        statuses = [decode(one.payload, ServiceStatus, one.encoding) for one in replies]
+        return [one for one in statuses if isinstance(one, ServiceStatus) and test(one)]
+
+    found: list[ServiceStatus] = until(told)
+    return found[0]
 
 
 @pytest.mark.e2e
