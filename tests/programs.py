@@ -14,6 +14,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from typer.testing import CliRunner
+
+from adaptive_contact.cli import main as cli
+
 END_S: Final = 60.0
 _PAGE: Final = os.sysconf("SC_PAGE_SIZE")
 
@@ -107,6 +111,15 @@ class Program:
         self.wait()
         if self.process.stdout is not None:
             self.process.stdout.close()
+
+
+def invoke(*words: object, answers: str | None = None) -> str:
+    """What a command of ours that succeeds says, run in this process."""
+    result = CliRunner().invoke(cli.app, [str(word) for word in words], input=answers)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
 
 
 def resident_mb(pid: int) -> float:

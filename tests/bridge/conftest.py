@@ -254,18 +254,25 @@ class Running:
 
 
 @pytest.fixture
-def run(rig: Callable, catcher: Callable) -> Iterator[Callable[..., Running]]:
+def ended() -> Iterator[Callable[[Any], Any]]:
+    """Ends with the test what has begun."""
+    with contextlib.ExitStack() as begun:
 
-    running: list[Running] = []
+        def keep(one: Any) -> Any:
+            begun.callback(one.end)
+            return one
+
+        yield keep
+
+
+@pytest.fixture
+def run(rig: Callable, catcher: Callable, ended: Callable) -> Callable[..., Running]:
 
     def start(mode: str, **kind: Any) -> Running:
         made = rig(**kind)
-        running.append(Running(made, mode, catcher(len(made.plans[0].legs))))
-        return running[-1]
+        return ended(Running(made, mode, catcher(len(made.plans[0].legs))))
 
-    yield start
-    for one in running:
-        one.end()
+    return start
 
 
 @pytest.fixture

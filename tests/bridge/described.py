@@ -7,12 +7,11 @@ from pathlib import Path
 
 import msgspec
 from dynamixel_sdk import GroupSyncRead
-from typer.testing import CliRunner
 
-from adaptive_contact.cli import main as cli
 from adaptive_contact.robot import Robot, load_robot, parse_robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact_sim.virtual import VirtualServo
+from programs import invoke
 
 # Before 3.8 the DynamixelSDK has none.
 KNOWS_FAST = hasattr(GroupSyncRead, "fastSyncRead")
@@ -20,18 +19,9 @@ KNOWS_FAST = hasattr(GroupSyncRead, "fastSyncRead")
 Serve = Callable[..., tuple[Path, Sequence[VirtualServo]]]
 
 
-def command(*words: object) -> str:
-    """What a command that succeeds says."""
-    result = CliRunner().invoke(cli.app, [str(word) for word in words])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 def init(device: Path, *words: str) -> tuple[str, Robot]:
     out = device.parent / "robot.toml"
-    said = command("robot", "init", "--device", device, "--out", out, "--force", *words)
+    said = invoke("robot", "init", "--device", device, "--out", out, "--force", *words)
     return said, load_robot(out)
 
 

@@ -3,7 +3,6 @@ service, contact events; scored against the simulator's truth."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import queue
 import signal
@@ -37,7 +36,7 @@ from adaptive_contact.wire import (
     leg_of_key,
     servo_key,
 )
-from programs import Program
+from programs import Program, children_of
 from scoring import messages, play
 from waiting import until
 
@@ -48,16 +47,8 @@ slow = pytest.mark.slow
 
 def workers(bridge: Program) -> list[int]:
     """Processes that a bridge has spawned, the ports'."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        with contextlib.suppress(OSError):
-            parent = (entry / "stat").read_text().rpartition(")")[2].split()[1]
-            words = (entry / "cmdline").read_bytes()
-            if int(parent) == bridge.process.pid and b"spawn_main" in words:
-                found.append(int(entry.name))
-    return sorted(found)
+    words = {pid: Path(f"/proc/{pid}/cmdline") for pid in children_of(bridge.process.pid)}
+    return sorted(pid for pid, path in words.items() if b"spawn_main" in path.read_bytes())
 
 
 def ready(program: Program) -> Program:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from described import Serve, command, init, robot
+from described import Serve, init, robot
 from typer.testing import CliRunner
 
 from adaptive_contact.bridge import discovery, handshake
@@ -22,6 +22,7 @@ from adaptive_contact.cli import main as cli
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import load_robot
 from adaptive_contact_sim.virtual.servo import VirtualServo
+from programs import invoke
 
 
 def test_legs_of_any_ids_and_the_rest_ignored(bus: Serve) -> None:
@@ -95,8 +96,8 @@ def test_ids_that_two_ports_have(bus: Serve) -> None:
     devices = ("--device", f"left={left}", "--device", f"right={right}")
     out = left.parent / "robot.toml"
     with pytest.raises(BusError, match="ports left, right all have these servos; name the port"):
-        command("robot", "init", *devices, "--out", out, "--ids", "1,2,3")
-    command("robot", "init", *devices, "--out", out, "--ids", "right:1,2,3/left:3,2,1")
+        invoke("robot", "init", *devices, "--out", out, "--ids", "1,2,3")
+    invoke("robot", "init", *devices, "--out", out, "--ids", "right:1,2,3/left:3,2,1")
     legs = load_robot(out).legs
     assert [(leg.servos.port, leg.servos.ids) for leg in legs] == [
         ("right", (1, 2, 3)), ("left", (3, 2, 1)),

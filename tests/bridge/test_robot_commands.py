@@ -10,7 +10,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from described import command
 from typer.testing import CliRunner
 
 from adaptive_contact.bridge.discovery import describe, find_servos, group
@@ -28,6 +27,7 @@ from adaptive_contact.robot import Leg, Limits, Mount, Port, foot, parse_robot, 
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ServoSample
+from programs import invoke
 
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
 real_time = pytest.mark.slow
@@ -41,7 +41,7 @@ XL = {"model": "XL330-M288", "protocol": 2}
 def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> None:
     r = rig(**kind)
     out = tmp_path / "robot.toml"
-    said = command(
+    said = invoke(
         "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out), "--legs", "l0,l1",
         "--name", "rig", "--lengths", "0.05,0.06,0.1",
     )  # fmt: skip
@@ -56,7 +56,7 @@ def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> 
     filled = out.read_text().replace("# limits = {", "limits = {")
     assert parse_robot(filled, source="filled").leg("l0").limits == Limits((-1.0,) * 3, (1.0,) * 3)
     with pytest.raises(ConfigurationError, match="exists already"):
-        command("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
+        invoke("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
 
 
 @real_time
@@ -75,7 +75,7 @@ def test_init_takes_servos_for_the_joints_of_a_urdf(rig: Callable, tmp_path: Pat
             )
     urdf, out = tmp_path / "r.urdf", tmp_path / "robot.toml"
     urdf.write_text(f'<robot name="r">{"".join(parts)}</robot>')
-    command(
+    invoke(
         "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out),
         "--urdf", str(urdf), "--legs", "l=l2,r=r2", "--tip", "0,0,-0.1",
     )  # fmt: skip
@@ -152,7 +152,7 @@ def test_check_shows_and_moves_nothing(rig: Callable, tmp_path: Path) -> None:
         )
     )
     (tmp_path / "robot.toml").write_text(text.replace("protocol = 1", "protocol = 1\n", 1))
-    said = command(
+    said = invoke(
         "robot", "check", "--config", str(tmp_path / "robot.toml"), "--seconds", "0.3",
         "--picture", str(tmp_path / "legs.svg"),
     )  # fmt: skip
@@ -168,7 +168,7 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
     path = tmp_path / "robot.toml"
     path.write_text(write_robot(r.robot))
     with pytest.raises(ConfigurationError, match="has no lengths_m"):
-        command("robot", "learn", "--config", str(path), "--drive", "--yes")
+        invoke("robot", "learn", "--config", str(path), "--drive", "--yes")
     with pytest.raises(ConfigurationError, match="expected 3 angles in rad"):
         pose_of("0,x", r.robot, r.plans)
     assert pose_of("0,0.5,-1", r.robot, r.plans) == [0.0, 0.5, -1.0]
@@ -245,7 +245,7 @@ def test_what_cannot_be_is_told_in_one_line(
             f'servos = {{ ids = [1], model = "{model}" }}\n'
         )
     with pytest.raises(AdaptiveContactError, match=message) as caught:
-        command(*words)
+        invoke(*words)
     assert "\n" not in str(caught.value)
 
 

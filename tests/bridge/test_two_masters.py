@@ -7,7 +7,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -73,16 +73,8 @@ class Controller:
 
 
 @pytest.fixture
-def controller() -> Iterator[Callable[[Any], Controller]]:
-    running: list[Controller] = []
-
-    def start(rig: Any) -> Controller:
-        running.append(Controller(rig))
-        return running[-1]
-
-    yield start
-    for one in running:
-        one.end()
+def controller(ended: Callable) -> Callable[[Any], Controller]:
+    return lambda rig: ended(Controller(rig))
 
 
 @pytest.mark.parametrize("kind", [AX, XL])

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_picture import chain, draw
-from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, Mount, Robot, load_robot
+from programs import invoke
 
 SIDES = (("fl", 0.2, 0.05), ("fr", 0.2, -0.05), ("hl", -0.2, 0.05), ("hr", -0.2, -0.05))
 
@@ -45,14 +45,6 @@ def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("walker.urdf").write_text(quadruped())
     cli.load_commands()
-
-
-def invoke(*words: str, answers: str | None = None) -> str:
-    result = CliRunner().invoke(cli.app, list(words), input=answers)
-    if isinstance(result.exception, AdaptiveContactError):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def test_a_urdf_becomes_a_robot() -> None:

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from adaptive_contact.cli import doctor, main
+from adaptive_contact.cli import doctor
 from adaptive_contact.cli.doctor import traffic_table
 from adaptive_contact.service.doctor import Diagnosis, Examination, KeyTraffic, diagnose
 from adaptive_contact.service.interfaces import Received
@@ -32,17 +32,9 @@ TYPED: Final = HOSTILE.replace("\x00", "")  # no command line has a zero
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+def run(ours: Callable[..., Any]) -> Callable[..., str]:
     """Run a command in this process, and return what it says."""
-    main.load_commands()
-
-    def run_(*words: object) -> str:
-        monkeypatch.setattr("sys.argv", ["adaptive-contact", *map(str, words)])
-        main.run()
-        said = capsys.readouterr()
-        return said.out + said.err
-
-    return run_
+    return lambda *words: "".join(ours(*words)[1:])
 
 
 def _sample(k: int, **fields: Any) -> bytes:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import socket
 import threading
+import time
+import urllib.request
 from collections.abc import Callable
+from typing import Any
 
 from adaptive_contact.web import WebSettings
 from adaptive_contact.web.server import Site
@@ -99,3 +103,16 @@ def read_until(one: socket.socket, what: bytes) -> bytes:
         assert part, f"closed before {what!r}: {data[-200:]!r}"
         data += part
     return data
+
+
+def events(url: str, enough: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """What a stream gives: the first piece that is enough."""
+    until = time.monotonic() + 30
+    with urllib.request.urlopen(f"{url}stream", timeout=20) as answer:
+        for line in answer:
+            assert time.monotonic() < until
+            if line.startswith(b"data: {"):
+                found: dict[str, Any] = json.loads(line[6:])
+                if enough(found):
+                    return found
+    raise AssertionError("the stream has ended")

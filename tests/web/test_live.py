@@ -10,7 +10,6 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -28,6 +27,7 @@ from programs import Program
 from waiting import until
 
 from .chromium import Chromium, Tab, found
+from .running import events
 
 pytestmark = pytest.mark.e2e
 
@@ -41,6 +41,11 @@ Promise.all(['data', 'stream', 'theme', 'plots', 'charts'].map((name) => import(
     Object.assign(globalThis, { ...data, stream, theme, plots, panel: charts });
   })
 """
+
+
+def banner(url: str) -> str:
+    """What a browser is given first."""
+    return str(events(url, lambda found: "legs" in found)["banner"])
 
 
 def begun(*words: str) -> Program:
@@ -434,7 +439,7 @@ def test_the_page_is_there_before_the_router_is() -> None:
     try:
         url = page.wait_line(r"live page at (http://\S+)").group(1)
         line = "nobody listens on tcp/127.0.0.1:1"
-        until(lambda: line in str(_banner(url)), line)
+        until(lambda: line in banner(url), line)
         assert page.stop() == 0
     finally:
         page.close()
@@ -443,19 +448,9 @@ def test_the_page_is_there_before_the_router_is() -> None:
 def test_the_service_goes_and_comes_back(robot: Robot) -> None:
     """Last, as it ends the service: the page says so, and a page that ends is ended well."""
     robot.parts[0].stop()
-    until(lambda: "the router is lost" in str(_banner(robot.url)), "the banner", 30)
+    until(lambda: "the router is lost" in banner(robot.url), "the banner", 30)
     robot.begin("serve", "--no-state", "--listen", robot.endpoint)
-    until(lambda: "router" not in str(_banner(robot.url)), "the banner without it", 60)
+    until(lambda: "router" not in banner(robot.url), "the banner without it", 60)
     assert robot.page.stop(signal.SIGTERM) == 0
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(robot.url, timeout=5)
-
-
-def _banner(url: str) -> list[dict[str, Any]]:
-    """What a browser is given first."""
-    with urllib.request.urlopen(f"{url}stream", timeout=20) as answer:
-        for line in answer:
-            if line.startswith(b'data: {"legs"'):
-                banner: list[dict[str, Any]] = json.loads(line[6:])["banner"]
-                return banner
-    raise AssertionError("no table")

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import time
-import urllib.request
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -16,20 +12,9 @@ from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceSta
 from adaptive_contact.web import LivePage, WebSettings, page
 from adaptive_contact.wire import LearnerStatus, LegTrace, learner_key, trace_key
 
+from .running import events
+
 pytestmark = pytest.mark.e2e
-
-
-def events(url: str, enough: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """What a stream gives: the first piece that is enough."""
-    until = time.monotonic() + 30
-    with urllib.request.urlopen(f"{url}stream", timeout=20) as answer:
-        for line in answer:
-            assert time.monotonic() < until
-            if line.startswith(b"data: {"):
-                found: dict[str, Any] = json.loads(line[6:])
-                if enough(found):
-                    return found
-    raise AssertionError("the stream has ended")
 
 
 class Service:
