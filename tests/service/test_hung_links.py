@@ -26,7 +26,7 @@ pytestmark = pytest.mark.e2e
 LONGEST_S = float(os.environ.get("LONGEST_S", "4"))
 # What the log says of links that hang or are cut.
 TOLD = re.compile("links dropped that held up|links lost")
-LINKS = [int(text) for text in os.environ.get("LINKS", "4,20").split(",")]
+LINKS = [int(text) for text in os.environ.get("LINKS", "20").split(",")]
 VIEWERS = [int(text) for text in os.environ.get("VIEWERS", "130").split(",")]
 SOURCE = "10.231.7.1"
 
