@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -55,16 +54,25 @@ def check_live(
     Raises:
         NoRouterError: there is no router.
     """
-    from adaptive_contact.service.link import Link
+    from adaptive_contact.service.link import Link, listen
     from adaptive_contact.service.livecheck import LiveCheck
 
-    waiting: deque[Received] = deque(maxlen=50_000)
     check = LiveCheck(robot)
     console = table_console(pipe_width=120)
     drawn = console.is_terminal and not json
+    shown, redrawn = 0, 0.0
+
+    def look() -> None:
+        nonlocal shown, redrawn
+        if not drawn and not json:
+            for line in check.moves[shown:]:
+                console.print(line, soft_wrap=True)
+            shown = len(check.moves)
+        if drawn and time.monotonic() - redrawn >= 0.2:
+            redrawn = time.monotonic()
+            live.update(legs_table(check.legs(), check.moves[-6:], console.width), refresh=True)
+
     with Link.open(settings) as link:
-        began = time.monotonic()
-        samples = link.subscribe(ALL_SERVO, waiting.append)
         if not json:
             say(
                 "Move one joint after the other by hand.  Another joint is named: the order of "
@@ -72,25 +80,8 @@ def check_live(
                 "wrong.",
                 err=True,
             )
-        redrawn = 0.0
         with Live(console=console, auto_refresh=False, transient=True) as live:
-            while time.monotonic() - began < seconds and not stop.wait(0.05):
-                said = len(check.moves)
-                for _ in range(len(waiting)):
-                    check.take(waiting.popleft())
-                if not drawn and not json:
-                    for line in check.moves[said:]:
-                        console.print(line, soft_wrap=True)
-                if drawn and time.monotonic() - redrawn >= 0.2:
-                    redrawn = time.monotonic()
-                    live.update(
-                        legs_table(check.legs(), check.moves[-6:], console.width),
-                        refresh=True,
-                    )
-        samples.close()
-        elapsed = time.monotonic() - began
-    for _ in range(len(waiting)):
-        check.take(waiting.popleft())
+            elapsed = listen(link, ALL_SERVO, seconds, check.take, stop=stop, look=look)
     report = check.report(elapsed)
     if json:
         say_json(report)
@@ -112,29 +103,28 @@ def collect_live(
         NoRouterError: there is no router.
         ConfigurationError: no samples of these legs came.
     """
-    from adaptive_contact.service.link import Link
+    from adaptive_contact.service.link import Link, listen
 
-    waiting: deque[Received] = deque()
     kept: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
     strangers: set[str] = set()
+
+    def take(received: Received) -> None:
+        leg = leg_of_key(received.key)
+        sample = decode(received.payload, ServoSample, received.encoding)
+        if leg is None or isinstance(sample, Rejected):
+            return
+        if leg in kept:
+            kept[leg].append(sample)
+        else:
+            strangers.add(leg)
+
     with Link.open(settings) as link:
-        samples = link.subscribe(ALL_SERVO, waiting.append)
         say(
             f"listening for {seconds:g} s: swing every leg in free air meanwhile; Ctrl-C ends it "
             "earlier",
             err=True,
         )
-        stop.wait(seconds)
-        samples.close()
-    for received in waiting:
-        leg = leg_of_key(received.key)
-        sample = decode(received.payload, ServoSample, received.encoding)
-        if leg is None or isinstance(sample, Rejected):
-            continue
-        if leg in kept:
-            kept[leg].append(sample)
-        else:
-            strangers.add(leg)
+        listen(link, ALL_SERVO, seconds, take, stop=stop)
     if not any(kept.values()):
         others = f", only of leg {', '.join(sorted(strangers))}" if strangers else ""
         raise ConfigurationError(
@@ -195,6 +185,15 @@ def report_lines(report: LiveReport) -> list[str]:
                 f"at rest, by the description, feet of leg {' '.join(given)} are "
                 f"{min(given.values()):.0f} to {max(given.values()):.0f} mm {where}"
             )
+    if report.flatness is not None:
+        off = 1e3 * abs(report.flatness.off_m)
+        whose = report.flatness.leg
+        lines.append(
+            f"on a level floor: the foot of {whose} would be {off:.0f} mm "
+            f"{'above' if report.flatness.off_m > 0 else 'below'} the plane of the others"
+            if whose is not None
+            else f"on a level floor: one of the feet would be {off:.0f} mm off the others' plane"
+        )
     return lines
 
 

@@ -60,11 +60,11 @@ def record(
     # Before anything that takes time, so that a stop during the start is clean too.
     stop = opt.stoppable()
 
+    from adaptive_contact.service.link import check_key_expression
     from adaptive_contact.service.recording import RecordingWriter
     from adaptive_contact.service.recording.recorder import (
         Recorder,
         SplitWriter,
-        check_key_expression,
         part_path,
     )
     from adaptive_contact.service.recording.scene import Scene

@@ -6,8 +6,7 @@ knows the network: :func:`examine` does.
 
 from __future__ import annotations
 
-import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
@@ -25,7 +24,7 @@ from adaptive_contact.service.findings import (
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.learnercheck import about_learner, all_lost
 from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
-from adaptive_contact.service.link import Link
+from adaptive_contact.service.link import Link, listen
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
@@ -133,18 +132,8 @@ def examine(link: Link, seconds: float) -> Diagnosis:
         link: open and connected.
         seconds: how long; 3 s are enough for 50 Hz.
     """
-    waiting: deque[Received] = deque(maxlen=50_000)
     seen = Examination()
-    began = time.monotonic()
-    everything = link.subscribe("**", waiting.append)
-    while time.monotonic() - began < seconds:
-        time.sleep(0.05)  # a deque, which drops the oldest of a flood, cannot be waited for
-        for _ in range(len(waiting)):
-            seen.take(waiting.popleft())
-    elapsed = time.monotonic() - began
-    everything.close()
-    for _ in range(len(waiting)):
-        seen.take(waiting.popleft())
+    elapsed = listen(link, "**", seconds, seen.take)
     reach = link.diagnose()
     return diagnose(
         seen,

@@ -11,6 +11,7 @@ the session's other subscriptions.  A sink only enqueues; :class:`Arrivals` need
 
 from __future__ import annotations
 
+import collections
 import functools
 import math
 import queue
@@ -22,7 +23,7 @@ from typing import Any, Final, Self
 import zenoh
 import zenoh.ext
 
-from adaptive_contact.errors import LinkError
+from adaptive_contact.errors import ConfigurationError, LinkError
 from adaptive_contact.service.interfaces import Received, Reply
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
@@ -62,6 +63,58 @@ __all__ = [
     "endpoint",
     "router_settings",
 ]
+
+
+def check_key_expression(text: str) -> str:
+    """Return a key expression that Zenoh will take.
+
+    Raises:
+        ConfigurationError: it will not.
+    """
+    try:
+        return str(zenoh.KeyExpr(text))
+    except zenoh.ZError as error:
+        raise ConfigurationError(
+            f"key expression '{text}' cannot be used; expected chunks between single slashes, "
+            "'*' for any one, '**' for any number, '$*' inside one, such as 'robot/leg/*/servo'"
+        ) from error
+
+
+def listen(
+    link: Link,
+    key_expr: str,
+    seconds: float,
+    take: Callable[[Received], None],
+    *,
+    stop: threading.Event | None = None,
+    look: Callable[[], None] = lambda: None,
+) -> float:
+    """Take what comes for a while, on the caller's thread.
+
+    Args:
+        link: open.
+        key_expr: of what is taken.
+        seconds: how long.
+        take: called with each message; of a flood the oldest are dropped.
+        stop: ends it earlier.
+        look: called twenty times a second.
+
+    Returns:
+        How long it has listened, s.
+    """
+    waiting: collections.deque[Received] = collections.deque(maxlen=50_000)
+    stop, began = stop or threading.Event(), time.monotonic()
+    declared = link.subscribe(key_expr, waiting.append)
+    more = True
+    while more:
+        # A deque, which drops the oldest of a flood, cannot be waited for.
+        more = time.monotonic() - began < seconds and not stop.wait(0.05)
+        if not more:
+            declared.close()
+        for _ in range(len(waiting)):
+            take(waiting.popleft())
+        look()
+    return time.monotonic() - began
 
 
 class Request:

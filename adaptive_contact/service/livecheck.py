@@ -9,6 +9,7 @@ and where the foot went by the description.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from typing import Final
 
 import msgspec
@@ -33,6 +34,8 @@ _REST_S: Final = 0.3
 # share of the one that moved most has only given way.
 _MOVED_RAD: Final = 0.12
 _GAVE_WAY: Final = 0.3
+# A plane is laid through the feet of so many legs.
+_LEAST_FEET: Final = 4
 
 
 class JointView(msgspec.Struct, frozen=True, kw_only=True):
@@ -77,6 +80,15 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     above_m: float | None = None
 
 
+class Flatness(msgspec.Struct, frozen=True, kw_only=True):
+    """How flat the feet lie, for a robot that stands on a level floor."""
+
+    # whose foot is furthest from the plane of the others; None with four legs, which do not show
+    # whose it is
+    leg: str | None
+    off_m: float  # by how much it is above that plane
+
+
 class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
     """What was found."""
 
@@ -88,6 +100,7 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
     open: list[str]  # legs of which the motion shows nothing
     # legs whose order and zeros no motion confirms, as their chain is not straight
     by_hand: list[str]
+    flatness: Flatness | None  # of the feet, where all legs rest
     findings: list[Finding]  # what is wrong, the worst first
 
     @property
@@ -158,6 +171,7 @@ class LiveCheck:
             confirmed=[name for name in self._robot.leg_ids if name in verdict.fits],
             open=[name for name in self._robot.leg_ids if name in motions and name not in judged],
             by_hand=[leg for leg, chain in chains.items() if chain and not chain.is_straight],
+            flatness=_flatness({leg.leg: leg.last for leg in self._legs.values() if leg.rests}),
             findings=entries(faults),
         )
 
@@ -297,3 +311,25 @@ def _way(leg: Leg, by: Array) -> str:
         if abs(way) >= _GAVE_WAY * most
     ]
     return " and ".join(parts)
+
+
+def _flatness(resting: Mapping[Leg, Array]) -> Flatness | None:
+    """How far the feet are from a plane; None where too few legs with mounts rest."""
+    placed = {
+        leg.id: on_body(leg, leg.chain.foot(q))
+        for leg, q in resting.items()
+        if leg.chain is not None and leg.mount != Mount()
+    }
+    names, points = list(placed), np.array(list(placed.values()))
+    if len(names) < _LEAST_FEET:
+        return None
+    off = []
+    for k in range(len(names)):
+        rest = np.delete(points, k, axis=0)
+        flat = np.column_stack([rest[:, :2], np.ones(len(rest))])
+        plane = np.linalg.lstsq(flat, rest[:, 2], rcond=None)[0]
+        left = float(np.abs(rest[:, 2] - flat @ plane).max())
+        off.append((left, float(points[k, 2] - np.append(points[k, :2], 1.0) @ plane)))
+    # The odd one out leaves the others flat; with four legs three always are.
+    odd = min(range(len(names)), key=lambda k: off[k][0])
+    return Flatness(leg=names[odd] if len(names) > _LEAST_FEET else None, off_m=off[odd][1])

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import collections
 import queue
-import re
 import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, Self
 
-from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.service.link import Link, Received
+from adaptive_contact.service.link import Link, Received, check_key_expression
 from adaptive_contact.service.recording.writer import RecordingWriter
 
 if TYPE_CHECKING:
@@ -21,27 +19,6 @@ if TYPE_CHECKING:
 # How long a stop may go unnoticed while nothing arrives.
 _LOOK_S: Final = 0.1
 _PROGRESS_S: Final = 0.5
-
-# Chunks between single slashes, of any text without the characters that Zenoh keeps for itself;
-# '$*' stands for any part of a chunk, '*' for a whole one, '**' for any number, and comes last of
-# several wildcards (Zenoh takes only this spelling).
-_TEXT: Final = r"[^/*$#?]+"
-_CHUNK: Final = rf"(?:\*|(?:\$\*)?{_TEXT}(?:\$\*{_TEXT})*(?:\$\*)?)"
-_KEY_EXPRESSION = re.compile(rf"(?:{_CHUNK}|\*\*(?!/\*))(?:/(?:{_CHUNK}|\*\*(?!/\*)))*")
-
-
-def check_key_expression(text: str) -> str:
-    """Return a key expression that Zenoh will take.
-
-    Raises:
-        ConfigurationError: it will not.
-    """
-    if _KEY_EXPRESSION.fullmatch(text) is None:
-        raise ConfigurationError(
-            f"key expression '{text}' cannot be used; expected chunks between single slashes, "
-            "'*' for any one, '**' for any number, '$*' inside one, such as 'robot/leg/*/servo'"
-        )
-    return text
 
 
 class Writer(Protocol):
