@@ -55,10 +55,12 @@ class Attention:
 
     def _grown(self, view: View, service: ServiceStatus, now_ns: int) -> Iterator[Fault]:
         """Counts that have grown of late."""
+        unheard = sum(leg.unheard for leg in view.legs)
         counts = {
             "service-events_lost": service.events_lost,
             "service-callback_defects": service.callback_faults,
             "service-stalls": service.stalls,
+            "service-unheard": unheard,
         }
         for name, times in counts.items():
             if times > self._counts.get(name, times):

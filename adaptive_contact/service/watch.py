@@ -44,6 +44,8 @@ if TYPE_CHECKING:  # loads zenoh, which a view of messages does without
 _DETECTION_NS: Final = 120_000_000
 # Truth and events travel on different keys; an event is judged when truth had time to arrive.
 _JUDGE_AFTER_NS: Final = 250_000_000
+# Times of contacts that are kept, of a leg.
+_MOST_TIMES: Final = 256
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,6 +57,8 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     status: Status | None = None
     contact_age_s: float | None = None  # since the last change to contact
     contacts: int = 0
+    # contacts that the service reported since `watch` began and that did not arrive
+    unheard: int = 0
     latency_ms: float | None = None  # of the last detection, with its median; None without truth
     median_latency_ms: float | None = None
     # touches, seen, false_alarms: after the first touch; None without truth
@@ -113,7 +117,7 @@ class _Truth:
     count: int = 0
     latencies_ms: list[float] = field(default_factory=list)
     false_alarms: int = 0
-    verdicts: deque[Verdict] = field(default_factory=lambda: deque(maxlen=256))
+    verdicts: deque[Verdict] = field(default_factory=lambda: deque(maxlen=_MOST_TIMES))
 
     def change(self, truth: ContactTruth, now_ns: int) -> None:
         if truth.contact:
@@ -165,11 +169,62 @@ class _Truth:
 
 
 @dataclass(slots=True)
+class _Arrivals:
+    """Contacts of one leg that arrived, against those that its statuses count.
+
+    A status counts the contacts up to its own time; their times show which of them arrived, in
+    any order.  Another clock, and another service, restart the count.
+    """
+
+    base: LearnerStatus | None = None
+    last: LearnerStatus | None = None
+    times_ns: set[int] = field(default_factory=set)  # of contacts after the base
+    before: int = 0  # unheard before the base
+
+    @property
+    def unheard(self) -> int:
+        if self.base is None or self.last is None:
+            return self.before
+        until_ns = self.last.t_ns
+        arrived = sum(t_ns <= until_ns for t_ns in self.times_ns)
+        return self.before + max(self.last.contacts - self.base.contacts - arrived, 0)
+
+    def event(self, t_ns: int) -> None:
+        # Before the first status it is unknown which contacts it counts: the newest are kept.
+        if self.base is None or t_ns > self.base.t_ns:
+            self.times_ns.add(t_ns)
+            if self.base is None and len(self.times_ns) > _MOST_TIMES:
+                self.times_ns.remove(min(self.times_ns))
+
+    def status(self, status: LearnerStatus) -> None:
+        last = self.last
+        if last is None:
+            self._begin(status)
+        elif status.t_ns < last.t_ns:
+            self._begin(status)
+            self.times_ns.clear()  # they are of another clock
+        # No leg touches more often than this; a count that grows faster is another service's.
+        elif (
+            not 0 <= status.contacts - last.contacts <= 1 + (status.t_ns - last.t_ns) // 40_000_000
+        ):
+            self._begin(status)
+        elif len(self.times_ns) > _MOST_TIMES:
+            self._begin(last)  # not this one: what it counts may be on its way
+        self.last = status
+
+    def _begin(self, status: LearnerStatus) -> None:
+        self.before = self.unheard
+        self.base = self.last = status
+        self.times_ns = {t_ns for t_ns in self.times_ns if t_ns > status.t_ns}
+
+
+@dataclass(slots=True)
 class _Leg:
     status: LearnerStatus | None = None
     status_ns: int = 0
     contact: bool | None = None
     contact_ns: int | None = None
+    arrivals: _Arrivals = field(default_factory=_Arrivals)
     truth: _Truth | None = None
     pending: list[tuple[int, ContactEvent]] = field(default_factory=list)
     ticks: list[tuple[int, int]] = field(default_factory=list)
@@ -189,6 +244,7 @@ class Watch:
         leg.contact = event.contact
         if event.contact:
             leg.contact_ns = now_ns - age_ns
+            leg.arrivals.event(event.t_ns)
             if age_ns < _JUDGE_AFTER_NS:
                 leg.pending.append((now_ns, event))
 
@@ -197,6 +253,7 @@ class Watch:
         leg = self._leg(status.leg)
         leg.status, leg.status_ns = status, now_ns
         leg.contact = status.contact
+        leg.arrivals.status(status)
         if leg.ticks and status.ticks < leg.ticks[-1][1]:  # the service was restarted
             leg.ticks = []
         oldest_ns = now_ns - int(3.0 * 1e9)
@@ -269,6 +326,7 @@ class Watch:
             row,
             status=status.status,
             contacts=status.contacts,
+            unheard=leg.arrivals.unheard,
             residual_rms=status.residual_rms,
             noise_floor=status.noise_floor,
             model_version=status.model_version,

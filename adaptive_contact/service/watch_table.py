@@ -58,6 +58,10 @@ def headline(view: View) -> Text:
         line.append(f"  {service.slow_puts} events held up", style="yellow")
     if service.cut_off:
         line.append(f"  {service.cut_off} links of subscribers dropped", style="bold red")
+    unheard = sum(leg.unheard for leg in view.legs)
+    if unheard:
+        contacts = "contact" if unheard == 1 else "contacts"
+        line.append(f"  {unheard} {contacts} reported but not received here", style="bold red")
     if service.stalls:
         line.append(f"  worker stood still {service.stalls} times", style="bold red")
     if service.rejects:

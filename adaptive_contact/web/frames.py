@@ -233,6 +233,7 @@ def _leg(leg: LegView, status: LearnerStatus | None, view: View) -> dict[str, An
         "contact": leg.contact,
         "status": leg.status,
         "stale": leg.stale,
+        "unheard": leg.unheard,
         "touches": leg.touches,
         "seen": leg.seen,
         "false": leg.false_alarms,

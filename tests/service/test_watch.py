@@ -12,8 +12,10 @@ import pytest
 from views import MS, S, drawn, event, heartbeat, service, status, truth
 
 from adaptive_contact.service.watch import Watch
+from adaptive_contact.service.watch_table import headline
 from adaptive_contact.wire import (
     DriftLevel,
+    LearnerStatus,
     ServoSample,
     servo_key,
     truth_key,
@@ -69,6 +71,51 @@ def test_a_restarted_service_gives_no_negative_rate() -> None:
     assert row(watch, 2 * S).rate_hz == 50.0
 
 
+def test_contacts_that_did_not_arrive_are_counted() -> None:
+    watch = Watch()
+    watch.event(event(400), 0)  # before anything is known of how many there were
+    watch.learner(status(t_ns=1 * S, contacts=7), 1 * S)
+    watch.event(event(1500), 2 * S)
+    watch.event(event(1700, contact=False), 2 * S)
+    watch.learner(status(t_ns=2 * S, contacts=8), 2 * S)
+    assert row(watch).unheard == 0
+    watch.event(event(3900), 4 * S)
+    watch.event(event(4100), 4 * S)  # told after the status that is still on its way
+    watch.learner(status(t_ns=4 * S, contacts=11), 4 * S)
+    assert row(watch).unheard == 2
+    watch.event(event(2500), 4 * S)  # late is not lost
+    watch.event(event(2500), 4 * S)  # nor is twice more than once
+    assert row(watch).unheard == 1
+    watch.service(service())
+    assert "1 contact reported but not received here" in headline(watch.view(4 * S)).plain
+
+
+@pytest.mark.parametrize(
+    "fresh",
+    [
+        status(t_ns=8 * S, contacts=0),
+        status(t_ns=1 * S, contacts=9),
+        status(t_ns=0, contacts=9),
+        status(t_ns=8 * S, contacts=5000),
+    ],
+    ids=["another service", "another clock", "before its first sample", "a rival"],
+)
+def test_the_count_of_what_did_not_arrive_begins_anew_and_keeps_what_it_has(
+    fresh: LearnerStatus,
+) -> None:
+    watch = Watch()
+    watch.learner(status(t_ns=2 * S, contacts=5), 1 * S)
+    for t_ms in (2500, 3000, 3500):
+        watch.event(event(t_ms), 2 * S)
+    watch.learner(status(t_ns=4 * S, contacts=9), 2 * S)
+    assert row(watch).unheard == 1
+    watch.learner(fresh, 3 * S)
+    assert row(watch).unheard == 1
+    # Times that were heard of the other clock are none of this one's.
+    watch.learner(status(t_ns=fresh.t_ns + 4 * S, contacts=fresh.contacts + 2), 4 * S)
+    assert row(watch).unheard == 3
+
+
 def test_what_a_leg_has_changed_in_and_when_is_shown() -> None:
     watch = Watch()
     watch.learner(status(t_ns=9 * S), 0)
@@ -81,6 +128,24 @@ def test_what_a_leg_has_changed_in_and_when_is_shown() -> None:
     assert "friction, 5.0 s ago" in drawn(watch.view(0))
     watch.learner(status(t_ns=9 * S, drift=DriftLevel(kind="load")), 0)
     assert "load" in drawn(watch.view(0)), "its time was of another clock"
+
+
+def test_two_services_whose_counts_differ_are_no_loss() -> None:
+    watch = Watch()
+    for second in range(60):
+        watch.event(event(1000 * second + 500), second * S)
+        watch.learner(status(t_ns=second * S, contacts=second), second * S)
+        watch.learner(status(t_ns=second * S + 1, contacts=5000 + second), second * S)
+    assert row(watch).unheard <= 1
+
+
+def test_a_contact_that_a_status_overtakes_is_not_lost() -> None:
+    watch = Watch()
+    watch.learner(status(t_ns=0), 0)
+    for second in range(1, 2000):
+        watch.learner(status(t_ns=second * S, contacts=second), second * S)
+        watch.event(event(second * 1000 - 300), second * S)
+    assert row(watch).unheard == 0
 
 
 @pytest.mark.parametrize(
