@@ -96,11 +96,8 @@ def learn(
         check_conventions,
         check_streams,
         gather,
-        print_training,
-        refuse_useless,
+        keep_training,
     )
-    from adaptive_contact.fit.verdict import verdict
-    from adaptive_contact.model.model_file import save_baseline
 
     read = [*(more or []), config]
     opt.check_output(out, "--out", read, force=force)
@@ -159,11 +156,7 @@ def learn(
             error.have,
             error.needed,
         ) from error
-    refuse_useless(robot, training, refuse=not anyway)
-    save_baseline(training.baseline, out)
-    print_training(training, robot, json=json, equations=equations)
-    for line in verdict(robot, training):
-        say(line, err=json)
+    keep_training(training, robot, out, anyway=anyway, json=json, equations=equations)
     say(f"baseline written to {out}, the recording to {kept}", err=True)
 
 

@@ -51,8 +51,6 @@ def fit(
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.fit.train import learn
-    from adaptive_contact.fit.verdict import verdict
-    from adaptive_contact.model.model_file import save_baseline
 
     robot = opt.recorded_robot(config, recordings)
     gathered = gather(recordings, robot, refuse=not anyway)
@@ -81,11 +79,7 @@ def fit(
             f"the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
             "they are cautious, and soft contacts will be missed; record more swings"
         )
-    refuse_useless(robot, training, refuse=not anyway)
-    save_baseline(training.baseline, out)
-    print_training(training, robot, json=json, equations=equations)
-    for line in verdict(robot, training):
-        say(line, err=json)
+    keep_training(training, robot, out, anyway=anyway, json=json, equations=equations)
     say(f"baseline written to {out}", err=True)
 
 
@@ -286,16 +280,23 @@ def check_conventions(
         )
 
 
-def refuse_useless(robot: Robot, training: Training, *, refuse: bool = True) -> None:
-    """Say why what was learned is no model of a leg, one line a cause, and end with code 1."""
-    from adaptive_contact.fit.verdict import refusals
+def keep_training(
+    training: Training, robot: Robot, out: Path, *, anyway: bool, json: bool, equations: bool
+) -> None:
+    """Write what was learned, and show how good it is; end with code 1 where it is no model."""
+    from adaptive_contact.fit.verdict import refusals, verdict
+    from adaptive_contact.model.model_file import save_baseline
 
     refused = refusals(robot, training)
     for line in refused:
         say_note(line)
-    if refused and refuse:
+    if refused and not anyway:
         say_note("no baseline was written; --anyway writes it all the same")
         raise typer.Exit(1)
+    save_baseline(training.baseline, out)
+    print_training(training, robot, json=json, equations=equations)
+    for line in verdict(robot, training):
+        say(line, err=json)
 
 
 def print_training(training: Training, robot: Robot, *, json: bool, equations: bool) -> None:

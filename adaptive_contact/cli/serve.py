@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from adaptive_contact import __version__
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli._link import open_link
@@ -168,7 +169,6 @@ def keeper_of(
     """
     from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
     from adaptive_contact.model.model_file import dump_baseline
-    from adaptive_contact.service.server import version
     from adaptive_contact.service.state import FORMAT, StateStore, default_folder, settings_digest
     from adaptive_contact.service.state.keeper import StateKeeper
 
@@ -180,7 +180,7 @@ def keeper_of(
         store,
         name,
         lambda leg: settings_digest(robot, leg, text, formats=formats),
-        package=version(),
+        package=__version__,
     )
 
 

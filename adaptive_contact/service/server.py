@@ -18,11 +18,11 @@ import threading
 import time
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from importlib import metadata
 from typing import TYPE_CHECKING, Final
 
 import structlog
 
+from adaptive_contact import __version__
 from adaptive_contact.detect.stream import fault_of
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.event_publisher import EventPublisher
@@ -312,7 +312,7 @@ class Service:
             cut_off=self._publisher.cut_off,
             stalls=self._watchdog.stalls,
             state=state,
-            version=version(),
+            version=__version__,
             robot=self._robot.name,
             period_s=self._robot.period_s,
             baseline=self._baseline,
@@ -549,11 +549,3 @@ class Service:
         stands_for = self._throttle.passes((what, reason, facts.get("leg")), now_ns, times)
         if stands_for is not None:
             _log.warning(what, reason=reason.value, times=stands_for, **facts)
-
-
-def version() -> str:
-    """Version of this package, ``source`` where it is not installed."""
-    try:
-        return metadata.version("adaptive-contact")
-    except metadata.PackageNotFoundError:  # run from a source tree
-        return "source"
