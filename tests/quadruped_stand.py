@@ -8,15 +8,19 @@ a plate waits at a random height.  All through, the body is held on its stand.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+import mujoco
 import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.wire import ContactTruth, Phase, ServoSample
+from adaptive_contact_sim.scene import PARKED_M, robot_xml, set_surface
+from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.truth import TruthTracker
-from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
+from adaptive_contact_sim.virtual.quadruped import LEGS, PARTS, STEP_RAD, QuadrupedPlant
 
 _L1, _L2 = 0.07, 0.09
 _BODY_M: Final = 0.3
@@ -32,7 +36,7 @@ _HIP_RAD, _KNEE_RAD = (-2.0, 0.8), -2.3
 _NOISE_STEPS: Final = 0.5
 # Where on the commanded descent a plate is met; the foot comes there four ticks later.
 _PLATE_SHARE: Final = (0.1, 0.5)
-_ROBOT_SEED: Final = 0
+_PLATE_M: Final = (0.05, 0.03, 0.02)
 # Physics steps over which a foot's speed is kept for the truth, which comes 60 ms late at most.
 _KEPT_STEPS: Final = 200
 # A plate comes when the foot is this clear of it.
@@ -117,6 +121,56 @@ class _Walker:
                 return point
 
 
+class PlatedPlant(QuadrupedPlant):
+    """The quadruped with a plate under each leg that can be moved, and its truth."""
+
+    def __init__(self, start_rad: Array) -> None:
+        spec = mujoco.MjSpec.from_string(robot_xml("quadruped"))
+        for leg in LEGS:
+            body = spec.worldbody.add_body(name=f"plate_{leg}", mocap=True, pos=list(PARKED_M))
+            body.add_geom(
+                name=f"plate_{leg}",
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=list(_PLATE_M),
+                contype=0,
+                conaffinity=1,
+                priority=2,
+                friction=[0.9, 0.005, 0.0001],
+                solref=list(HARD_SOLREF),
+            )
+        super().__init__(start_rad, spec.compile())
+        self._touch = np.array(
+            [
+                [int(self.model.sensor(f"{leg}_{part}_touch").adr[0]) for part in PARTS]
+                for leg in LEGS
+            ]
+        )
+        self._feet = np.array([self.model.site(f"{leg}_foot").id for leg in LEGS])
+        self._plates = np.array([int(self.model.body(f"plate_{leg}").mocapid[0]) for leg in LEGS])
+
+    @property
+    def forces(self) -> Array:
+        """(4,) N."""
+        return np.asarray(self.data.sensordata[self._touch].sum(axis=1))
+
+    @property
+    def feet_m(self) -> Array:
+        """(4, 3) m, in the world."""
+        return np.asarray(self.data.site_xpos[self._feet])
+
+    def place_plate(self, leg: int, height_m: float, *, stiffness_n_m: float | None = None) -> None:
+        """Put a leg's plate under its foot, its top at a height in the world."""
+        foot = self.feet_m[leg]
+        self.data.mocap_pos[self._plates[leg]] = (foot[0], foot[1], height_m - _PLATE_M[2])
+        geom = self.model.geom(f"plate_{LEGS[leg]}").id
+        body = self.model.body(f"{LEGS[leg]}_knee").id
+        set_surface(self.model, geom, stiffness_n_m, float(self.model.body_invweight0[body, 0]))
+
+    def clear_plate(self, leg: int) -> None:
+        """Take a leg's plate away."""
+        self.data.mocap_pos[self._plates[leg]] = PARKED_M
+
+
 def record(scenario: Scenario) -> Recorded:
     """Simulate a scenario, as fast as possible.
 
@@ -127,9 +181,9 @@ def record(scenario: Scenario) -> Recorded:
     rng = np.random.default_rng(seeds[-1])
     walkers = [_Walker(np.random.default_rng(s), scenario.plates) for s in seeds[:-1]]
     start = np.tile(_joints(walkers[0].point[None])[0], len(LEGS))
-    plant = QuadrupedPlant(_ROBOT_SEED, start)
-    plant.friction_factor, plant.supply_v = scenario.friction, scenario.supply_v
-    plant.refresh()
+    plant = PlatedPlant(start)
+    plant.model.dof_frictionloss[plant.dof] *= scenario.friction
+    plant.drive_nm = plant.drive_nm * (scenario.supply_v / 5.0)
     plant.write_goal(start)
     for _ in range(500):
         plant.step()
@@ -169,7 +223,7 @@ def record(scenario: Scenario) -> Recorded:
             forces[j] = plant.forces
             moved = np.linalg.norm(plant.feet_m - before, axis=1)
             speeds[plant.steps % _KEPT_STEPS] = moved / 0.001
-        changes += tracker.update(forces, plant.touches, plant.steps)
+        changes += tracker.update(forces, [deque()] * len(LEGS), plant.steps)
         for change in changes:
             # Just before the step in which the force came up.
             speed = float(speeds[(change.step - 2) % _KEPT_STEPS, change.leg])
@@ -187,7 +241,7 @@ def record(scenario: Scenario) -> Recorded:
 
 
 def _serve_plate(
-    plant: QuadrupedPlant, leg: int, trial: _Trial, scenario: Scenario, rng: np.random.Generator
+    plant: PlatedPlant, leg: int, trial: _Trial, scenario: Scenario, rng: np.random.Generator
 ) -> None:
     """Put a plate in the way of a descent once the foot is clear of it; take it away after."""
     if trial.tick < _TICKS:

@@ -26,9 +26,9 @@ from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend
 from adaptive_contact_sim.virtual.physics import GaitedBackend, LocalSource
 from adaptive_contact_sim.virtual.port import VirtualPort
-from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend, QuadrupedPlant
+from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
-from quadruped_stand import SCENARIOS, record
+from quadruped_stand import SCENARIOS, PlatedPlant, record
 from scoring import play
 
 
@@ -221,7 +221,7 @@ def test_the_quadrupeds_description_fits_its_model() -> None:
     rng = np.random.default_rng(3)
     for _ in range(5):
         angles = rng.uniform(-1.0, 0.2, 8)
-        plant = QuadrupedPlant(start_rad=angles)
+        plant = PlatedPlant(angles)
         for i, leg in enumerate(robot.legs):
             point = foot(angles[2 * i : 2 * i + 2], leg.lengths_m, leg.joint_axes)
             turn = np.cos(leg.mount.yaw_rad)
