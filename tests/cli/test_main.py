@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -51,7 +52,9 @@ def test_an_interrupt_says_nothing(where: str) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_stop_leaves_no_part_of_a_file(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_stop_leaves_no_part_of_a_file(
+    program: Any, tmp_path: Path, number: signal.Signals
+) -> None:
     code = (
         "import pathlib, signal, sys\n"
         "import adaptive_contact.cli.main as cli\n"
@@ -66,35 +69,27 @@ def test_a_stop_leaves_no_part_of_a_file(tmp_path: Path, number: signal.Signals)
         "cli.app = writes\n"
         "cli.main()"
     )
-    words = [sys.executable, "-c", code, str(tmp_path / "out.csv")]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=WIDE) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline() == "writing\n"
-        child.send_signal(number)
-        assert child.wait(60) == 128 + number
+    child = program("-c", code, tmp_path / "out.csv")
+    child.wait_line("writing")
+    assert child.stop(number) == 128 + number
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stop_while_the_tick_is_compiled_is_clean(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_stop_while_the_tick_is_compiled_is_clean(
+    program: Any, tmp_path: Path, number: signal.Signals
+) -> None:
     """To all processes of a terminal or a unit, as Ctrl-C and systemd do it."""
     if not compiles():
         pytest.skip("nothing is compiled here")
     cache = tmp_path / "cache"
     words = ("serve", "--no-state", "--listen", "tcp/127.0.0.1:0")
-    with subprocess.Popen(
-        [sys.executable, "-m", "adaptive_contact", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**WIDE, CACHE_VARIABLE: str(cache)},
-        start_new_session=True,
-    ) as serve:
-        assert serve.stderr is not None
-        assert "compiling the arithmetic" in serve.stderr.readline()
-        os.killpg(serve.pid, number)
-        out, err = serve.communicate(timeout=600)
-    assert (serve.returncode, out, err) == (0, "", "")
+    where = {"env": {**WIDE, CACHE_VARIABLE: str(cache)}, "start_new_session": True}
+    serve = program("-m", "adaptive_contact", *words, **where)
+    serve.wait_line("compiling the arithmetic")
+    os.killpg(serve.process.pid, number)
+    assert serve.wait(600) == 0
+    assert len(serve.lines) == 1
     assert not list(cache.glob("compiled-*/whole"))
 
 
@@ -117,37 +112,25 @@ def test_a_command_loads_itself_alone(asked: str, others: int) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_watch_gives_the_terminal_its_cursor_back(number: signal.Signals) -> None:
+def test_watch_gives_the_terminal_its_cursor_back(router: Any, number: signal.Signals) -> None:
     """On a terminal, with a service to look at."""
-    code = (
-        "from adaptive_contact.service.link import Link, router_settings\n"
-        "import threading\n"
-        "with Link.open(router_settings(['tcp/127.0.0.1:0'])) as link:\n"
-        "    print(link.endpoints[0], flush=True)\n"
-        "    threading.Event().wait()"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=WIDE
-    ) as router:
-        assert router.stdout is not None
-        master, slave = pty.openpty()
-        try:
-            words = ("watch", "--connect", router.stdout.readline().strip())
-            with subprocess.Popen(
-                [sys.executable, "-m", "adaptive_contact", *words],
-                stdout=slave,
-                stderr=slave,
-                env=WIDE,
-            ) as watch:
-                os.close(slave)
-                shown = until(master, b"\x1b[?25l")  # the cursor is hidden: it is drawing
-                watch.send_signal(number)
-                shown = until(master, b"\x1b[?25h")
-                assert watch.wait(60) == 0
-            assert b"Traceback" not in shown
-        finally:
-            os.close(master)
-            router.kill()
+    words = ("watch", "--connect", router.endpoints[0])
+    master, slave = pty.openpty()
+    try:
+        with subprocess.Popen(
+            [sys.executable, "-m", "adaptive_contact", *words],
+            stdout=slave,
+            stderr=slave,
+            env=WIDE,
+        ) as watch:
+            os.close(slave)
+            shown = until(master, b"\x1b[?25l")  # the cursor is hidden: it is drawing
+            watch.send_signal(number)
+            shown = until(master, b"\x1b[?25h")
+            assert watch.wait(60) == 0
+        assert b"Traceback" not in shown
+    finally:
+        os.close(master)
 
 
 def until(master: int, mark: bytes, timeout_s: float = 60.0) -> bytes:

@@ -12,6 +12,7 @@ ticks.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -64,10 +65,8 @@ def fixed(draw: Callable[[np.random.Generator, int], float]) -> Clock:
     """Ticks off a schedule to which the next ones return."""
 
     def made(rng: np.random.Generator) -> Iterator[float]:
-        k = 0
-        while True:
+        for k in itertools.count():
             yield draw(rng, k)
-            k += 1
 
     return made
 
@@ -76,11 +75,10 @@ def slips(draw: Callable[[np.random.Generator, int], float]) -> Clock:
     """Ticks that put off all that come after them, as of a loop that sleeps for a period."""
 
     def made(rng: np.random.Generator) -> Iterator[float]:
-        late, k = 0.0, 0
-        while True:
+        late = 0.0
+        for k in itertools.count():
             late += draw(rng, k)
             yield late
-            k += 1
 
     return made
 

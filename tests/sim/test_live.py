@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections import Counter, deque
@@ -217,13 +215,9 @@ def test_pace_does_not_drift() -> None:
     assert pace.late == 0
 
 
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "adaptive_contact", "sim", *arguments]
-
-
 @pytest.mark.e2e
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_in_a_process_of_its_own(router: Link, number: int) -> None:
+def test_in_a_process_of_its_own(router: Link, program: Callable, number: int) -> None:
     (address,) = router.endpoints
     samples: list[tuple[float, ServoSample]] = []
     truths: Counter[str] = Counter()
@@ -239,37 +233,24 @@ def test_in_a_process_of_its_own(router: Link, number: int) -> None:
 
     router.subscribe(ALL_SERVO, take)
     router.subscribe(ALL_TRUTH, lambda r: truths.update([r.key]))
-    process = subprocess.Popen(
-        command("walk", "--terrain", "flat", "--connect", address, "--seed", "1"),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    try:
-        assert enough.wait(60.0)
-        with Link.open(client_settings([address])) as asker:
-            replies = asker.query(SIM_DRIFT, Drift(kind="friction", value=3.0, leg="lm"))
-        injected = subprocess.run(
-            command("inject", "supply", "--value", "10", "--connect", address),
-            capture_output=True,
-            text=True,
-            timeout=600,
-            check=True,
-        )
-    finally:
-        process.send_signal(number)
-        began = time.monotonic()
-        out, _ = process.communicate(timeout=600)
-    assert process.returncode == 0, out
+    sim = ("-m", "adaptive_contact", "sim")
+    walk = program(*sim, "walk", "--terrain", "flat", "--connect", address, "--seed", "1")
+    assert enough.wait(60.0)
+    with Link.open(client_settings([address])) as asker:
+        replies = asker.query(SIM_DRIFT, Drift(kind="friction", value=3.0, leg="lm"))
+    inject = program(*sim, "inject", "supply", "--value", "10", "--connect", address)
+    assert inject.wait() == 0
+    began = time.monotonic()
+    assert walk.stop(number) == 0, walk.lines
     assert time.monotonic() - began < 10.0
-    assert "Traceback" not in out
-    assert "x real time" in out
+    assert not [line for line in walk.lines if "Traceback" in line]
+    walk.wait_line("x real time")
     reply = decode(replies[0].payload, DriftReply, replies[0].encoding)
     assert isinstance(reply, DriftReply)
     assert reply.ok
     assert reply.holds == {"friction": {"lm": dict.fromkeys(("coxa", "femur", "tibia"), 3.0)}}
-    assert "friction    lm  coxa 3" in injected.stdout
-    assert "supply" in injected.stdout
+    inject.wait_line("friction    lm  coxa 3")
+    inject.wait_line("supply")
     assert len(truths) == 6
     # Paced by the wall clock, and stamped with it.
     arrivals = [a for a, _ in samples]
