@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 import pytest
 import structlog
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, is_hypothesis_test, settings
 
 from adaptive_contact import compiled
+from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.service.refit_process import ONE_BLAS_THREAD
 
 sys.path.insert(0, str(Path(__file__).parent))  # recordings that several of them use
@@ -53,6 +54,29 @@ def logs_as_before() -> Iterator[None]:
     before = structlog.get_config()
     yield
     structlog.configure(**before)
+
+
+MET: list[AdaptiveContactError] = []
+
+
+def _met(self: AdaptiveContactError, *words: object) -> None:
+    Exception.__init__(self, *words)
+    MET.append(self)
+
+
+AdaptiveContactError.__init__ = _met  # type: ignore[method-assign]
+
+
+@pytest.fixture(autouse=True)
+def errors_are_a_line(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every message of an error that a test meets is one line; of a bus each of its lines is.
+
+    Texts that are drawn may hold line feeds, which are escaped as they are shown.
+    """
+    MET.clear()
+    yield
+    drawn = is_hypothesis_test(request.function)
+    assert drawn or [line for error in MET for line in error.lines if "\n" in line] == []
 
 
 class Said(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -153,18 +154,14 @@ def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:
     ],
 )
 def test_an_ignore_that_cannot_be(port: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises(ConfigurationError, match=re.escape(message)):
         robot(Path("/dev/x"), ((1, 2, 3), "AX-12A"), **port)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("model", [7, ["AX-12A", 7, "AX-12A"], [], True])
 def test_a_model_that_is_no_name(model: object) -> None:
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises(ConfigurationError, match="model"):
         robot(Path("/dev/x"), ((1, 2, 3), model))
-    assert "model" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_fast_sync_read_is_not_for_an_xl320() -> None:

@@ -66,9 +66,8 @@ def test_a_port_that_other_software_uses_without_a_lock(rig: Callable) -> None:
     )
     try:
         assert other.stdout.readline() == "open\n"
-        with pytest.raises(BusError, match=rf"in use by python\S* \(process {other.pid}\)") as told:
+        with pytest.raises(BusError, match=rf"in use by python\S* \(process {other.pid}\)"):
             opened(r)
-        assert "\n" not in str(told.value)
     finally:
         other.communicate("")
     opened(r).close()

@@ -99,7 +99,6 @@ def test_too_little_is_told_in_seconds_and_kept(robot: Any, tmp_path: Path) -> N
     with pytest.raises(TooLittleDataError) as told:
         learn(*words)
     line = str(told.value)
-    assert "\n" not in line
     for leg in ("l0", "l1"):
         assert f"leg {leg} " in line
     assert "s more at this pace" in line
@@ -194,5 +193,4 @@ def test_what_cannot_be_is_told_before_any_work(
     result = CliRunner().invoke(cli.app, ["robot", *words, *config])
     assert isinstance(result.exception, AdaptiveContactError), result.output
     assert message in str(result.exception)
-    assert "\n" not in str(result.exception)
     assert robot.requests == before

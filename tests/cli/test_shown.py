@@ -32,6 +32,11 @@ TYPED: Final = HOSTILE.replace("\x00", "")  # no command line has a zero
 
 
 @pytest.fixture
+def errors_are_a_line() -> None:
+    """What is typed here has line feeds; how it is printed is looked at."""
+
+
+@pytest.fixture
 def run(ours: Callable[..., Any]) -> Callable[..., str]:
     """Run a command in this process, and return what it says."""
     return lambda *words: "".join(ours(*words)[1:])

@@ -367,9 +367,8 @@ def test_other_folders_and_bags_are_refused(tmp_path, robot) -> None:
         with pytest.raises(RecordingError, match=words):
             list(read_recording(tmp_path / "walk_0.mcap.zstd", robot))
     (tmp_path / "bad.db3").write_bytes(b"nothing")
-    with pytest.raises(RecordingError, match="cannot be read as a bag") as refused:
+    with pytest.raises(RecordingError, match="cannot be read as a bag"):
         list(read_recording(tmp_path / "bad.db3", robot))
-    assert "\n" not in str(refused.value)
     with pytest.raises(RecordingError, match="cannot be read"):
         list(read_recording(tmp_path / "none.db3", robot))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -172,12 +173,8 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(old: str, new: str, says: str) -> None:
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises(ConfigurationError, match=f"^my/robot.toml: .*{re.escape(says)}"):
         parse_robot(GOOD.replace(old, new), source="my/robot.toml")
-    text = str(caught.value)
-    assert says in text
-    assert text.startswith("my/robot.toml: ")
-    assert "\n" not in text
 
 
 def test_a_file_with_the_mark_of_windows_is_read(tmp_path: Path) -> None:

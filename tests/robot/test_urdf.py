@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -324,12 +325,8 @@ def test_a_body_that_is_upside_down_is_doubted() -> None:
     ],
 )  # fmt: skip
 def test_what_is_no_leg_is_refused_in_one_line(data: bytes, foot: str, says: str) -> None:
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises(ConfigurationError, match=f"^x.urdf: .*{re.escape(says)}"):
         leg_of(data, foot)
-    text = str(caught.value)
-    assert says in text
-    assert text.startswith("x.urdf: ")
-    assert "\n" not in text
 
 
 def test_several_roots_and_shared_joints_are_refused() -> None:

@@ -361,7 +361,6 @@ def test_errors_of_a_configuration_do_not_quote_it(tmp_path: Path, text: str) ->
     with pytest.raises(ConfigurationError, match="not a usable Zenoh configuration") as caught:
         Link.open(router_settings(zenoh_config=path))
     assert "hunter2" not in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_keys_in_endpoints_are_not_shown() -> None:
