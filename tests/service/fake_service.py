@@ -15,7 +15,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from adaptive_contact.detect.stream import NEXT, Accepted, StreamGuard
-from adaptive_contact.robot import Robot
+from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import (
     ContactEvent,
     DriftLevel,
@@ -35,7 +35,8 @@ SAVE_PERIOD_S = 1.0
 
 class FakeLearner:
     def __init__(self, leg: str, joints: int) -> None:
-        self.leg = leg
+        self.name = leg
+        self.leg = Leg(id=leg, joints=tuple(f"j{i}" for i in range(joints)))
         self.joints = joints
         self.word: Status = "valid"
         self.contact = False
@@ -109,7 +110,7 @@ class FakeLearner:
         if self.fault is not None:
             raise self.fault
         return LearnerStatus(
-            leg=self.leg,
+            leg=self.name,
             t_ns=self.t_ns,
             status=self.word,
             model_version=3,
@@ -143,7 +144,7 @@ class FakeLearner:
 
     def _event(self, score: float) -> ContactEvent:
         return ContactEvent(
-            leg=self.leg,
+            leg=self.name,
             t_ns=self.t_ns,
             seq=self.seq,
             onset_ns=self.t_ns,
@@ -173,7 +174,7 @@ class FakeBank:
         return FakeLearner(leg, joints)
 
     def add(self, learner: FakeLearner) -> None:
-        self._learners[learner.leg] = learner
+        self._learners[learner.name] = learner
 
     def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
         events = [self._learners[leg].update(sample) for leg, sample in samples.items()]
