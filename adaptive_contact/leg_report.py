@@ -238,7 +238,9 @@ class LegReport:
             return "angles"
         if self._guard.contested:
             return "publishers"
-        return "unjudged" if self._unjudged else self._learning.doubt
+        if self._unjudged:
+            return "unjudged"
+        return "unlearned" if self._unlearned else self._learning.doubt
 
     def collect_counts(self) -> None:
         """Take over what ticks have counted since the last call."""
@@ -277,6 +279,19 @@ class LegReport:
         return self._learning.status == "valid" and self._place.leg.unjudged >= UNJUDGED_TURNS
 
     @property
+    def _unlearned(self) -> bool:
+        """Whether the model of a leg that began with a prior does not predict it.
+
+        That of a leg that carries follows it within a lift or two; one that hangs has seen more.
+        """
+        adapter, leg, doubt = self._adapter, self._place.leg, self._learning.doubt
+        if adapter is None or not leg.from_prior:
+            return False
+        return doubt == "unsettled" or (
+            doubt is None and bool(leg.hanging) and adapter.monitor.unlearned
+        )
+
+    @property
     def _status(self) -> Status:
         doubted = self._void or self._guard.contested or self._unjudged
         return "ambiguous" if doubted else self._learning.status
@@ -301,6 +316,7 @@ class LegReport:
             if self._place.leg.lacking
             else None,
             self._unjudged_note,
+            self._unlearned_note,
         )
         return next((note for note in notes if note is not None), None)
 
@@ -313,6 +329,16 @@ class LegReport:
         return (
             f"{turns} lifts and lowerings were commanded and none could be judged: phase does not "
             "follow the swings, samples are lost, or readings are not those of the servos"
+        )
+
+    @property
+    def _unlearned_note(self) -> str | None:
+        """One line for a person when a leg in the air moves as it never did."""
+        if not self._unlearned:
+            return None
+        return (
+            "the last lifts were not predicted: a motion that the leg has not made before; no "
+            "contacts are reported until three lifts in a row are"
         )
 
     @property

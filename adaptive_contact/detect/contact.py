@@ -63,6 +63,8 @@ FREE_PUSH, MOST_PUSH, SURE_PUSH = 1.0, 6.0, 4.0
 STRIKE_NS: Final = 100_000_000
 STRIKE_LOSS: Final = 0.35
 STRIKE_LEVEL: Final = 30.0
+# Ground is not met as high as this share of the foot's rise; an obstacle is, and shows at once.
+HIGH_SHARE: Final = 0.5
 # Fewer free ticks than this say nothing about a lift, nor about the way to a contact.
 MIN_LIFT_ROWS: Final = 3
 # A foot that stops sooner than it has come `LEAST_WAY_M` moved as predicted for so many ticks, went
@@ -291,7 +293,7 @@ def note_push(leg, rows):
     leg.push = max(before + min(leg.opposed, MOST_PUSH) - FREE_PUSH, 0.0)
     if before == 0.0:
         leg.push_ns = leg.at_ns
-    if leg.push <= SURE_PUSH or leg.from_prior:
+    if leg.push <= SURE_PUSH:
         return
     last_ns = leg.push_ns - GUARD_TICKS * leg.period_ns
     while leg.row_n > leg.lift_n and rows[leg.row_n - 1].t_ns > last_ns:
@@ -363,8 +365,21 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient):
         aside[j] = target[j] - gradient[j] * (row.sigma / length)
 
 
+@compiled
+def is_high(leg, swing):
+    """Return whether the foot is too high for ground, of a leg that has to learn all its motion.
+
+    A leg with a baseline gains nothing by these rows.
+    """
+    return (
+        leg.from_prior
+        and leg.has_lengths
+        and swing.foot[2] - swing.start[2] > HIGH_SHARE * leg.rise > 0.0
+    )
+
+
 @stage
-def enter_row(leg, swing, past, noise, kept, was_free, past_lift):
+def enter_row(leg, swing, past, noise, kept, was_free, past_lift, air):
     """Hold a judged tick back until its swing is resolved.
 
     Args:
@@ -376,6 +391,7 @@ def enter_row(leg, swing, past, noise, kept, was_free, past_lift):
             :class:`~adaptive_contact.model.labelled_swing.Rows` has it.
         was_free: the leg had been free before this tick, and does not touch.
         past_lift: the command is past the lift.
+        air: the leg hangs.
     """
     rows, values, theta, history = kept.rows, kept.row_values, past.thetas[0], past.history
     target = kept.target
@@ -384,7 +400,7 @@ def enter_row(leg, swing, past, noise, kept, was_free, past_lift):
     if leg.broken or not (leg.topped or leg.rising or past_lift):
         return
     if leg.rising and not leg.topped:
-        if leg.closed or not (was_free or leg.ticks >= FREE_LIFT_TICKS):
+        if leg.closed or not (was_free or air or leg.ticks >= FREE_LIFT_TICKS):
             return
     elif leg.closed:
         leg.topped = True
@@ -409,6 +425,7 @@ def enter_row(leg, swing, past, noise, kept, was_free, past_lift):
             row.ratio = scores[width]
     row.context = leg.context
     row.t_ns = leg.at_ns
+    row.high = is_high(leg, swing)
     row.was_free, row.cleared, row.push, row.repeats = was_free, leg.cleared, False, leg.repeats
     terms = len(theta)
     for k in range(terms):

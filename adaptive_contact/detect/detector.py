@@ -17,6 +17,7 @@ from adaptive_contact.detect.contact import (
     break_off,
     context_of,
     enter_row,
+    is_high,
     keep_touch,
     let_go,
     model_uncertainty,
@@ -75,7 +76,7 @@ from adaptive_contact.detect.source import (
     take_phase,
     vote_late,
 )
-from adaptive_contact.detect.state import follow_state, forget_state, hangs
+from adaptive_contact.detect.state import airborne, follow_state, forget_state, hangs
 from adaptive_contact.detect.swing import (
     QUIET_SCORE,
     RECENT_TICKS,
@@ -335,10 +336,13 @@ def hold_back(leg, swing, past, noise, kept, was_free, past_lift):
         leg.touching, leg.touch_n = True, 0
     if leg.touching:
         keep_touch(leg, past, noise, kept.touch)
-    if past_lift and not leg.bad and (was_free or leg.found & TOUCHED):
+    air = airborne(leg)  # then no row is of a touch
+    leg.cleared |= air
+    if past_lift and not (leg.bad or air) and (was_free or leg.found & TOUCHED):
         note_push(leg, kept.rows)
-    if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
-        enter_row(leg, swing, past, noise, kept, was_free, past_lift)
+    # After the turn, a low foot may touch too softly to be seen.
+    if not leg.bad and (air or not leg.after or is_high(leg, swing)):
+        enter_row(leg, swing, past, noise, kept, was_free, past_lift, air)
         if leg.topped and not leg.broken and not leg.top_seen:
             leg.top_seen = True
             leg.found |= TOPPED

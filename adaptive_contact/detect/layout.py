@@ -121,7 +121,7 @@ LEG: Final = np.dtype(
         ("variance_scale", f8),  # in force
         ("changed", b1),  # the leg may differ from its model
         ("inflated", b1),  # the covariance is
-        ("from_prior", b1),  # the model goes on from a prior
+        ("from_prior", b1),  # the leg began with a prior
         ("sure", b1),  # the leg is judged by a model that fits it
         ("after_known", b1),  # its noise after the turn to stance is
         # Description.
@@ -278,8 +278,13 @@ LEG: Final = np.dtype(
         ("command_odds", f8),  # nats
         ("pressed_n", i4),  # ticks in a row that depart from the free path, low
         ("idle_n", i4),  # ticks of low commands without that
+        ("stance_n", i4),  # ticks of the stance in hand whose push is summed up
+        ("stance_push", f8),  # the sum
+        ("load", f8),  # mean push of the last stances
+        ("load_n", i4),  # stances in it
         ("kept_ticks", i4),  # ticks in a row that were not judged
         ("carried", b1),  # a stance has departed from the free path
+        ("hanging", b1),  # the last stances showed no load
         ("p", f8),  # probability that the foot carries; NaN while unknown
         ("touches", b1),  # the state, by hysteresis
         # What is reported of contacts.
@@ -331,7 +336,8 @@ FREE_AT: Final[int] = LEG.fields["variance_scale"][1]
 STATE: Final = (
     "foreseen", "command_m", "lowest_command_m", "highest_command_m", "high_ticks", "low_ticks",
     "push_size", "loaded_push", "misfit_size", "push_sum", "misfit", "command_odds", "pressed_n",
-    "idle_n", "kept_ticks", "carried", "p", "touches",
+    "idle_n", "stance_n", "stance_push", "load", "load_n", "kept_ticks", "carried", "hanging", "p",
+    "touches",
 )  # fmt: skip
 
 # The arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, as each half receives them.

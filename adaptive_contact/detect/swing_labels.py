@@ -48,10 +48,6 @@ PUSHED_SIGMA: Final = 1.0
 HOLE_TICKS: Final = 8
 # Last ticks of a descent without an alarm that are not taken for free.
 LAST_TICKS: Final = 6
-# Of a leg that is known from a prior only, a touch may long pass for free motion: so many ticks
-# before its estimate, or before the turn, are never learned.  Touches of walks that were learned
-# spoiled the model in four swings.
-CAUTIOUS_TICKS: Final = 5
 
 
 class SwingLabels:
@@ -125,8 +121,10 @@ class SwingLabels:
         if not leg.has_model:
             return []
         self._unobserved += leg.resolved_whole
-        first, last = leg.resolved_first, leg.resolved_last - LAST_TICKS
+        first, last = leg.resolved_first, leg.resolved_last
         descent = self._rows(first, last)
+        if not (leg.from_prior and leg.hanging):
+            descent = descent[: last - first - low_rows(descent)]
         return [
             *self._contact(),  # of a touch that the end of its swing has cut short
             *self._confirmed(descent, lifted=self._swing.had_lifted),
@@ -143,9 +141,6 @@ class SwingLabels:
             self._swing.touched(round((now_ns - onset_ns) / period_ns))
             self.landings.touched(leg.after - (now_ns - onset_ns) // period_ns)
         rows = self._close(onset_ns, period_ns)
-        if leg.from_prior and leg.after and rows:
-            last_ns = min(onset_ns, int(rows.t_ns[-1]) + period_ns) - CAUTIOUS_TICKS * period_ns
-            rows = rows[rows.t_ns < last_ns]
         return self._confirmed(rows, lifted=self._swing.lifted)
 
     # -- private -------------------------------------------------------------------------------
@@ -182,6 +177,9 @@ class SwingLabels:
             rows = moving(self._rows(first, count))
             if len(rows) >= MIN_LIFT_ROWS:
                 found.append(LabelledSwing(Label.LIFT, rows, self._region, leg.at_ns))
+            if first and leg.from_prior and leg.hanging:  # nothing had to let the foot go
+                early = self._rows(0, first)
+                found.append(LabelledSwing(Label.DESCENT, early, self._region))
         return found
 
     def _confirmed(self, rows: Rows, *, lifted: bool) -> list[LabelledSwing]:
@@ -223,6 +221,12 @@ class SwingLabels:
             return NO_ROWS
         values, records = copy_rows(batch.row_values[at], batch.rows[at], first, last)
         return Rows(values, records, batch.measured.shape[1])
+
+
+def low_rows(descent: Rows) -> int:
+    """Count the last ticks of a descent in which a touch may hide: those of a foot that is low."""
+    low = (~descent.records["high"][-LAST_TICKS:]).tolist()
+    return len(low) - low.index(True) if True in low else 0
 
 
 @compiled

@@ -99,11 +99,12 @@ class ActiveModel:
         inflated: whether the recursion's covariance was, since the recursion began.
         as_made: the model as it was last asked for; rows learned since are not in it.
         most_rad: that a term of a plausible model moves a typical tick by.
+        from_prior: the leg began with a prior.
     """
 
     def __init__(self, start: LegBaseline) -> None:
         self.baseline = start.model
-        self._of_prior = start.spread is not None
+        self.from_prior = start.spread is not None
         self._settings = None if start.spread is None else RlsSettings(bound=PRIOR_BOUND)
         self._noise = start.noise.rms
         self._per_noise, self._scale = 1.0 / start.noise.rms, np.array(start.scale)
@@ -114,7 +115,7 @@ class ActiveModel:
         self.most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
         self.as_made = start.model
         self._moved = False  # the recursion has, since it was made
-        self._start = Good(start.model.version, self._begun_with(start.spread), self._of_prior)
+        self._start = Good(start.model.version, self._begun_with(start.spread), self.from_prior)
         self._good: Good | None = None
         self._go_on_from(self._start)
         self._better_baseline = 0  # lifts in a row
@@ -142,11 +143,6 @@ class ActiveModel:
     def covariance(self) -> Covariance | None:
         """Covariance of the coefficients while it is inflated, else None."""
         return self.recursion.roots if self.inflated else None
-
-    @property
-    def from_prior(self) -> bool:
-        """Whether the recursion goes on from a prior."""
-        return self.inflated and self._of_prior
 
     def learn(self, values: Array, at: int) -> str | None:
         """Learn a row; a model that becomes implausible gives way to the last good one.

@@ -114,7 +114,7 @@ class Adapter:
     ) -> None:
         self.learning = mode is not LearnerMode.FROZEN
         self.baseline = start.model
-        self.monitor = DriftMonitor(len(start.noise.rms))
+        self.monitor = DriftMonitor(len(start.noise.rms), known=start.spread is None)
         self.early = EarlyContacts()
         self.buffer = ReplayBuffer(rows=rows_for_refit(start.model))
         self._noise_tracker = noise_tracker
@@ -430,7 +430,7 @@ class Adapter:
         self.candidate.restore(saved.get("refits"))
         self.buffer.restore(state.segments)
         self.candidate.resume(self.buffer, len(self._scale), self._era)
-        self._noise_tracker.restore(saved.get("recent"))
+        self._noise_tracker.restore(saved.get("recent"), self.monitor.variance_in_force)
         self._refresh()
         self.busy = True
         return None
@@ -464,9 +464,9 @@ class Adapter:
         if self._evidence is not None and not self._evidence.complete:
             self._evidence.add(rows)
             self.monitor.note_kind(self._evidence.kind)
-        if self.monitor.status == "valid" and rows and rows.lifting:
-            # Lifts only: soft ground may be among the last rows of a descent.
-            self._renewed |= self._noise_tracker.count(rows, self.candidate.domain)
+        if self.monitor.status == "valid" and rows:
+            scale = self.monitor.variance_in_force
+            self._renewed |= self._noise_tracker.count(rows, self.candidate.domain, scale)
         self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
 

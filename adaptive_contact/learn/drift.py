@@ -31,9 +31,10 @@ TAKE_BACK_LEVEL: Final = 1.5
 # Share of a new lift in the followed level, and while adapting.
 LEVEL_SHARE: Final = 0.1
 LEVEL_SHARE_ADAPTING: Final = 0.8
-# A baseline's noise is that of many swings, a prior's that of a noisy leg: no level below it is
-# followed.
+# A baseline's noise is that of many swings: no level below it is followed.  A prior's is that of
+# any leg with such a servo; a leg's own may be a fifth of it.
 LEVEL_RANGE: Final = (1.0, 400.0)
+LEAST_OWN: Final = 0.04
 # Calm lifts in a row after which an adapting leg is valid again.
 SETTLED_SWINGS: Final = 3
 SETTLED_LEVEL: Final = 2.5
@@ -47,7 +48,7 @@ INFLATE_EVERY: Final = 5
 OBSTRUCTED_SWINGS: Final = 2
 # Nor does one whose lifts are so much further off (ten times the noise) than any drift takes them:
 # the worst of the simulator's, a drive gone twice as soft, came to 80; a foot that is caught and
-# still gives is at 115 to 180.
+# still gives is at 115 to 180.  Not of a leg that began with a prior, which may be as far from it.
 FAR_LEVEL: Final = 100.0
 # It is free again after so many lifts in a row without a sign of that: where little way is asked,
 # a foot on a leash comes all of it.
@@ -81,9 +82,15 @@ class DriftMonitor:
         variance_scale: of the residuals over the baseline's, followed from lift to lift.
         status: of the leg: valid, adapting or ambiguous.
         kind: of the newest change, where it is known.
+
+    Args:
+        joints: J.
+        known: the leg began with a baseline, not with a prior.
     """
 
-    def __init__(self, joints: int) -> None:
+    def __init__(self, joints: int, *, known: bool = True) -> None:
+        self._known = known
+        self._least = LEVEL_RANGE[0] if known else LEAST_OWN
         self.variance_scale = 1.0
         self.status: Status = "valid"
         self.kind: str | None = None
@@ -104,6 +111,7 @@ class DriftMonitor:
         self._held = False  # in this swing, by its way
         self._trusted = True
         self._lifts = self._lifts_far = 0
+        self._unfit_n = 0  # lifts that have to fit until the leg is predicted again
 
     @property
     def variance_in_force(self) -> float:
@@ -133,6 +141,11 @@ class DriftMonitor:
         if self.status != "ambiguous":
             return None
         return self._obstructed_by if self.obstructed else "unsettled"
+
+    @property
+    def unlearned(self) -> bool:
+        """Whether one of the last lifts was much further off than those before."""
+        return self._unfit_n > 0
 
     @property
     def lifts_assessed(self) -> tuple[int, int]:
@@ -182,12 +195,14 @@ class DriftMonitor:
             return LiftAssessment(fitting)
         self._lifts += 1
         self._lifts_far += level > UNFIT_LEVEL
-        if level > FAR_LEVEL:
+        off = level > SETTLED_LEVEL * max(self.variance_scale, 1.0)
+        self._unfit_n = SETTLED_SWINGS if off else max(self._unfit_n - 1, 0)
+        if level > FAR_LEVEL and self._known:
             return self._assess_far(rows, level, t_ns)
         self._far_swings = 0
         self._note_free()
         if self.obstructed:
-            self._swing_level = _in_range(max(level, self.variance_scale))
+            self._swing_level = self._in_range(max(level, self.variance_scale))
             self._trusted = bool(fitting)
             return LiftAssessment(fitting)
         if level > _suspicion_limit(self._joints * len(kept)) * self.variance_scale:
@@ -226,14 +241,14 @@ class DriftMonitor:
         """
         suspected = self._swing_level is not None and self._suspicions == 1
         moving = self._swings_adapting and self._trusted and self._swings_inflated <= SETTLED_SWINGS
-        if not (suspected or (moving and self.variance_in_force > LEVEL_RANGE[0])):
+        if not (suspected or (moving and self.variance_in_force > self._least)):
             return
         self._newest.append(level)
         if len(self._newest) < TAKE_BACK_TICKS:
             return
         now = TAKE_BACK_LEVEL * sum(self._newest) / TAKE_BACK_TICKS
         if not suspected:
-            self._swing_level = min(self.variance_in_force, max(now, LEVEL_RANGE[0]))
+            self._swing_level = min(self.variance_in_force, max(now, self._least))
         elif now < TAKE_BACK_LEVEL**2 * self.variance_scale:
             self._swing_level = None
             self._drop_suspicions()
@@ -281,7 +296,7 @@ class DriftMonitor:
             lifts_assessed: those, and those far off; where not saved, the model is this leg's.
             kind: of the newest change, where it is known.
         """
-        self.variance_scale, self.status, self._since_ns = level, status, None
+        self.variance_scale, self.status, self._since_ns = self._in_range(level), status, None
         self.kind = kind
         self._obstructed_swings = OBSTRUCTED_SWINGS if obstructed else 0
         self._sign = "the foot was held when the state was saved"
@@ -298,7 +313,7 @@ class DriftMonitor:
         self._suspicions, self._suspected = 0, NO_ROWS
 
     def _suspect(self, rows: Rows, level: float, t_ns: int) -> LiftAssessment:
-        self._swing_level = _in_range(level)
+        self._swing_level = self._in_range(level)
         self._newest.clear()
         self._suspicions += 1
         self._settled = 0
@@ -314,7 +329,7 @@ class DriftMonitor:
 
     def _assess_far(self, rows: Rows, level: float, t_ns: int) -> LiftAssessment:
         """Assess a lift further off than any drift: obstructed, or, if it lasts, another leg."""
-        self._swing_level = _in_range(level)
+        self._swing_level = self._in_range(level)
         self._newest.clear()
         self._settled = 0
         self._far_swings += 1
@@ -374,7 +389,10 @@ class DriftMonitor:
     def _follow_level(self, level: float) -> None:
         share = LEVEL_SHARE_ADAPTING if self._swings_adapting else LEVEL_SHARE
         mean = (1 - share) * self.variance_scale + share * level
-        self.variance_scale = _in_range(mean)
+        self.variance_scale = self._in_range(mean)
+
+    def _in_range(self, level: float) -> float:
+        return min(max(level, self._least), LEVEL_RANGE[1])
 
     def _settle(self, level: float) -> None:
         if self.status == "valid":
@@ -438,10 +456,6 @@ class EarlyContacts:
         self.forget()
         self._lately.extend(bool(early) for early in saved["lately"])
         self.reported = saved.get("told") is True and sum(self._lately) > EARLY_END
-
-
-def _in_range(level: float) -> float:
-    return min(max(level, LEVEL_RANGE[0]), LEVEL_RANGE[1])
 
 
 @functools.cache

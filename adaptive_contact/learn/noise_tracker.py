@@ -32,7 +32,7 @@ from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.compiled import compiled
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.model_file import thresholds_of
-from adaptive_contact.model.noise import AFTER, LIFT, NoiseModel
+from adaptive_contact.model.noise import AFTER, DESCENT, LIFT, NoiseModel
 from adaptive_contact.model.peaks import LEAST_TICKS, Peaks, beyond
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.model.training_domain import Domain
@@ -63,6 +63,8 @@ RECENT_LIFTS: Final = 8
 STRAY: Final = 1.3
 # The largest of fewer ticks says nothing.
 LEAST_ROWS: Final = 3
+# Names of the largest test ratios in a saved state.
+OWN: Final = ("own", "own_descents")
 # Of a leg from a prior the last so many lifts say how far below its thresholds it stays, once
 # there are so many; but no lower than to this share, which is what noise of a fifth asks for.
 OWN_LIFTS, LEAST_LIFTS = 40, 15
@@ -96,9 +98,11 @@ class NoiseTracker:
         self._peaks = peaks
         self._of_prior = tails[0].ticks == 0
         self._lifts = deque[float](maxlen=RECENT_LIFTS)  # how large their maxima were
-        # Largest test ratio and ticks of lifts of a leg from a prior, by the pooled thresholds.
-        self._own = deque[tuple[float, int]](maxlen=OWN_LIFTS)
-        self._share = 1.0  # of the pooled thresholds, by these
+        # Of a leg from a prior: the largest test ratios of its lifts and of its descents, by the
+        # pooled thresholds and the prior's noise, each with its ticks.
+        self._own_lifts = deque[tuple[float, int]](maxlen=OWN_LIFTS)
+        self._own_descents = deque[tuple[float, int]](maxlen=OWN_LIFTS)
+        self._shares = np.ones(3)  # of the pooled thresholds that these ask for, by direction
         self._pooled = self._least = self._of_tails(tails)
         self.whiten: Array = noise.whiten
         self.thresholds: Array = self._in_force()
@@ -108,16 +112,40 @@ class NoiseTracker:
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
         self._ticks = self._above = self._excess = 0.0
 
-    def count(self, rows: Rows, domain: Domain | None = None) -> bool:
-        """Count the exceedances in a lift of a leg whose lifts fit.
+    def count(self, rows: Rows, domain: Domain | None = None, scale: float = 1.0) -> bool:
+        """Count the exceedances in free rows of a leg whose lifts fit.
 
         Args:
-            rows: of the lift, all free.
+            rows: of a lift, or of a descent; the latter count for a leg from a prior only, as soft
+                ground may be among the last.
             domain: where the model in force has been; None if that is not known.
+            scale: variance by which they were judged, over the baseline's.
 
         Returns:
             Whether the thresholds are others from here on.
         """
+        if rows.lifting:
+            self._count_tail(rows, domain)
+        if self._peaks is None and self._of_prior:
+            direction = LIFT if rows.lifting else DESCENT
+            ratio = float(np.fmax.reduce(rows.records["ratio"], initial=0.0))
+            own = ratio * float(self._shares[direction]) * scale
+            self._own[direction].append((own, len(rows)))
+            self._share(scale)
+        elif (
+            rows.lifting
+            and len(rows) >= LEAST_ROWS
+            and self._peaks is not None
+            and self._peaks.ticks[LIFT] >= LEAST_TICKS
+        ):
+            largest = float(np.fmax.reduce(rows.records["value"], initial=0.0))
+            self._lifts.append(self._peaks.excess(largest, len(rows)))
+        else:
+            return False
+        before, self.thresholds = self.thresholds, self._in_force()
+        return not np.array_equal(before, self.thresholds)
+
+    def _count_tail(self, rows: Rows, domain: Domain | None) -> None:
         tail = self._tails[0]
         level = tail.level
         self._ticks += len(rows)
@@ -136,17 +164,6 @@ class NoiseTracker:
             self._ticks *= fade
             self._above *= fade
             self._excess *= fade
-        if self._peaks is None and self._of_prior:
-            ratio = float(np.fmax.reduce(rows.records["ratio"], initial=0.0))
-            self._own.append((ratio * self._share, len(rows)))
-            self._share = self._own_share()
-        elif self._peaks is None or self._peaks.ticks[LIFT] < LEAST_TICKS or len(rows) < LEAST_ROWS:
-            return False
-        else:
-            largest = float(np.fmax.reduce(rows.records["value"], initial=0.0))
-            self._lifts.append(self._peaks.excess(largest, len(rows)))
-        before, self.thresholds = self.thresholds, self._in_force()
-        return not np.array_equal(before, self.thresholds)
 
     def refresh(self, residuals: Array, context: Ints) -> None:
         """Recompute covariances and thresholds at once.
@@ -210,22 +227,30 @@ class NoiseTracker:
     def _in_force(self) -> Array:
         """(directions, windows), of the leg's own peaks where they are known."""
         if self._peaks is None:
-            return np.asarray(self._pooled * np.array([[self._share], [self._share], [1.0]]))
+            return np.asarray(self._pooled * self._shares[:, None])
         rates = self._target_rate * np.array([1.0, 1.0, AWAITED])
         own = self._peaks.thresholds(rates) * (self._pooled / self._least)
         level = max(1.0, float(np.median(self._lifts)) / STRAY) if self._lifts else 1.0
         own[:AFTER] = np.fmin(level * own[:AFTER], self._pooled[:AFTER])
         return np.where(np.isnan(own), self._pooled, own)
 
-    def _own_share(self) -> float:
-        """Compute which share of the pooled thresholds the last lifts ask for."""
-        if len(self._own) < LEAST_LIFTS:
-            return 1.0
-        # The second largest: one of them may have struck something.
-        second = sorted(ratio for ratio, _ in self._own)[-2]
-        ticks = sum(ticks for _, ticks in self._own)
-        share = second * float(beyond(self._target_rate, 0.5 * ticks))
-        return min(max(share, LEAST_SHARE), 1.0)
+    @property
+    def _own(self) -> tuple[deque[tuple[float, int]], ...]:
+        return self._own_lifts, self._own_descents
+
+    def _share(self, scale: float) -> None:
+        """Compute which share of the pooled thresholds the last lifts and descents ask for."""
+        least, shares = 1.0, np.ones(3)
+        for direction, own in enumerate(self._own):  # descents: not less than lifts
+            share = least
+            if len(own) >= LEAST_LIFTS:
+                # The second largest: one of them may have struck something.
+                second = sorted(ratio for ratio, _ in own)[-2] / scale
+                ticks = sum(ticks for _, ticks in own)
+                share = second * float(beyond(self._target_rate, 0.5 * ticks))
+                share = min(max(share, LEAST_SHARE if direction == LIFT else least), 1.0)
+            shares[direction] = least = share
+        self._shares = shares
 
     @property
     def tail_factors(self) -> tuple[float, float]:
@@ -244,13 +269,14 @@ class NoiseTracker:
             "above": self._above,
             "excess": self._excess,
         }
-        if self._own:
-            saved["own"] = [list(lift) for lift in self._own]
+        for name, own in zip(OWN, self._own, strict=True):
+            if own:
+                saved[name] = [list(swing) for swing in own]
         if self._lifts:
             saved["lifts"] = list(self._lifts)
         return saved
 
-    def restore(self, saved: Any) -> None:
+    def restore(self, saved: Any, scale: float = 1.0) -> None:
         """Take over saved counts; what is not usable is left."""
         if not isinstance(saved, dict):
             return
@@ -261,10 +287,11 @@ class NoiseTracker:
         lifts = saved.get("lifts")
         if isinstance(lifts, list) and all(isinstance(v, float) and 0.0 <= v < 1e6 for v in lifts):
             self._lifts.extend(lifts)
-        own = saved.get("own")
-        if isinstance(own, list) and all(map(_is_lift, own)):
-            self._own.extend((ratio, ticks) for ratio, ticks in own)
-            self._share = self._own_share()
+        for name, own in zip(OWN, self._own, strict=True):
+            kept = saved.get(name)
+            if isinstance(kept, list) and all(map(_is_lift, kept)):
+                own.extend((ratio, ticks) for ratio, ticks in kept)
+        self._share(scale)
         self.thresholds = self._in_force()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.diagnose.change_classifier import KINDS
-from adaptive_contact.learn.drift import LEVEL_RANGE
+from adaptive_contact.learn.drift import LEAST_OWN, LEVEL_RANGE
 from adaptive_contact.learn.replay_buffer import Segment
 from adaptive_contact.model.bounds import MOST, is_count
 from adaptive_contact.model.leg_model import LegModel
@@ -120,7 +120,7 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
     version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
     if not (is_count(version) and is_count(era)):
         raise ImplausibleError("its version or era is no number")
-    if not (isinstance(level, float) and LEVEL_RANGE[0] <= level <= LEVEL_RANGE[1]):
+    if not (isinstance(level, float) and LEAST_OWN <= level <= LEVEL_RANGE[1]):
         raise ImplausibleError(f"its level is {level!r}")
     status = saved.get("status")
     if status not in ("valid", "adapting", "ambiguous"):

@@ -27,7 +27,7 @@ class FreeMotion(NamedTuple):
     # of the residuals, over the baseline's; 1 for a leg as it was first known
     variance_scale: float
     covariance: Covariance | None  # of the coefficients while it is inflated, else None
-    from_prior: bool  # the model goes on from a prior; less of a swing's end is learned
+    from_prior: bool  # the leg began with a prior: what it does in a stance is not known
     # the leg may differ from its model, which is of before a change, or of a prior
     changed: bool
     sure: bool  # the leg is as its model says: not changed, and valid by its status

@@ -33,6 +33,7 @@ Doubt = Literal[
     "descents",
     "publishers",
     "unjudged",
+    "unlearned",
 ]
 DriftKind = Literal[
     "mass",

@@ -236,8 +236,8 @@ def table(legs: Sequence[Leg], hung: Sequence[Leg]) -> str:
     lines += ["", "| hangs | ticks in touch | known |", "|---|---|---|"]
     for walk in dict.fromkeys(leg.walk for leg in hung):
         p = np.concatenate([leg.p for leg in hung if leg.walk == walk])
-        touching, judged = 100 * np.mean(p > 0.5), 100 * np.mean(~np.isnan(p))
-        lines.append(f"| {walk} | {touching:.2f} % | {judged:.1f} % |")
+        touching, known_share = 100 * np.mean(p > 0.5), 100 * np.mean(~np.isnan(p))
+        lines.append(f"| {walk} | {touching:.2f} % | {known_share:.1f} % |")
     lines += [
         "",
         "| support lost for 60 ms and more | seen | of those said, true |",

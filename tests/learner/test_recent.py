@@ -55,10 +55,10 @@ def free_ticks(covariance: np.ndarray, n: int, seed: int = 0) -> tuple[np.ndarra
     return residual, rng.integers(0, CONTEXTS, n)
 
 
-def rows(values: list[float], theta: float = 0.0, ratio: float = 0.1) -> Rows:
+def rows(values: list[float], theta: float = 0.0, ratio: float = 0.1, *, lift: bool = True) -> Rows:
     """Free ticks with a statistic, and a largest test ratio."""
     at, still = np.full(2, theta), np.zeros(J)
-    return rows_of([Tick(at, still, v / J, v, lift=False, ratio=ratio) for v in values])
+    return rows_of([Tick(at, still, v / J, v, lift=lift, ratio=ratio) for v in values])
 
 
 def shape(of: NoiseTracker, noise: NoiseModel) -> np.ndarray:
@@ -187,3 +187,34 @@ def test_a_leg_without_peaks_is_judged_by_its_own_lifts_and_outlives_a_restart(
     for _ in range(OWN_LIFTS):
         of.count(rows([1.0] * 10, ratio=2.0))
     np.testing.assert_array_equal(of.thresholds, pooled)  # never above
+
+
+def test_descents_of_a_leg_without_peaks_may_ask_for_more_than_its_lifts_never_for_less(
+    noise: NoiseModel,
+) -> None:
+    of, pooled = recent(noise), recent(noise).thresholds
+    for ratio in (0.05, 0.01):
+        for _ in range(LEAST_LIFTS):
+            of.count(rows([1.0] * 10, ratio=0.05))
+            of.count(rows([1.0] * 10, ratio=ratio, lift=False))
+    share = of.thresholds / pooled
+    np.testing.assert_array_equal(share[DESCENT], share[LIFT])
+    for _ in range(OWN_LIFTS):
+        of.count(rows([1.0] * 10, ratio=0.3, lift=False))
+    share = of.thresholds / pooled
+    assert (share[DESCENT] > 1.5 * share[LIFT]).all()
+    assert (share[AFTER] == 1.0).all()
+    again = recent(noise)
+    again.restore(of.snapshot())
+    np.testing.assert_array_equal(again.thresholds, of.thresholds)
+
+
+def test_the_last_lifts_count_by_the_noise_that_they_were_judged_by(noise: NoiseModel) -> None:
+    of, pooled = recent(noise), recent(noise).thresholds
+    for _ in range(LEAST_LIFTS):
+        of.count(rows([1.0] * 10, ratio=0.1), None, 1.0)
+    share = of.thresholds[LIFT] / pooled[LIFT]
+    # The same residuals by a quarter of the variance: thresholds in rad stay as they are.
+    of.count(rows([1.0] * 10, ratio=0.1 / share[0] * 4.0 * share[0]), None, 0.25)
+    assert (of.thresholds[LIFT] * 0.25 >= 0.9 * share * pooled[LIFT] * 0.25).all()
+    assert (of.thresholds[LIFT] > 1.5 * share * pooled[LIFT]).all()
