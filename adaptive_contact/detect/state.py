@@ -57,13 +57,12 @@ PRESSED: Final = 3.0
 # And p is unknown again after so long of low commands without that: the robot may hang by now.
 IDLE_NS: Final = 20_000_000_000
 # The sum of pushes, averaged over so long after the turn and over the last stances, is the load.
-# Walking legs of two engines and of a real quadruped are at 1.3 to 8, hanging ones at -6 to 0.9
-# while their stances are not learned, and at -0.7 to 1.1 after that.  So a leg carries above the
-# first level and hangs below the second; one that carried or hung before has to be further off.
+# Legs that hang are at -6 to 2.8 (eight robots of the second engine, and a real quadruped), those
+# that walk at 5 to 8, with drives that hardly give way at 1 to 5.  So a leg carries above the first
+# level; it hangs below the second, or below the third if it carried.
 STANCE_NS: Final = 240_000_000
 LEAST_STANCES, STANCES = 3, 8
-LOADED, UNLOADED = 1.5, -1.0
-PUT_DOWN, LIFTED = 3.0, -3.0
+LOADED, UNLOADED, LIFTED = 3.0, -1.0, -3.0
 # Stances of a leg whose lifts are so far off say nothing.
 STRANGE: Final = 2.5
 # p is kept over so many ticks that cannot be judged.
@@ -118,7 +117,7 @@ def follow_load(leg):
     leg.stance_n, leg.stance_push = 0, 0.0
     if leg.load_n == STANCES and leg.load < (LIFTED if leg.carried else UNLOADED):
         leg.hanging, leg.carried = True, False
-    elif leg.load_n >= LEAST_STANCES and leg.load > (PUT_DOWN if leg.hanging else LOADED):
+    elif leg.load_n >= LEAST_STANCES and leg.load > LOADED:
         leg.hanging, leg.carried, leg.idle_n = False, True, 0
 
 
