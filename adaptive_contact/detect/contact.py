@@ -425,7 +425,7 @@ def enter_row(leg, swing, past, noise, kept, was_free, past_lift, air):
             row.ratio = scores[width]
     row.context = leg.context
     row.t_ns = leg.at_ns
-    row.high = is_high(leg, swing)
+    row.high, row.after = is_high(leg, swing), leg.after > 0
     row.was_free, row.cleared, row.push, row.repeats = was_free, leg.cleared, False, leg.repeats
     terms = len(theta)
     for k in range(terms):

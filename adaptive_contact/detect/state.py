@@ -89,7 +89,8 @@ def hangs(leg):
     What such a leg does after the turn to stance is not known: a robot that hangs alarmed there
     swing after swing.
     """
-    return leg.has_lengths and leg.from_prior and not leg.carried
+    judged = leg.carried or (leg.hanging and leg.after_known)
+    return leg.has_lengths and leg.from_prior and not judged
 
 
 @compiled

@@ -64,11 +64,13 @@ STRAY: Final = 1.3
 # The largest of fewer ticks says nothing.
 LEAST_ROWS: Final = 3
 # Names of the largest test ratios in a saved state.
-OWN: Final = ("own", "own_descents")
+OWN: Final = ("own", "own_descents", "own_after")
 # Of a leg from a prior the last so many lifts say how far below its thresholds it stays, once
 # there are so many; but no lower than to this share, which is what noise of a fifth asks for.
 OWN_LIFTS, LEAST_LIFTS = 40, 15
 LEAST_SHARE: Final = 0.2
+# After the turn a leg that hangs may stray further than the prior's noise, up to so many times.
+MOST_AFTER: Final = 25.0
 
 
 class NoiseTracker:
@@ -102,6 +104,7 @@ class NoiseTracker:
         # pooled thresholds and the prior's noise, each with its ticks.
         self._own_lifts = deque[tuple[float, int]](maxlen=OWN_LIFTS)
         self._own_descents = deque[tuple[float, int]](maxlen=OWN_LIFTS)
+        self._own_after = deque[tuple[float, int]](maxlen=OWN_LIFTS)
         self._shares = np.ones(3)  # of the pooled thresholds that these ask for, by direction
         self._pooled = self._least = self._of_tails(tails)
         self.whiten: Array = noise.whiten
@@ -127,10 +130,10 @@ class NoiseTracker:
         if rows.lifting:
             self._count_tail(rows, domain)
         if self._peaks is None and self._of_prior:
-            direction = LIFT if rows.lifting else DESCENT
-            ratio = float(np.fmax.reduce(rows.records["ratio"], initial=0.0))
-            own = ratio * float(self._shares[direction]) * scale
-            self._own[direction].append((own, len(rows)))
+            after = rows.records["after"]
+            self._count_own(rows[~after], LIFT if rows.lifting else DESCENT, scale)
+            if (after & ~rows.records["high"]).any():  # of a leg that hangs
+                self._count_own(rows[after], AFTER, scale)
             self._share(scale)
         elif (
             rows.lifting
@@ -144,6 +147,12 @@ class NoiseTracker:
             return False
         before, self.thresholds = self.thresholds, self._in_force()
         return not np.array_equal(before, self.thresholds)
+
+    def _count_own(self, rows: Rows, direction: int, scale: float) -> None:
+        if rows:
+            ratio = float(np.fmax.reduce(rows.records["ratio"], initial=0.0))
+            own = ratio * float(self._shares[direction]) * scale
+            self._own[direction].append((own, len(rows)))
 
     def _count_tail(self, rows: Rows, domain: Domain | None) -> None:
         tail = self._tails[0]
@@ -189,7 +198,9 @@ class NoiseTracker:
     @property
     def after_known(self) -> bool:
         """Whether the leg's noise after the turn to stance, in the air, is known."""
-        return self._peaks is not None and not bool(np.isnan(self._peaks.largest[AFTER]).any())
+        if self._peaks is None:
+            return len(self._own_after) >= LEAST_LIFTS
+        return not bool(np.isnan(self._peaks.largest[AFTER]).any())
 
     @property
     def refreshing(self) -> bool:
@@ -236,19 +247,22 @@ class NoiseTracker:
 
     @property
     def _own(self) -> tuple[deque[tuple[float, int]], ...]:
-        return self._own_lifts, self._own_descents
+        return self._own_lifts, self._own_descents, self._own_after
 
     def _share(self, scale: float) -> None:
         """Compute which share of the pooled thresholds the last lifts and descents ask for."""
         least, shares = 1.0, np.ones(3)
         for direction, own in enumerate(self._own):  # descents: not less than lifts
+            least = 1.0 if direction == AFTER else least
             share = least
             if len(own) >= LEAST_LIFTS:
-                # The second largest: one of them may have struck something.
-                second = sorted(ratio for ratio, _ in own)[-2] / scale
+                # The second largest: one of them may have struck something.  A leg that hangs
+                # rarely does.
+                largest = sorted(ratio for ratio, _ in own)[-1 if direction == AFTER else -2]
                 ticks = sum(ticks for _, ticks in own)
-                share = second * float(beyond(self._target_rate, 0.5 * ticks))
-                share = min(max(share, LEAST_SHARE if direction == LIFT else least), 1.0)
+                share = largest / scale * float(beyond(self._target_rate, 0.5 * ticks))
+                lower = LEAST_SHARE if direction == LIFT else least
+                share = min(max(share, lower), MOST_AFTER if direction == AFTER else 1.0)
             shares[direction] = least = share
         self._shares = shares
 

@@ -35,6 +35,7 @@ ROW: Final = np.dtype(
         ("was_free", np.bool_),  # the leg had been found free before
         ("cleared", np.bool_),  # the foot had left the ground before, by its height
         ("high", np.bool_),  # the foot was above half of its rise
+        ("after", np.bool_),  # after the turn to stance
         ("push", np.bool_),  # `sigma` and what was moved aside from it are set
         ("repeats", np.bool_),  # a reading repeated itself where the model expected motion
     ],

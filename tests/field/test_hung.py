@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -100,3 +101,31 @@ def test_another_gait_in_the_air_is_learned_in_silence(
     later = np.median([largest[swing] for swing in range(another + 20, another + 40)])
     assert later < 0.3 * largest[another]
     assert learner.place.leg.hanging
+
+
+def test_a_leg_that_hangs_is_found_stopped_half_way_down() -> None:
+    """Frozen for 60 ms, in swings whose lifts are predicted; there half of the way is in stance."""
+    robot = load_robot(DATA / "hung.toml")
+    learner, swing = ContactLearner(robot, "fl"), 0
+    stopped: list[int] = []
+    found: set[int] = set()
+    held: tuple[float, ...] = ()
+    left = 0
+    for message in read_recording(DATA / "hung.mcap", robot):
+        if message.key != "robot/leg/fl/servo":
+            continue
+        sample = decode(message.payload, ServoSample, message.encoding)
+        leg = learner.place.leg
+        begins = 40 <= swing < 70 and swing % 4 == 0 and leg.ticks == 17
+        if left:
+            sample = msgspec.structs.replace(sample, measured=held)
+            left -= 1
+        elif begins and learner.report.doubt is None:
+            held, left = sample.measured, 5
+            stopped.append(swing)
+        event = learner.update(sample)
+        swing += learner.place.leg.ticks == 1
+        if event is not None and event.contact:
+            found.add(swing)
+    assert len(stopped) >= 6
+    assert len(found & set(stopped)) >= 0.9 * len(stopped)

@@ -209,6 +209,28 @@ def test_descents_of_a_leg_without_peaks_may_ask_for_more_than_its_lifts_never_f
     np.testing.assert_array_equal(again.thresholds, of.thresholds)
 
 
+def test_ticks_after_the_turn_of_a_leg_that_hangs_have_a_threshold_of_their_own(
+    noise: NoiseModel,
+) -> None:
+    of, pooled = recent(noise), recent(noise).thresholds
+    for n in range(LEAST_LIFTS):
+        assert not of.after_known, n
+        descent = rows([1.0] * 6 + [9.0] * 4, ratio=0.1, lift=False)
+        descent.records["after"][6:] = True
+        descent.records["ratio"][6:] = 3.0
+        of.count(descent)
+    assert of.after_known
+    share = of.thresholds / pooled
+    assert (share[AFTER] > 3.0).all(), "above its own largest"
+    assert (share[DESCENT] == 1.0).all(), "which is not that of the descent"
+    high = recent(noise)
+    for _ in range(LEAST_LIFTS):
+        descent = rows([1.0] * 6 + [9.0] * 4, ratio=0.1, lift=False)
+        descent.records["after"][6:] = descent.records["high"][6:] = True
+        high.count(descent)
+    assert not high.after_known, "a foot that is high says nothing of one that is to touch"
+
+
 def test_the_last_lifts_count_by_the_noise_that_they_were_judged_by(noise: NoiseModel) -> None:
     of, pooled = recent(noise), recent(noise).thresholds
     for _ in range(LEAST_LIFTS):
