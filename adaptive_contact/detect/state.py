@@ -63,6 +63,8 @@ IDLE_NS: Final = 20_000_000_000
 STANCE_NS: Final = 240_000_000
 LEAST_STANCES, STANCES = 3, 8
 LOADED, UNLOADED, LIFTED = 3.0, -1.0, -3.0
+# A leg that hangs may have been put down where one stance is so much above the load.
+PUT_DOWN: Final = 1.0
 # Stances of a leg whose lifts are so far off say nothing.
 STRANGE: Final = 2.5
 # p is kept over so many ticks that cannot be judged.
@@ -113,10 +115,14 @@ def follow_load(leg):
         return
     if not leg.stance_n:
         return
-    leg.load_n = min(leg.load_n + 1, STANCES)
-    leg.load += (leg.stance_push / leg.stance_n - leg.load) / leg.load_n
+    push = leg.stance_push / leg.stance_n
     leg.stance_n, leg.stance_push = 0, 0.0
+    if leg.hanging and leg.load_n == STANCES and push > leg.load + PUT_DOWN:
+        leg.hanging, leg.load_n = False, 0  # what it learns from here on may carry
+    leg.load_n = min(leg.load_n + 1, STANCES)
+    leg.load += (push - leg.load) / leg.load_n
     if leg.load_n == STANCES and leg.load < (LIFTED if leg.carried else UNLOADED):
+        leg.load_n = leg.load_n if leg.hanging else 0  # learned from here on, it is another
         leg.hanging, leg.carried = True, False
     elif leg.load_n >= LEAST_STANCES and leg.load > LOADED:
         leg.hanging, leg.carried, leg.idle_n = False, True, 0

@@ -20,6 +20,7 @@ from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.contact import GUARD_TICKS, MIN_LIFT_ROWS
 from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, RESTARTED, TOPPED, TOUCH_KEPT, WEIGHED
 from adaptive_contact.detect.leg_batch import LegPlace
+from adaptive_contact.detect.state import PUT_DOWN
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
 from adaptive_contact.model.labelled_swing import (
     NO_ROWS,
@@ -123,8 +124,11 @@ class SwingLabels:
         self._unobserved += leg.resolved_whole
         first, last = leg.resolved_first, leg.resolved_last
         descent = self._rows(first, last)
-        if not (leg.from_prior and leg.hanging):
-            descent = descent[: last - first - low_rows(descent)]
+        pressed = leg.stance_push > (leg.load + PUT_DOWN) * leg.stance_n
+        if descent and (pressed or not (leg.from_prior and leg.hanging)):
+            records = descent.records
+            descent = descent[~records["after"] | records["high"]]
+            descent = descent[: len(descent) - low_rows(descent)]
         return [
             *self._contact(),  # of a touch that the end of its swing has cut short
             *self._confirmed(descent, lifted=self._swing.had_lifted),
