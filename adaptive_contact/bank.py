@@ -102,7 +102,7 @@ class LegGroup:
                 if learner.take(sample):
                     here = True
                     self._open.add(i)
-            except Exception as fault:
+            except Exception as fault:  # of this leg alone, see `_reset`
                 self._reset(i, fault)
         if not here:
             return events
@@ -113,7 +113,7 @@ class LegGroup:
                 if flags & EVENTS and batch.accepted[learner.place.row]:
                     try:
                         events[i] = learner.event_of(flags)
-                    except Exception as fault:
+                    except Exception as fault:  # of this leg alone, see `_reset`
                         self._reset(i, fault)
         return events
 
@@ -131,14 +131,14 @@ class LegGroup:
                         try:
                             if self.learners[i].finish(flags):
                                 another.append(i)
-                        except Exception as fault:
+                        except Exception as fault:  # of this leg alone, see `_reset`
                             self._reset(i, fault)
                 batch.finish()
             self._open.clear()
             for i in another:
                 try:
                     self.learners[i].take_up_model()
-                except Exception as fault:
+                except Exception as fault:  # of this leg alone, see `_reset`
                     self._reset(i, fault)
         self._regroup()
 

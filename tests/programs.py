@@ -104,7 +104,7 @@ class Program:
         """End it, if the test has not."""
         if self.process.poll() is None:
             self.process.terminate()
-            self.process.send_signal(signal.SIGCONT)  # one that stands still hears nothing
+            self.process.send_signal(signal.SIGCONT)  # a stopped process handles no signal
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(END_S)
             self.process.kill()

@@ -12,6 +12,9 @@ upper half of the leg's own range.  A leg that has changed is so judged by what 
 push of the last ticks is added up with a forgetting of one half a tick.  Residuals of neighbouring
 ticks are not independent: a longer sum is too sure, and no better.
 
+Averaged over stances, the push is the *load*: it says whether a leg carries or hangs (decision 53).
+By it, a leg that began with a prior is judged after the turn, or learns all of its swing.
+
 The commanded height sets odds and is no evidence: it stays within :data:`MOST_NATS`.  So p is
 unknown until a stance has departed from the free path, as that of a robot that hangs never does.
 
@@ -122,7 +125,8 @@ def follow_load(leg):
     leg.load_n = min(leg.load_n + 1, STANCES)
     leg.load += (push - leg.load) / leg.load_n
     if leg.load_n == STANCES and leg.load < (LIFTED if leg.carried else UNLOADED):
-        leg.load_n = leg.load_n if leg.hanging else 0  # learned from here on, it is another
+        if not leg.hanging:
+            leg.load_n = 0  # measured again, as its stances are learned from here on
         leg.hanging, leg.carried = True, False
     elif leg.load_n >= LEAST_STANCES and leg.load > LOADED:
         leg.hanging, leg.carried, leg.idle_n = False, True, 0

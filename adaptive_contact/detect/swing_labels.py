@@ -125,7 +125,7 @@ class SwingLabels:
         first, last = leg.resolved_first, leg.resolved_last
         descent = self._rows(first, last)
         pressed = leg.stance_push > (leg.load + PUT_DOWN) * leg.stance_n
-        if descent and (pressed or not (leg.from_prior and leg.hanging)):
+        if descent and (pressed or not self._hangs):
             records = descent.records
             descent = descent[~records["after"] | records["high"]]
             descent = descent[: len(descent) - low_rows(descent)]
@@ -148,6 +148,11 @@ class SwingLabels:
         return self._confirmed(rows, lifted=self._swing.lifted)
 
     # -- private -------------------------------------------------------------------------------
+
+    @property
+    def _hangs(self) -> bool:
+        """Whether a leg that began with a prior hangs: nothing of its swing is a touch."""
+        return bool(self._place.leg.from_prior and self._place.leg.hanging)
 
     def _begin_swing(self) -> None:
         self._travel_judged = False
@@ -181,7 +186,7 @@ class SwingLabels:
             rows = moving(self._rows(first, count))
             if len(rows) >= MIN_LIFT_ROWS:
                 found.append(LabelledSwing(Label.LIFT, rows, self._region, leg.at_ns))
-            if first and leg.from_prior and leg.hanging:  # nothing had to let the foot go
+            if first and self._hangs:  # nothing had to let the foot go
                 early = self._rows(0, first)
                 found.append(LabelledSwing(Label.DESCENT, early, self._region))
         return found

@@ -15,8 +15,9 @@ Where the baseline knows the leg's own free maxima (:mod:`adaptive_contact.model
 the thresholds, up to those of the tail.  They follow the median of the last lifts' maxima: a joint
 that reads more coarsely shows in the next lifts, a foot that strikes something in few of them.
 
-The tail is never narrowed, nor the trace lowered: a leg that fits better by chance is not judged
-more strictly for it.
+The tail is never narrowed, nor the trace lowered: a leg with a baseline that fits better by chance
+is not judged more strictly for it.  A leg that began with a prior takes its thresholds from its own
+last lifts, descents and, where it hangs, ticks after the turn (decision 53).
 """
 
 from __future__ import annotations

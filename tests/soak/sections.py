@@ -185,7 +185,7 @@ class Releases(NamedTuple):
 def judge_releases(stream: LegStream, events: Events) -> Releases:
     """Hold the releases of a leg against the truth.
 
-    A leg that was free at the release's onset and touches anew at its deciding sample was truly
+    A leg that was free at the release's onset and touches again at its deciding sample was truly
     released; the touch is another matter, and is found or missed.
 
     Args:
