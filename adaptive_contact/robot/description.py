@@ -63,20 +63,20 @@ class AngleFrame:
         )
 
     def angles(self, wire: list[float]) -> list[float]:
-        """(J,) rad of the description for (J,) rad of the wire."""
+        """Convert angles of the wire, (J,) rad, to the description's."""
         if len(wire) != self._joints:
             return wire
         turned = zip(self.directions, wire, self.offsets_rad, strict=True)
         return [d * w + o for d, w, o in turned]
 
     def wire(self, angles: Sequence[float]) -> list[float]:
-        """(J,) rad of the wire for (J,) rad of the description."""
+        """Convert angles of the description, (J,) rad, to the wire's."""
         turned = zip(self.directions, angles, self.offsets_rad, strict=True)
         return [d * (q - o) for d, q, o in turned]
 
 
 def angles_text(directions: Sequence[int], offsets_rad: Sequence[float], table: str) -> str:
-    """What to write into ``robot.toml``, in one line.
+    """Format what to write into ``robot.toml``, in one line.
 
     Args:
         directions: (J,) 1 or -1.
@@ -109,21 +109,21 @@ ROBOT_HOUR_TICKS: Final = 540_000
 
 
 class Mount(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a leg sits on the body: position in metres, yaw of its zero direction in rad."""
+    """Places a leg on the body: position in metres, yaw of its zero direction in rad."""
 
     xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw_rad: float = 0.0
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """(J,) rad joint limits."""
+    """Holds the joint limits, (J,) rad each."""
 
     lower_rad: tuple[float, ...]
     upper_rad: tuple[float, ...]
 
 
 class Angles(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a source's angles become the description's: ``direction * wire + offset``."""
+    """Converts a source's angles to the description's: ``direction * wire + offset``."""
 
     directions: tuple[int, ...] | None = None  # (J,) 1 or -1; all 1 where absent
     # (J,) the description's angle of a joint whose source says 0; all 0 where absent
@@ -131,7 +131,7 @@ class Angles(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A leg's servos on their bus.
+    """Describes a leg's servos on their bus.
 
     A joint's angle is ``direction * (position - centre) + offset``, the servo's position and
     centre being those of its horn.
@@ -148,12 +148,12 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def models(self) -> tuple[str, ...]:
-        """(J,) the model of each servo."""
+        """Return the model of each servo, (J,)."""
         return (self.model,) * len(self.ids) if isinstance(self.model, str) else self.model
 
 
 class LegRos2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A leg's names in ROS 2."""
+    """Holds a leg's names in ROS 2."""
 
     joints: tuple[str, ...]  # (J,) ROS names of the leg's joints, in the order of ``joints``
     # state, command, phase, truth: topics of this leg alone, instead of those of ``[ros2]``
@@ -166,7 +166,7 @@ class LegRos2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Ros2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Topics of ROS 2 that carry the legs' readings and commands.
+    """Names the topics of ROS 2 that carry the legs' readings and commands.
 
     ``{leg}`` in a topic stands for the leg's id.
     """
@@ -186,7 +186,7 @@ class Ros2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The servo's control law as far as the robot's owner can read it off the registers."""
+    """Describes the servo's control law, as far as its registers show it."""
 
     # position error at which the drive saturates (AX-12A: compliance slope 32 of 1023 steps over
     # 300 degrees, 0.164 rad).  The library offers its neighbours too, so a rough value is enough.
@@ -194,13 +194,13 @@ class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the owner asks of the detector."""
+    """Holds the owner's settings of the detector."""
 
     false_alarms_per_hour: float = 1.0  # target per robot-hour (540,000 swing leg-ticks)
 
 
 class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
-    """One leg: its joints from the body outwards, and what is known of them."""
+    """Describes one leg: its joints from the body outwards, and what is known of them."""
 
     id: str
     joints: tuple[str, ...]
@@ -219,7 +219,7 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     @cached_property
     def joint_axes(self) -> tuple[Axis, ...]:
-        """The axis of every joint: a word, or a unit vector that no word says.
+        """Return the axis of every joint: a word, or a unit vector where no word fits.
 
         Without ``axes``: a yaw first where there are 3 joints or more.
         """
@@ -231,21 +231,21 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     @cached_property
     def chain(self) -> Chain | None:
-        """The leg's geometry; None where neither lengths nor origins are given."""
+        """Return the leg's geometry; None where neither lengths nor origins are given."""
         if self.origins_m is not None:
             return Chain(self.joint_axes, self.origins_m)
         return None if self.lengths_m is None else straight(self.lengths_m, self.joint_axes)
 
 
 def _axis(direction: Vector) -> Axis:
-    """A unit vector along a direction, or its word."""
+    """Return a direction's word, or the unit vector along it."""
     length = math.hypot(*direction)
     x, y, z = (part / length + 0.0 for part in direction)
     return _WORDS.get((x, y, z), (x, y, z))
 
 
 class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A serial port of the bridge."""
+    """Describes a serial port of the bridge."""
 
     device: str  # such as ``/dev/ttyUSB0``
     baud: int = 1_000_000  # bits per second
@@ -258,7 +258,7 @@ class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Robot(msgspec.Struct, frozen=True):
-    """A checked robot description."""
+    """Describes a robot; checked."""
 
     name: str
     period_s: float
@@ -272,7 +272,7 @@ class Robot(msgspec.Struct, frozen=True):
 
     @property
     def leg_ids(self) -> tuple[str, ...]:
-        """Ids in the file's order."""
+        """Return the legs' ids in the file's order."""
         return tuple(leg.id for leg in self.legs)
 
     def leg(self, leg_id: str) -> Leg:
@@ -289,10 +289,10 @@ class Robot(msgspec.Struct, frozen=True):
         )
 
     def quantum(self, leg_id: str) -> float:
-        """Position step of a leg's servos, rad; what is assumed where none is described."""
+        """Return the position step of a leg's servos, rad; a default where none is described."""
         own = self.leg(leg_id).quantum_rad
         return self.quantum_rad if own is None else own
 
     def knows_step(self, leg_id: str) -> bool:
-        """Whether the position step of a leg's servos is described."""
+        """Return whether the position step of a leg's servos is described."""
         return self.steps_known or self.leg(leg_id).quantum_rad is not None

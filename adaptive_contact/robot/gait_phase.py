@@ -31,7 +31,7 @@ LIFT_OFF_TICKS: Final = 5
 
 
 class Direction(enum.IntEnum):
-    """Where a swing's command is heading; the values index conditional statistics."""
+    """Names the direction of a swing's command; the values index conditional statistics."""
 
     LIFT = 0
     DESCENT = 1
@@ -74,7 +74,7 @@ class PhaseTracker:
 
 
 def infer_phase(desired: Array, leg: Leg) -> Mask | None:
-    """Swing mask of a stream of commands, (n, J) rad to (n,) bool; None without geometry."""
+    """Infer the swing mask, (n,) bool, from commands, (n, J) rad; None without geometry."""
     if leg.chain is None:
         return None
     tracker = PhaseTracker(size=leg.chain.size)
@@ -83,7 +83,7 @@ def infer_phase(desired: Array, leg: Leg) -> Mask | None:
 
 
 def directions(desired: Array, leg: Leg) -> Ints:
-    """Direction of every tick from the height of its command against the one before.
+    """Return each tick's direction: the height of its command against the one before.
 
     Args:
         desired: (n, J) rad, one row per tick without gaps.

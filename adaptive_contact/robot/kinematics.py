@@ -44,12 +44,12 @@ AXES: Final[dict[str, Vector]] = {
 
 
 def axis_text(axis: str | Vector) -> str:
-    """An axis for a person: its word, or ``0 0.5 0.87``."""
+    """Format an axis for a person: its word, or ``0 0.5 0.87``."""
     return axis if isinstance(axis, str) else " ".join(f"{x:.3g}" for x in axis)
 
 
 def yaws_then_pitches(axes: Sequence[str | Vector]) -> bool:
-    """Whether all yaws come before all pitches, and there is nothing else."""
+    """Return whether all yaws come before all pitches, and there is nothing else."""
     kinds = [axis if isinstance(axis, str) else "" for axis in axes]
     yaws = kinds.count("yaw")
     return all(kind == "yaw" for kind in kinds[:yaws]) and all(
@@ -59,7 +59,7 @@ def yaws_then_pitches(axes: Sequence[str | Vector]) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Chain:
-    """The geometry of one leg."""
+    """Describes the geometry of one leg."""
 
     # (J,) a word of `AXES`, or a unit vector of the leg's frame, with all angles 0
     axes: tuple[str | Vector, ...]
@@ -68,28 +68,28 @@ class Chain:
 
     @cached_property
     def is_straight(self) -> bool:
-        """Whether it is of yaws, then pitches, with all links along x."""
+        """Return whether it consists of yaws, then pitches, with all links along x."""
         return yaws_then_pitches(self.axes) and not any(y or z for _, y, z in self.origins_m)
 
     @cached_property
     def vectors(self) -> Array:
-        """(J, 3) the axes, all as vectors."""
+        """Return the axes as vectors, (J, 3)."""
         return np.array(self.axis_vectors)
 
     @cached_property
     def reach_m(self) -> float:
-        """No foot is further from its first joint, m."""
+        """Return the sum of the links' lengths, m: no foot is further from its first joint."""
         return sum(math.hypot(*origin) for origin in self.origins_m)
 
     @cached_property
     def size(self) -> float:
-        """Reach in those of the hexapod's legs, whose limits in m hold for others in proportion."""
+        """Return the reach over a hexapod leg's; limits in m scale with it."""
         # Reach of the leg on which limits of lengths were measured: the PhantomX-class hexapod's.
         return self.reach_m / 0.256
 
     @cached_property
     def raises_foot(self) -> bool:
-        """Whether any joint can raise the foot in any posture; looked at without numpy."""
+        """Return whether any joint can raise the foot in any posture; computed without numpy."""
         joints = range(len(self.axes))
         least_m = 1e-9 * self.reach_m  # as of `lifts`, and its postures
         for k in range(1, 17):
@@ -102,7 +102,7 @@ class Chain:
 
     @cached_property
     def lifts(self) -> Mask:
-        """(J,) whether a joint can raise the foot in any posture; a yaw on top never does."""
+        """Return whether each joint, (J,), can raise the foot at all; a yaw on top cannot."""
         if self.is_straight:
             return self._pitched
         joints = len(self.axes)
@@ -121,7 +121,7 @@ class Chain:
         return tuple(origin[0] for origin in self.origins_m)
 
     def foot(self, q: ArrayLike) -> Array:
-        """Foot position in the leg's frame, (..., J) rad to (..., 3) m."""
+        """Compute the foot's position in the leg's frame, (..., J) rad to (..., 3) m."""
         angles = np.asarray(q, dtype=np.float64)
         if not self.is_straight:
             place = np.zeros((*angles.shape[:-1], 3))
@@ -146,7 +146,7 @@ class Chain:
         return place
 
     def point(self, q: Sequence[float]) -> Vector:
-        """Place of the foot in one posture, m, equal to ``foot(q)``: what a control tick asks.
+        """Compute the foot's position in one posture, m, equal to ``foot(q)``; for control ticks.
 
         Plain floats; for so few of them numpy's call overhead is twenty times the arithmetic.
         """
@@ -185,11 +185,11 @@ class Chain:
 
     @cached_property
     def axis_vectors(self) -> tuple[Vector, ...]:
-        """(J,) the axes, all as vectors, of plain floats."""
+        """Return the axes as vectors of plain floats, (J,)."""
         return tuple(AXES[axis] if isinstance(axis, str) else axis for axis in self.axes)
 
     def height_gradients(self, q: ArrayLike) -> Array:
-        """How the foot rises with each joint, (..., J) rad to (..., J) m per rad.
+        """Compute the gradient of the foot's height, (..., J) rad to (..., J) m per rad.
 
         The third row of the leg's Jacobian; 0 for a joint whose axis is upright.
         """
@@ -203,7 +203,7 @@ class Chain:
         return np.asarray(np.where(self._pitched, beyond, 0.0))
 
     def frames(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Where the joints are, and how they turn, in the leg's frame.
+        """Compute the joints' positions and directions in the leg's frame.
 
         Args:
             q: (..., J) rad.
@@ -228,7 +228,7 @@ class Chain:
 
 
 def straight(lengths_m: Sequence[float], axes: Sequence[str | Vector]) -> Chain:
-    """The chain of links that lie along x with all angles 0.
+    """Make the chain of links that lie along x with all angles 0.
 
     Args:
         lengths_m: (J,) m from the body outwards.
@@ -238,7 +238,7 @@ def straight(lengths_m: Sequence[float], axes: Sequence[str | Vector]) -> Chain:
 
 
 def link_angles(q: ArrayLike, axes: Sequence[str | Vector]) -> Array:
-    """Absolute pitch of every link over the horizon of the leg's frame, of yaws, then pitches.
+    """Return every link's pitch over the leg's horizon, for yaws, then pitches.
 
     Args:
         q: (..., J) rad joint angles.
@@ -253,19 +253,19 @@ def link_angles(q: ArrayLike, axes: Sequence[str | Vector]) -> Array:
 
 
 def foot(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str | Vector]) -> Array:
-    """:meth:`Chain.foot` of a :func:`straight` chain, (..., J) rad to (..., 3) m."""
+    """Compute the foot of a :func:`straight` chain, (..., J) rad to (..., 3) m."""
     return straight(lengths_m, axes).foot(q)
 
 
 def turned(vectors: Array, axis: Array, angles: Array) -> Array:
-    """(..., 3) vectors, turned about an axis by (...) rad (Rodrigues)."""
+    """Rotate vectors, (..., 3), about an axis by angles, (...) rad (Rodrigues)."""
     cos, sin = np.cos(angles)[..., None], np.sin(angles)[..., None]
     along = (vectors @ axis)[..., None] * (1.0 - cos)
     return np.asarray(vectors * cos + np.cross(axis, vectors) * sin + axis * along)
 
 
 def inverse(point_m: ArrayLike, lengths_m: Sequence[float]) -> Array:
-    """Joint angles that put the foot of a yaw-pitch-pitch leg at a point, knee up.
+    """Compute joint angles that put a yaw-pitch-pitch leg's foot at a point, knee up.
 
     Args:
         point_m: (..., 3) m in the leg's frame.

@@ -196,7 +196,7 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
 
 
 def _is_angle(value: float) -> bool:
-    """Within a turn each way; false for NaN, and for most angles in degrees."""
+    """Return whether a value is within a turn each way; False for NaN."""
     return -2 * math.pi <= value <= 2 * math.pi
 
 

@@ -62,13 +62,13 @@ class _Joint:
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        """Its range within a turn each way, rad; None where there is none."""
+        """Return its range within a turn each way, rad; None where there is none."""
         low, high = max(self.lower, -math.tau), min(self.upper, math.tau)
         return (low, high) if low < high else None
 
     @property
     def odd(self) -> str | None:
-        """Angles that no joint has, for a person: often degrees."""
+        """Describe angles that no joint has, for a person: often degrees."""
         largest = max(map(abs, (*self.rpy, self.lower, self.upper)))
         if largest <= math.tau + _SNAP and self.lower <= self.upper:
             return None
@@ -78,7 +78,7 @@ class _Joint:
 
 @dataclasses.dataclass(frozen=True)
 class UrdfLegs:
-    """What a file says of a robot's legs."""
+    """Holds what a file says of a robot's legs."""
 
     name: str  # of the robot; empty where it has none
     base: str  # the link that is the body
@@ -87,7 +87,7 @@ class UrdfLegs:
 
 
 class Urdf:
-    """The links and joints of a URDF.
+    """Reads the links and joints of a URDF.
 
     Args:
         data: the file's bytes.
@@ -123,7 +123,7 @@ class Urdf:
 
     @property
     def tips(self) -> list[str]:
-        """The links that carry no other, and that joints move."""
+        """Return the links that carry no other, and that joints move."""
         carrying = {joint.parent for joint in self._joints}
         return [link for link in self.links if link in self._moved and link not in carrying]
 
@@ -288,7 +288,7 @@ class Urdf:
     # -- the tree ----------------------------------------------------------------------------------
 
     def _tree(self) -> dict[str, _Joint]:
-        """The joint that carries each link but the roots."""
+        """Return the joint that carries each link but the roots."""
         for names, what in ((self.links, "link"), ([j.name for j in self._joints], "joint")):
             seen: set[str] = set()
             for name in names:
@@ -343,7 +343,7 @@ class Urdf:
         return path
 
     def last_links(self) -> str:
-        """The links that carry no other, for a person."""
+        """Describe the links that carry no other, for a person."""
         tips = sorted(self.tips, key=lambda link: not _FOOT.search(link))
         more = f" and {len(tips) - _LISTED} more" if len(tips) > _LISTED else ""
         return ", ".join(tips[:_LISTED] or ["none"]) + more
@@ -356,7 +356,7 @@ class Urdf:
         return above
 
     def _body(self, paths: Mapping[str, Sequence[_Joint]], root: str, base: str | None) -> str:
-        """The link from which the legs' mounts are measured."""
+        """Return the link from which the legs' mounts are measured."""
         links = [[root, *(joint.child for joint in path)] for path in paths.values()]
         if base is not None:
             for leg, own in zip(paths, links, strict=True):
@@ -455,14 +455,14 @@ def read_urdf(path: Path) -> Urdf:
 
 
 def _shown(joint: _Joint) -> str:
-    """A joint for a person; a rod that follows another makes a leg more than a chain."""
+    """Describe a joint for a person; a rod that follows another makes a leg more than a chain."""
     if joint.mimics is None:
         return joint.name
     return f"{joint.name} (follows {printable(joint.mimics)}; its load is not modelled)"
 
 
 def _rotation(rpy: Vector) -> Array:
-    """(3, 3) of fixed-axis roll, pitch and yaw."""
+    """Return the (3, 3) matrix of fixed-axis roll, pitch and yaw."""
     rows = np.eye(3)
     for axis, angle in zip(np.eye(3), rpy, strict=True):
         rows = turned(rows, axis, np.asarray(angle))
@@ -470,7 +470,7 @@ def _rotation(rpy: Vector) -> Array:
 
 
 def _written(vector: Array) -> Vector:
-    """A vector as a description has it, without what few digits of pi have made."""
+    """Round a vector as descriptions have it, without what few digits of pi have made."""
     nearest = np.rint(vector)
     snapped = np.where(np.abs(vector - nearest) < _SNAP, nearest, vector)
     x, y, z = (_rounded(float(part)) for part in snapped)
@@ -478,7 +478,7 @@ def _written(vector: Array) -> Vector:
 
 
 def _is_raised(leg: Leg) -> bool:
-    """Whether the foot is above its first joint where a leg hardly has it."""
+    """Return whether the foot is above its first joint where a leg hardly has it."""
     chain, postures = leg.chain, [[0.0] * len(leg.joints)]
     assert chain is not None
     if leg.limits is not None:

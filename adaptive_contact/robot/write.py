@@ -10,7 +10,7 @@ from adaptive_contact.robot.description import Leg, Port, Robot, ServoBus
 
 
 def write_robot(robot: Robot) -> str:
-    """A description as TOML text; comments show what is still to be filled in."""
+    """Format a description as TOML; comments show what is still to be filled in."""
     say = _Commented()
     say.line("[robot]")
     say.line(f"name = {_text(robot.name)}")

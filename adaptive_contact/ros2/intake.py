@@ -51,7 +51,7 @@ def check_mapped(robot: Robot, source: str) -> None:
 
 
 class _LegState:
-    """What is known of a leg between messages."""
+    """Holds what is known of a leg between messages."""
 
     def __init__(self, leg: Leg) -> None:
         assert leg.ros2 is not None
@@ -71,7 +71,7 @@ class _LegState:
 
 
 class _Roles:
-    """What a topic carries, and for whom."""
+    """Describes what a topic carries, and for which legs."""
 
     def __init__(self) -> None:
         self.states: list[_LegState] = []
@@ -82,7 +82,7 @@ class _Roles:
 
     @property
     def types(self) -> tuple[str, ...]:
-        """Types that it may have."""
+        """Return the types that the topic may have."""
         found: dict[str, None] = {}
         found |= dict.fromkeys(STATES if self.states else ())
         found |= dict.fromkeys(COMMANDS if self.commands else ())
@@ -148,7 +148,7 @@ class Intake:
             switched.truth = state
 
     def topics(self, *, truth: bool) -> dict[str, tuple[str, ...]]:
-        """Topics to read, and the types that each may have.
+        """Return the topics to read, and the types that each may have.
 
         Args:
             truth: those of foot switches, too.
@@ -161,11 +161,11 @@ class Intake:
 
     @property
     def silent(self) -> tuple[str, ...]:
-        """Legs of which no sample has been made yet."""
+        """Return the legs of which no sample has been made yet."""
         return tuple(leg.id for leg in self._legs.values() if not leg.samples)
 
     def topics_of(self, leg: str) -> tuple[str, ...]:
-        """Topics that a leg's samples are made of."""
+        """Return the topics that a leg's samples are made of."""
         state = self._legs[leg]
         return tuple(
             topic
@@ -270,7 +270,7 @@ class Intake:
         t_ns: int,
         origin: Origin,
     ) -> ServoSample | None:
-        """A leg's sample, None where there is none; its tick passes all the same."""
+        """Make a leg's sample; None where there is none, though its tick is counted."""
         seq = self._ticks.tick(publisher, leg.id, t_ns, origin)
         measured = [float(readings[i]) for i in at]
         if commands is not None:
@@ -319,7 +319,7 @@ class Intake:
         )
 
     def _moves_without_command(self, topic: str, leg: _LegState, measured: list[float]) -> bool:
-        """Whether the command in force is not known: the leg leaves the last, and none came."""
+        """Return whether the leg has left its last command: a newer one must be in force."""
         leg.waited += 1
         if leg.waited >= self._no_command_ticks and leg.further < _FURTHER:
             off = math.dist(measured, leg.desired)
@@ -349,7 +349,7 @@ class Intake:
     def _layout(
         self, topic: str, names: tuple[str, ...], *, whole: bool
     ) -> list[tuple[_LegState, list[int]]]:
-        """Which value of a message belongs to which joint of which leg."""
+        """Find which value of a message belongs to which joint of which leg."""
         layouts = self._layouts.setdefault(topic, {})
         found = layouts.get(names)
         if found is None:
@@ -390,7 +390,7 @@ class Intake:
         )
 
     def _tell_missing(self, topic: str, names: tuple[str, ...], *, whole: bool) -> None:
-        """A leg that is there in part; of a controller's state, also one that is not there."""
+        """Report legs that lack joints; of a controller's state, also legs that lack all."""
         twice = _twice(names)
         for leg in self._roles[topic].states:
             if doubled := [name for name in leg.names if name in twice]:
@@ -430,7 +430,7 @@ class Intake:
     def _command_values(
         self, topic: str, type_name: str, message: Any, roles: _Roles
     ) -> Mapping[str, float] | None:
-        """Commanded angles by joint; None where a message has none that can be used."""
+        """Return the commanded angles by joint; None where a message has none that can be used."""
         if type_name == RosType.ARRAY:
             names, positions = roles.order, message.data
             if names is None:
@@ -466,7 +466,7 @@ class Intake:
         return {name: float(value) for name, value in pairs if name not in twice}
 
     def _truth(self, leg: _LegState, touches: bool, origin: Origin) -> list[tuple[str, Message]]:
-        """A change of a foot switch, on the clock of the samples' stamps."""
+        """Return a change of a foot switch, on the clock of the samples' stamps."""
         if self._offset_ns is None:
             if len(self._early) < len(self._legs):
                 self._early.append((leg, touches, origin))

@@ -12,7 +12,7 @@ _SHOWN: Final = 4  # names in a line
 
 
 class Reason(enum.StrEnum):
-    """Why a message, or what one leg has of it, was not used."""
+    """Names why a message, or what one leg has of it, was not used."""
 
     WRONG_TYPE = "wrong_type"
     WRONG_HASH = "wrong_hash"
@@ -34,11 +34,11 @@ OnProblem = Callable[[str, Reason, str], None]
 
 
 class CdrError(Exception):
-    """A payload is no message of its type."""
+    """Reports a payload that is no message of its type."""
 
 
 class UnknownHashError(Exception):
-    """A type's hash is of no definition that is known; the text names those that are."""
+    """Reports a type's hash that matches no known definition; the text names those known."""
 
 
 class Complaints:
@@ -81,7 +81,7 @@ class Complaints:
         return f"{topic}: {detail}" + (f" ({times} times)" if times > 1 else "")
 
     def lines(self) -> list[str]:
-        """One line of every kind, with its count."""
+        """Return one line of every kind, with its count."""
         return [
             f"{topic}: {self.first[topic, reason]}" + (f" ({times} times)" if times > 1 else "")
             for (topic, reason), times in self.counts.items()

@@ -31,7 +31,7 @@ _MEANS: Final = {
 
 
 def topic_of_leg(node: str, leg: str) -> str:
-    """Topic of a leg's contact: ``/adaptive_contact/lf/contact``; ROS names hold no '-' or '.'."""
+    """Return a leg's contact topic, ``/adaptive_contact/lf/contact``; '-' and '.' become '_'."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", leg)
     return f"/{node}/{name if not name[0].isdigit() else '_' + name}/contact"
 
@@ -84,7 +84,7 @@ class Report:
         return self._types.encode(self._types.types[RosType.BOOL](data=event.contact))
 
     def all_legs(self, ages_s: Mapping[str, float], valid: Container[str]) -> bytes:
-        """A ``DynamicJointState`` of all legs.
+        """Encode the contacts of all legs as a ``DynamicJointState``.
 
         A leg's values: contact (0 or 1), score, onset age in seconds (how long before the deciding
         sample the foot touched or let go), withheld and valid (0 or 1), age in seconds.  What was
@@ -125,7 +125,7 @@ class Report:
         return self._table(max(of.t_ns for of in states.values()), ("contact", "p", "known"), rows)
 
     def _table(self, t_ns: int, names: Sequence[str], rows: Sequence[Sequence[float]]) -> bytes:
-        """A ``DynamicJointState`` with a row per leg."""
+        """Encode a ``DynamicJointState`` with a row per leg."""
         types = self._types.types
         value = types["control_msgs/msg/InterfaceValue"]
         message = types[RosType.JOINT_VALUES](
@@ -145,7 +145,7 @@ class Report:
         gateway: Mapping[str, object],
         trouble: str | None,
     ) -> bytes:
-        """A ``DiagnosticArray`` of all learners and of the gateway.
+        """Encode a ``DiagnosticArray`` of all learners and of the gateway.
 
         Args:
             now_ns: wall clock.
@@ -198,7 +198,7 @@ class Report:
 
 
 def header(types: Types, time_ns: int) -> Any:
-    """A ``Header`` of a time."""
+    """Make a ``Header`` of a time."""
     seconds, rest = divmod(time_ns, _NS)
     seconds = min(max(seconds, -(2**31)), 2**31 - 1)  # a stamp has 32 bits of them
     stamp = types.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)

@@ -50,7 +50,7 @@ _ID_BYTES: Final = 16
 
 
 class Address(NamedTuple):
-    """What a key of rmw_zenoh says."""
+    """Holds what a key of rmw_zenoh names."""
 
     topic: str  # with a leading slash
     type: str  # such as ``sensor_msgs/msg/JointState``
@@ -58,7 +58,7 @@ class Address(NamedTuple):
 
 
 class Attachment(NamedTuple):
-    """What a publisher says of a message."""
+    """Holds what a publisher attaches to a message."""
 
     seq: int  # +1 with every message of the publisher
     time_ns: int  # when it was published, ns since 1970
@@ -66,7 +66,7 @@ class Attachment(NamedTuple):
 
 
 class Node(NamedTuple):
-    """A node as its tokens name it."""
+    """Describes a node as its tokens name it."""
 
     domain: int  # ``ROS_DOMAIN_ID``
     session: str  # Zenoh id of its session
@@ -74,13 +74,13 @@ class Node(NamedTuple):
 
     @property
     def token(self) -> str:
-        """Liveliness token of the node itself."""
+        """Return the liveliness token of the node itself."""
         return f"@ros2_lv/{self.domain}/{self.session}/0/0/NN/%/%/{self.name}"
 
     def endpoint_token(
         self, kind: Literal["MP", "MS"], number: int, address: Address, quality: str
     ) -> str:
-        """Liveliness token of a publisher (``MP``) or subscription (``MS``) of this node."""
+        """Return the token of a publisher (``MP``) or subscription (``MS``) of this node."""
         return (
             f"@ros2_lv/{self.domain}/{self.session}/0/{number}/{kind}/%/%/{self.name}/"
             f"{address.topic.replace('/', '%')}/{dds_name(address.type)}/{address.hash}/{quality}"
@@ -94,23 +94,23 @@ def dds_name(type_name: str) -> str:
 
 
 def _ros_name(dds: str) -> str:
-    """The type of a name in a key; another text as it is."""
+    """Convert a type's name in a key to ROS's; other texts stay as they are."""
     package, found, name = dds.partition("::msg::dds_::")
     return f"{package}/msg/{name.removesuffix('_')}" if found else dds
 
 
 def topic_key(domain: int, address: Address) -> str:
-    """Key that messages of a topic are published on."""
+    """Return the key that messages of a topic are published on."""
     return f"{domain}/{address.topic.strip('/')}/{dds_name(address.type)}/{address.hash}"
 
 
 def any_type(domain: int, topic: str) -> str:
-    """Key expression of a topic's messages of any type, so that a wrong one can be named."""
+    """Return the key expression of a topic's messages of any type, so that a wrong one is named."""
     return f"{domain}/{topic.strip('/')}/*/*"
 
 
 def address_of(key: str) -> Address | None:
-    """What the key of a message says; None where it is none of rmw_zenoh's."""
+    """Parse the key of a message; None where it is none of rmw_zenoh's."""
     parts = key.split("/")
     if len(parts) < 4:
         return None
@@ -118,12 +118,12 @@ def address_of(key: str) -> Address | None:
 
 
 def publishers(domain: int) -> str:
-    """Key expression of the tokens of all publishers."""
+    """Return the key expression of the tokens of all publishers."""
     return f"@ros2_lv/{domain}/*/*/*/MP/*/*/*/*/*/*/*"
 
 
 def published(token: str) -> Address | None:
-    """What a publisher's token says that it publishes; None for another token."""
+    """Return the address that a publisher's token names; None for another token."""
     parts = token.split("/")
     if len(parts) != 13 or parts[5] != "MP":
         return None
@@ -131,7 +131,7 @@ def published(token: str) -> Address | None:
 
 
 def publisher_id(token: str) -> bytes:
-    """(16 bytes) Id of a publisher, of its token.
+    """Return the id of a publisher (16 bytes) by its token.
 
     rmw_zenoh takes XXH3 here; receivers only compare ids of messages with each other.
     """
@@ -139,7 +139,7 @@ def publisher_id(token: str) -> bytes:
 
 
 def encode_attachment(attachment: Attachment) -> bytes:
-    """Bytes of an attachment."""
+    """Encode an attachment."""
     return _PLAIN.pack(attachment.seq, attachment.time_ns, _ID_BYTES, attachment.publisher)
 
 

@@ -16,7 +16,7 @@ _MOST_LOST: Final = 10_000_000
 
 
 class Origin(NamedTuple):
-    """Where a message comes from."""
+    """Identifies where a message comes from."""
 
     publisher: bytes  # its id; empty where it is not known
     seq: int | None  # the message's number, None where it has none
@@ -24,7 +24,7 @@ class Origin(NamedTuple):
 
 
 class Publisher:
-    """A publisher's numbers on one topic."""
+    """Holds a publisher's numbers on one topic."""
 
     def __init__(self, run: int) -> None:
         self.run = run

@@ -25,7 +25,7 @@ _MULTI: Final = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
 
 
 class _Definition(NamedTuple):
-    """A definition of a controller's state."""
+    """Describes a definition of a controller's state."""
 
     points: str
     multi: bool = True
@@ -33,7 +33,7 @@ class _Definition(NamedTuple):
 
     @property
     def fields(self) -> str:
-        """As rosidl writes it."""
+        """Return the fields as rosidl writes them."""
         lines = ["std_msgs/Header header", "string[] joint_names"]
         lines += [f"{_POINT} {name}" for name in self.points.split()]
         if self.multi:
@@ -59,7 +59,7 @@ _INTERFACE_VALUE: Final = "string[] interface_names\nfloat64[] values\n"
 
 
 def typestore(state: str = "jazzy") -> Typestore:
-    """All types that are read or written."""
+    """Return a store of all types that are read or written."""
     store = get_typestore(Stores.ROS2_JAZZY)
     # A message of ours has a value per joint; a length beyond this is damage, and would allocate.
     store.max_sequence_length = 65_536
@@ -91,7 +91,7 @@ class Types:
         self._hashes: dict[str, str] = {name: own.hash_rihs01(name) for name in others}
 
     def hash_of(self, type_name: str) -> str:
-        """What stands in keys for a type's definition."""
+        """Return the hash that stands in keys for a type's definition."""
         return self._own.hash_rihs01(type_name) if self._hashed else NO_HASH
 
     def decode(self, type_name: str, type_hash: str, payload: bytes) -> Any:
@@ -123,7 +123,7 @@ class Types:
         raise CdrError(why)
 
     def encode(self, message: Any) -> bytes:
-        """CDR of a message made of :attr:`types`."""
+        """Encode a message made of :attr:`types` as CDR."""
         return bytes(self._own.serialize_cdr(message, message.__msgtype__))
 
 
@@ -143,7 +143,7 @@ def _read(store: Typestore, type_name: str, payload: bytes) -> Any:
 
 
 class ControllerState(NamedTuple):
-    """What a sample needs of a controller's state."""
+    """Holds what a sample needs of a controller's state."""
 
     header: Any
     joint_names: Sequence[str]

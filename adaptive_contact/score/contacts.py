@@ -24,7 +24,7 @@ FOREVER_NS: Final = np.iinfo(np.int64).max
 
 
 class TruthChanges(NamedTuple):
-    """One leg's truth stream as arrays, (m,) each."""
+    """Holds one leg's truth stream as arrays, (m,) each."""
 
     t_ns: Ints  # when the state changed
     contact: Mask  # the state from then on
@@ -35,7 +35,7 @@ class TruthChanges(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """One leg's contacts in order of time, (c,) each; they do not overlap."""
+    """Holds one leg's contacts in order of time, (c,) each; they do not overlap."""
 
     onset_ns: Ints  # when it began
     release_ns: Ints  # when it ended, `FOREVER_NS` where it did not
@@ -65,7 +65,7 @@ def truth_changes(messages: Iterable[ContactTruth]) -> TruthChanges:
 
 
 def contacts_of(truth: TruthChanges, start_ns: int) -> Contacts:
-    """Contacts of a truth stream.
+    """Find the contacts of a truth stream.
 
     Args:
         truth: changes in order of time; repeats of a state are ignored.
@@ -101,7 +101,7 @@ def contacts_of(truth: TruthChanges, start_ns: int) -> Contacts:
 
 
 def _pick(truth: TruthChanges, rows: Ints, onset_ns: Ints, release_ns: Ints) -> Contacts:
-    """Contacts with the attributes of the given rows of the truth; row -1 has none."""
+    """Make contacts with the attributes of the given rows of the truth; row -1 has none."""
     given = rows >= 0
     return Contacts(
         onset_ns=onset_ns,
@@ -115,7 +115,7 @@ def _pick(truth: TruthChanges, rows: Ints, onset_ns: Ints, release_ns: Ints) -> 
 
 
 class Swings(NamedTuple):
-    """Swings in order of time."""
+    """Holds swings in order of time."""
 
     start: Ints  # (s,) index of the first swing sample
     stop: Ints  # (s,) index after the last one
@@ -125,7 +125,7 @@ class Swings(NamedTuple):
 
 
 def longest_gap(t_ns: Ints) -> int:
-    """Longest time between two samples, ns, that still counts as one stretch."""
+    """Return the longest time between two samples, ns, that still counts as one stretch."""
     if len(t_ns) < 2:
         return 0
     # A hole this long in the samples (in median ticks) ends a swing: what happened inside is
@@ -166,7 +166,7 @@ def find_swings(t_ns: Ints, swing: Mask) -> Swings:
 
 
 def lift_by_height(swings: Swings, height_m: Array) -> Mask:
-    """Lift ticks from the height of the command.
+    """Find lift ticks by the height of the command.
 
     Args:
         swings: of n samples.
@@ -191,7 +191,7 @@ def lift_by_height(swings: Swings, height_m: Array) -> Mask:
 
 
 def lift_by_halves(swings: Swings) -> Mask:
-    """Lift ticks where the leg's geometry is not known: the first half of every swing, (n,)."""
+    """Find lift ticks, (n,), without geometry: the first half of every swing."""
     half = (swings.start + swings.stop) // 2
     if len(half) == 0:
         return np.zeros(len(swings.of_tick), dtype=bool)

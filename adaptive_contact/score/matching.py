@@ -126,7 +126,7 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
 
 
 def _tick_of(when_ns: Ints, t_ns: Ints) -> Ints:
-    """The tick each time lies in: its last sample so far, -1 before the first or in a hole."""
+    """Return each time's tick: its last sample so far; -1 before the first or in a hole."""
     tick = np.searchsorted(t_ns, when_ns, side="right") - 1
     if len(t_ns):
         tick[(tick >= 0) & (when_ns - t_ns[tick] > longest_gap(t_ns))] = -1
@@ -134,25 +134,25 @@ def _tick_of(when_ns: Ints, t_ns: Ints) -> Ints:
 
 
 def _at(values: Ints, tick: Ints) -> Ints:
-    """``values[tick]``, -1 where the tick is."""
+    """Return ``values[tick]``; -1 where the tick is -1."""
     if len(values) == 0:
         return np.full(len(tick), -1)
     return np.where(tick >= 0, values[tick], -1)
 
 
 def _last_touch(when_ns: Ints, contacts: Contacts) -> Ints:
-    """The contact that began last before each time, -1 for none."""
+    """Return the contact that began last before each time; -1 for none."""
     return np.searchsorted(contacts.onset_ns, when_ns, side="left") - 1
 
 
 def _holding(when_ns: Ints, contacts: Contacts) -> Ints:
-    """The contact that holds at each time, -1 for none."""
+    """Return the contact that holds at each time; -1 for none."""
     which = np.searchsorted(contacts.onset_ns, when_ns, side="right") - 1
     return np.where(when_ns < _at(contacts.release_ns, which), which, -1)
 
 
 def _first_of_each(contact: Ints, chosen: Mask) -> Mask:
-    """The first chosen event of each contact."""
+    """Return the first chosen event of each contact."""
     first = np.zeros(len(contact), dtype=bool)
     at = np.flatnonzero(chosen)
     first[at[np.unique(contact[at], return_index=True)[1]]] = True
@@ -160,13 +160,13 @@ def _first_of_each(contact: Ints, chosen: Mask) -> Mask:
 
 
 def _window_ns(contacts: Contacts) -> Ints:
-    """(c,) how long a detection may take."""
+    """Return how long a detection of each touch may take, (c,) ns."""
     slow = contacts.soft | (contacts.speed_m_s <= SLOW_M_S)
     return np.where(slow, LONG_WINDOW_NS, WINDOW_NS)
 
 
 def _first_after(t_ns: Ints, swings: Swings, contacts: Contacts) -> Ints:
-    """(s,) the first contact that holds at the turn of each swing, or begins after it."""
+    """Return the first contact, (s,), that holds at the turn of each swing or begins after it."""
     if len(t_ns) == 0:
         return np.zeros(0, np.int64)
     turn_ns = t_ns[np.minimum(swings.stop, len(t_ns) - 1)]
@@ -176,7 +176,7 @@ def _first_after(t_ns: Ints, swings: Swings, contacts: Contacts) -> Ints:
 def _touches(
     contacts: Contacts, judged_in: Ints, tick: Ints, swings: Swings, lift: Mask
 ) -> TouchTable:
-    """The touches to be found, in their rows; none found yet.
+    """Make the table of touches to be found, in their rows; none found yet.
 
     ``judged_in`` (c,) is the swing in which or soon after which each contact began, -1 for none.
     """

@@ -16,7 +16,7 @@ from adaptive_contact.wire import ContactEvent
 
 
 class Row(enum.StrEnum):
-    """Row of the table that a touch belongs to; each touch is in exactly one."""
+    """Names the table row that a touch belongs to; each touch is in exactly one."""
 
     HEADLINE = "headline"
     MID = "mid"
@@ -38,7 +38,7 @@ _COUNTED_CODES: Final = np.array([row in COUNTED for row in ROWS])
 
 
 class Outcome(enum.StrEnum):
-    """What a swing came to; the worst that happened in it."""
+    """Names the worst that happened in a swing."""
 
     FALSE_ALARM = "false alarm"
     MISS = "miss"
@@ -47,7 +47,7 @@ class Outcome(enum.StrEnum):
 
 
 class Events(NamedTuple):
-    """One leg's contact events, (e,) each, in any order."""
+    """Holds one leg's contact events, (e,) each, in any order."""
 
     t_ns: Ints  # of the deciding sample
     contact: Mask  # the reported state
@@ -55,7 +55,7 @@ class Events(NamedTuple):
 
     @classmethod
     def of(cls, messages: Iterable[ContactEvent]) -> Events:
-        """From messages, in their order."""
+        """Make events from messages, in their order."""
         rows = [(event.t_ns, event.contact, event.onset_ns) for event in messages]
         t_ns, contact, onset_ns = zip(*rows, strict=True) if rows else ((), (), ())
         return cls(
@@ -67,7 +67,7 @@ class Events(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegStream:
-    """What happened to one leg; every detector's events are scored against the same one."""
+    """Holds what happened to one leg; every detector's events are scored against the same one."""
 
     leg: str
     t_ns: Ints  # (n,) strictly increasing sample times
@@ -78,7 +78,7 @@ class LegStream:
 
 
 class TouchTable(NamedTuple):
-    """Touches in swings and soon after them, in order of time, (c,) each."""
+    """Holds touches in swings and soon after them, in order of time, (c,) each."""
 
     onset_ns: Ints  # true onset
     swing: Ints  # which swing it lies in, or follows
@@ -98,13 +98,13 @@ class TouchTable(NamedTuple):
 
     @property
     def counted(self) -> Mask:
-        """(c,) whether to miss it is an error; the other rows may be beyond any detector."""
+        """Return whether a miss is an error, (c,); other rows may be beyond any detector."""
         flags: Mask = _COUNTED_CODES[self.row]
         return flags
 
 
 class SwingTable(NamedTuple):
-    """Swings in order of time, (s,) each."""
+    """Holds swings in order of time, (s,) each."""
 
     # start_ns, end_ns: first and last swing sample
     start_ns: Ints
@@ -121,12 +121,12 @@ class SwingTable(NamedTuple):
 
     @property
     def errors(self) -> Ints:
-        """(s,) misses and false alarms."""
+        """Count misses and false alarms of each swing, (s,)."""
         return self.misses + self.false_alarms
 
     @property
     def outcome(self) -> NDArray[np.str_]:
-        """(s,) values of :class:`Outcome`."""
+        """Return each swing's value of :class:`Outcome`, (s,)."""
         kinds = [self.false_alarms > 0, self.misses > 0, self.hits > 0]
         names: NDArray[np.str_] = np.array([outcome.value for outcome in Outcome])
         chosen: NDArray[np.str_] = names[np.select(kinds, [0, 1, 2], default=3)]
@@ -135,7 +135,7 @@ class SwingTable(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegOutcome:
-    """One leg, judged."""
+    """Holds the judged swings and touches of one leg."""
 
     leg: str
     swings: SwingTable
@@ -148,7 +148,7 @@ class LegOutcome:
     span_ns: tuple[int, int]  # first and last sample
 
     def between(self, from_ns: int, to_ns: int) -> LegOutcome:
-        """The swings that begin in [``from_ns``, ``to_ns``), and what lies in them.
+        """Select the swings that begin in [``from_ns``, ``to_ns``), and what lies in them.
 
         What lies outside swings is taken by its own time.
         """

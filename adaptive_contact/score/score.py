@@ -24,7 +24,7 @@ _NS_PER_S = 1_000_000_000
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Score:
-    """A scored recording."""
+    """Holds a scored recording."""
 
     outcomes: tuple[LegOutcome, ...]  # every judged leg, in order of appearance
     total: Summary  # all legs together

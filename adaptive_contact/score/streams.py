@@ -36,23 +36,23 @@ _PHASES: Final = {None: _UNTOLD, "swing": _SWING, "stance": _STANCE}
 
 
 class Received(Protocol):
-    """What is needed of a recorded message."""
+    """Describes what is needed of a recorded message."""
 
     @property
     def key(self) -> str:
-        """Zenoh key."""
+        """Return the Zenoh key."""
 
     @property
     def payload(self) -> bytes:
-        """The bytes."""
+        """Return the bytes."""
 
     @property
     def encoding(self) -> str:
-        """Zenoh encoding."""
+        """Return the Zenoh encoding."""
 
 
 class _Samples:
-    """One leg's samples, growing."""
+    """Gathers one leg's samples."""
 
     def __init__(self, joints: int) -> None:
         self.joints = joints
@@ -120,7 +120,7 @@ class Gatherer:
 
     @property
     def withheld(self) -> dict[str, int]:
-        """Contacts of each leg that the service withheld, as the leg was ambiguous."""
+        """Return the contacts of each leg that the service withheld, as the leg was ambiguous."""
         counts = {
             leg: sum(e.withheld and e.status != "silent" for e in events)
             for leg, events in self._events.items()
@@ -135,25 +135,25 @@ class Gatherer:
 
     @property
     def legs_with_events(self) -> tuple[str, ...]:
-        """Legs with contact events, with or without samples."""
+        """Return the legs with contact events, with or without samples."""
         return tuple(self._events)
 
     @property
     def legs(self) -> tuple[str, ...]:
-        """Legs with samples, in order of appearance."""
+        """Return the legs with samples, in order of appearance."""
         return tuple(leg for leg, samples in self._samples.items() if samples.t_ns)
 
     @property
     def legs_with_truth(self) -> tuple[str, ...]:
-        """Legs with samples and truth."""
+        """Return the legs with samples and truth."""
         return tuple(leg for leg in self.legs if leg in self._truth)
 
     def events(self, leg: str) -> Events:
-        """The events received of a leg."""
+        """Return the events received of a leg."""
         return Events.of(sorted(self._events.get(leg, []), key=lambda event: event.t_ns))
 
     def stream(self, leg: str) -> LegStream:
-        """What is known of one of :attr:`legs`.
+        """Return what is known of one of :attr:`legs`.
 
         Raises:
             ConfigurationError: the samples carry no phase, and the geometry is not known either.

@@ -30,14 +30,14 @@ CONFIDENCE: Final = 0.95
 
 
 class Interval(NamedTuple):
-    """Both ends of a confidence interval."""
+    """Holds both ends of a confidence interval."""
 
     low: float
     high: float
 
 
 def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Interval:
-    """Interval of a share.
+    """Compute the confidence interval of a share.
 
     Args:
         successes: 0 to ``trials``.
@@ -62,7 +62,7 @@ def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE)
 
 
 def poisson_mean(count: int) -> Interval:
-    """Interval of the mean of a Poisson variable of which ``count`` was seen.
+    """Compute the interval of the mean of a Poisson variable of which ``count`` was seen.
 
     Raises:
         ValueError: the count is negative.
@@ -79,7 +79,7 @@ _NS_PER_MS: Final = 1e6
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Latency:
-    """Deciding sample minus true onset, over detected touches, ms."""
+    """Holds the latency, ms: deciding sample minus true onset, over detected touches."""
 
     median_ms: float
     p95_ms: float
@@ -88,7 +88,7 @@ class Latency:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class RowFigures:
-    """One row of the table."""
+    """Holds one row of the table."""
 
     touches: int  # how many there were
     found: int  # how many were detected
@@ -102,7 +102,7 @@ class RowFigures:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class AlarmFigures:
-    """False alarms on some ticks."""
+    """Holds the false alarms on some ticks."""
 
     false_alarms: int  # how many
     judged_ticks: int  # on so many ticks
@@ -111,7 +111,7 @@ class AlarmFigures:
 
     @classmethod
     def of(cls, alarms: int, ticks: int) -> AlarmFigures:
-        """From the counts."""
+        """Compute the figures from the counts."""
         if not ticks:
             return cls(alarms, ticks, None, Interval(0.0, np.inf))
         hours, mean = ticks / ROBOT_HOUR_TICKS, poisson_mean(alarms)
@@ -120,7 +120,7 @@ class AlarmFigures:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Summary:
-    """All figures of one or several legs."""
+    """Holds all figures of one or several legs."""
 
     legs: tuple[str, ...]
     rows: dict[Row, RowFigures]  # every row that holds a touch, and always the headline
@@ -150,7 +150,7 @@ class Summary:
 
     @property
     def headline(self) -> Row:
-        """The row to look at first: without speeds in the truth, that of unknown speed."""
+        """Return the row to look at first: without speeds in the truth, that of unknown speed."""
         without = Row.UNKNOWN in self.rows and not self.rows[Row.HEADLINE].touches
         return Row.UNKNOWN if without else Row.HEADLINE
 
@@ -234,7 +234,7 @@ def swings_to_recovery(
     # it.
     least_of_a_kind: int = 5,
 ) -> int | None:
-    """Swings of a leg that pass after a drift before it is reliable again.
+    """Count the swings after a drift before a leg is reliable again.
 
     The first swing n, counted from 0 at the first one that begins at or after the drift, such that
     the swings n to n + 19 hold at most one error (a missed touch of a counted row, or a false
@@ -269,7 +269,7 @@ def swings_to_recovery(
 
 
 def _counted(values: NDArray[np.int64] | NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(n + 1,) sums of the first 0, 1, ..., n values."""
+    """Return the sums of the first 0, 1, ..., n values, (n + 1,)."""
     return np.concatenate(([0], np.cumsum(values, dtype=np.int64)))
 
 

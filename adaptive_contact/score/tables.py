@@ -27,7 +27,7 @@ _MEANING: Final = {
 
 
 def as_json(score: Score) -> dict[str, Any]:
-    """Everything in a score, as a tree of numbers and texts; what is not known is None."""
+    """Convert a score to a tree of numbers and texts; what is not known is None."""
     return {
         "v": 1,
         **summary_json(score.total),
@@ -38,7 +38,7 @@ def as_json(score: Score) -> dict[str, Any]:
 
 
 def as_table(score: Score) -> RenderableType:
-    """Rows, totals and legs as tables, with the notes below."""
+    """Format rows, totals and legs as tables, with the notes below."""
     parts: list[RenderableType] = [_rows_table(score.total), _totals(score.total)]
     if sum(summary.swings > 0 for summary in score.legs.values()) > 1:
         parts.append(_legs_table(score))
@@ -47,7 +47,7 @@ def as_table(score: Score) -> RenderableType:
 
 
 def summary_json(summary: Summary) -> dict[str, Any]:
-    """Every figure of a summary, as a tree of numbers and texts."""
+    """Convert a summary to a tree of numbers and texts."""
     return {
         "headline_row": summary.headline.value,
         "rows": {row.value: _row(figures) for row, figures in summary.rows.items()},

@@ -107,7 +107,7 @@ def _of_service(service: ServiceStatus) -> Iterator[Fault]:
 
 
 def _with_remedy(finding: Finding) -> Finding:
-    """The finding with the remedy of its note, where that says more; as a sentence."""
+    """Give a finding the remedy of its note, where that says more; written as a sentence."""
     # Causes whose own remedy says more than the note's.
     remedy = (
         None

@@ -42,7 +42,7 @@ _KEYS_KEPT: Final = 400
 
 
 class KeyTraffic(msgspec.Struct, frozen=True, kw_only=True):
-    """One key: messages and bytes per second, the mean size of a payload, and the encodings."""
+    """Counts one key: messages and bytes per second, mean payload size, and the encodings."""
 
     key: str
     rate_hz: float
@@ -52,7 +52,7 @@ class KeyTraffic(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found.  ``router`` is a :class:`~adaptive_contact.service.settings.Reach`."""
+    """Holds what was found.  ``router`` is a :class:`~adaptive_contact.service.settings.Reach`."""
 
     router: str
     router_line: str
@@ -64,7 +64,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def exit_code(self) -> int:
-        """0 where all is well, 1 with findings that are more than a note, 2 without a router."""
+        """Return 0 where all is well, 1 with findings above a note, 2 without a router."""
         if self.router != "connected":
             return 2
         return int(any(finding.level != "note" for finding in self.findings))
@@ -80,7 +80,7 @@ class _Meter:
 
 @dataclass(slots=True)
 class Examination:
-    """Everything received in the time looked at; of each status the first and the last."""
+    """Holds everything received in the time looked at; of each status the first and the last."""
 
     meters: dict[str, _Meter] = field(default_factory=dict)
     samples: dict[str, list[ServoSample]] = field(default_factory=dict)
@@ -171,7 +171,7 @@ _Faults = Iterator[tuple[str | None, Fault]]
 def _faults(
     seen: Examination, seconds: float, alive: bool, service: ServiceStatus | None
 ) -> _Faults:
-    """All that is wrong, causes and consequences, each with its leg."""
+    """Yield all that is wrong, causes and consequences, each with its leg."""
     described: dict[str, LegFacts] = {} if service is None else service.legs
     for fault in _about_service(seen, alive):
         yield None, fault

@@ -116,16 +116,16 @@ class EventPublisher:
         self._miss(links, "links lost")
 
     def dropped_within(self, now_ns: int, span_ns: int) -> bool:
-        """Whether a link was dropped or lost in the last ``span_ns``."""
+        """Return whether a link was dropped or lost in the last ``span_ns``."""
         return self._dropped_ns is not None and now_ns - self._dropped_ns <= span_ns
 
     def busy_ns(self, now_ns: int) -> int:
-        """How long the put under way has been going on, 0 when there is none."""
+        """Return how long the put under way has been going on, ns; 0 when there is none."""
         since_ns = self._putting_since_ns
         return 0 if since_ns is None else max(0, now_ns - since_ns)
 
     def held_up(self, now_ns: int) -> str | None:
-        """One line while a put has gone on for too long, and by what; else None."""
+        """Return one line on a put that has gone on for too long, and its cause; else None."""
         for_ns = self.busy_ns(now_ns)
         if for_ns <= HELD_UP_NS:
             return None
@@ -133,7 +133,7 @@ class EventPublisher:
         return f"{who} has held up contact events for {for_ns / 1e9:.1f} s"
 
     def latencies(self) -> list[int]:
-        """Arrival of the deciding sample to the event being sent, ns, of those sent since."""
+        """Return latencies since the last call, ns: deciding sample received to event sent."""
         return [self._latencies.popleft() for _ in range(len(self._latencies))]
 
     def _miss(self, links: int, what: str) -> None:

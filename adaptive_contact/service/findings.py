@@ -30,7 +30,7 @@ def many(count: float, total: int) -> bool:
 
 
 class Cause(enum.StrEnum):
-    """Why a leg, or the whole robot, cannot report reliably; the values are for programs."""
+    """Names why a leg, or the whole robot, cannot report reliably; values are for programs."""
 
     # The network and the service.
     NO_SERVICE = "no_service"
@@ -150,12 +150,12 @@ class Fault(NamedTuple):
 
 
 def explained(fault: Fault) -> frozenset[Cause]:
-    """Causes that a fault explains in its leg."""
+    """Return the causes that a fault explains in its leg."""
     return frozenset() if fault.level == "note" else EXPLAINS.get(fault.cause, frozenset())
 
 
 class Finding(NamedTuple):
-    """One entry: what is wrong, and what to do.  A ``note`` is worth knowing and no fault."""
+    """Describes one fault and its remedy.  A ``note`` is worth knowing and no fault."""
 
     level: Level
     leg: str | None  # the only leg that it is of; None for several, and for the whole robot
@@ -166,7 +166,7 @@ class Finding(NamedTuple):
 
 
 def of_legs(legs: Iterable[str]) -> str:
-    """``leg lf`` or ``legs lf rf``."""
+    """Format leg ids: ``leg lf`` or ``legs lf rf``."""
     names = list(legs)
     return f"leg{'s' if len(names) > 1 else ''} {' '.join(names)}"
 
@@ -207,7 +207,7 @@ def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
 def _weighed(
     faults: Sequence[tuple[str | None, Fault]],
 ) -> Iterator[tuple[str | None, Fault]]:
-    """Faults; those of a few samples of all legs together as notes."""
+    """Yield faults, as notes where all legs together have only a few such samples."""
     alike: dict[tuple[Cause, str], list[Fault]] = {}
     for _, fault in faults:
         alike.setdefault((fault.cause, fault.key), []).append(fault)

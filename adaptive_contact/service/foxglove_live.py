@@ -66,7 +66,7 @@ _STREAMS: Final = (
 
 
 class JudgedTick(Message, frozen=True, kw_only=True):
-    """A tick of a leg as its learner judged it; one entry of a LegTrace."""
+    """Holds a tick of a leg as its learner judged it; one entry of a LegTrace."""
 
     # t_ns, seq: of the sample
     t_ns: int
@@ -153,7 +153,7 @@ class FoxgloveServer:
                 self._show(contact_key(event.leg), event, time.time_ns())
 
     def _enqueue(self, received: Received) -> None:
-        """Called on Zenoh's threads."""
+        """Queue what arrives; called on Zenoh's threads."""
         try:
             self._waiting.put_nowait(received)
         except queue.Full:
@@ -184,7 +184,7 @@ class FoxgloveServer:
         self._show(received.key, message, arrived_ns)
 
     def _channel(self, key: str, kind: type[Message]) -> Channel | None:
-        """Channel of a key; None where there are too many."""
+        """Return the channel of a key; None where there are too many."""
         channel = self._channels.get(key)
         # A key is a channel; a robot of 64 legs has 300 of them, and a stranger may make more.
         if channel is None and len(self._channels) < 1024:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Received(NamedTuple):
-    """One sample, as it arrived."""
+    """Holds one sample as it arrived."""
 
     key: str  # concrete key, without the namespace
     payload: bytes
@@ -17,7 +17,7 @@ class Received(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """One answer to a query; ``error`` is the replier's word where it refused."""
+    """Holds one answer to a query; ``error`` is the replier's word where it refused."""
 
     key: str
     payload: bytes

@@ -31,11 +31,11 @@ class KnownContacts:
         self._withdrawn: set[str] = set()  # legs whose event is not what was passed on
 
     def age_s(self, leg: str, now_ns: int) -> float | None:
-        """Seconds since the newest sample of a leg; None where none was reported."""
+        """Return the age of a leg's newest sample, s; None where none was reported."""
         return (now_ns - self._beats[leg][0]) / 1e9 if leg in self._beats else None
 
     def is_known(self, leg: str, now_ns: int) -> bool:
-        """Whether a leg is watched now."""
+        """Return whether a leg is known: its newest sample is at most 0.5 s old."""
         return leg in self._beats and now_ns - self._beats[leg][0] <= int(SILENT_AFTER_S * 1e9)
 
     def heartbeat(self, heartbeat: Heartbeat, arrival_ns: int) -> None:
@@ -54,7 +54,7 @@ class KnownContacts:
         return [event]
 
     def look(self, now_ns: int) -> list[ContactEvent]:
-        """Events of legs that are not known any more, or again; call it some ten times a second."""
+        """Return events of legs whose state became unknown or known; call it ten times a second."""
         found = []
         for leg, last in self._last.items():
             known = self.is_known(leg, now_ns)

@@ -30,7 +30,7 @@ def about_learner(
     causes: set[Cause],
     samples: int = 0,
 ) -> Iterator[Fault]:
-    """What a leg's own status says, but for what is known of its stream of so many samples."""
+    """Yield the faults that a leg's own status shows, without those known of its samples."""
     note = status.note or ""
     if speaks_of_angles(note):
         causes = causes | {Cause.SIGNS}

@@ -70,7 +70,7 @@ class Downtime:
             self.before = None
 
     def position(self, learner: ContactLearner) -> Position | None:
-        """Where the leg's source is, by the last sample that was used."""
+        """Return where the leg's source is, by the last sample that was used."""
         last = learner.last_sample
         if last is None or self.before is not None:
             return self.before
@@ -84,7 +84,7 @@ class JointAvailability:
         self._mute_since_ns: list[int | None] = [None] * joints
 
     def follow(self, valid: list[bool] | None, now_ns: int) -> bool:
-        """Take in which readings of a sample are good, (J,); whether any is."""
+        """Update from the validity of a sample's readings, (J,); return whether any is valid."""
         if valid is None or all(valid):
             self._mute_since_ns = [None] * len(self._mute_since_ns)
             return True
@@ -96,7 +96,7 @@ class JointAvailability:
         return any(valid)
 
     def note(self, now_ns: int) -> str | None:
-        """One line on the joints that have not answered for half a second; None without any."""
+        """Describe in one line the joints that have not answered for half a second; else None."""
         mute = {
             joint: (now_ns - since_ns) / 1e9
             for joint, since_ns in enumerate(self._mute_since_ns, start=1)
@@ -117,7 +117,7 @@ _STATUS_PERIOD_NS: Final = int(1.0 * 1e9)
 
 
 class LegEndpoint:
-    """What the service keeps per leg; all calls from the worker."""
+    """Connects one leg's learner to the link; all calls come from the worker."""
 
     def __init__(
         self,
@@ -176,7 +176,7 @@ class LegEndpoint:
 
     @property
     def position(self) -> Position | None:
-        """Where the source is, by the last sample that was used; None before the first."""
+        """Return where the source is, by the last sample that was used; None before the first."""
         return self._downtime.position(self.learner)
 
     def refused(self, why: Rejected, now_ns: int) -> None:
@@ -190,7 +190,7 @@ class LegEndpoint:
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
 
     def heartbeat(self, now_ns: int) -> LegHeartbeat | None:
-        """Age of the leg's newest sample; None before the first."""
+        """Return time, age and contact of the leg's newest sample; None before the first."""
         if self._seen_ns is None:
             return None
         return LegHeartbeat(
@@ -236,7 +236,7 @@ class LegEndpoint:
         return status.status if changed else None
 
     def status(self, now_ns: int) -> LearnerStatus:
-        """The learner's status, with what only the service can know put in."""
+        """Return the learner's status, with silence and refused payloads added."""
         status = self._ask(lambda: self.learner.status)
         missed_down = self._downtime.missed
         if missed_down:
@@ -276,7 +276,7 @@ class LegEndpoint:
             _log.info("source restarted", leg=self.leg, times=stands_for)
 
     def report(self) -> ModelReport | None:
-        """The leg's model, None before there is one."""
+        """Return the leg's model; None before there is one."""
         return self._ask(lambda: self.learner.model_report)
 
     def _ask(self, question: Callable[[], T]) -> T:
@@ -289,7 +289,7 @@ class LegEndpoint:
             return question()
 
     def _silence(self, now_ns: int) -> str:
-        """One line on a silent leg: samples that are all refused are another fault than none."""
+        """Describe why a leg is silent: it sends no samples, or only refused ones."""
         seen = self._seen_ns
         since_s = (now_ns - (self._since_ns if seen is None else seen)) / 1e9
         how_long = f"{'yet, after' if seen is None else 'for'} {since_s:.1f} s"

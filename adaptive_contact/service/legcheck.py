@@ -163,7 +163,7 @@ def check_ids(published: Sequence[str], described: Sequence[str], robot: str) ->
 
 
 def _refusals(refused: Sequence[Rejected], total: int) -> Iterator[Fault]:
-    """What could not be read, of so many payloads."""
+    """Yield faults of payloads that could not be read; ``total`` is the number of all."""
     times = [item for item in refused if "$.t_ns" in item.detail]
     if times:
         yield Fault.of(
@@ -203,7 +203,7 @@ def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) 
 
 
 def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
-    """A leg that never ends its swing, or never begins one while it walks."""
+    """Yield a fault where ``phase`` never changes although the leg must have swung or stood."""
     phases = {s.phase for s in samples}
     # No swing takes so many samples in a row: two seconds at 50 Hz.
     if len(samples) < 100 or len(phases) != 1 or None in phases:
@@ -215,7 +215,7 @@ def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
 
 
 def _cycles(samples: Sequence[ServoSample]) -> int:
-    """Times that the joint whose command travels furthest goes from one end to the other."""
+    """Count how often the joint with the widest command goes from one end to the other."""
     joints = Counter(len(s.desired) for s in samples).most_common(1)[0][0]
     desired = np.array([s.desired for s in samples if len(s.desired) == joints], dtype=np.float64)
     travel = np.ptp(desired, axis=0)
@@ -285,7 +285,7 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
 def _wraps_at(
     back: Sequence[tuple[ServoSample, ServoSample]], usual: int, period_s: float
 ) -> int | None:
-    """The number at which seq begins again while time goes on; None where it does not so."""
+    """Return the number at which ``seq`` wraps to 0 while time goes on; None if it does not."""
     ends = set()
     for a, b in back:
         ticks = round((b.t_ns - a.t_ns) / (1e9 * period_s))
@@ -295,7 +295,7 @@ def _wraps_at(
 
 
 def _usual_step(pairs: Sequence[tuple[ServoSample, ServoSample]]) -> int:
-    """What seq grows by from a sample to the next, where more than half say so; else 1."""
+    """Return the step of ``seq`` between most samples; 1 where no step is usual."""
     steps = [b.seq - a.seq for a, b in pairs if b.seq > a.seq]
     usual = round(float(np.median(steps))) if steps else 1
     alike = sum(abs(step - usual) <= usual / 4 for step in steps)
@@ -305,7 +305,7 @@ def _usual_step(pairs: Sequence[tuple[ServoSample, ServoSample]]) -> int:
 def _steps_s(
     pairs: Sequence[tuple[ServoSample, ServoSample]], usual: int = 1
 ) -> tuple[float, float] | None:
-    """Mean and median time that seq takes to grow by the usual step, s; None of too few."""
+    """Return mean and median time per usual step of ``seq``, s; None from too few samples."""
     ahead = [(a, b) for a, b in pairs if b.seq > a.seq and b.t_ns > a.t_ns]
     if len(ahead) < _FEWEST:
         return None
@@ -316,7 +316,7 @@ def _steps_s(
 
 
 def _undeclared(samples: Sequence[ServoSample], usable: Sequence[ServoSample]) -> Iterator[Fault]:
-    """What the samples themselves say of rate and steps, for a robot.toml yet to be written."""
+    """Yield rate and position step measured from the samples, for a robot.toml to be written."""
     steps_s = _steps_s([(a, b) for a, b in pairwise(samples) if a.run == b.run])
     if steps_s is None:
         return
@@ -330,7 +330,7 @@ def _undeclared(samples: Sequence[ServoSample], usable: Sequence[ServoSample]) -
 
 
 def _grids(usable: Sequence[ServoSample]) -> list[float]:
-    """Position steps that joints come in, of those that show one, the least first."""
+    """Return the position steps of the joints that show one, rad, in ascending order."""
     measured = np.array([s.measured for s in usable], dtype=np.float64)
     found = [position_step(column[np.isfinite(column)]) for column in measured.T]
     return sorted(step for step in found if step is not None)
@@ -349,7 +349,7 @@ def _rate(step_s: float, period_s: float) -> Fault:
 
 
 def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
-    """Stamps against the straight line through them, of the run that is longest."""
+    """Yield a fault where stamps of the longest run deviate from an even grid."""
     run = Counter(s.run for s in samples).most_common(1)[0][0]
     rows = [s for s in samples if s.run == run]
     if len(rows) < _FEWEST_STAMPS:

@@ -118,7 +118,7 @@ def listen(
 
 
 class Request:
-    """A query to be answered, here or later on another thread; answer or close it once."""
+    """Holds a query to be answered, here or later on another thread; answer or close it once."""
 
     def __init__(self, query: zenoh.Query, encoding: str) -> None:
         self._query = query
@@ -128,18 +128,18 @@ class Request:
 
     @property
     def size(self) -> int:
-        """Bytes that came with it."""
+        """Return the number of bytes that came with the query."""
         payload = self._query.payload
         return 0 if payload is None else len(payload)
 
     @property
     def payload(self) -> bytes:
-        """What came with it; a copy, as queries may wait in dozens."""
+        """Return what came with the query; a copy, as queries may wait in dozens."""
         payload = self._query.payload
         return b"" if payload is None else payload.to_bytes()
 
     def parameter(self, name: str) -> str | None:
-        """A value behind ``?`` in its selector."""
+        """Return a value that follows ``?`` in the selector."""
         return self._query.parameters.get(name)
 
     def covers(self, key: str) -> bool:
@@ -160,12 +160,12 @@ class Request:
         self.close()
 
     def close(self) -> None:
-        """Finish: until then the asker waits for more answers, up to its timeout."""
+        """End the query: until then the asker waits for more answers, up to its timeout."""
         self._query.drop()
 
 
 class Declared:
-    """A subscription, queryable or token; in force until closed, or until the link is."""
+    """Represents a subscription, queryable or token; in force until it or its link is closed."""
 
     def __init__(self, declared: Any, held: set[Declared]) -> None:
         self._declared = declared
@@ -179,7 +179,7 @@ class Declared:
 
 
 class Publisher:
-    """Where messages of one key are put; made by :meth:`Link.publisher`."""
+    """Publishes messages of one key; made by :meth:`Link.publisher`."""
 
     def __init__(self, declared: Any, key: str, encoding: str, *, keep: bool) -> None:
         self._declared = declared
@@ -191,7 +191,7 @@ class Publisher:
 
     @property
     def matched(self) -> bool:
-        """Whether there is a subscriber; always True with history, where Zenoh does not say."""
+        """Return whether there is a subscriber; always True with history, where it is unknown."""
         return self._keep or bool(self._declared.matching_status.matching)
 
     def put(self, message: Message) -> None:
@@ -251,12 +251,12 @@ class Arrivals:
         return received
 
     def end(self) -> None:
-        """Have :meth:`get` return None after what has arrived before."""
+        """Make :meth:`get` return None once all that has arrived was taken."""
         self._queue.put(None)
 
 
 def _received(sample: zenoh.Sample) -> Received | None:
-    """A sample's values; None for a deletion."""
+    """Return a Zenoh sample's values; None for a deletion."""
     if sample.kind == zenoh.SampleKind.DELETE:
         return None
     stamp, attached = sample.timestamp, sample.attachment
@@ -277,7 +277,7 @@ def _hand_over(sink: Callable[[Received], None], sample: zenoh.Sample) -> None:
 
 
 class Link:
-    """A session; made by :meth:`open`, closed by :meth:`close` or at the end of ``with``."""
+    """Wraps a Zenoh session; made by :meth:`open`, closed by :meth:`close` or after ``with``."""
 
     def __init__(self, session: zenoh.Session, settings: LinkSettings, facts: Facts) -> None:
         self._session = session
@@ -420,7 +420,7 @@ class Link:
         *,
         history: bool = False,
     ) -> Declared:
-        """Hand every sample that matches to a sink.
+        """Call a sink with every sample that matches.
 
         Args:
             key_expr: may hold wildcards.
@@ -445,7 +445,7 @@ class Link:
         return Declared(self._session.declare_subscriber(key_expr, handler), self._held)
 
     def queryable(self, key_expr: str, sink: Callable[[Request], None]) -> Declared:
-        """Hand every query that matches to a sink.
+        """Call a sink with every query that matches.
 
         Args:
             key_expr: may hold wildcards.
@@ -498,12 +498,12 @@ class Link:
         return Declared(self._session.liveliness().declare_token(key), self._held)
 
     def alive(self, key_expr: str, *, timeout_s: float = 1.0) -> set[str]:
-        """Tokens that are alive now."""
+        """Return the liveliness tokens that exist now."""
         replies = self._session.liveliness().get(key_expr, timeout=timeout_s)
         return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
 
     def watch_tokens(self, key_expr: str, sink: Callable[[str, bool], None]) -> Declared:
-        """Hand (key, alive) to a sink at each change, and at once for those alive already."""
+        """Call a sink with (key, alive) at each change, and at once for those alive already."""
         declared = self._session.liveliness().declare_subscriber(
             key_expr,
             lambda sample: sink(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
@@ -517,24 +517,24 @@ class Link:
         on_drop: Callable[[int], None],
         on_loss: Callable[[int], None],
     ) -> None:
-        """As :meth:`LinkSockets.drop_what_holds_up`; called on a thread of the link's own."""
+        """Do as :meth:`LinkSockets.drop_what_holds_up`; called on a thread of the link's own."""
         self._sockets.drop_what_holds_up(busy_ns, on_drop, on_loss)
 
     def held_ns(self) -> int:
-        """When a link was last seen that took nothing, monotonic ns; 0 for never."""
+        """Return when a link that took nothing was last seen, monotonic ns; 0 for never."""
         return self._sockets.held_ns
 
     def routers(self) -> tuple[str, ...]:
-        """Ids of the routers this session is connected to."""
+        """Return the ids of the routers this session is connected to."""
         return tuple(str(zid) for zid in self._session.info.routers_zid())
 
     def sessions(self) -> int:
-        """How many other sessions are connected to this one."""
+        """Count the other sessions that are connected to this one."""
         return len(list(self._session.info.transports()))
 
     @property
     def id(self) -> str:
-        """Zenoh's id of this session."""
+        """Return Zenoh's id of this session."""
         return str(self._session.info.zid())
 
     def is_connected(self) -> bool:
@@ -543,12 +543,12 @@ class Link:
         return alone or bool(self.routers())
 
     def diagnose(self) -> Finding:
-        """What stands between this session and its router, at this moment."""
+        """Find out what stands between this session and its router, at this moment."""
         if self.is_connected():
             return Finding(Reach.CONNECTED, "connected")
         return probe(self.joins)
 
     @property
     def callback_faults(self) -> int:
-        """Exceptions raised in callbacks since this link was opened (by any link here)."""
+        """Count exceptions in callbacks since this link was opened (by any link here)."""
         return callback_faults() - self._faults_before

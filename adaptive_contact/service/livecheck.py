@@ -39,7 +39,7 @@ _LEAST_FEET: Final = 4
 
 
 class JointView(msgspec.Struct, frozen=True, kw_only=True):
-    """One joint, in the description's angles."""
+    """Describes one joint, in the description's angles."""
 
     joint: str
     axis: str  # `yaw`, `pitch`, `roll`, or a direction such as `0 1 0`
@@ -57,13 +57,13 @@ class JointView(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def outside(self) -> bool:
-        """Whether the newest reading is beyond the limits."""
+        """Return whether the newest reading is beyond the limits."""
         limits = self.limits_rad
         return limits is not None and not limits[0] <= self.angle_rad <= limits[1]
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
-    """One leg as it is now."""
+    """Describes one leg as it is now."""
 
     leg: str
     samples: int  # taken in so far
@@ -81,7 +81,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Flatness(msgspec.Struct, frozen=True, kw_only=True):
-    """How flat the feet lie, for a robot that stands on a level floor."""
+    """Measures how flat the feet lie, for a robot that stands on a level floor."""
 
     # whose foot is furthest from the plane of the others; None with four legs, which do not show
     # whose it is
@@ -90,7 +90,7 @@ class Flatness(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found."""
+    """Holds the result of a live check."""
 
     seconds: float
     legs: list[LegView]  # those of the description that send samples
@@ -105,7 +105,7 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def exit_code(self) -> int:
-        """0 where nothing is worse than a note, else 1."""
+        """Return 0 where nothing is worse than a note, else 1."""
         return int(any(finding.level != "note" for finding in self.findings))
 
 
@@ -136,11 +136,11 @@ class LiveCheck:
             self.moves.append(moved)
 
     def legs(self) -> list[LegView]:
-        """Every leg that sends samples, as it is now."""
+        """Return every leg that sends samples, as it is now."""
         return [leg.view() for leg in self._legs.values() if leg.turned]
 
     def angles(self) -> dict[str, list[float]]:
-        """(J,) rad of every leg's newest reading, by leg."""
+        """Return each leg's newest reading, (J,) rad, by leg."""
         return {name: leg.turned[-1].measured for name, leg in self._legs.items() if leg.turned}
 
     def report(self, seconds: float) -> LiveReport:
@@ -177,7 +177,7 @@ class LiveCheck:
 
 
 class _LegCheck:
-    """The samples of one leg, as they come and as its description reads them."""
+    """Gathers the samples of one leg, converted to the angles of its description."""
 
     def __init__(self, leg: Leg, robot: Robot) -> None:
         self.leg = leg
@@ -215,7 +215,7 @@ class _LegCheck:
 
     @property
     def last(self) -> Array:
-        """(J,) rad, the newest reading."""
+        """Return the newest reading, (J,) rad."""
         return self._recent[-1]
 
     @property
@@ -275,7 +275,7 @@ class _LegCheck:
 
 
 def _moved(leg: Leg, before: Array, now: Array) -> str:
-    """Which joints were moved, and where the foot went by the description."""
+    """Describe which joints were moved, and where the foot went by the description."""
     by = now - before
     most = np.abs(by).max()
     joints = ", ".join(
@@ -314,7 +314,7 @@ def _way(leg: Leg, by: Array) -> str:
 
 
 def _flatness(resting: Mapping[Leg, Array]) -> Flatness | None:
-    """How far the feet are from a plane; None where too few legs with mounts rest."""
+    """Measure how far the feet are from a plane; None if too few legs with mounts rest."""
     placed = {
         leg.id: on_body(leg, leg.chain.foot(q))
         for leg, q in resting.items()

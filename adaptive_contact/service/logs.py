@@ -139,7 +139,7 @@ class FaultLog:
         self._throttle = LogThrottle(60.0)
 
     def __call__(self, leg: str, fault: Exception) -> None:
-        """A leg was restarted."""
+        """Log that a leg was restarted."""
         times = self._throttle.passes(leg, time.monotonic_ns())
         if times is not None:
             _log.error("fault in learning, leg restarted", leg=leg, times=times, exc_info=fault)

@@ -42,7 +42,7 @@ class PeerServices:
             self._statuses.append(received)
 
     def note(self, now_ns: int) -> str | None:
-        """One line where another service is there, otherwise None; ``now_ns`` is monotonic."""
+        """Name another service on the network in one line, else None; ``now_ns`` is monotonic."""
         for _ in range(len(self._statuses)):
             received = self._statuses.popleft()
             status = decode(received.payload, ServiceStatus, received.encoding)

@@ -35,7 +35,7 @@ _COUNTED: Final = frozenset({Cause.TIME_TYPE, Cause.TIME_BACKWARDS, Cause.SEQ})
 
 
 class OneRobot:
-    """Goes through records once and gives them with the keys of the contract."""
+    """Reads records once and yields them with the keys of the contract."""
 
     def __init__(self, records: Iterable[Record]) -> None:
         # that of the first leg's key; messages under others are left out and counted
@@ -64,7 +64,7 @@ class OneRobot:
             yield record if key == record.key else record._replace(key=key)
 
     def _own(self, key: str) -> str | None:
-        """The key without what stands before it; None where it is of another robot."""
+        """Return the key without its namespace; None where it is another robot's."""
         namespace = namespace_of(key)
         if namespace is None:
             # keys of which each is counted
@@ -93,11 +93,11 @@ class OneRobot:
 
     @property
     def legs(self) -> frozenset[str]:
-        """Legs with servo messages, of those that have been passed."""
+        """Return the legs with servo messages among the records read so far."""
         return frozenset(self._samples)
 
     def trouble(self, robot: Robot | None, signs: Collection[str] = ()) -> list[str]:
-        """What is wrong with keys and samples, one line each; after the pass.
+        """List what is wrong with keys and samples, one line each; after the pass.
 
         Args:
             robot: whose legs were recorded; None to look at keys only.
@@ -123,7 +123,7 @@ class OneRobot:
         return lines
 
     def spoilt(self, robot: Robot, *, by_rate: bool = False) -> bool:
-        """Whether nothing can be judged by the samples of any leg, as :meth:`trouble` says.
+        """Return whether no leg's samples can be judged, as :meth:`trouble` says.
 
         Args:
             robot: whose legs were recorded.
@@ -139,7 +139,7 @@ class OneRobot:
         return bool(legs) and spoilt.issuperset(legs)
 
     def faults(self, robot: Robot) -> list[tuple[str, Fault]]:
-        """What is wrong with the samples, each fault with its leg; after the pass."""
+        """List the faults of the samples, each with its leg; after the pass."""
         if self._faults is None:
             self._faults = list(self._check(robot))
         return self._faults

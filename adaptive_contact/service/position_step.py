@@ -74,7 +74,7 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
 
 
 def _multiple(values: Array, step_rad: float, span: float, expected_rad: float | None) -> float:
-    """The largest multiple of a grid's step, or the expected one, that values lie on but for a few.
+    """Return the largest multiple of a grid's step, or the expected one, that values lie on.
 
     The step itself where every multiple holds as many values as it would by chance.
     """
@@ -101,7 +101,7 @@ def _multiple(values: Array, step_rad: float, span: float, expected_rad: float |
 
 
 def _on_grid(values: Array, least: float, most: float, share: float) -> float | None:
-    """The first grid, of ``least`` to ``most`` steps per rad, that so many of the values lie on."""
+    """Return the first grid, of ``least`` to ``most`` steps per rad, with enough values on it."""
     bins = np.bincount(((values - values[0]) / _BIN_RAD).astype(int))
     count = 1 << (8 * len(bins)).bit_length()
     length = np.abs(np.fft.rfft(bins, count)) / len(values)
@@ -117,7 +117,7 @@ def _on_grid(values: Array, least: float, most: float, share: float) -> float | 
 
 
 def _by_lines(turns: Array) -> float:
-    """Length of the mean of readings' phases, every line counted once; 0 of too few lines.
+    """Return the length of the mean phase vector, every line counted once; 0 of too few lines.
 
     Args:
         turns: (n,) readings in steps of the grid.

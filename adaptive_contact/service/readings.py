@@ -183,12 +183,12 @@ def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> 
 
 
 def _far_out(angles: Array) -> Array:
-    """(J,) how far out angles reach, but for one in a hundred."""
+    """Return the 99th percentile of each joint's absolute angle, (J,) rad."""
     return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
 
 
 def _delayed(measured: Array, desired: Array, seq: Ticks, step_rad: float | None) -> bool:
-    """Whether a joint's readings are commands of some ticks before, exact or rounded."""
+    """Return whether a joint's readings are earlier commands, exact or rounded."""
     fine = step_rad is not None and step_rad < LEAST_STEP_RAD  # no finer one can be found
     own_rad = position_step(measured, step_rad) or (step_rad if fine else None) or _EQUAL_RAD
     for lag in range(min(_COPY_LAGS, len(seq) - 2) + 1):
@@ -228,7 +228,7 @@ def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[F
 
 
 def _without_turns(angles: Array) -> tuple[Array, Ints]:
-    """Angles with jumps of whole turns taken out, and how many there were of each joint."""
+    """Remove jumps of whole turns from angles; return them and the jumps of each joint."""
     steps = np.diff(angles, axis=0)
     turns = np.round(steps / math.tau)
     turns[np.abs(steps - math.tau * turns) >= 0.5] = 0.0
@@ -243,7 +243,7 @@ def _turned(name: str, jumps: int, turns: int) -> Fault:
 
 
 def _begun(desired: Array, rad: float) -> int:
-    """Ticks in which a command, (n,) or any of (n, J), is further than this from the first one's.
+    """Count ticks whose command, (n,) or any of (n, J), is further than ``rad`` from the first.
 
     A joint follows some ticks later; of a few, nothing is known.
     """
@@ -252,7 +252,7 @@ def _begun(desired: Array, rad: float) -> int:
 
 
 def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
-    """Whose command every joint follows, where that is another joint's; else None."""
+    """Return whose command every joint follows, if that is another joint's; else None."""
     joints = measured.shape[1]
     # Joints whose orders are all tried.
     if not 2 <= joints <= 4 or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
@@ -305,7 +305,7 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
 
 
 def _glitches(measured: Array) -> tuple[int, float | None]:
-    """Readings that leave the joint's path for a tick or two; what most read, if one thing."""
+    """Count readings that leave the joint's path for a tick or two; return their usual value."""
     values = measured[stray_readings(measured[:, None])[:, 0]]
     if not len(values):
         return 0, None
@@ -326,7 +326,7 @@ def _steps(measured: Array, name: str, quantum_rad: float) -> Iterator[Fault]:
 
 
 def _runs_backwards(measured: Array, desired: Array) -> bool:
-    """Whether positions go down where commands go up; only for a joint that moves a good deal."""
+    """Return whether positions fall while commands rise; False for a joint that hardly moves."""
     if min(np.ptp(measured), np.ptp(desired)) < 2 * _COMMANDED_RAD:
         return False
     return float(np.corrcoef(measured, desired)[0, 1]) < -0.7

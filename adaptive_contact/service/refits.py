@@ -63,7 +63,7 @@ class ProcessRefitter:
                 self._thread.start()
 
     def submit(self, job: Job) -> None:
-        """Take a job; one of the same leg that still waits is void."""
+        """Queue a job; it replaces one of the same leg that still waits."""
         with self._changed:
             self._results.pop(job.leg, None)
             self._waiting[job.leg] = job
@@ -71,7 +71,7 @@ class ProcessRefitter:
         self.start()
 
     def collect(self, leg: str, number: int) -> object | None:
-        """The result of a job, or None while there is none."""
+        """Return the result of a job; None while there is none."""
         with self._changed:
             found = self._results.get(leg)
             if found is None or found[0] != number:
@@ -160,7 +160,7 @@ class ProcessRefitter:
 
 
 class WaitingRefitter(ProcessRefitter):
-    """For replays, which have no clock to keep: a result that is asked for is waited for.
+    """Waits for results that are asked for: a replay has no clock to keep.
 
     So the events are the same every time, while ticks and fits go on side by side.  The process
     is started at once, and imports what fits need with the first of them: a short recording asks
@@ -171,7 +171,7 @@ class WaitingRefitter(ProcessRefitter):
         super().__init__(timeout_s, process=start_process(hurry=True, prepared=False))
 
     def collect(self, leg: str, number: int) -> object | None:
-        """The result of a job that was submitted, as soon as it is there."""
+        """Return the result of a submitted job, as soon as it is there."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._results.get(leg, (None,))[0] == number,
@@ -181,7 +181,7 @@ class WaitingRefitter(ProcessRefitter):
 
 
 def result_of_lost(job: Job) -> object:
-    """What a learner gets for a job that cannot be done."""
+    """Return the result that stands for a job that cannot be done."""
     if isinstance(job, RefitJob):
         empty = np.zeros((job.fit.terms, job.fit.outputs))
         return RefitResult(job.number, FitStatus.LOST, empty, 0.0, float("nan"))

@@ -51,7 +51,7 @@ _NS_PER_S: Final = 1_000_000_000
 
 @dataclasses.dataclass
 class Counts:
-    """What a replay met."""
+    """Counts what a replay read and handed on."""
 
     messages: int = 0  # of any key
     samples: int = 0  # servo samples handed on
@@ -64,7 +64,7 @@ class Counts:
 
     @property
     def span_s(self) -> float:
-        """Time between the first and the last message handed on, as recorded, s."""
+        """Return the recorded time between the first and the last message handed on, s."""
         if self.first_ns is None or self.last_ns is None:
             return 0.0
         return (self.last_ns - self.first_ns) / _NS_PER_S
@@ -79,7 +79,7 @@ class Counts:
 def control_ticks(
     records: Iterable[Record], wanted: Callable[[str, int], bool], counts: Counts
 ) -> Iterator[dict[str, ServoSample]]:
-    """Servo samples of a recording, grouped by control tick.
+    """Yield the servo samples of a recording, grouped by control tick.
 
     Args:
         records: messages in the order they were recorded; only servo samples are used.
@@ -124,7 +124,7 @@ def control_ticks(
 def replay_events(
     records: Iterable[Record], bank: LearnerBank | TraceBank, counts: Counts
 ) -> Iterator[ContactEvent]:
-    """Events that the learners decide on a recording, in order."""
+    """Yield the events that the learners decide on a recording, in order."""
     for tick in control_ticks(
         records, lambda leg, joints: bank.learner(leg, joints) is not None, counts
     ):
@@ -222,7 +222,7 @@ class WirePlayer:
         return self._publishers[key]
 
     def _with_new_run(self, payload: bytes, encoding: str) -> bytes:
-        """The same sample with another ``run``; bytes that are no sample stay as they are."""
+        """Give a sample a new ``run``; bytes that are no sample stay as they are."""
         json = is_json(payload, encoding)
         try:
             fields = msgspec.json.decode(json_text(payload)) if json else msgpack.unpackb(payload)
@@ -245,7 +245,7 @@ Spans = list[tuple[float, float]]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Touch:
-    """A touch that the truth has, or a contact that is reported without one."""
+    """Describes a touch of the truth, or a contact that is reported without one."""
 
     at_s: float  # its onset, or the deciding sample of a false one
     # `hit`, `miss`, `beyond` (missed, but of a row that may be beyond any detector) or
@@ -256,7 +256,7 @@ class Touch:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class LegTrace:
-    """One leg over a recording, times in s since its first sample."""
+    """Holds one leg over a recording, times in s since its first sample."""
 
     leg: str
     t_s: Array  # (n,) of its samples
@@ -271,7 +271,7 @@ class LegTrace:
 
 
 class Curves:
-    """Angles of one leg's joints over a recording; of a long one, each second, fourth ... tick."""
+    """Stores angles of one leg's joints; in a long recording every second, fourth ... tick."""
 
     def __init__(self, joints: Sequence[str]) -> None:
         self.joints = tuple(joints)
@@ -297,12 +297,12 @@ class Curves:
 
     @property
     def angles(self) -> Array:
-        """(n, 3, J) rad; NaN where a tick was not judged."""
+        """Return measured, desired and predicted angles, (n, 3, J) rad; NaN if not judged."""
         return np.array(self._rows, dtype=np.float64).reshape(-1, 3, len(self.joints))
 
 
 class TraceBank:
-    """Learners whose test ratio is kept for each tick; a drop-in for the bank of a replay."""
+    """Records each tick's test ratio around a bank; used in place of the bank of a replay."""
 
     def __init__(self, bank: LearnerBank) -> None:
         self._bank = bank
@@ -313,11 +313,11 @@ class TraceBank:
         self._events: list[ContactEvent] = []
 
     def learner(self, leg: str, joints: int | None = None, /) -> object | None:
-        """As of the bank."""
+        """Return the bank's learner of a leg."""
         return self._bank.learner(leg, joints)
 
     def update(self, samples: Mapping[str, ServoSample], /) -> list[ContactEvent]:
-        """As of the bank."""
+        """Update the bank by samples, and record how each was judged."""
         before = {leg: self._judged_ns(leg) for leg in samples}
         events = self._bank.judge(samples)
         for leg, sample in samples.items():
@@ -346,7 +346,7 @@ class TraceBank:
         self._curves[leg].add(sample.t_ns, sample.measured, sample.desired, predicted)
 
     def _judged_ns(self, leg: str) -> int:
-        """Time of the leg's newest accepted sample."""
+        """Return the time of the leg's newest accepted sample, ns; -1 without a learner."""
         learner = self._bank.learner(leg)
         return -1 if learner is None else learner.place.leg.t_ns
 
@@ -418,7 +418,7 @@ class TracedRecords:
 
 
 def _spans(changes: list[tuple[int, bool]], start_ns: int, end_ns: int) -> Spans:
-    """Spans in which a state holds, from its changes (or repeats); of one time, the last counts."""
+    """Return the spans in which a state holds, s; of changes at one time the last counts."""
     spans: Spans = []
     since: int | None = None
     for at_ns, holds in [*sorted(changes, key=lambda change: change[0]), (end_ns, False)]:
@@ -469,7 +469,7 @@ def _touches(
 
 
 def why_missed(t_ns: Ints, ratio: Array, onset: int, end: int, withheld: list[int]) -> str:
-    """The largest test ratio while a touch could be found, and what that says."""
+    """Return the largest test ratio while a touch could be found, and explain it in words."""
     if any(onset < at_ns <= end for at_ns in withheld):
         return "missed: withheld, the leg was ambiguous"
     inside = (t_ns > onset) & (t_ns <= end)

@@ -61,7 +61,7 @@ _SILENT_S: Final = 5.0
 
 
 def shown_of_ros(finding: Finding) -> str:
-    """What stands in the way of ROS 2's router, and what to do about that one."""
+    """Describe what stands in the way of ROS 2's router, and what to do about it."""
     remedy = (
         "start rmw_zenohd there (ros2 run rmw_zenoh_cpp rmw_zenohd), or give its address with "
         "--ros-connect"
@@ -70,7 +70,7 @@ def shown_of_ros(finding: Finding) -> str:
 
 
 class Inbox:
-    """Messages that wait, by topic; of each, the newest ones are kept.
+    """Queues messages by topic; of each topic the newest ones are kept.
 
     One thread puts and gets; another may take what was dropped.
     """
@@ -104,7 +104,7 @@ class Inbox:
         return self._waiting[self._order.popleft()].popleft() if self._order else None
 
     def take_dropped(self) -> dict[str, int]:
-        """Messages dropped since the last call, by topic."""
+        """Return and reset the number of dropped messages, by topic."""
         with self._lock:
             dropped, self.dropped = dict(self.dropped), collections.Counter()
         return dropped
@@ -123,7 +123,7 @@ class _RosPublisher:
 
     @property
     def matched(self) -> bool:
-        """Whether somebody subscribes; of one that is latched it is not known."""
+        """Return whether somebody subscribes; True of a latched topic, where it is unknown."""
         return self._publisher.matched
 
     def put(self, payload: bytes) -> None:
@@ -181,17 +181,17 @@ class Gateway:
 
     @property
     def legs(self) -> tuple[str, ...]:
-        """Legs whose samples come from ROS 2."""
+        """Return the legs whose samples come from ROS 2."""
         return self.intake.legs
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Topics that are read."""
+        """Return the topics that are read."""
         return tuple(self._topics)
 
     @property
     def publishes(self) -> str:
-        """Topics that are written, for a person."""
+        """Describe the topics that are written, for a person."""
         topics = [address.topic for address in self._report.contacts.values()]
         some = ", ".join(topics[:2]) + (", …" if len(topics) > 2 else "")
         rest = (self._report.values, self._report.states, self._report.diagnostics)
@@ -396,7 +396,7 @@ class Gateway:
                     continue
 
     def _say_for(self, seconds: float, stop: threading.Event) -> bool:
-        """Say what the other threads have to say; return whether to stop."""
+        """Print the lines of other threads for some time; return whether to stop."""
         until_s = self._now_s() + seconds
         while not stop.is_set():
             try:
@@ -408,7 +408,7 @@ class Gateway:
         return True
 
     def _trouble(self, up_s: float) -> str | None:
-        """What stands in the way of relaying; None where nothing does."""
+        """Describe what prevents relaying; None where nothing does."""
         if not self._ros.is_connected():
             return f"ROS 2 cannot be reached: {shown_of_ros(self._ros.diagnose())}; trying on"
         if not self._service.is_connected():
@@ -436,7 +436,7 @@ class Gateway:
         return self._report.diagnose(time.time_ns(), learners, valid, counts, trouble)
 
     def _report_silent(self) -> None:
-        """Say which legs have had no sample, and who publishes on their topics."""
+        """Print which legs have had no sample, and who publishes on their topics."""
         seen = [
             address
             for token in self._ros.alive(rmw.publishers(self._node.domain))

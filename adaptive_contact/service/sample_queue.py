@@ -32,7 +32,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Raw:
-    """A payload that waits for the worker; ``arrival_ns`` is monotonic.
+    """Holds a payload that waits for the worker; ``arrival_ns`` is monotonic.
 
     ``size`` is that of the payload as it came; ``payload`` is empty where it was too large.
     """
@@ -48,7 +48,7 @@ _Queue = deque[tuple[str, Raw]]
 
 @dataclass(slots=True)
 class Batch(Generic[R]):
-    """What the worker takes in one go."""
+    """Holds what the worker takes in one round."""
 
     # at most one payload per leg, the oldest; and one of all legs without a queue
     samples: dict[str, Raw] = field(default_factory=dict)
@@ -63,7 +63,7 @@ class Batch(Generic[R]):
 
 
 class SampleQueue(Generic[R]):
-    """Bounded queues, filled on Zenoh's threads and emptied by one worker.
+    """Queues payloads per leg, bounded; filled on Zenoh's threads, emptied by one worker.
 
     Payloads of legs that have no queue wait in one, whatever they call themselves.
 

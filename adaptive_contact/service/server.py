@@ -73,7 +73,7 @@ class Sweeper:
         self._swept_ns = 0
 
     def start(self, now_ns: int) -> None:
-        """Nothing is collected by itself from now on, and what there is is not looked at again."""
+        """Stop automatic garbage collection; objects that exist now are never examined again."""
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -101,7 +101,7 @@ _TRACE: Final = "/trace"
 
 
 class Service:
-    """Learners behind a link.
+    """Runs the learners behind a link.
 
     Args:
         link: open; closed by its owner.
@@ -299,7 +299,7 @@ class Service:
             self.log_figures()
 
     def status(self, now_ns: int) -> ServiceStatus:
-        """How the service is."""
+        """Return the state of the service."""
         for latency_ns in self._publisher.latencies():
             self._event_latency.add(latency_ns)
         state = None if self._keeper is None else self._keeper.facts
@@ -328,7 +328,7 @@ class Service:
         )
 
     def _complaints(self, now_ns: int) -> tuple[str | None, ...]:
-        """What is wrong with the service, each cause in its own place."""
+        """Return what is wrong with the service, each cause in its own place."""
         dropped = (
             f"{self._publisher.cut_off} links dropped since the start: their subscribers hang or "
             "are gone"
@@ -368,7 +368,7 @@ class Service:
         return read_
 
     def _newcomer(self, leg: str, raw: Raw, now_ns: int) -> None:
-        """Have a learner made of a leg that is not described, by its first good sample alone."""
+        """Request a learner for a leg that is not described, by its first good sample."""
         read_, detail = read(raw), ""
         if isinstance(read_, Rejected):
             reason, detail = read_.reason, read_.detail
@@ -506,12 +506,12 @@ class Service:
             self._to_save.append((now_ns, endpoint))
 
     def _stalled(self, for_s: float) -> None:
-        """Say on a thread of the watchdog what the worker cannot say."""
+        """Publish that the worker stands still; called on the watchdog's thread."""
         self._network.note = f"the worker has stood still for {for_s:.1f} s"
         self._status.put(self.status(time.monotonic_ns()))
 
     def _end(self, now_ns: int) -> None:
-        """Have every leg saved, send the last events, and publish the last counts."""
+        """Save every leg, send the last events, and publish the last counts."""
         for endpoint in self._endpoints.values():
             self._post(endpoint.withdraw(now_ns, ending=True), now_ns)
             endpoint.publish_status(now_ns, anyway=True)

@@ -36,7 +36,7 @@ _HOST_PORT = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%a-z]+\]|[^\[\]:/\s]+):(?P<port
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """How to join the network; checked when made.
+    """Describes how to join the network; checked when made.
 
     Raises:
         ConfigurationError: in one line, what was found and what is expected.
@@ -86,7 +86,7 @@ def router_settings(
     insecure: bool = False,
     max_sessions: int | None = None,
 ) -> LinkSettings:
-    """Settings of the service: an embedded router, or a client where only ``connect`` is given.
+    """Make the service's settings: an embedded router, or a client if only ``connect`` is given.
 
     Endpoints are as typed (see :func:`endpoint`); no ``listen`` means loopback, port 7447.
 
@@ -115,7 +115,7 @@ def client_settings(
     wait: bool = True,
     zenoh_config: Path | None = None,
 ) -> LinkSettings:
-    """Settings of everything but the service: a client, by default of the local router.
+    """Make the settings of a client, by default of the local router.
 
     Raises:
         ConfigurationError: an endpoint or the namespace cannot be used.
@@ -170,17 +170,17 @@ def endpoint(text: str) -> str:
 
 
 def shown(locator: str) -> str:
-    """An endpoint as it may be shown: what follows ``?`` and ``#`` can hold a private key."""
+    """Remove what follows ``?`` and ``#`` in an endpoint: it can hold a private key."""
     return re.split(r"[?#]", locator, maxsplit=1)[0]
 
 
 def shown_path(path: Path) -> str:
-    """A path as it may be shown and sent: its bytes need be no UTF-8, those of a message must."""
+    """Decode a path for messages: its bytes need not be UTF-8."""
     return os.fsencode(path).decode(errors="replace")
 
 
 def tcp_address(locator: str) -> tuple[str, int] | None:
-    """Host and port of an endpoint that runs over TCP, None for other protocols."""
+    """Return host and port of an endpoint that runs over TCP; None for other protocols."""
     protocol, _, address = locator.partition("/")
     match = _HOST_PORT.match(re.split(r"[?#]", address, maxsplit=1)[0])
     if protocol not in _OVER_TCP or match is None:
@@ -222,12 +222,12 @@ def is_multicast(locator: str) -> bool:
 
 
 def leg_token(leg: str) -> str:
-    """Liveliness token of a leg that the service follows."""
+    """Return the key of a leg's liveliness token."""
     return f"robot/leg/{leg}"
 
 
 class Reach(enum.StrEnum):
-    """What stands between us and a router."""
+    """Names what stands between a client and its router."""
 
     CONNECTED = "connected"
     UNREACHABLE = "unreachable"
@@ -236,7 +236,7 @@ class Reach(enum.StrEnum):
 
 
 class Finding(NamedTuple):
-    """What a probe found, and one line for a person.
+    """Holds what a probe found, and one line for a person.
 
     ``certain`` where trying to join would be in vain: every host has said that it has no listener.
     """
@@ -247,7 +247,7 @@ class Finding(NamedTuple):
 
 
 class NoRouterError(LinkError):
-    """No router could be joined; ``finding`` says which of the reasons it seems to be."""
+    """Reports that no router could be joined; ``finding`` has the likely reason."""
 
     def __init__(self, finding: Finding, prefix: str = "") -> None:
         super().__init__(prefix + finding.line)
@@ -296,7 +296,7 @@ def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
 
 
 def _tcp(address: tuple[str, int], timeout_s: float) -> str | None:
-    """None where the port accepts a connection, otherwise why not, with ``{}`` for its name."""
+    """Return why a port refuses a connection, with ``{}`` for its name; None if it accepts."""
     try:
         socket.create_connection(address, timeout=timeout_s).close()
     except (socket.gaierror, UnicodeError):  # unknown, or none that could be a name

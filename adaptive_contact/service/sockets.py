@@ -63,7 +63,7 @@ class LinkSockets:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop; calling it twice is safe."""
+        """Stop looking; calling it twice is safe."""
         self._stop.set()
 
     def drop_what_holds_up(
@@ -108,7 +108,7 @@ class LinkSockets:
             self._on_drop(len(shut))
 
     def _stuck(self, sockets: dict[int, int], now_ns: int) -> list[int]:
-        """Sockets with something to send, of which nothing was taken for long enough."""
+        """Return sockets with unsent data of which the peer took nothing for too long."""
         queued: dict[int, tuple[int, int]] = {}
         for inode, number in sockets.items():
             waiting, acknowledged = _use(number, _progress) or (0, 0)
@@ -129,7 +129,7 @@ class LinkSockets:
 
 
 def _sockets() -> dict[int, int]:
-    """Descriptors of the process's sockets by their inodes."""
+    """Return the descriptors of the process's sockets, by inode."""
     found = {}
     with os.scandir("/proc/self/fd") as descriptors:  # Path.iterdir takes five times as long
         for descriptor in descriptors:
@@ -164,7 +164,7 @@ def _use(number: int, what: Callable[[socket.socket], _T]) -> _T | None:
 
 
 def _is_of_a_link(ours: socket.socket) -> bool:
-    """Whether a stream is TCP, or one that a Unix listener with a path has accepted."""
+    """Return whether a stream is TCP, or was accepted by a Unix listener with a path."""
     if ours.family == socket.AF_UNIX:  # pairs without a name are the runtime's own
         return bool(ours.getsockname())
     return ours.family in (socket.AF_INET, socket.AF_INET6)
@@ -178,7 +178,7 @@ def _clear_linger(ours: socket.socket) -> None:
 
 
 def _progress(ours: socket.socket) -> tuple[int, int]:
-    """Bytes that the peer has not acknowledged yet, and a number that changes as it takes some."""
+    """Return the unacknowledged bytes, and a number that changes as the peer takes some."""
     waiting = struct.unpack("i", fcntl.ioctl(ours.fileno(), termios.TIOCOUTQ, b"\0" * 4))[0]
     if ours.family == socket.AF_UNIX:  # nothing is acknowledged there; what waits is all there is
         return int(waiting), int(waiting)

@@ -20,7 +20,7 @@ _KEPT: Final = 4096  # p99 of as many is good to about 40 values beyond it
 
 
 class LatencyMs(msgspec.Struct, frozen=True, kw_only=True):
-    """Quantiles of the newest values, in milliseconds, and how many there ever were."""
+    """Holds quantiles of the newest values, ms, and how many there ever were."""
 
     p50: float
     p99: float
@@ -41,7 +41,7 @@ class Latency:
         self._count += 1
 
     def quantiles(self) -> LatencyMs | None:
-        """Quantiles of the newest values, by nearest rank; None before the first."""
+        """Return quantiles of the newest values, by nearest rank; None before the first."""
         if not self._values:
             return None
         ordered = sorted(self._values)
@@ -84,7 +84,7 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, robot: Robot, leg: str) -> LegFacts:
-        """What a robot's description says of one of its legs."""
+        """Make the facts of a leg from its robot's description."""
         described = robot.leg(leg)
         limits, frame = described.limits, AngleFrame(described)
         ends = () if limits is None else (limits.lower_rad, limits.upper_rad)

@@ -38,7 +38,7 @@ _MOST_ANSWERED: Final = 200
 
 
 class Judged(NamedTuple):
-    """How the learner judged its last tick."""
+    """Holds how the learner judged its last tick."""
 
     predicted: list[float]  # (J,) rad, what was expected to be measured, in the source's angles
     test_ratio: float  # statistic over threshold, the largest of its windows
@@ -61,7 +61,7 @@ class Tracer:
         self._until_ns = 0
 
     def wanted(self, now_ns: int) -> bool:
-        """Whether ticks are to be taken."""
+        """Return whether ticks are to be recorded."""
         return now_ns < self._until_ns
 
     def take(
@@ -89,7 +89,7 @@ class Tracer:
             ticks.append(_Tick(self._number, sample, swing, judged, p))
 
     def answer(self, legs: Iterable[str], after: str | None, now_ns: int) -> list[LegTrace]:
-        """What came after the number that is asked for, as much as one answer holds.
+        """Return the ticks after a given number, as many as one answer holds.
 
         What is left comes with the next question; without a number the newest comes.
 
@@ -139,7 +139,7 @@ def _trace(leg: str, kept: deque[_Tick], after: int, last: int) -> LegTrace:
 
 
 def judged_tick(learner: ContactLearner, sample: ServoSample) -> Judged | None:
-    """How a learner judged its last sample; None where it could not."""
+    """Return how a learner judged its last sample; None where it could not."""
     tick = learner.judged()
     if tick is None:
         return None

@@ -73,7 +73,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
 
 
 class Facts(NamedTuple):
-    """What a configuration ended up with."""
+    """Holds what a configuration resulted in."""
 
     # listen, connect: endpoints
     listen: tuple[str, ...]
@@ -116,7 +116,7 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
 
 
 def router_failure(config: zenoh.Config, facts: Facts, error: zenoh.ZError) -> str:
-    """Say in one line why a router could not be opened, and which option is to be corrected."""
+    """Explain in one line why a router could not be opened, and which option to correct."""
     if facts.connect and _opens_alone(config):
         where = ", ".join(map(shown, facts.connect))
         return f"cannot join {where}: {first_line(error)}; give another router with --connect"
@@ -130,7 +130,7 @@ def router_failure(config: zenoh.Config, facts: Facts, error: zenoh.ZError) -> s
 
 
 def _opens_alone(config: zenoh.Config) -> bool:
-    """Whether a router opens that joins no other; Zenoh does not say which endpoint it refuses."""
+    """Return whether a router opens that joins no other: Zenoh does not name what it refuses."""
     _insert(config, "connect/endpoints", [])
     try:
         zenoh.open(config).close()
@@ -140,7 +140,7 @@ def _opens_alone(config: zenoh.Config) -> bool:
 
 
 def first_line(error: zenoh.ZError) -> str:
-    """Zenoh's words without the source paths it appends, and without what it quotes of a file."""
+    """Return Zenoh's message without source paths, and without what it quotes of a file."""
     # An endpoint's options may hold a key.
     text = re.sub(r"\b([a-z][a-z0-9_-]*/[^\s?#'\"<]+)[?#][^\"\n]*", r"\1…", str(error))
     # Zenoh quotes the line it cannot read, or the value it does not want: either may be a password.
@@ -181,7 +181,7 @@ def _from_file(path: Path) -> zenoh.Config:
 
 
 def _endpoints(config: zenoh.Config, side: str, mode: str) -> tuple[str, ...]:
-    """Endpoints of one side; the configuration holds a list, or one list per mode."""
+    """Return the endpoints of one side; the configuration holds a list, or one per mode."""
     value = json.loads(config.get_json(f"{side}/endpoints"))
     if isinstance(value, dict):
         value = value.get(mode, [])
@@ -190,7 +190,7 @@ def _endpoints(config: zenoh.Config, side: str, mode: str) -> tuple[str, ...]:
 
 
 def _said(path: Path, config: zenoh.Config) -> frozenset[str]:
-    """Which settings a file holds.
+    """Return the settings that a file holds.
 
     Zenoh fills in its own defaults, so the file is read for its keys.  Of one in YAML, which Zenoh
     takes too, only what differs from those defaults is known.
@@ -235,7 +235,7 @@ def _check_door(config: zenoh.Config, text: str, users: bool) -> None:
 
 
 def _users(config: zenoh.Config, path: Path | None) -> bool:
-    """Whether Zenoh will ask for a user and password.
+    """Return whether Zenoh will ask for a user and password.
 
     With neither a user of its own nor one in the dictionary, it does not ask.
 
@@ -260,7 +260,7 @@ def _users(config: zenoh.Config, path: Path | None) -> bool:
 
 
 def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, object]:
-    """What our settings decide; ``listen`` are their endpoints with free ports filled in."""
+    """Return our settings as overrides; ``listen`` are their endpoints, free ports filled in."""
     table: dict[str, object] = {"mode": settings.mode}
     if settings.mode == "client":
         table["listen/endpoints"] = []  # whatever the file says: a client is no door
@@ -320,7 +320,7 @@ _DEEPEST: Final = 64
 
 
 def keys_of(text: str) -> frozenset[str]:
-    """Paths of all settings in a JSON5 text, read as JSON with its words as texts.
+    """Return the paths of all settings in a JSON5 text, read as JSON with its words as texts.
 
     Zenoh has checked the file before: what cannot be read has no keys and is not reported.
 
@@ -374,7 +374,7 @@ class _CallbackFaults(logging.Handler):
 
 
 def callback_faults() -> int:
-    """Exceptions raised in callbacks of any session, since this process began."""
+    """Count exceptions in callbacks of any session, since this process began."""
     return _faults.count
 
 

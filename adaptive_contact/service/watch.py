@@ -49,7 +49,7 @@ _MOST_TIMES: Final = 256
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
-    """One row: a leg as it is now."""
+    """Describes one row: a leg as it is now."""
 
     leg: str
     contact: bool | None = None  # None while it is not known
@@ -83,7 +83,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Verdict(NamedTuple):
-    """What became of a touch, or of an event, by the simulator's truth."""
+    """Holds what became of a touch or an event, by the simulator's truth."""
 
     # `seen` or `missed`, of a touch; `false`, of an event
     kind: Literal["seen", "missed", "false"]
@@ -91,7 +91,7 @@ class Verdict(NamedTuple):
 
 
 class View(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything on the screen."""
+    """Holds everything on the screen."""
 
     legs: list[LegView]
     service: ServiceStatus | None = None
@@ -107,7 +107,7 @@ class _Touch:
 
 @dataclass(slots=True)
 class _Truth:
-    """Truth of one leg, and its events as judged by it."""
+    """Holds the truth of one leg, and judges its events by it."""
 
     loaded_since_ns: int | None = None
     released_ns: int | None = None
@@ -170,7 +170,7 @@ class _Truth:
 
 @dataclass(slots=True)
 class _Arrivals:
-    """Contacts of one leg that arrived, against those that its statuses count.
+    """Compares contacts of one leg that arrived with those that its statuses count.
 
     A status counts the contacts up to its own time; their times show which of them arrived, in
     any order.  Another clock, and another service, restart the count.
@@ -275,7 +275,7 @@ class Watch:
             self._leg(leg)
 
     def view(self, now_ns: int, *, alive: bool = True, connected: bool = True) -> View:
-        """What is known now, legs in the order of the service's robot.toml."""
+        """Return what is known now, legs in the order of the service's robot.toml."""
         known = list(self._service.legs) if self._service is not None else []
         order = [*known, *sorted(leg for leg in self._legs if leg not in known)]
         return View(
@@ -286,11 +286,11 @@ class Watch:
         )
 
     def statuses(self) -> dict[str, LearnerStatus]:
-        """The last status of every leg."""
+        """Return the last status of every leg."""
         return {name: leg.status for name, leg in self._legs.items() if leg.status is not None}
 
     def take_verdicts(self) -> list[tuple[str, Verdict]]:
-        """What was judged since the last call, leg by leg; the newest where that is much."""
+        """Return and reset the verdicts since the last call, by leg; the newest of many."""
         taken: list[tuple[str, Verdict]] = []
         for name, leg in self._legs.items():
             if leg.truth is not None:
@@ -356,7 +356,7 @@ class Watch:
 
 
 def _since(status: LearnerStatus) -> float | None:
-    """Since the leg's newest change, by the clock of its samples."""
+    """Return the time since the leg's newest change, s, by the clock of its samples."""
     since_ns = status.drift.since_ns
     return None if since_ns is None else max(status.t_ns - since_ns, 0) / 1e9
 
@@ -437,7 +437,7 @@ class Feed:
 
 
 def _age_ns(received: Received) -> int:
-    """How old a sample was on arrival, by the publisher's wall clock (0 where it has none)."""
+    """Return a sample's age on arrival, ns, by the publisher's wall clock (0 if it has none)."""
     if received.published_ns is None:
         return 0
     arrived_ns = time.time_ns() - (time.monotonic_ns() - received.arrival_ns)

@@ -32,7 +32,7 @@ _GAP: Final = "  "  # between columns: padding and the box's own
 
 
 def headline(view: View) -> Text:
-    """One line over the table: the service, and what is wrong with it as a whole."""
+    """Format the line over the table: the service, and what is wrong with it as a whole."""
     if not view.connected:
         return Text("router lost, reconnecting", style="bold red")
     service = view.service
@@ -80,7 +80,7 @@ def headline(view: View) -> Text:
 
 
 class _Column(NamedTuple):
-    """One column; the lower its rank, the sooner it gets a place."""
+    """Defines one column; the lower its rank, the sooner it gets a place."""
 
     name: str
     rank: int
@@ -89,7 +89,7 @@ class _Column(NamedTuple):
 
 
 def table(view: View, width: int = 160, height: int | None = None) -> Group:
-    """The service in a line, a row per leg, and what is to be said of legs under it.
+    """Format the service in a line, a row per leg, and the legs' notes under them.
 
     Args:
         view: what is known.
@@ -168,7 +168,7 @@ def _drawn(
 
 
 def _columns(legs: Sequence[LegView]) -> list[_Column]:
-    """Columns from left to right; those that need truth only where there is some."""
+    """Return the columns from left to right; those that need truth only where there is some."""
     columns = [
         _Column("leg", 0, lambda leg: Text(printable(leg.leg), style="bold"), right=False),
         _Column("state", 1, _state, right=False),
@@ -195,7 +195,7 @@ def _columns(legs: Sequence[LegView]) -> list[_Column]:
 
 
 def _remarks(leg: LegView) -> list[Text]:
-    """What is to be said of a leg: its note, and what was refused for which reasons."""
+    """Format a leg's note, and why its samples were refused."""
     lines = []
     name = printable(leg.leg)
     if leg.note:
@@ -211,7 +211,7 @@ def _rejects(leg: LegView) -> Text:
 
 
 def _lost(leg: LegView) -> Text:
-    """Samples missed; what a source lost while it restarted is not counted."""
+    """Format samples missed; what a source lost while it restarted is not counted."""
     words = f"{leg.missed}"
     if leg.restarts:
         words += f", {leg.restarts} {'restart' if leg.restarts == 1 else 'restarts'}"
@@ -219,7 +219,7 @@ def _lost(leg: LegView) -> Text:
 
 
 def _state(leg: LegView) -> Text:
-    """Free or contact; and of an ambiguous leg how many contacts have been withheld."""
+    """Format free or contact; of an ambiguous leg how many contacts have been withheld."""
     if leg.contact is None:
         return Text("unknown", style="dim")
     if leg.contact:
@@ -238,7 +238,7 @@ def _status(leg: LegView) -> Text:
 
 
 def _change(leg: LegView) -> Text:
-    """What the leg has changed in, as far as is known, and when."""
+    """Format what the leg has changed in, as far as is known, and when."""
     when = None if leg.changed_s is None else f"{duration(leg.changed_s)} ago"
     words = ", ".join(filter(None, (leg.kind, when)))
     return Text(printable(words)) if words else Text("-", style="dim")
@@ -289,6 +289,6 @@ def _version(leg: LegView) -> Text:
 
 
 def counts_of(counts: Mapping[str, int]) -> str:
-    """All reasons by number, the largest first: no loss is out of sight behind others."""
+    """Format all reasons by number, the largest first."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     return ", ".join(f"{printable(reason)} {number}" for reason, number in ordered if number)

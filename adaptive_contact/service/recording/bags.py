@@ -49,7 +49,7 @@ _QUERY: Final = """
 
 
 class Bag(Recording):
-    """A bag to iterate over, as often as wanted; gives samples and truth of the mapped legs.
+    """Iterates over a bag, as often as wanted; yields samples and truth of the mapped legs.
 
     Raises:
         RecordingError: the bag cannot be read.
@@ -84,7 +84,7 @@ class Bag(Recording):
 
     @property
     def about(self) -> dict[str, str]:
-        """Empty: a bag does not say which robot it is of."""
+        """Return an empty mapping: a bag does not say which robot it is of."""
         return {}
 
     def __iter__(self) -> Iterator[Record]:
@@ -112,7 +112,7 @@ class Bag(Recording):
         self.notes = (*self._missing(topics), *complaints.lines())
 
     def _missing(self, topics: dict[str, tuple[str, ...]]) -> Iterator[str]:
-        """A line for each mapped topic that the bag lacks."""
+        """List each mapped topic that the bag lacks, one line each."""
         for topic, types in topics.items():
             if topic not in self.types:
                 like = [name for name, (kind, _) in self.types.items() if kind in types]
@@ -124,7 +124,7 @@ class Bag(Recording):
     # -- files -------------------------------------------------------------------------------------
 
     def _find_files(self) -> list[Path]:
-        """Files of the bag in their order."""
+        """Return the files of the bag in their order."""
         path = self.path
         if not path.exists():
             raise RecordingError(f"{path}: cannot be read (no such file); give a bag")
@@ -150,7 +150,7 @@ class Bag(Recording):
                 yield from records
 
     def _walked(self, path: Path, name: str, _: Collection[str]) -> Iterator[Record]:
-        """Messages of an MCAP file."""
+        """Yield the messages of an MCAP file."""
         recording = Recording(path)
         recording.types = self.types
         yield from recording
@@ -159,7 +159,7 @@ class Bag(Recording):
         self.lost += recording.lost
 
     def _asked(self, path: Path, name: str, topics: Collection[str]) -> Iterator[Record]:
-        """Messages of a db3 file."""
+        """Yield the messages of a db3 file."""
         given = 0
         where = f"{path.resolve().as_uri()}?immutable=1"
         try:
@@ -191,7 +191,7 @@ class Bag(Recording):
 
 @contextlib.contextmanager
 def _unpacked_file(path: Path) -> Iterator[Path]:
-    """A file of a bag; one that was compressed as a whole is unpacked to a temporary one.
+    """Open a file of a bag; one compressed as a whole is unpacked to a temporary file.
 
     Raises:
         RecordingError: it cannot be unpacked, or to more than a recording of a robot holds.

@@ -46,7 +46,7 @@ OnRecord = Callable[[Record], None]
 
 
 class ExportFormat(StrEnum):
-    """What a recording is turned into."""
+    """Names what a recording is converted to."""
 
     CSV = "csv"
     PARQUET = "parquet"
@@ -55,12 +55,12 @@ class ExportFormat(StrEnum):
 
     @property
     def is_table(self) -> bool:
-        """Whether the output is a folder of tables, not one MCAP file."""
+        """Return whether the output is a folder of tables, not one MCAP file."""
         return self in (ExportFormat.CSV, ExportFormat.PARQUET)
 
 
 class Exported:
-    """What an export did.
+    """Counts what an export wrote and left out.
 
     Attributes:
         messages: written.
@@ -133,7 +133,7 @@ def export_recording(
 
 
 def _nothing(recording: Recording, exported: Exported) -> str:
-    """Why nothing was written, which then leaves no file."""
+    """Explain why nothing was written, which then leaves no file."""
     if not exported.left_out:
         return f"{recording.path}: no message in it; nothing was written"
     (key, why), _ = exported.left_out.most_common(1)[0]
@@ -193,7 +193,7 @@ Row = list[Any]
 
 
 class _Columns:
-    """Columns of the table of one message: ``measured_0``, ``drift.level``.
+    """Lays out the table of one message: ``measured_0``, ``drift.level``.
 
     A list of numbers has a column for each place, a struct one for each field; text, maps and lists
     of those are one column of JSON.
@@ -227,7 +227,7 @@ class _Columns:
         return types
 
     def row(self, record: Record, message: Message) -> Row | None:
-        """Values in the order of the columns; None where a list is too long."""
+        """Return the values in the order of the columns; None where a list is too long."""
         row: Row = [
             record.log_time_ns,
             record.key,
@@ -253,7 +253,7 @@ class _Columns:
 
 
 def _flat(struct: type[msgspec.Struct], before: str) -> Iterator[tuple[str, type, bool]]:
-    """Path to each value, its type, and whether it is a list or written as JSON."""
+    """Yield each value's path, its type, and whether it is a list or written as JSON."""
     hints = get_type_hints(struct)
     for field in msgspec.structs.fields(struct):
         name = f"{before}{field.name}"

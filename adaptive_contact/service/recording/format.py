@@ -21,7 +21,7 @@ TO_ZENOH: Final = {name: encoding for encoding, name in TO_MCAP.items()}
 
 
 class Record(NamedTuple):
-    """One message of a recording."""
+    """Holds one message of a recording."""
 
     key: str  # Zenoh key it was seen on
     payload: bytes  # the bytes as they were, or msgpack of a message that was kept as protobuf

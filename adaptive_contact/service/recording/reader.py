@@ -77,7 +77,7 @@ Types = dict[str, tuple[str, str]]
 
 
 class Recording:
-    """A recording to iterate over, as often as wanted, in the file's order.
+    """Iterates over a recording, as often as wanted, in the file's order.
 
     Raises:
         RecordingError: the file cannot be read, or is no recording.  Damage inside never raises.
@@ -99,12 +99,12 @@ class Recording:
 
     @property
     def truncated(self) -> bool:
-        """Whether the last pass met a cut or damage; all intact messages were given out."""
+        """Return whether the last pass met a cut or damage; all intact messages were yielded."""
         return self.damage is not None
 
     @property
     def about(self) -> dict[str, str]:
-        """What the writer said of it (scenario, seed); empty for files of other tools."""
+        """Return what the writer noted (scenario, seed); empty for files of other tools."""
         with self._open() as file:
             head = file.read(_FRAME.size)
             while len(head) == _FRAME.size:
@@ -152,11 +152,11 @@ class Recording:
 
 
 class _DamagedError(Exception):
-    """A chunk cannot be used; the text says why."""
+    """Reports that a chunk cannot be used, and why."""
 
 
 class _Walk:
-    """One pass over a file that is past its magic."""
+    """Reads a file once, from behind its magic."""
 
     def __init__(self, file: IO[bytes], types: Types) -> None:
         self._types = types
@@ -178,7 +178,7 @@ class _Walk:
         self._chunk_used: bool | None = None
 
     def report(self, given: int) -> str | None:
-        """One line on what was met; None for a file that is whole."""
+        """Describe in one line the damage that was met; None for a file that is whole."""
         if not self.skipped:
             return self._cut and f"{self._cut}; the {given} messages before it are intact"
         places = "1 damaged place" if self.skipped == 1 else f"{self.skipped} damaged places"
@@ -224,7 +224,7 @@ class _Walk:
                 self._sure = end
 
     def _is_followed(self, at: int) -> bool:
-        """Whether another file begins behind the footer, as where `cat` joined recordings."""
+        """Return whether another file follows the footer, as where `cat` joined recordings."""
         opcode = Opcode.DATA_END
         while opcode and opcode != Opcode.FOOTER:
             head = os.pread(self._file.fileno(), _FRAME.size, at).ljust(_FRAME.size, b"\0")
@@ -233,7 +233,7 @@ class _Walk:
         return os.pread(self._file.fileno(), 2 * len(MCAP0_MAGIC), at) == 2 * MCAP0_MAGIC
 
     def _record(self, opcode: int, length: int) -> Iterator[Record]:
-        """Messages of one record whose frame is sound; the file is at its content."""
+        """Yield the messages of one record whose frame is sound; the file is at its content."""
         if opcode == Opcode.CHUNK:
             self._chunked = True
             self._chunk_used = False
@@ -257,7 +257,7 @@ class _Walk:
                     self._skip(self._at, str(damage))
 
     def _framing(self, opcode: int, length: int) -> str | None:
-        """What contradicts a record's opcode and length, None where nothing does."""
+        """Return what contradicts a record's opcode and length; None where nothing does."""
         if (opcode < _PRIVATE and opcode not in _DATA_SECTION) or opcode == Opcode.DATA_END:
             return "no record begins there"
         if opcode == Opcode.MESSAGE and (self._chunked or length > MAX_CHUNK_BYTES):
@@ -271,7 +271,7 @@ class _Walk:
         return None
 
     def _count_index(self, length: int) -> None:
-        """An index of messages gives how many a damaged or missing chunk had."""
+        """Count the lost messages of a damaged or missing chunk by its index."""
         if self._chunk_used is None:
             self._skip(self._at, "a chunk is missing before it")
             self._chunk_used = False
@@ -280,7 +280,7 @@ class _Walk:
             self.lost += (length - _INDEX.size) // 16
 
     def _beyond(self, opcode: int, length: int) -> Iterator[Record]:
-        """Messages of a record that ends beyond the file: those of a plain chunk, up to the cut."""
+        """Yield messages of a record that ends beyond the file: of a plain chunk, up to the cut."""
         if opcode != Opcode.CHUNK or not _is_chunk(self._peek(_CHUNK_HEAD_BYTES), length):
             return
         content = self._file.read(MAX_CHUNK_BYTES)
@@ -295,7 +295,7 @@ class _Walk:
             self._first = f"the first at byte {at} ({why})"
 
     def _peek(self, count: int) -> bytes:
-        """Bytes of the content that comes; the file stays where it is."""
+        """Return the next bytes of the content without moving on."""
         here = self._file.tell()
         head = self._file.read(count)
         self._file.seek(here)
@@ -325,7 +325,7 @@ class _Walk:
         return False
 
     def _unpack(self, length: int) -> bytes:
-        """The records inside a chunk, the file being at its content."""
+        """Unpack the records of the chunk whose content is next."""
         if length > MAX_CHUNK_BYTES + _CHUNK_HEAD_BYTES:
             raise _DamagedError(f"a chunk of {length >> 20} MB, at most {MAX_CHUNK_BYTES >> 20}")
         content = self._file.read(length)
@@ -359,7 +359,7 @@ class _Walk:
         return data
 
     def _unpacked(self, data: bytes) -> Iterator[Record]:
-        """Messages among unpacked records; channels are learned on the way."""
+        """Yield the messages among unpacked records; channels are learned on the way."""
         at, unknown = 0, 0
         while at < len(data):
             record = None
@@ -446,7 +446,7 @@ class _Walk:
 
 
 def _is_chunk(head: bytes, length: int) -> bool:
-    """Whether the lengths at the head of a chunk agree with the length of its record."""
+    """Return whether the lengths at the head of a chunk agree with the length of its record."""
     if len(head) < _CHUNK.size:
         return False
     name = _CHUNK.unpack_from(head)[4]

@@ -22,7 +22,7 @@ _PROGRESS_S: Final = 0.5
 
 
 class Writer(Protocol):
-    """What a recorder writes to."""
+    """Writes what a recorder receives."""
 
     def write(
         self, key: str, payload: bytes, encoding: str, log_time_ns: int, publish_time_ns: int | None

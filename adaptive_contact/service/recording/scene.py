@@ -107,7 +107,7 @@ class Scene:
 
 
 class _DrawnLeg:
-    """One leg's part of the messages."""
+    """Draws one leg's part of the messages."""
 
     def __init__(
         self,
@@ -145,7 +145,7 @@ class _DrawnLeg:
         self._paint()
 
     def move(self, measured: list[float]) -> bool:
-        """Take a sample; False where it is not one of this leg."""
+        """Take a sample; return False where it is not one of this leg."""
         angles = self._angles(measured)
         if len(angles) != len(self._joints) or not all(map(math.isfinite, angles)):
             return False
@@ -158,7 +158,7 @@ class _DrawnLeg:
         return True
 
     def show_contact(self, colour: Color) -> bool:
-        """Paint the foot; whether that changes the picture."""
+        """Paint the foot; return whether that changes the picture."""
         if self._foot is None or colour == self._colour:
             return False
         self._colour = colour
@@ -166,7 +166,7 @@ class _DrawnLeg:
         return True
 
     def show_truth(self, *, touches: bool) -> bool:
-        """Draw the true contact around the foot; whether that changes the picture."""
+        """Draw the true contact around the foot; return whether that changes the picture."""
         if self._foot is None or touches == self._true:
             return False
         self._true = touches
@@ -204,7 +204,7 @@ def _paint(color: Any, parts: Color) -> None:
 
 
 def _made() -> list[tuple[str, Any, Schema]]:
-    """Topics, empty messages, and the schemas of these with what they are made of."""
+    """Return topics, empty messages, and their schemas with all that these need."""
     descriptors = (Path(__file__).parent / "foxglove.binpb").read_bytes()
     pool, files = DescriptorPool(), {}
     for file in FileDescriptorSet.FromString(descriptors).file:

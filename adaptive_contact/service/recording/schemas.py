@@ -181,7 +181,7 @@ def _add_message(proto: DescriptorProto, struct: type[msgspec.Struct], scope: st
 def _add_field(
     proto: DescriptorProto, name: str, number: int, annotation: Any, scope: str
 ) -> _Convert | None:
-    """None where protobuf takes the value as it is."""
+    """Add a field; return how to convert its values, None if protobuf takes them as they are."""
     origin, arguments, optional = parts_of(annotation)
     field = proto.field.add(name=name, number=number, label=Field.LABEL_OPTIONAL, json_name=name)
     many = origin in (list, dict)

@@ -30,7 +30,7 @@ MAX_CHANNELS: Final = (1 << 16) - 1
 
 
 class _Counted:
-    """What mcap writes to; it asks for positions, which a FIFO does not know."""
+    """Counts bytes for mcap, which asks for positions: a FIFO does not know its own."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -42,7 +42,7 @@ class _Counted:
         return self._file.write(data)
 
     def tell(self) -> int:
-        """Bytes so far."""
+        """Return the bytes written so far."""
         return self._at
 
     def flush(self) -> None:
@@ -51,7 +51,7 @@ class _Counted:
 
 
 def started_writer(file: IO[bytes], chunk_bytes: int, about: Mapping[str, str]) -> Writer:
-    """An MCAP writer that has begun; ``about`` says what the recording is of."""
+    """Start an MCAP writer; ``about`` says what the recording is of."""
     writer = Writer(
         cast(Any, _Counted(file)), chunk_size=chunk_bytes, compression=CompressionType.ZSTD
     )

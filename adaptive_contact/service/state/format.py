@@ -41,7 +41,7 @@ _VERSION: Final = struct.Struct("<H")
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """What a state belongs to."""
+    """Identifies what a state belongs to."""
 
     robot: str  # its name
     leg: str  # its id
@@ -50,7 +50,7 @@ class Identity(msgspec.Struct, frozen=True):
 
 
 class Position(NamedTuple):
-    """Where a source was when its leg was saved."""
+    """Holds where a source was when its leg was saved."""
 
     # run, seq: of the last sample that was used
     run: int | None
@@ -61,7 +61,7 @@ class Position(NamedTuple):
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True):
-    """A leg's state, and when it was."""
+    """Holds a leg's state, and when it was saved."""
 
     identity: Identity  # what it belongs to
     saved_ns: Count  # wall clock, since 1970
@@ -78,7 +78,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Refused(NamedTuple):
-    """A state that is not used, and why, in one line."""
+    """Explains in one line why a state is not used."""
 
     why: str
 
@@ -136,7 +136,7 @@ _UNNAMED: Final = (2, 3)
 
 
 def default_folder() -> Path:
-    """The user's own folder: ``$XDG_STATE_HOME/adaptive-contact``, or below ``~/.local/state``.
+    """Return the user's folder: ``$XDG_STATE_HOME/adaptive-contact``, or below ``~/.local/state``.
 
     Raises:
         ConfigurationError: the user has no home.
@@ -156,7 +156,7 @@ def default_folder() -> Path:
 def settings_digest(
     robot: Robot, leg: str, baseline: str = "", *, formats: tuple[int, int] = (FORMAT, _UNNAMED[1])
 ) -> str:
-    """Digest of everything that makes what a leg has learned useless when it changes.
+    """Return a digest of all settings that make learned state useless when they change.
 
     Args:
         robot: description; mounts, servo ids and the target false-alarm rate do not enter.

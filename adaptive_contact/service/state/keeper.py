@@ -38,7 +38,7 @@ _ERROR_LINE: Final = 320
 
 
 class _Last(NamedTuple):
-    """What was last saved of a leg, and when the next save is due."""
+    """Holds what was last saved of a leg, and when the next save is due."""
 
     due_ns: int
     samples: int
@@ -91,7 +91,7 @@ class StateKeeper:
 
     @property
     def facts(self) -> StateFacts:
-        """How it goes."""
+        """Return folder, counts and errors, as the status publishes them."""
         more = len(self._refused) - _MOST
         error = self._hanging or self._error
         return StateFacts(
@@ -155,7 +155,7 @@ class StateKeeper:
         return endpoint.model_version != last.model_version or now_ns >= last.due_ns
 
     def take(self, endpoint: LegEndpoint, now_ns: int) -> None:
-        """Snapshot a leg, and leave the rest to the thread; nothing where there is no folder."""
+        """Snapshot a leg for the thread to save; does nothing without a folder."""
         if self._store.trouble is not None:
             return
         self._last[endpoint.leg] = _Last(
@@ -197,7 +197,7 @@ class StateKeeper:
             )
 
     def close(self, timeout_s: float = _END_S) -> None:
-        """End: what waits is written if it can be in time, the folder is free for others."""
+        """Write what waits, as far as time allows, and unlock the folder."""
         if not self.flush(timeout_s):
             with self._changed:
                 under_way = [] if self._under_way is None else [self._under_way[0]]
@@ -212,7 +212,7 @@ class StateKeeper:
 
     @property
     def _hanging(self) -> str | None:
-        """One line while the disk does not answer: who writes to it can count no failure."""
+        """Return one line while the disk does not answer; else None."""
         under_way = self._under_way
         if under_way is None:
             return None

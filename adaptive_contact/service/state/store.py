@@ -38,7 +38,7 @@ _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z")
 
 
 class Stored(NamedTuple):
-    """One file of a folder: its record, or why it would be refused."""
+    """Describes one file of a folder: its record, or why it would be refused."""
 
     path: Path
     size: int
@@ -46,7 +46,7 @@ class Stored(NamedTuple):
 
 
 class StateStore:
-    """The states of one robot; opened by :meth:`open`, closed by :meth:`close`."""
+    """Stores the states of one robot; opened by :meth:`open`, closed by :meth:`close`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder  # of this robot
@@ -121,12 +121,12 @@ class StateStore:
             self._lock = None
 
     def path(self, identity: Identity) -> Path:
-        """Where the newest state of a leg is."""
+        """Return the path of a leg's newest state."""
         name = "-".join(_plain(x) for x in (identity.leg, identity.library, identity.settings))
         return self.folder / f"{name}{NEWEST}"
 
     def candidates(self, identity: Identity) -> Iterator[tuple[Path, Record | Refused]]:
-        """What there is to restore a leg from, newest first; a missing file is no candidate."""
+        """Return what a leg can be restored from, newest first; missing files are left out."""
         if not os.access(self.folder, os.X_OK, effective_ids=True):
             return  # its content is unknown; `trouble` says that once, not for each leg
         newest = self.path(identity)
@@ -136,7 +136,7 @@ class StateStore:
                 yield path, found
 
     def others(self, identity: Identity) -> int:
-        """How many states of this leg belong to other settings or another library."""
+        """Count states of this leg that belong to other settings or another library."""
         newest = self.path(identity)
         pattern = f"{_plain(identity.leg)}-*{NEWEST}"
         try:
@@ -188,17 +188,17 @@ class StateStore:
 
 
 def is_of_leg(path: Path, leg: str) -> bool:
-    """Whether a file is a leg's by its name, which is all that a damaged one has."""
+    """Return whether a file is a leg's by its name, which is all that a damaged one has."""
     return path.stem.rsplit("-", 2)[0] == _plain(leg)  # a leg's id may hold a "-"
 
 
 def list_rest(root: Path) -> list[Path]:
-    """What saves that were killed have left; ``.old``, of earlier versions, is a whole state."""
+    """List what killed saves have left; ``.old``, of earlier versions, is a whole state."""
     return sorted(path for path in root.glob("*/*") if path.suffix in (_NEW, _OLD))
 
 
 def robot_folder(root: Path, robot: str) -> Path:
-    """Folder of a robot's states; its name may hold anything, so what cannot be a name is hashed.
+    """Return the folder of a robot's states; a name that cannot be a file's is hashed.
 
     Raises nothing: any text gives a folder below ``root``.
     """
@@ -206,7 +206,7 @@ def robot_folder(root: Path, robot: str) -> Path:
 
 
 def list_states(root: Path) -> list[Stored]:
-    """Everything below a folder that is a state, or was refused as one, in order of name."""
+    """List all states below a folder, refused ones too, in order of name."""
     found = []
     for path in sorted(root.glob("*/*")):
         if path.suffix not in (NEWEST, BEFORE, REFUSED):
@@ -249,7 +249,7 @@ def _plain(text: str) -> str:
 
 
 def _exposed(folder: Path) -> str | None:
-    """One line on what other users may write to, of a folder of states and all in it."""
+    """Describe in one line what other users may write to, of a folder of states and all in it."""
     found = [path for path in (folder.parent, folder, *sorted(folder.iterdir())) if _is_open(path)]
     if not found:
         return None
@@ -262,7 +262,7 @@ def _exposed(folder: Path) -> str | None:
 
 
 def _is_open(path: Path) -> bool:
-    """Whether another user than this one and root may change a file or folder."""
+    """Return whether a user other than this one and root may change a file or folder."""
     try:
         found = path.lstat()
     except OSError:
