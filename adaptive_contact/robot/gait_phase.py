@@ -48,7 +48,7 @@ class PhaseTracker:
     _still: int = 0
 
     def update(self, height: float) -> Phase:
-        """Take in the next command.
+        """Process the next command.
 
         Args:
             height: of the commanded foot in the leg's frame, m.

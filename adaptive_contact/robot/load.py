@@ -35,11 +35,11 @@ from adaptive_contact.robot.description import (
 )
 from adaptive_contact.wire import is_leg_id
 
-# What one service has been tried with (`make many`); what a sample has room for; letters.
+# Most legs that one service was tried with (`make many`); most joints of a sample; most letters.
 MAX_LEGS: Final = 64
 MAX_JOINTS: Final = 16
 _LONGEST_NAME: Final = 1000
-# A link is no longer, m, a leg reaches no less, and a direction is no shorter.
+# Largest length, offset and coordinate of a description, m.
 MOST_M: Final = 5.0
 # A Dynamixel bus: 253 is reserved, 254 is broadcast.
 MAX_SERVO_ID: Final = 252

@@ -27,8 +27,8 @@ from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
 from adaptive_contact.wire import ContactTruth, Message, ServoSample
 
 _NS: Final = 1_000_000_000
-# A leg that goes so far away from its last command, this long after it, follows commands that do
-# not arrive.  One that holds its pose, or is still on its way, needs none.
+# A leg that moves _MOVED_RAD away from its last command, this long after it, follows commands that
+# do not arrive.  One that holds its pose, or is still on its way, needs none.
 _NO_COMMAND_S: Final = 1.0
 _MOVED_RAD: Final = 0.2
 _FURTHER: Final = 3  # one reading may be wrong
@@ -64,7 +64,7 @@ class _LegState:
         self.commanded = False
         self.samples = 0
         self.waited = 0  # readings since the last command
-        # Once they are too many: how near to it the leg came, rad, and readings in a row that are
+        # After _NO_COMMAND_S: least distance to the command, rad, and readings in a row that are
         # further away.
         self.nearest = math.inf
         self.further = 0
@@ -204,7 +204,7 @@ class Intake:
     def take(
         self, topic: str, type_name: str, message: Any, origin: Origin
     ) -> Sequence[tuple[str, Message]]:
-        """Take in a message.
+        """Process a message.
 
         Returns:
             (leg, sample or truth) that it makes.

@@ -56,8 +56,7 @@ class TickCounter:
         back = False
         if publisher is not None and origin.seq is not None and publisher.seq is not None:
             ahead = origin.seq - publisher.seq
-            # A publisher whose numbers go back by less has sent a message twice; by more, it counts
-            # again.
+            # Numbers that go back by up to 50 are a message sent twice; by more, a restarted count.
             if -50 < ahead <= 0:
                 self._refuse(
                     topic,

@@ -93,7 +93,7 @@ class Gatherer:
         self._events: dict[str, list[ContactEvent]] = {}
 
     def take(self, received: Received) -> None:
-        """Take in one message; keys that do not matter for a score are passed over."""
+        """Store one message; keys that do not matter for a score are skipped."""
         head, _, kind = received.key.rpartition("/")
         if kind not in ("servo", "truth", "contact") or not head.startswith("robot/leg/"):
             return

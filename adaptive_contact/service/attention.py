@@ -16,7 +16,7 @@ from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.wire import LearnerStatus
 
-# A count that has grown is shown for so long.
+# How long a count that has grown is shown.
 _SHOWN_NS: Final = 60_000_000_000
 
 
@@ -86,7 +86,7 @@ def _faults(
         if leg.stale:
             yield leg.leg, Fault.of("unreported-page")
         else:
-            # Refusals of old are counted in the leg's row.
+            # Older refusals are counted in the leg's row.
             for fault in about_learner(status, status, service, set()):
                 if fault.cause is not Cause.REFUSED:
                     silent = status.status == "silent"

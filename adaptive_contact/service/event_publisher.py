@@ -164,7 +164,7 @@ class EventPublisher:
             self._putting_since_ns = None
         done_ns = time.monotonic_ns()
         self._latencies.append(done_ns - letter.arrival_ns)
-        # An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs, or that
+        # A put takes 0.05 ms; a tenth of a second means that a subscriber hangs, or that
         # the computer has no core for it.
         if done_ns - began_ns > 100_000_000:
             self._slow(began_ns, done_ns)

@@ -103,14 +103,14 @@ def _causes(names: Iterable[str]) -> frozenset[Cause]:
     return frozenset(Cause(value) for values in each for value in values)
 
 
-# What a cause explains in the same leg (or, found for no leg, in every leg).
+# Causes that a cause explains, in the same leg; one of the whole robot explains them in every leg.
 EXPLAINS: Final = {Cause(cause): _causes(of) for cause, of in said()["explains"].items()}
 # Reasons for which the service refuses samples of a leg with such a fault.
 REFUSED_FOR: Final = {
     Cause(cause): frozenset(map(Reject, of)) for cause, of in said()["refused_for"].items()
 }
-# Errors of which every tick has its share: a model that is learned from such a recording is none of
-# the leg.  Of all other causes it is known which ticks they spoil, and those are left out.
+# Causes that spoil every tick: no model of the leg can be learned from such a recording.  Other
+# causes spoil known ticks, which are left out.
 SPOILS: Final = frozenset(
     {Cause.UNITS, Cause.ECHO, Cause.TWINS, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR}
     | {Cause.QUANTUM, Cause.HELD}
@@ -125,9 +125,9 @@ class Fault(NamedTuple):
     what: str  # what was found and expected, the same for every leg of one entry
     remedy: str  # what to do
     detail: str | None = None  # this leg's figures, None where `what` has them all
-    size: float = 0.0  # how bad it is against others of this cause: the largest are shown
-    key: str = ""  # parts entries of one cause that need different remedies
-    total: int = 0  # samples that ``size`` counts some of; few of them make the entry a note
+    size: float = 0.0  # severity among faults of this cause: the largest are shown
+    key: str = ""  # separates entries of one cause that need different remedies
+    total: int = 0  # samples of which ``size`` is a part; a small part makes it a note
 
     @classmethod
     def of(
@@ -196,8 +196,7 @@ def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
         if not explained(leg, fault):
             together.setdefault((fault.cause, fault.key), []).append((leg, fault))
     made = [_entry(of_cause) for of_cause in together.values()]
-    # The whole robot first, then what befalls most legs: its description, wrong, shows in single
-    # legs, too.
+    # The whole robot first, then what most legs have: a wrong description shows in single legs.
     return sorted(
         made,
         key=lambda finding: (_RANKS[finding.level], bool(finding.legs), -len(finding.legs)),

@@ -19,7 +19,7 @@ import msgspec
 from adaptive_contact.service.settings import SILENT_AFTER_S
 from adaptive_contact.wire import ContactEvent, Heartbeat, LegHeartbeat
 
-_OLD_S: Final = 1e6  # in place of an age that is none
+_OLD_S: Final = 1e6  # in place of an age that is not known
 
 
 class KnownContacts:

@@ -49,12 +49,12 @@ class Downtime:
 
     def __init__(self, before: Position | None = None) -> None:
         self.missed = 0 if before is None else before.missed_down
-        # Until it is known how many samples passed meanwhile.
+        # None once it is known how many samples passed meanwhile.
         self.before = before
         self._first_seq = self._in_order = 0  # number of the stream's first sample, its samples
 
     def follow(self, sample: ServoSample, *, restart: bool) -> None:
-        """Take in an accepted sample; a long gap counts once a stream confirms it."""
+        """Update by an accepted sample; a long gap counts once a stream confirms it."""
         before = self.before
         if before is None:
             return

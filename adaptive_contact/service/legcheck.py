@@ -26,8 +26,8 @@ from adaptive_contact.wire import Reject, Rejected, ServoSample
 _RATE_TOLERANCE: Final = 0.05
 # No leg is controlled faster, s: 5 kHz.
 _SHORTEST_S: Final = 2e-4
-# Stamps off their schedule by NOTED_JITTER periods and more, one standard deviation, are named, as
-# the learner does.  A loop on a timer is off by 0.01 to 0.05 at 50, 100 and 200 Hz (two cores, ten
+# Stamps with a standard deviation of NOTED_JITTER periods or more are reported, as by the learner.
+# A loop on a timer is off by 0.01 to 0.05 at 50, 100 and 200 Hz (two cores, ten
 # processes waiting to run); one that sleeps for a period by 0.04 to 0.07 at 50 Hz, 0.1 to 0.3 at
 # 100; the loop times of a Raspberry Pi 5 (issue 27) by 0.36.
 _FEWEST_STAMPS: Final = 25

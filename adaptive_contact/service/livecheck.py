@@ -34,7 +34,7 @@ _REST_S: Final = 0.3
 # share of the one that moved most has only given way.
 _MOVED_RAD: Final = 0.12
 _GAVE_WAY: Final = 0.3
-# A plane is laid through the feet of so many legs.
+# Least number of feet that show a plane.
 _LEAST_FEET: Final = 4
 
 
@@ -75,8 +75,8 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     # forward_m, left_m: of the foot from the middle of the body
     forward_m: float | None = None
     left_m: float | None = None
-    # by how much the foot is above its command, of a leg at rest; a leg that hangs gives way to
-    # gravity, one that stands to the ground
+    # height of the foot over its command, of a leg at rest: negative for a leg that hangs, as
+    # gravity pulls it down, positive for one that stands
     above_m: float | None = None
 
 
@@ -208,7 +208,7 @@ class _LegCheck:
         now = self.last
         before, self._rested = self._rested, now
         if before is None or np.abs(now - before).max() < _MOVED_RAD:
-            # Rest creeps: what was there at first is what a move is measured from.
+            # A joint at rest creeps: a move is measured from where the rest began.
             self._rested = now if before is None else before
             return None
         return _moved(self.leg, before, now)

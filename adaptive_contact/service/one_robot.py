@@ -18,11 +18,11 @@ from adaptive_contact.service.recording import Record
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key, meant_key, namespace_of
 
-# Of each leg, samples and refusals that are looked at.
+# Most samples and refusals of each leg that are examined.
 _KEPT: Final = 1000
 _SHOWN: Final = 3
 
-# Faults of what was sent, not of how the robot moves: sure, and the reason why samples are refused;
+# Certain faults of what was sent, not of how the robot moves: those for which samples are refused,
 # and readings that are not those of their joints.
 _NAMED: Final = frozenset(
     {Cause.UNREADABLE, Cause.TIME_TYPE, Cause.TIME_UNIT, Cause.TIME_BACKWARDS, Cause.JOINTS}

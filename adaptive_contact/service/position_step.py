@@ -9,19 +9,19 @@ import numpy as np
 
 from adaptive_contact.arrays import Array
 
-# Steps are found from so many different readings, and lie between these, rad.
+# Least number of different readings that show a step, and the range of steps, rad.
 _STEP_READINGS: Final = 24
 LEAST_STEP_RAD: Final = 4e-4
 _MOST_STEP_RAD: Final = 0.1
 _STEP_SHARE: Final = 0.85  # of readings on one grid; of a grid at random it is below 0.5
-# A grid shows by so many of its lines.  Some places in which a joint without steps rests are on one
-# of 1,000 grids: each is near a line by chance in a case of five, ten more than two in one of 10^7.
+# Least number of lines that show a grid.  Of 1,000 grids one fits some resting places of a joint
+# without steps by chance: each place is near a line in one case of five, ten more in one of 10^7.
 _LEAST_LINES: Final = 12
 STEP_TOLERANCE: Final = 0.05
-# A grid is found in so many of a joint's different readings as well as in those of an hour.
+# Most readings that are examined: they show a grid as well as those of an hour.
 _MOST_VALUES: Final = 400
-# Readings are counted in bins of an eighth of the least step, by which the finest grid's mean is
-# 0.974 of what it is; densities are an eighth of a peak's half width apart, or less.
+# Width of the bins: an eighth of the least step.  It lowers the finest grid's mean to 0.974;
+# densities are an eighth of a peak's half width apart, or less.
 _BIN_RAD: Final = LEAST_STEP_RAD / 8.0
 
 
@@ -42,12 +42,12 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
         The step in rad; None where there are too few different readings, or none is found.
     """
     values, times = np.unique(angles, return_counts=True)
-    # A joint comes back to a line; what lies between two lines hardly ever comes twice.
+    # Readings on a line repeat; those between two lines hardly ever do.
     again = values[times > 1]
     if len(again) >= _STEP_READINGS:
         values = again
-    # A place in which a joint without steps rests counts no more than one it passes.
-    # Readings that are looked at are within so much, rad: two turns.
+    # Readings within two turns are examined, one per cell: a place where a joint rests counts no
+    # more than one it passes.
     values = values[values < values[:1] + (4.0 * math.pi)]
     cells = np.floor(values / (LEAST_STEP_RAD / 2.0))
     values = values[np.unique(cells, return_index=True)[1]]
@@ -66,9 +66,9 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
     found = _on_grid(values, coarse, until, _STEP_SHARE)
     if found is not None:
         return found
-    # What is finer than robot.toml says has to fit nearly all: readings between the lines of a grid
-    # (carried to their tick's moment, interpolated) are near lines a half, a third or a sixth as
-    # far apart where they are few.  Of AX-12A on a busy computer, up to a third are such.
+    # A step finer than robot.toml says must fit nearly all readings.  Readings between the lines
+    # (corrected to their tick's moment, interpolated) are near lines of a half, a third or a sixth
+    # of the step where they are few.  Of AX-12A on a busy computer up to a third are such.
     found = _on_grid(values, until, fine, 0.95)
     return None if found is None else _multiple(values, found, span, expected_rad)
 

@@ -28,20 +28,21 @@ _FEWEST: Final = 10
 # A joint counts as commanded to move when its command travels this far, rad (3 degrees, 10 steps of
 # an AX-12A), and as frozen when its reading then keeps one value.
 _COMMANDED_RAD: Final = 0.05
-# A command that goes this far, rad, and a reading that follows by less than this share of it: the
-# joint stands, and only its encoder's last step flickers.
+# A joint stands if its command moves this far, rad, and its reading follows by less than a
+# twentieth of that: only its encoder's last step flickers.
 _WIDE_RAD: Final = 0.3
 # Median of |measured - desired|, rad: an AX-12A lags some 0.1 rad in fast swings; 0.4 rad over
 # seconds is a wrong zero, a wrong direction or a stalled joint.
 _FAR_RAD: Final = 0.4
-# Copies of the command of up to so many ticks before: of the ticks in which it moves, at speeds
-# that differ by so many steps a tick, this share is within one step, which is what rounding leaves.
+# Readings copy the command of up to _COPY_LAGS ticks before if _COPY_SHARE of the ticks in motion
+# differ from it by the same within one step, as rounding leaves, at speeds that differ by
+# _COPY_SPEEDS steps a tick.
 _COPY_LAGS: Final = 12
 _COPY_SHARE: Final = 0.98
 _COPY_SPEEDS: Final = 3.0
-# Ticks that comparing a joint's motion with its command's needs.
+# Least number of ticks that compare a joint's motion with its command's.
 _FEWEST_MOVING: Final = 50
-# Where the step of the encoder is not known, readings on no grid are copies if they are this near.
+# Tolerance of a copy, rad, where the encoder's step is unknown and readings lie on no grid.
 _EQUAL_RAD: Final = 2e-6
 
 
@@ -111,13 +112,13 @@ def check_readings(
     near = np.median(np.abs(measured - desired), axis=0) <= _FAR_RAD
     found = survey(Samples(seq, measured, desired), known, quantum_rad or _EQUAL_RAD)
     copies = set(found.copies)
-    # Without phase nobody knows whether the leg carried: a stiff servo in the air is no copy.
+    # Without phase it is unknown whether the leg carried: a stiff servo in the air is no copy.
     sure = copies if known is not None and known.any() and not known.all() else set()
     for j, (read, told) in enumerate(zip(measured.T, desired.T, strict=True)):
         if _delayed(read, told, seq, quantum_rad):
             sure = sure | {j}
     for cause, joints in (("echo", sure), ("near_echo", (copies | set(found.strides)) - sure)):
-        # A copy is near its command; what is far from it has another fault.
+        # A copy is near its command; a reading far from it has another fault.
         of_cause = [j for j in sorted(joints) if near[j]]
         if of_cause:
             every = len(of_cause) == len(names)
@@ -211,9 +212,9 @@ def _delayed(measured: Array, desired: Array, seq: Ticks, step_rad: float | None
 def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[Fault]:
     shares: dict[str, float] = {}
     for joint, name in enumerate(names):
-        # With coarser steps than was said, a joint takes some ticks to go one.
+        # Steps coarser than described take a joint several ticks each.
         gaps = np.diff(np.unique(samples.measured[:, joint]))
-        # That one step, computed in two ways, may be off.
+        # Two values of one step, computed in two ways, differ by rounding.
         coarser = float(gaps.min(initial=np.inf, where=gaps > 1e-9))
         share = held_share(samples, joint, max(step_rad, coarser))
         # Readings that are held: of the ticks in which a joint goes a step a tick and more, over so

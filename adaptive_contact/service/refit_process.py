@@ -23,10 +23,10 @@ from typing import IO, Final
 import adaptive_contact
 from adaptive_contact.priority import yield_priority
 
-# Says that no thread is disturbed yet by what it imports.
+# Option: import at full priority, as no tick is disturbed yet.
 HURRY: Final = "--hurry"
-# Says that jobs come at once, and most of them need nothing of it: a fit imports it, if one comes.
-# Who sends them waits for each, so that it yields to nobody.
+# Option: do not import in advance, as jobs come at once and few are fits.  The sender waits for
+# each job, so the process keeps its priority.
 UNPREPARED: Final = "--unprepared"
 
 _LENGTH: Final = struct.Struct(">Q")
@@ -52,13 +52,13 @@ def read_frame(stream: IO[bytes]) -> bytes | None:
 
 def main() -> None:
     """Do jobs until the service is gone."""
-    # Whatever prints must not print between the frames.
+    # Prints go to stderr: they must not come between the frames.
     results = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     hurry = HURRY in sys.argv
     yield_priority(0 if hurry else _NICE)
     if UNPREPARED not in sys.argv:
-        # What fits need, seconds to import: before the first job, not while it waits.
+        # Fits need modules that take seconds to import: before the first job, not while it waits.
         for module in ("pysindy.optimizers", "adaptive_contact.fit.refit_job"):
             importlib.import_module(module)
         if hurry:
@@ -68,7 +68,7 @@ def main() -> None:
             write_frame(results, pickle.dumps(pickle.loads(frame).run()))
 
 
-# Read by the BLAS libraries when they are loaded, which is before the worker can say anything.
+# BLAS libraries read these when they are loaded, before the worker could set them.
 ONE_BLAS_THREAD: Final = {
     f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")
 }

@@ -67,7 +67,7 @@ class Sweeper:
             once.
     """
 
-    # So many objects more than at the last collection, some 4 MB, wait for no pause.
+    # This many new objects since the last collection, some 4 MB, are collected without a pause.
     def __init__(self, most_objects: int = 20_000) -> None:
         self._most = most_objects
         self._swept_ns = 0
@@ -81,20 +81,20 @@ class Sweeper:
 
     def sweep(self, now_ns: int, *, pause: bool) -> None:
         """Collect if it is time."""
-        # The learners make no cycles (0 in 150 s of six walking legs); others may, on bad days.
+        # The learners make no cycles (0 in 150 s of six walking legs); libraries may.
         due = pause and now_ns - self._swept_ns > 60_000_000_000
         if due or gc.get_count()[0] > self._most:
             gc.collect()
             self._swept_ns = now_ns
 
 
-# How often each status is looked at for a change, and the longest a stop goes unnoticed.
+# Period in which statuses are checked for a change; also the longest delay of a stop.
 _LOOK_NS: Final = 100_000_000
 _LATENCY_LOG_NS: Final = 60_000_000_000
-# A link that was dropped stays in the status's note for so long, and a leg without room.
+# How long the status's note shows a dropped link, or a leg without room.
 _REPORTED_NS: Final = 30_000_000_000
-# The worker waits so long for other legs' samples before it learns: they come one right after the
-# other, and the events' way out needs a core more than learning does.
+# The worker waits this long for other legs' samples before it learns: they come one right after
+# the other, and sending events needs the core more than learning does.
 _REST_S: Final = 0.001
 # End of a key that asks for a leg's ticks rather than for its model.
 _TRACE: Final = "/trace"
@@ -191,14 +191,14 @@ class Service:
             while not stop.is_set():
                 self._beats += 1
                 wait_s = min(max(self._look_ns - time.monotonic_ns(), 0), _LOOK_NS) / 1e9
-                # A snapshot takes milliseconds: it waits for a pause between two control ticks,
-                # though not for ever where there is none.
+                # A snapshot takes milliseconds: it waits for a pause between two control ticks, if
+                # there is one.
                 batch = self._queue.take(0.003 if self._to_save else wait_s)
                 if batch:
                     self.work(batch, time.monotonic_ns())
-                    # A tick's samples may take as many rounds as there are legs, this one among
-                    # them: what no event needs waits for the last.  Where a leg's next sample is
-                    # there already the worker is behind, and statuses and saves would wait long.
+                    # A tick's samples take at most as many rounds as there are legs, this one
+                    # included.  Learning waits for the last.  If a leg's next sample is there
+                    # already, the worker is behind: then statuses and saves must not wait longer.
                     legs = set(batch.samples)
                     for _ in range(max(1, len(self._endpoints) - 1)):
                         more = self._queue.take(_REST_S, query=False)

@@ -31,7 +31,7 @@ import time
 from collections.abc import Callable
 from typing import Final, TypeVar
 
-# An honest put takes 0.05 ms; what goes on for this long is held up by a link.
+# A put takes 0.05 ms; one that takes this long is held up by a link.
 HELD_UP_NS: Final = 100_000_000
 # A live peer's kernel acknowledges what was sent even where its process gets no core, until its
 # buffer of 64 kB and more is full.
@@ -119,8 +119,7 @@ class LinkSockets:
         return [inode for inode, (_, since) in queued.items() if now_ns - since >= STUCK_NS]
 
     def _work(self) -> None:
-        # A link that is cut sooner than one look after it was accepted can still hold a receiving
-        # thread for 10 s.
+        # A link that is cut before the first look can still block a receiving thread for 10 s.
         while not self._stop.wait(0.1):
             try:
                 self.look(time.monotonic_ns())

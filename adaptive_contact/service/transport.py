@@ -30,8 +30,8 @@ from adaptive_contact.service.settings import (
     tcp_address,
 )
 
-# Larger messages are dropped before they are put together, and the link stays up (measured); an
-# honest payload has at most 256 kB.  Zenoh's own limit is 1 GiB, per sender.
+# Larger messages are dropped before they are assembled, and the link stays up (measured).  Valid
+# payloads have at most 256 kB.  Zenoh's own limit is 1 GiB, per sender.
 MAX_MESSAGE_BYTES: Final = 4 * 1024 * 1024
 
 # Each session holds a descriptor, of which a process may have 1,024 unless that was raised, and a
@@ -52,15 +52,15 @@ DEFAULTS: Final[Mapping[str, object]] = {
     _MAX_SESSIONS: MAX_SESSIONS,
     # A subscriber that hangs blocks a contact event this long (us), then its link is dropped, one
     # link after the other.  The service drops them all within half a second (service/sockets.py);
-    # this is what remains where that cannot work.  Short waits cut healthy links on a busy machine:
-    # of 5 ms, 32 to 97 in 20 s at a load of 10 (decision 33).
+    # this applies where that cannot work.  Short waits cut healthy links on a busy machine: 5 ms
+    # cut 32 to 97 in 20 s at a load of 10 (decision 33).
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
     # An express message fills a batch of its own: 16 events find room before a put has to wait.
     "transport/link/tx/queue/size/interactive_high": 16,
     # Sixteen batches of 64 kB are room enough for a busy machine's pauses.
     "transport/link/tx/queue/size/data": 16,
-    # Bounds one attempt to open a session, and with it how long a Ctrl-C may go unheard: the call
-    # is Zenoh's own and cannot be interrupted.
+    # Bounds one attempt to open a session, and so the delay of a Ctrl-C: Zenoh's call cannot be
+    # interrupted.
     "connect/timeout_ms": 1000,
     # A link that was cut (no word from the other side) is given up after this long (ms), and
     # tried again; Zenoh's own 10 s would leave legs silent for ten seconds after a cut of one.

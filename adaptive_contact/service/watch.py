@@ -402,7 +402,7 @@ class Feed:
             self._waiting.append(received)
 
     def view(self, now_ns: int) -> View:
-        """Take in what has arrived, and give what is known now; ``now_ns`` is monotonic."""
+        """Process what has arrived, and return what is known now; ``now_ns`` is monotonic."""
         for _ in range(len(self._waiting)):
             self._take(self._waiting.popleft())
         self._pass_on(self.watch.known.look(now_ns))

@@ -139,7 +139,7 @@ class Watchdog:
             self._say(lambda: self._on_stall(still_s))
 
     def _say(self, what: Callable[[], None]) -> None:
-        """Leave it to the reporter; say it at once where there is none, as when looked by hand."""
+        """Queue a report for the reporting thread; without one, report at once."""
         if self._reporter.ident is None:
             what()
         else:

@@ -114,7 +114,7 @@ class Recording:
                 content = file.read(length)
                 try:
                     found = Metadata.read(ReadDataStream(BytesIO(content)))
-                except _PARSE_ERRORS:  # a header is none; damage is reported when messages are read
+                except _PARSE_ERRORS:  # a damaged header; reported when messages are read
                     found = None
                 if opcode == Opcode.METADATA and found is not None and found.name == ABOUT:
                     return {k: text for k, text in found.metadata.items() if k != "v"}
@@ -173,8 +173,8 @@ class _Walk:
         self._first = ""  # what is wrong at the first damaged place
         self._cut: str | None = None
         self._may_unpack = max(MAX_CHUNK_BYTES, MAX_RATIO * self._size)
-        # Before an index of messages comes its chunk: None where it did not, else whether it could
-        # be used.  So a chunk whose opcode was flipped is missed.
+        # A chunk comes before its index of messages.  None if none came, else whether it could be
+        # used: this detects a chunk whose opcode was flipped.
         self._chunk_used: bool | None = None
 
     def report(self, given: int) -> str | None:
@@ -424,7 +424,7 @@ class _Walk:
             at += size
 
     def _learn_channel(self, content: bytes) -> None:
-        """Take in a channel: its key, its Zenoh encoding, its type."""
+        """Store a channel: its key, its Zenoh encoding, its type."""
         found = Channel.read(ReadDataStream(BytesIO(content)))
         encoding = TO_ZENOH.get(found.message_encoding, found.message_encoding)
         kind, descriptors = self._schemas.get(found.schema_id, ("", b""))

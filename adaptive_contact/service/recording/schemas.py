@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from google.protobuf.descriptor import Descriptor, FieldDescriptor
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-# Key, behind any namespace -> its message.  A leg's trace has none: it answers a question, so no
-# recording has it, and a column that is a list of ticks could not be drawn.  Foxglove gets its
-# ticks one by one (:class:`~adaptive_contact.service.foxglove_live.JudgedTick`).
+# Key without its namespace -> its message.  A leg's trace is left out: it answers a query, so no
+# recording has it, and viewers cannot draw a list of ticks.  Foxglove gets its ticks one by one
+# (:class:`~adaptive_contact.service.foxglove_live.JudgedTick`).
 _OF_LEG: Final = {name: kind for name, kind in LEG_MESSAGES.items() if kind is not LegTrace}
 _KEY: Final = re.compile(
     rf"(?:^|/)robot/(?:leg/[^/]+/(?P<leg>{'|'.join(_OF_LEG)})"
@@ -147,7 +147,7 @@ def protobuf_reader(kind: type[Message], descriptors: bytes) -> Callable[[bytes]
     return to_msgpack
 
 
-# What protobuf raises on descriptors and bytes that are none.
+# Exceptions of protobuf on invalid descriptors and bytes.
 _BAD: Final = (DecodeError, TypeError, ValueError, KeyError, AttributeError, RecursionError)
 
 
@@ -159,7 +159,7 @@ def _message_class(described: FileDescriptorSet, kind: type[Message]) -> Any:
 
 
 def _add_message(proto: DescriptorProto, struct: type[msgspec.Struct], scope: str) -> _Convert:
-    """Describe a struct, and what it is made of inside it."""
+    """Describe a struct, and the types of its fields."""
     scope = f"{scope}.{proto.name}"
     hints = get_type_hints(struct)
     converters = [

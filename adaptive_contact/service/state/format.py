@@ -32,7 +32,7 @@ from adaptive_contact.robot import Robot
 
 # 2: position of the source, so that samples that passed while the service was down are counted.
 FORMAT: Final = 2
-# A leg's state is about a megabyte; what is larger is no state, and must not fill the memory.
+# A leg's state is about a megabyte; larger files are not read, as they could fill the memory.
 MAX_BYTES: Final = 64 * 1024 * 1024
 
 _MAGIC: Final = b"ACSTATE\n"
@@ -129,9 +129,8 @@ def _wanted(record: Record, identity: Identity) -> Record | Refused:
     return record
 
 
-# Formats of the file and of what the learner puts into it that a digest does not name.  Any later
-# one is part of it: a version with another format has files of its own, and a step back finds what
-# the version before has left.
+# Formats (of the file, of the learner's snapshot) that are no part of the digest.  Later ones are:
+# a version with another format has files of its own, and an older version finds its own again.
 _UNNAMED: Final = (2, 3)
 
 
