@@ -91,7 +91,7 @@ class BagWriter:
             flag = self._types.types[RosType.BOOL](data=message.contact)
             self._add(contact.removesuffix("contact") + "truth", flag, time_ns)
         elif isinstance(message, ContactEvent) and names:
-            changed = self._report.take(message)
+            changed = self._report.change(message)
             if changed is not None:
                 self._put(contact, RosType.BOOL, changed, time_ns)
             ages_ns = {of: time_ns - at_ns for of, at_ns in self._newest_ns.items()}

@@ -58,7 +58,7 @@ class Complaints:
         self._every_s = every_s
         self._said: dict[tuple[str, Reason], tuple[float, int]] = {}
 
-    def take(self, topic: str, reason: Reason, detail: str, now_s: float) -> str | None:
+    def count(self, topic: str, reason: Reason, detail: str, now_s: float) -> str | None:
         """Count a problem.
 
         Args:

@@ -75,8 +75,8 @@ class Report:
     def _address(self, topic: str, type_name: str) -> Address:
         return Address(topic, type_name, self._types.hash_of(type_name))
 
-    def take(self, event: ContactEvent) -> bytes | None:
-        """Take an event in; its contact as a ``Bool``, None where that is as it was."""
+    def change(self, event: ContactEvent) -> bytes | None:
+        """Store an event; return its contact as a ``Bool`` if that has changed, else None."""
         before = self._last.get(event.leg)
         self._last[event.leg], self._newest_ns = event, event.t_ns
         if before is not None and before.contact == event.contact:

@@ -301,7 +301,7 @@ class Gateway:
         return self._addresses[key]
 
     def _complain(self, topic: str, reason: Reason, detail: str) -> None:
-        line = self.complaints.take(topic, reason, detail, self._now_s())
+        line = self.complaints.count(topic, reason, detail, self._now_s())
         if line is not None and self._lines.qsize() < _MOST_LINES:
             self._lines.put(line)
 
@@ -323,7 +323,7 @@ class Gateway:
             if received is not None and of_state:
                 self._relay_state(received)
             for event in events:
-                changed = self._report.take(event)
+                changed = self._report.change(event)
                 if changed is not None:
                     self._of_leg[event.leg].put(changed)
             if events or received is None or received.key == HEARTBEAT:

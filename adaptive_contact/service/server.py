@@ -264,7 +264,7 @@ class Service:
         since_ns, endpoint = self._to_save[0]
         if pause or now_ns - since_ns > 2_000_000_000:
             self._to_save.popleft()
-            self._keeper.take(endpoint, now_ns)
+            self._keeper.snapshot(endpoint, now_ns)
 
     def look(self, now_ns: int) -> None:
         """Publish the statuses that are due, and watch the router; cheap when nothing is."""
@@ -420,7 +420,7 @@ class Service:
         # Of two ticks of a leg in one go the learner knows the last.
         last = dict(self._untraced)
         learners = {leg: self._endpoints[leg].learner for leg in last}
-        self._tracer.take(
+        self._tracer.record(
             (
                 (
                     leg,
@@ -516,7 +516,7 @@ class Service:
             self._post(endpoint.withdraw(now_ns, ending=True), now_ns)
             endpoint.publish_status(now_ns, anyway=True)
             if self._keeper is not None and endpoint.received_samples:
-                self._keeper.take(endpoint, now_ns)
+                self._keeper.snapshot(endpoint, now_ns)
         self._publisher.close()  # first: what it cannot send any more is to be reported
         self._status.put(self.status(time.monotonic_ns()))
 

@@ -64,7 +64,7 @@ class Tracer:
         """Return whether ticks are to be recorded."""
         return now_ns < self._until_ns
 
-    def take(
+    def record(
         self,
         samples: Iterable[tuple[str, ServoSample, Judged | None]],
         states: Mapping[str, LegState] | None = None,

@@ -330,7 +330,7 @@ def test_phase_and_foot_switches_are_of_their_leg(rig, made, joints) -> None:
 def test_complaints_are_counted_and_said_now_and_then() -> None:
     complaints = Complaints(every_s=10.0)
     problem = ("/x", Reason.UNREADABLE, "no message")
-    said = [complaints.take(*problem, now_s) for now_s in (0.0, 1.0, 9.0, 10.0)]
+    said = [complaints.count(*problem, now_s) for now_s in (0.0, 1.0, 9.0, 10.0)]
     assert said == ["/x: no message", None, None, "/x: no message (3 times)"]
     assert complaints.counts["/x", Reason.UNREADABLE] == 4
     assert complaints.lines() == ["/x: no message (4 times)"]

@@ -50,7 +50,7 @@ def test_ticks_are_wanted_while_somebody_asks() -> None:
     assert asked(tracer) == {}
     assert tracer.wanted(int(LEASE_S * S) - 1)
     assert not tracer.wanted(int(LEASE_S * S))
-    tracer.take([("rf", sample(1), None)])
+    tracer.record([("rf", sample(1), None)])
     assert asked(tracer, now_ns=S) == {"rf": [1]}
     assert tracer.wanted(int(LEASE_S * S) + S - 1), "each question asks for more"
     assert asked(tracer, now_ns=100 * S) == {}, "what is old was kept for nobody"
@@ -60,8 +60,8 @@ def test_a_tick_has_the_p_of_its_own_state() -> None:
     tracer = Tracer()
     asked(tracer)
     state = LegState(t_ns=2, seq=2, contact=True, p=0.9, known=True)
-    tracer.take([("rf", sample(1), None), ("rf", sample(2), None)], {"rf": state})
-    tracer.take([("lf", sample(2), None)])
+    tracer.record([("rf", sample(1), None), ("rf", sample(2), None)], {"rf": state})
+    tracer.record([("lf", sample(2), None)])
     found = {trace.leg: trace.p for trace in tracer.answer(("rf", "lf"), None, 0)}
     assert found == {"rf": [None, 0.9], "lf": [None]}
 
@@ -70,10 +70,10 @@ def test_each_asker_gets_what_it_has_not_had() -> None:
     tracer = Tracer()
     asked(tracer)
     for seq in (1, 2, 3):
-        tracer.take([("rf", sample(seq), None), ("lf", sample(seq), None)])
+        tracer.record([("rf", sample(seq), None), ("lf", sample(seq), None)])
     (first, _) = tracer.answer(("rf", "lf"), None, 0)
     assert first.number == 3
-    tracer.take([("rf", sample(4), None)])
+    tracer.record([("rf", sample(4), None)])
     assert asked(tracer, "3") == {"rf": [4], "lf": []}
     assert asked(tracer, "2") == {"rf": [3, 4], "lf": [3]}
     assert asked(tracer) == {"rf": [1, 2, 3, 4], "lf": [1, 2, 3]}
@@ -82,7 +82,7 @@ def test_each_asker_gets_what_it_has_not_had() -> None:
 def test_a_number_that_is_none_gets_all() -> None:
     tracer = Tracer()
     asked(tracer)
-    tracer.take([("rf", sample(1), None)])
+    tracer.record([("rf", sample(1), None)])
     for after in (None, "", "-1", "x", "1e3", "٣", "9" * 5000, "999"):
         assert asked(tracer, after) == {"rf": [1]}, after
 
@@ -91,7 +91,7 @@ def test_what_is_kept_and_what_is_answered_is_bounded() -> None:
     tracer = Tracer()
     asked(tracer)
     for seq in range(3 * MOST_TICKS):
-        tracer.take([("rf", sample(seq), None)])
+        tracer.record([("rf", sample(seq), None)])
     newest = 3 * MOST_TICKS - 1
     assert asked(tracer)["rf"] == list(range(newest - 199, newest + 1))
 
@@ -100,7 +100,7 @@ def test_who_falls_behind_gets_all_in_several_answers() -> None:
     tracer = Tracer()
     asked(tracer)
     for seq in range(MOST_TICKS):
-        tracer.take([("rf", sample(seq), None), ("lf", sample(seq), None)])
+        tracer.record([("rf", sample(seq), None), ("lf", sample(seq), None)])
     seen: dict[str, list[int]] = {"rf": [], "lf": []}
     after, answers = 0, 0
     while after < MOST_TICKS:
@@ -123,7 +123,7 @@ def test_a_prediction_is_in_the_angles_of_the_source() -> None:
     tick = JudgedTick(np.array([0.01, 0.02, 0.0]), scores, np.ones(3))
     learner = SimpleNamespace(leg=ROBOT.leg("rf"), judged=lambda: tick)
     judged = judged_tick(learner, sample(1))  # type: ignore[arg-type]
-    tracer.take([("rf", sample(1), judged), ("lf", sample(1), None)])
+    tracer.record([("rf", sample(1), judged), ("lf", sample(1), None)])
     rf, lf = tracer.answer(("rf", "lf"), None, 0)
     (predicted,) = rf.predicted
     assert predicted is not None
@@ -137,8 +137,10 @@ def test_swing_is_the_samples_word_or_the_commands() -> None:
     asked(tracer)
     state = LegState(t_ns=2, seq=2, contact=False, p=0.1, known=True)
     silent = [("rf", sample(1, None), None), ("rf", sample(2, None), None)]
-    tracer.take([*silent, ("lf", sample(2, None), None)], {"rf": state, "lf": state}, {"rf": True})
-    tracer.take([("rf", sample(3, "stance"), None)], {"rf": state}, {"rf": True})
+    tracer.record(
+        [*silent, ("lf", sample(2, None), None)], {"rf": state, "lf": state}, {"rf": True}
+    )
+    tracer.record([("rf", sample(3, "stance"), None)], {"rf": state}, {"rf": True})
     rf, lf = tracer.answer(("rf", "lf"), None, 0)
     assert rf.swing == [None, True, False]
     assert lf.swing == [None], "without lengths nobody knows"

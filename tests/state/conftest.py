@@ -71,7 +71,7 @@ class Folder:
         desk = Desk(learner=Learner(number))
         keeper.restore("rf", Learner(), "servo", 0)
         desk.hear()
-        keeper.take(desk, 0)
+        keeper.snapshot(desk, 0)
         assert keeper.flush(5.0)
 
     def restored(self, learner: Learner | None = None) -> tuple[int, list[str], list[str]]:

@@ -152,7 +152,7 @@ def test_a_version_with_another_format_leaves_these_alone_and_a_step_back_finds_
     assert learner.status.ticks == 0
     assert (keeper.facts.restored, keeper.facts.refused) == ([], [])
     for now in (1, 2, 3):  # so often that no name is left that was written before
-        keeper.take(Desk("rf", learner), now)
+        keeper.snapshot(Desk("rf", learner), now)
         assert keeper.flush(5)
     keeper.close()
     assert files(before / "state").items() > left.items()

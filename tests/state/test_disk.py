@@ -66,7 +66,7 @@ def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
     for number in range(1, 6):
         desk.learner.number = number  # type: ignore[attr-defined]
         desk.hear()
-        keeper.take(desk, 0)  # returns at once
+        keeper.snapshot(desk, 0)  # returns at once
         assert writing.wait(60)
     assert not keeper.flush(0.01)
     go_on.set()
@@ -83,7 +83,7 @@ def test_a_disk_that_is_too_slow_at_the_end_is_told(
         desk = Desk(leg)
         keeper.restore(leg, desk.learner, "servo", 0)
         desk.hear()
-        keeper.take(desk, 0)
+        keeper.snapshot(desk, 0)
         assert writing.wait(60)
     with capture_logs() as logs:
         keeper.close(0.01)
@@ -121,11 +121,11 @@ def test_a_disk_that_does_not_answer_is_told(
     writing, go_on, _ = slowed(folder, monkeypatch)
     with capture_logs() as logs:
         desk.hear()
-        keeper.take(desk, 0)
+        keeper.snapshot(desk, 0)
         assert writing.wait(60)
         error = until(lambda: keeper.facts.error)
         for _ in range(3):
-            keeper.take(desk, 0)
+            keeper.snapshot(desk, 0)
         assert error.startswith(f"rf not saved in {folder.store.shown}: the disk has not answered")
         assert [(line["event"], line["log_level"]) for line in logs] == [
             ("state not saved", "warning")
@@ -151,11 +151,11 @@ def test_a_full_disk_is_told_once_and_tried_again(
         monkeypatch.setattr(folder.store, "save", fails)
         for _ in range(3):
             desk.hear()
-            keeper.take(desk, 0)
+            keeper.snapshot(desk, 0)
             assert keeper.flush(5)
         facts = keeper.facts
         monkeypatch.undo()
-        keeper.take(desk, 0)
+        keeper.snapshot(desk, 0)
         assert keeper.flush(5)
     assert (facts.saved, facts.failed) == (0, 3)
     assert facts.error == f"rf not saved in {folder.store.folder}: no space left on device"
@@ -237,7 +237,7 @@ def test_a_state_that_cannot_be_kept_is_counted_told_and_ends_no_other(
     bad.position = Position(number, 1)
     with capture_logs() as logs:
         for desk in (bad, good):
-            keeper.take(desk, 0)
+            keeper.snapshot(desk, 0)
             assert keeper.flush(5)
     assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
     assert (logs[0]["event"], logs[0]["leg"]) == ("state not saved", "lf")
@@ -255,7 +255,7 @@ def test_a_folder_that_is_anothers_is_not_written_to_at_the_end(folder: Folder) 
         desk = Desk(learner=Learner(6))
         second.restore("rf", Learner(), "servo", 0)
         desk.hear()
-        second.take(desk, 0)
+        second.snapshot(desk, 0)
         second.close(5.0)
     assert second.facts.saved == 0
     assert folder.restored()[0] == 5
@@ -273,7 +273,7 @@ def test_a_folder_that_becomes_free_is_used(folder: Folder) -> None:
         assert "in use by another service" in str(keeper.facts.error)
         owner.close()
         until(lambda: keeper.due(desk, 100 * S))
-        keeper.take(desk, 100 * S)
+        keeper.snapshot(desk, 100 * S)
         assert keeper.flush(5)
     assert keeper.facts.error is None
     assert [line["event"] for line in logs] == ["state is not saved", "state is saved again"]

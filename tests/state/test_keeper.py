@@ -55,7 +55,7 @@ def test_of_many_refusals_the_first_are_told_and_how_many_more(folder: Folder) -
         desk = Desk(leg)
         keeper.restore(leg, Learner(), "servo", 0)
         desk.hear()
-        keeper.take(desk, 0)
+        keeper.snapshot(desk, 0)
     assert keeper.flush(5.0)
     keeper = folder.open()
     for number in range(6):
@@ -102,14 +102,14 @@ def test_every_ten_seconds_and_at_once_after_a_promotion(folder: Folder) -> None
     desk.hear()
     assert not keeper.due(desk, 1 * S)
     assert keeper.due(desk, 11 * S)
-    keeper.take(desk, 11 * S)
+    keeper.snapshot(desk, 11 * S)
     assert not keeper.due(desk, 30 * S), "nothing heard since"
     desk.hear()
     assert not keeper.due(desk, 20 * S)
     assert keeper.due(desk, 21 * S)
     desk.model_version = 2
     assert keeper.due(desk, 12 * S)
-    keeper.take(desk, 12 * S)
+    keeper.snapshot(desk, 12 * S)
     desk.hear()
     assert not keeper.due(desk, 13 * S)
 

@@ -93,7 +93,7 @@ class Bag(Recording):
         complaints = Complaints()
 
         def complain(topic: str, reason: Reason, detail: str) -> None:
-            complaints.take(topic, reason, detail, 0.0)
+            complaints.count(topic, reason, detail, 0.0)
 
         intake = Intake(self._robot, 1, complain)
         topics = intake.topics(truth=True)

@@ -80,7 +80,7 @@ class Exported:
         """See the class."""
         return (self._last_ns - self._first_ns) / 1e9
 
-    def note(self, record: Record) -> None:
+    def count(self, record: Record) -> None:
         """Count a message that was written."""
         at_ns = record.log_time_ns
         self._first_ns = min(self._first_ns, at_ns) if self.messages else at_ns
@@ -127,7 +127,7 @@ def export_recording(
         for record in recording:
             on_record(record)
             writer.write(*record)
-            exported.note(record)
+            exported.count(record)
     exported.files[out] = exported.messages
     return exported
 
@@ -171,7 +171,7 @@ def _write_bag(
                 if kind is ContactEvent and events is not None:
                     continue
                 if bag.write(leg, message, at_ns):
-                    exported.note(record)
+                    exported.count(record)
                 else:
                     exported.left_out[record.key, "nothing that ROS 2 gets"] += 1
                 # An event belongs to the sample that decided.
@@ -349,7 +349,7 @@ def _write_tables(
         if kind not in columns:
             columns[kind] = _Columns(kind)
         columns[kind].look(message)
-        first.note(record)
+        first.count(record)
     if not first.messages:
         raise RecordingError(_nothing(recording, first))
     try:
@@ -376,7 +376,7 @@ def _write_tables(
                 exported.left_out[record.key, Reject.OUT_OF_RANGE.value] += 1
                 continue
             counts[kind] += 1
-            exported.note(record)
+            exported.count(record)
         for kind, table in tables.items():
             table.close()
             exported.files[out / f"{kind.__name__}.{to}"] = counts[kind]

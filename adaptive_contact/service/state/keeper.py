@@ -154,7 +154,7 @@ class StateKeeper:
             return False
         return endpoint.model_version != last.model_version or now_ns >= last.due_ns
 
-    def take(self, endpoint: LegEndpoint, now_ns: int) -> None:
+    def snapshot(self, endpoint: LegEndpoint, now_ns: int) -> None:
         """Snapshot a leg for the thread to save; does nothing without a folder."""
         if self._store.trouble is not None:
             return
