@@ -118,7 +118,7 @@ class LegGroup:
         return events
 
     def finish(self) -> None:
-        """Finish what was judged: learning, then commands and predictions.
+        """Learn from what was judged, then store commands and predict.
 
         A leg whose model appears, changes or goes is put into its batch here, too: no event waits
         for that.
@@ -219,7 +219,7 @@ class LearnerBank:
 
     @property
     def legs(self) -> tuple[str, ...]:
-        """Legs seen so far."""
+        """Return the legs seen so far."""
         return tuple(self._learners)
 
     def learner(self, leg: str, joints: int | None = None) -> ContactLearner | None:
@@ -269,7 +269,7 @@ class LearnerBank:
         )
 
     def add(self, learner: ContactLearner) -> None:
-        """Have a learner judged with the others from now on."""
+        """Add a learner, to be judged with the others from now on."""
         self._learners[learner.leg.id] = learner
         self._group.finish()
         self._group = LegGroup(tuple(self._learners.values()), on_fault=self._on_fault)
@@ -313,7 +313,7 @@ class LearnerBank:
         return [event for leg in samples if (event := decided.get(leg)) is not None]
 
     def finish(self) -> None:
-        """Learn from what was judged; statuses and states are whole after it."""
+        """Learn from what was judged; statuses and states are complete after it."""
         self._group.finish()
         self._conventions.look()
         self._ids.look()

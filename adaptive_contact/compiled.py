@@ -335,7 +335,7 @@ def _parting(of: Any, slots: Mapping[str, tuple[str, int]], shared: Sequence[str
 
 
 def _expanded(name: str | None) -> Path | None:
-    """An absolute path, or None: a user without a home has none of its own."""
+    """Return an absolute path, or None: a user without a home has none of its own."""
     if not name:
         return None
     try:
@@ -346,7 +346,7 @@ def _expanded(name: str | None) -> Path | None:
 
 
 def _owned(folder: Path) -> Path | None:
-    """The folder, made if need be, if it is this user's and no other may write to it."""
+    """Return a folder, made if need be, if it is this user's and no other may write to it."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -360,7 +360,7 @@ def _owned(folder: Path) -> Path | None:
 
 
 def _digest() -> str:
-    """Of what the machine code is made from and for: sources, numba, Python, processor.
+    """Return a digest of what machine code depends on: sources, numba, Python, processor.
 
     And of where the sources lie and when they were written, by which numba distinguishes them: of
     the same sources in another place nothing has been compiled.

@@ -34,16 +34,16 @@ class AdaptiveContactError(Exception):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The message as it is printed."""
+        """Return the message as it is printed."""
         return (str(self),)
 
 
 class ConfigurationError(AdaptiveContactError):
-    """A robot description, a setting or a command line cannot be used."""
+    """Reports a robot description, a setting or a command line that cannot be used."""
 
 
 class MissingExtraError(ConfigurationError):
-    """A command needs an optional dependency that is not installed, or broken."""
+    """Reports an optional dependency that a command needs and that is missing or broken."""
 
     def __init__(self, what: str, extra: str, broken: str = "") -> None:
         found, again = "is not installed", ""
@@ -70,7 +70,7 @@ _OF_THE_WHOLE: Final = (
 
 
 def installed_from() -> str | None:
-    """The folder or wheel that this package was installed from; None where it is not there.
+    """Return the folder or wheel that this package was installed from; None if it is gone.
 
     No index has its name, so that pip takes extras from there only.
     """
@@ -84,7 +84,7 @@ def installed_from() -> str | None:
 
 
 def missing_of_the_whole(error: ImportError) -> str | None:
-    """A line on what to install, where the part that listens is installed alone; else None."""
+    """Return a line on what to install, where only the listening part is installed; else None."""
     module = (error.name or "").partition(".")[0]
     if module not in _OF_THE_WHOLE:
         return None
@@ -98,7 +98,7 @@ def missing_of_the_whole(error: ImportError) -> str | None:
 
 @contextlib.contextmanager
 def needs(what: str, extra: str, *modules: str) -> Iterator[None]:
-    """Around imports of what an extra brings: say which one is missing.
+    """Report which extra is missing; wrap it around imports of what that extra brings.
 
     Args:
         what: that needs it.
@@ -118,19 +118,19 @@ def needs(what: str, extra: str, *modules: str) -> Iterator[None]:
 
 
 class RecordingError(AdaptiveContactError):
-    """A recording cannot be read or written."""
+    """Reports a recording that cannot be read or written."""
 
 
 class BaselineError(AdaptiveContactError):
-    """A model file is corrupt, implausible, or of another robot."""
+    """Reports a model file that is corrupt, implausible, or of another robot."""
 
 
 class IdentificationError(AdaptiveContactError):
-    """A fit cannot be made from the rows it was given."""
+    """Reports that a fit cannot be made from the rows it was given."""
 
 
 class TooLittleDataError(IdentificationError):
-    """There is too little to learn from.
+    """Reports that there is too little to learn from.
 
     Attributes:
         have, needed: free ticks.
@@ -143,11 +143,11 @@ class TooLittleDataError(IdentificationError):
 
 
 class LinkError(AdaptiveContactError):
-    """Zenoh cannot be reached, or refuses the connection."""
+    """Reports that Zenoh cannot be reached, or refuses the connection."""
 
 
 class BusError(AdaptiveContactError):
-    """A Dynamixel bus cannot be used."""
+    """Reports a Dynamixel bus that cannot be used."""
 
     def __init__(self, message: str, things: Sequence[str] = ()) -> None:
         self._lines = (message, *(f"  - {thing}" for thing in things))
@@ -155,14 +155,14 @@ class BusError(AdaptiveContactError):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The message as it is printed."""
+        """Return the message as it is printed."""
         return self._lines
 
 
 class SimulationDivergedError(AdaptiveContactError):
-    """The simulated robot left the range of the physically possible."""
+    """Reports that the simulated robot left the range of the physically possible."""
 
 
 def reason_of(error: OSError) -> str:
-    """The system's words for a failure, in lower case."""
+    """Return the system's words for a failure, in lower case."""
     return (error.strerror or str(error)).lower()

@@ -198,7 +198,7 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
 
 
 def _standard_stream(found: os.stat_result) -> int | None:
-    """The standard stream that goes to a file, if one does."""
+    """Return the standard stream that goes to a file, if one does."""
     for stream in (1, 2):
         with contextlib.suppress(OSError):  # it may be closed
             if os.path.samestat(os.fstat(stream), found):
@@ -229,7 +229,7 @@ def _beside(target: Path, old: os.stat_result | None) -> Iterator[IO[bytes]]:
 
 
 def _is_same(target: Path, found: os.stat_result) -> bool:
-    """Whether a path without links is the file found: not so for `/proc/…/fd` of a removed one."""
+    """Return whether a path without links is the file found (not: a removed `/proc/…/fd`)."""
     try:
         return os.path.samestat(target.stat(), found)
     except OSError:

@@ -222,22 +222,22 @@ class ContactLearner:
 
     @property
     def last_sample(self) -> ServoSample | None:
-        """The last one that was accepted, in the description's angles."""
+        """Return the last accepted sample, in the description's angles."""
         return self._sample
 
     @property
     def older_runs(self) -> tuple[int | None, ...]:
-        """Of publishers that the one in force has superseded, the oldest first."""
+        """Return the runs of superseded publishers, the oldest first."""
         return self._guard.older_runs
 
     @property
     def contact(self) -> bool:
-        """Whether the leg touches, by its last event."""
+        """Return whether the leg touches, by its last event."""
         return bool(self.place.leg.reported)
 
     @property
     def model(self) -> LegModel | None:
-        """The model in force, or None while there is none."""
+        """Return the model in force, or None while there is none."""
         return None if self._adapter is None else self._adapter.model
 
     def judged(self) -> JudgedTick | None:
@@ -263,17 +263,17 @@ class ContactLearner:
 
     @property
     def state(self) -> LegState:
-        """Whether the leg touches in its newest tick, stance included, and how probably."""
+        """Return whether the leg touches in its newest tick, stance included, and how probably."""
         return self.report.state
 
     @property
     def status(self) -> LearnerStatus:
-        """Status of the learner, as it is published."""
+        """Return the learner's status, as it is published."""
         return self.report.status
 
     @property
     def model_report(self) -> ModelReport | None:
-        """The model in terms and equations, or None while there is none."""
+        """Return the model in terms and equations, or None while there is none."""
         adapter, recent = self._adapter, self.lifecycle.noise_tracker
         if adapter is None or recent is None:
             return None

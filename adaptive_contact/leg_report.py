@@ -162,7 +162,7 @@ class LegReport:
 
     @property
     def state(self) -> LegState:
-        """Whether the leg touches in its newest tick, stance included."""
+        """Return whether the leg touches in its newest tick, stance included."""
         leg = self._place.leg
         known = not math.isnan(leg.p)
         return LegState(
@@ -171,7 +171,7 @@ class LegReport:
 
     @property
     def status(self) -> LearnerStatus:
-        """Status of the learner, as it is published."""
+        """Return the learner's status, as it is published."""
         adapter, leg, counts = self._adapter, self._place.leg, self.counters.counts
         self.collect_counts()
         self.read_status()
@@ -202,7 +202,7 @@ class LegReport:
 
     @property
     def withholds(self) -> bool:
-        """Whether contacts are not reported, as the leg is ambiguous."""
+        """Return whether contacts are withheld, as the leg is ambiguous."""
         return self._withholds_at(self.doubt, fits=self._place.leg.fits)
 
     def read_status(self) -> None:
@@ -212,7 +212,7 @@ class LegReport:
 
     @property
     def version(self) -> int:
-        """Of the model in force, as events state it."""
+        """Return the version of the model in force, as events state it."""
         return self._learning.version
 
     def publish_withholding(self) -> None:
@@ -225,12 +225,12 @@ class LegReport:
 
     @property
     def misread(self) -> bool:
-        """Whether the leg's angles are not counted as described."""
+        """Return whether the leg's angles are counted otherwise than described."""
         return bool(self._place.leg.misread)
 
     @property
     def doubt(self) -> Doubt | None:
-        """Why the leg is ambiguous; None where it is not."""
+        """Return why the leg is ambiguous; None where it is not."""
         cause = SOURCE_CAUSES[int(self._place.leg.cause)]
         if cause is not None:
             return cause
@@ -259,7 +259,7 @@ class LegReport:
 
     @property
     def _void(self) -> bool:
-        """Whether samples cannot be judged: heights or positions of the leg are unknown."""
+        """Return whether samples cannot be judged: heights or positions of the leg are unknown."""
         return self.misread or bool(self._place.leg.cause)
 
     def _withholds_at(self, doubt: Doubt | None, *, fits: bool) -> bool:
@@ -275,12 +275,12 @@ class LegReport:
 
     @property
     def _unjudged(self) -> bool:
-        """Whether a valid leg is commanded to swing, and no swing could be judged."""
+        """Return whether a valid leg is commanded to swing, and no swing could be judged."""
         return self._learning.status == "valid" and self._place.leg.unjudged >= UNJUDGED_TURNS
 
     @property
     def _unlearned(self) -> bool:
-        """Whether the model of a leg that began with a prior does not predict it.
+        """Return whether the model of a leg that began with a prior does not predict it.
 
         That of a leg that carries follows it within a lift or two; one that hangs has seen more.
         """
@@ -322,7 +322,7 @@ class LegReport:
 
     @property
     def _unjudged_note(self) -> str | None:
-        """One line for a person when commanded swings could not be judged."""
+        """Describe for a person that commanded swings could not be judged; else None."""
         turns = self._place.leg.unjudged
         if turns < UNJUDGED_TURNS:
             return None
@@ -333,7 +333,7 @@ class LegReport:
 
     @property
     def _unlearned_note(self) -> str | None:
-        """One line for a person when a leg in the air moves as it never did."""
+        """Describe for a person that a leg in the air moves as it never did; else None."""
         if not self._unlearned:
             return None
         return (
@@ -343,7 +343,7 @@ class LegReport:
 
     @property
     def _angles_note(self) -> str | None:
-        """One line for a person when the leg's angles are not counted as described."""
+        """Describe for a person how the leg's angles differ from their description; else None."""
         found = None if self._track is None else self._track.finding
         if found is None:
             return None

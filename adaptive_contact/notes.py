@@ -12,5 +12,5 @@ SWAPPED: Final = "the samples are those of leg"
 
 
 def speaks_of_angles(note: str) -> bool:
-    """Whether a leg's note is the message of a finding on its angles."""
+    """Return whether a leg's note is the message of a finding on its angles."""
     return any(words in note for words in (WRONG_WAY, IN_ORDER, ZEROS))

@@ -44,7 +44,7 @@ def yield_priority(nice: int) -> None:
 
 
 def cores() -> int:
-    """How many processors this process may run on, at least 1."""
+    """Return how many processors this process may run on, at least 1."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -89,7 +89,7 @@ def speaks_of(term: str, joint: str) -> bool:
 
 
 def _units(term: str, joint: str) -> float:
-    """How far a single term may move, in noise units."""
+    """Return how far a single term may move, in noise units."""
     if term in friction_terms(joint):
         # Of friction against the movement that the first model predicts, at each knee, in noise
         # units: four times as much moves a prediction by 2 to 4 units, six times by up to 7.

@@ -107,7 +107,7 @@ class Factor:
 
     @property
     def system(self) -> tuple[Array, Array]:
-        """The compressed regression problem, ``(R (m, p), QᵀY (m, J))``, m ≤ p + J.
+        """Return the compressed regression problem, ``(R (m, p), QᵀY (m, J))``, m ≤ p + J.
 
         The rows of S are kept: they add the same constant to every candidate's error.
         """

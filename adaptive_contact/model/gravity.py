@@ -74,7 +74,7 @@ def gravity_angles(joints: Sequence[str], axes: Sequence[Axis]) -> tuple[Gravity
 
 
 def _projectors(axis: Vector) -> tuple[Complex, Complex]:
-    """(3, 3) onto the axis, and onto what turns with plus the angle."""
+    """Return (3, 3) projectors onto the axis, and onto what turns with plus the angle."""
     a, b, c = axis
     cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
     still = np.outer(axis, axis)
@@ -82,7 +82,7 @@ def _projectors(axis: Vector) -> tuple[Complex, Complex]:
 
 
 def _simplest(angles: Sequence[tuple[int, ...]], most: int) -> list[tuple[int, ...]]:
-    """Those that fewest joints turn, in their order."""
+    """Return the ``most`` angles that fewest joints turn, in their order."""
     if len(angles) <= most:
         return list(angles)
     kept = set(sorted(angles, key=lambda signs: sum(map(abs, signs)))[:most])

@@ -87,17 +87,17 @@ class Rows:
 
     @property
     def theta(self) -> Array:
-        """(n, p) regressors that predicted them."""
+        """Return the regressors that predicted the rows, (n, p)."""
         return self.values[:, : self._terms]
 
     @property
     def target(self) -> Array:
-        """(n, J) rad, the movements that were measured."""
+        """Return the movements that were measured, (n, J) rad."""
         return self.values[:, self._terms : self._terms + self.joints]
 
     @property
     def aside(self) -> Array:
-        """(n, J) rad, the movements without what a push from the ground can have made.
+        """Return the movements, (n, J) rad, without what a push from the ground can have made.
 
         Where the leg has changed, its geometry is known and the foot does not rise.
         """
@@ -105,7 +105,7 @@ class Rows:
 
     @property
     def lifting(self) -> bool:
-        """Whether the foot was rising in the first of them."""
+        """Return whether the foot was rising in the first row."""
         return bool(self.records[0]["lift"])
 
     @property
@@ -114,12 +114,12 @@ class Rows:
 
     @property
     def t_ns(self) -> Ints:
-        """(n,) times."""
+        """Return the times of the rows, (n,) ns."""
         return np.asarray(self.records["t_ns"])
 
     @property
     def nis(self) -> Array:
-        """(n,) normalised innovations squared."""
+        """Return the normalised innovations squared, (n,)."""
         return np.asarray(self.records["nis"])
 
 
@@ -150,7 +150,7 @@ class Touch(NamedTuple):
 
 @functools.cache
 def _touch_fields(terms: int, joints: int) -> tuple[int, list[tuple[slice, tuple[int, ...]]]]:
-    """Places and shapes of the fields of a :class:`Touch`, of one tick, and their size together."""
+    """Return places and shapes of a tick's :class:`Touch` fields, and their size together."""
     w, at, fields = max(WINDOWS), 0, []
     shapes: list[tuple[int, ...]] = [(w, terms), (w, joints), (w, joints, joints), (w,), ()]
     for shape in shapes:

@@ -42,7 +42,7 @@ class LegModel:
 
     @property
     def support(self) -> Mask:
-        """(p, J) which terms each joint uses."""
+        """Return which terms each joint uses, (p, J)."""
         return np.asarray(self.coefficients != 0.0)
 
     def increment(self, measured: Array, desired: Array, preview: Array) -> Array:

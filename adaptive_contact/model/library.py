@@ -48,7 +48,7 @@ SLOPE_FACTORS: Final = (1.0, 0.5, 2.0)
 
 
 class _ServoShape(NamedTuple):
-    """The ``servo`` library as one product and a few functions of ranges of its columns."""
+    """Computes the ``servo`` library by one product and functions of ranges of its columns."""
 
     linear: Array  # (window, p), what each column is of the flat window before any function
     clipped: slice  # columns that saturate at ±1
@@ -86,7 +86,7 @@ class Library:
 
     @property
     def size(self) -> int:
-        """p, the number of terms."""
+        """Return the number of terms, p."""
         return len(self.names)
 
     @cached_property
@@ -150,7 +150,7 @@ class Library:
 
     @cached_property
     def gravity(self) -> tuple[GravityAngle, ...]:
-        """Angles whose cosine and sine gravity acts by."""
+        """Return the angles whose cosine and sine gravity acts by."""
         return gravity_angles(self.joints, self.axes)
 
     def _variable_names(self) -> list[str]:
@@ -227,7 +227,7 @@ class Library:
 
     @cached_property
     def groups(self) -> tuple[TermGroup, ...]:
-        """Terms that each joint has one of; none of a library whose terms mix joints."""
+        """Return groups of one term per joint; none if the library's terms mix joints."""
         if self.name != "servo":
             return ()
         w, joints = self.window, len(self.joints)
@@ -253,7 +253,7 @@ class Library:
 
     @property
     def moves(self) -> Mask:
-        """(p,) terms of how the leg moves; the others are of where it stands."""
+        """Return which terms, (p,), depend on motion; the others depend on the position."""
         of_motion = np.zeros(self.size, dtype=bool)
         for group in self.groups:
             of_motion[group.first : group.first + len(self.joints)] = group.form != "θ_{}"
@@ -289,18 +289,18 @@ class ChangeLibrary(Library):
 
     @cached_property
     def over_knees(self) -> Array:
-        """(q, K J), first model's coefficients over each knee, for the friction terms."""
+        """Return the first model's coefficients over each knee, (q, K J), for friction terms."""
         knees = [knee * self.period_s for knee in CHANGE_KNEES_RAD_S]
         return np.concatenate([self.first / knee for knee in knees], axis=1)
 
     @cached_property
     def softening(self) -> Array:
-        """(c, J), first model's coefficients of the law's terms."""
+        """Return the first model's coefficients of the law's terms, (c, J)."""
         return self.first[self._servo_shape.clipped] if self.knows_law else self.first[:0]
 
     @property
     def knows_law(self) -> bool:
-        """Whether the servo's control law is among the terms."""
+        """Return whether the servo's control law is among the terms."""
         return self.name == "servo"
 
     def parts(self, window: Array) -> tuple[Array, Array]:
@@ -372,11 +372,11 @@ def leg_library(
 
 
 def _flat(values: Array) -> Array:
-    """(..., m, J) to (..., m J); -1 would not do for no rows at all."""
+    """Reshape (..., m, J) to (..., m J), also for no rows, where -1 is not possible."""
     *lead, depth, joints = values.shape
     return values.reshape(*lead, depth * joints)
 
 
 def _at(offset: int) -> str:
-    """``[k]`` is left out; ``[k-1]``, ``[k+2]``."""
+    """Format an offset: nothing for ``[k]``; ``[k-1]``, ``[k+2]``."""
     return "" if offset == 0 else f"[k{offset:+d}]"

@@ -429,6 +429,6 @@ def _array(values: object, shape: tuple[int, ...], what: str) -> Array:
 
 
 def _brief(found: object) -> str:
-    """A value of a file, in a word or two."""
+    """Describe a value of a file in a word or two."""
     shown = type(found).__name__ if isinstance(found, (list, dict)) else repr(found)
     return shown if len(shown) <= _BRIEF else f"{shown[:_BRIEF]}…"

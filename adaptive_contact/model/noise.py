@@ -84,7 +84,7 @@ class NoiseModel:
 
     @property
     def rms(self) -> Array:
-        """(J,) rad, root mean square of single residuals over all contexts."""
+        """Return the root mean square of single residuals over all contexts, (J,) rad."""
         weight = self.ticks / self.ticks.sum()
         diagonal = np.diagonal(self.covariance[:, 0], axis1=-2, axis2=-1)
         return np.asarray(np.sqrt(weight @ diagonal))

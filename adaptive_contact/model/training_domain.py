@@ -100,7 +100,7 @@ class Domain:
 
     @property
     def rows(self) -> float:
-        """Number of rows seen: the constant, which comes first, is one in every row."""
+        """Return the number of rows seen: the constant, which comes first, is one in every row."""
         return float(np.square(self.triangle[:, 0] * self.scale[0]).sum())
 
     def rows_like(self, most: float) -> Array:
@@ -129,7 +129,7 @@ class Domain:
 
     @property
     def reach(self) -> Array:
-        """(p, p) G of which h is the square of G θ, without the terms beyond."""
+        """Return G, (p, p), with h the square of G θ; without the terms beyond."""
         return self._reach
 
     def leverage(self, theta: Array) -> Array:

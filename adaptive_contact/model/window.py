@@ -33,7 +33,7 @@ class Window:
 
     @property
     def length(self) -> int:
-        """Consecutive samples needed before the first prediction."""
+        """Return the number of consecutive samples needed before the first prediction."""
         return 1 + max(self.past_measured, self.past_desired)
 
 

@@ -102,7 +102,7 @@ class Frames:
         self._verdicts += verdicts
 
     def frame(self, now_ns: int) -> bytes:
-        """What is new since the last call."""
+        """Encode what is new since the last call."""
         events, truths = [], []
         waiting: list[tuple[str, ContactEvent | ContactTruth]] = []
         for leg, message in self._contacts:
@@ -131,7 +131,7 @@ class Frames:
         return encoded
 
     def _follow(self, leg: str, newest_ns: int, now_ns: int) -> None:
-        """A tick of a leg has arrived that was taken just now."""
+        """Update a leg's clock offset by a tick that has just arrived."""
         known = self._offsets.get(leg)
         # A source's clock has jumped where a tick is this far from the time of its arrival: a
         # service that stands still for a second gives its ticks later, at their own times.
@@ -144,13 +144,13 @@ class Frames:
         self._offsets[leg] = alike[0] if alike else own
 
     def _ms(self, leg: str, t_ns: int) -> int | None:
-        """A leg's time on the server's clock, None before its first tick."""
+        """Convert a leg's time to the server's clock, ms; None before its first tick."""
         offset = self._offsets.get(leg)
         return None if offset is None else (t_ns + offset - self._start_ns) // 1_000_000
 
 
 class Table:
-    """The table of legs as JSON, when it has changed."""
+    """Encodes the table of legs as JSON, when it has changed."""
 
     def __init__(self) -> None:
         self._shown = b""
@@ -165,7 +165,7 @@ class Table:
         waiting: Finding | None = None,
         untraced: bool = False,
     ) -> bytes | None:
-        """The table, None where it is as it was.
+        """Encode the table; None where it has not changed.
 
         Args:
             view: what is known; None before a router is joined.
@@ -271,7 +271,7 @@ def _leg(leg: LegView, status: LearnerStatus | None, view: View) -> dict[str, An
 
 
 def _text(text: str) -> str:
-    """Text as it may be shown: no control characters, and no more than a screen of it."""
+    """Make a text safe to show: no control characters, and no more than a screen of it."""
     shown = printable(text)
     return shown if len(shown) <= _MOST_TEXT else f"{shown[:_MOST_TEXT]}…"
 
@@ -281,7 +281,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 
 def _angle(value: float) -> int | None:
-    """In 0.1 mrad; None for what is no angle."""
+    """Convert an angle to 0.1 mrad; None for what is no angle."""
     return round(value * 1e4) if abs(value) <= 1e3 else None
 
 

@@ -32,7 +32,7 @@ _SECURITY: Final = (
 
 
 class Refused(Exception):  # noqa: N818 - an answer
-    """A request that gets a status and one line."""
+    """Refuses a request with a status and one line."""
 
     def __init__(self, status: HTTPStatus, line: str, *headers: tuple[str, str]) -> None:
         super().__init__(line)

@@ -77,7 +77,7 @@ class LivePage:
 
     @property
     def url(self) -> str:
-        """Where it is, for a browser; it has the token where one is needed."""
+        """Return the page's address for a browser; it has the token where one is needed."""
         return self._site.url
 
     def waits_for(self, what: str, remedy: str, level: Level = "error") -> None:

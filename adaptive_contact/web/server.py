@@ -54,7 +54,7 @@ ModelOf = Callable[[str], Awaitable[bytes | None]]
 
 @dataclass(frozen=True)
 class WebSettings:
-    """Where the page is served.
+    """Describes where the page is served.
 
     Raises:
         ConfigurationError: the port cannot be one.
@@ -72,7 +72,7 @@ class WebSettings:
 
     @property
     def loopback(self) -> bool:
-        """Whether only this computer can reach it."""
+        """Return whether only this computer can reach the page."""
         if self.host == "localhost":
             return True
         with contextlib.suppress(ValueError):
@@ -82,7 +82,7 @@ class WebSettings:
 
 @dataclass
 class History:
-    """Frames of the last minutes, shared by all streams."""
+    """Holds the frames of the last minutes, shared by all streams."""
 
     # names this run of the server; numbers of another mean nothing
     session: str = field(default_factory=lambda: secrets.token_hex(4))
@@ -118,11 +118,11 @@ class History:
 
     @property
     def begin(self) -> int:
-        """Number of the oldest frame."""
+        """Return the number of the oldest frame."""
         return self._next - len(self._frames)
 
     def after(self, number: int) -> tuple[bytes, int]:
-        """Frames from a number on, some at a time, and the number of the next."""
+        """Return some frames from a number on, and the number of the next."""
         at = max(number, self.begin)
         taken: list[bytes] = []
         size = 0
@@ -134,7 +134,7 @@ class History:
         return b"".join(taken), at
 
     def resume(self, last: str) -> int:
-        """Where a stream goes on that has had frames up to one; at the oldest where it has none."""
+        """Return the frame at which a stream continues; the oldest if it has had none."""
         session, _, number = last.partition(".")
         if session == self.session and number.isascii() and number.isdigit() and len(number) < 16:
             return min(int(number) + 1, self._next)
@@ -146,7 +146,7 @@ class History:
 
 
 class Site:
-    """The server; everything but :meth:`bind` runs in one event loop.
+    """Serves the page; everything but :meth:`bind` runs in one event loop.
 
     Attributes:
         history: what the streams give out.
@@ -203,14 +203,14 @@ class Site:
 
     @property
     def port(self) -> int:
-        """That was taken."""
+        """Return the port that was taken."""
         assert self._socket is not None
         port: int = self._socket.getsockname()[1]
         return port
 
     @property
     def url(self) -> str:
-        """What a browser is given; it has the token."""
+        """Return the address for a browser; it has the token."""
         host = self._settings.host
         if host in ("0.0.0.0", "::"):
             host = _own_address()
@@ -329,7 +329,7 @@ class Site:
         return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
 
     def _is_address(self, host: str) -> bool:
-        """Whether it is a bare address, which no foreign name server can point elsewhere.
+        """Return whether a host is a bare address: no foreign name server can point it elsewhere.
 
         On loopback only its own are let in; beyond, packets have come to one of this computer's.
         """
@@ -420,7 +420,7 @@ class Site:
 
 
 def _own_address() -> str:
-    """Address of this computer on its network, for a phone, which knows no names; else its name."""
+    """Return this computer's address on its network (phones know no names), else its name."""
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))  # sends nothing; of documentation (RFC 5737)
         address: str = probe.getsockname()[0]

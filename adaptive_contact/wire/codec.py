@@ -36,7 +36,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Reject(enum.StrEnum):
-    """Why a payload or a sample was not used; the values are the keys of ``rejects``."""
+    """Names why a payload or a sample was not used; the values are the keys of ``rejects``."""
 
     MALFORMED = "malformed"
     TOO_LARGE = "too_large"
@@ -56,7 +56,7 @@ class Reject(enum.StrEnum):
 
 
 class Rejected(NamedTuple):
-    """A payload that was not used: the reason, and one line naming the field."""
+    """Describes a payload that was not used: the reason, and one line naming the field."""
 
     reason: Reject
     detail: str

@@ -79,45 +79,45 @@ def meant_key(key: str) -> str | None:
 
 
 def servo_key(leg: str) -> str:
-    """Key of a leg's :class:`~adaptive_contact.wire.ServoSample` stream."""
+    """Return the key of a leg's :class:`~adaptive_contact.wire.ServoSample` stream."""
     return f"robot/leg/{leg}/servo"
 
 
 def contact_key(leg: str) -> str:
-    """Key of a leg's :class:`~adaptive_contact.wire.ContactEvent` stream."""
+    """Return the key of a leg's :class:`~adaptive_contact.wire.ContactEvent` stream."""
     return f"robot/leg/{leg}/contact"
 
 
 def learner_key(leg: str) -> str:
-    """Key of a leg's :class:`~adaptive_contact.wire.LearnerStatus` stream."""
+    """Return the key of a leg's :class:`~adaptive_contact.wire.LearnerStatus` stream."""
     return f"robot/leg/{leg}/learner"
 
 
 def model_key(leg: str) -> str:
-    """Key of a leg's queryable :class:`~adaptive_contact.wire.ModelReport`."""
+    """Return the key of a leg's queryable :class:`~adaptive_contact.wire.ModelReport`."""
     return f"robot/leg/{leg}/model"
 
 
 def trace_key(leg: str) -> str:
-    """Key of a leg's queryable :class:`~adaptive_contact.wire.LegTrace`."""
+    """Return the key of a leg's queryable :class:`~adaptive_contact.wire.LegTrace`."""
     return f"robot/leg/{leg}/trace"
 
 
 def state_key(leg: str) -> str:
-    """Key of a leg's :class:`~adaptive_contact.wire.LegState` stream."""
+    """Return the key of a leg's :class:`~adaptive_contact.wire.LegState` stream."""
     return f"robot/leg/{leg}/state"
 
 
 def truth_key(leg: str) -> str:
-    """Key of a simulated leg's :class:`~adaptive_contact.wire.ContactTruth` stream."""
+    """Return the key of a simulated leg's :class:`~adaptive_contact.wire.ContactTruth` stream."""
     return f"robot/leg/{leg}/truth"
 
 
 def command_key(leg: str) -> str:
-    """Key of a leg's :class:`~adaptive_contact.wire.Command` stream."""
+    """Return the key of a leg's :class:`~adaptive_contact.wire.Command` stream."""
     return f"robot/leg/{leg}/command"
 
 
 def bridge_status_key(port: str) -> str:
-    """Key of a bridge's status; ``port`` is its name in ``robot.toml``."""
+    """Return the key of a bridge's status; ``port`` is its name in ``robot.toml``."""
     return f"robot/bridge/{port}/status"

@@ -132,7 +132,7 @@ class LegState(Message, frozen=True, kw_only=True):
 
 
 class BufferCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """Confirmed contact-free data the learner holds."""
+    """Counts the confirmed contact-free data that the learner holds."""
 
     swings: int = 0
     lift_ticks: int = 0
@@ -347,7 +347,7 @@ State = Literal["running", "holding", "lost"]
 
 
 class Quantiles(msgspec.Struct, frozen=True, kw_only=True):
-    """Distribution of a time over the last ten seconds, ms."""
+    """Holds the distribution of a time over the last ten seconds, ms."""
 
     p50: float = 0.0
     p90: float = 0.0
