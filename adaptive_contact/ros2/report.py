@@ -103,7 +103,7 @@ class Report:
         )
 
     def state(self, leg: str, state: LegState) -> bytes | None:
-        """Take the state of a leg in; a ``DynamicJointState`` of a tick once it is whole.
+        """Store a leg's state; return a tick's ``DynamicJointState`` once it is complete.
 
         A leg's values: contact (0 or 1), p and known (0 or 1); p of a leg that is not known is NaN.
         A tick is whole with its last leg, or where a leg's next state comes before that.

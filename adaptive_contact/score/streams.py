@@ -128,7 +128,7 @@ class Gatherer:
         return {leg: count for leg, count in counts.items() if count}
 
     def replace_events(self, events: Iterable[ContactEvent]) -> None:
-        """Take these events instead of those that were received."""
+        """Replace the events that were received by these."""
         self._events = {}
         for event in events:
             self._events.setdefault(event.leg, []).append(event)

@@ -90,7 +90,7 @@ class Examination:
     uncounted_keys: int = 0
 
     def take(self, received: Received) -> None:
-        """Take one message in."""
+        """Process one message."""
         meter = self.meters.get(received.key)
         if meter is None:
             if len(self.meters) >= _KEYS_KEPT:

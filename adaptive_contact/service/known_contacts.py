@@ -39,14 +39,14 @@ class KnownContacts:
         return leg in self._beats and now_ns - self._beats[leg][0] <= int(SILENT_AFTER_S * 1e9)
 
     def heartbeat(self, heartbeat: Heartbeat, arrival_ns: int) -> None:
-        """Take a heartbeat in; a leg that it lacks is not known."""
+        """Process a heartbeat; a leg that it lacks is not known."""
         self._beats = {}
         for leg, beat in heartbeat.legs.items():
             age_s = beat.age_s if 0.0 <= beat.age_s < _OLD_S else _OLD_S
             self._beats[leg] = (arrival_ns - int(1e9 * age_s), beat)
 
     def event(self, event: ContactEvent, now_ns: int) -> list[ContactEvent]:
-        """Take an event in, and give what may be passed on."""
+        """Process an event; return what may be passed on."""
         self._last[event.leg] = event
         if not self.is_known(event.leg, now_ns):
             return self.look(now_ns)

@@ -155,7 +155,7 @@ class LegEndpoint:
         self._faults = FaultLog()
 
     def note_sample(self, sample: ServoSample, now_ns: int) -> Reject | None:
-        """Note a readable sample that the learner has just been given.
+        """Count a readable sample that the learner has just been given.
 
         Returns:
             Why it has refused it; None if it has used it.

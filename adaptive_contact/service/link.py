@@ -89,7 +89,7 @@ def listen(
     stop: threading.Event | None = None,
     look: Callable[[], None] = lambda: None,
 ) -> float:
-    """Take what comes for a while, on the caller's thread.
+    """Process what arrives for a while, on the caller's thread.
 
     Args:
         link: open.
@@ -238,7 +238,7 @@ class Arrivals:
         return self._queue.qsize()
 
     def get(self, timeout_s: float | None = None) -> Received | None:
-        """Take the next sample; None where none comes in time, and once after :meth:`end`."""
+        """Return the next sample; None if none comes in time, and once after :meth:`end`."""
         received = None
         while received is None:  # a deletion is passed over
             try:

@@ -119,7 +119,7 @@ class LiveCheck:
         self.moves: list[str] = []  # joints that were moved and came to rest, one line each
 
     def take(self, received: Received) -> None:
-        """Take one message in; all but samples are left alone."""
+        """Process one message; all but samples are ignored."""
         leg_id = leg_of_key(received.key)
         if leg_id is None or not received.key.endswith("/servo"):
             return
@@ -192,7 +192,7 @@ class _LegCheck:
         self._rested: Array | None = None
 
     def take(self, sample: ServoSample) -> str | None:
-        """Take a sample in; returns what was moved, once it rests again."""
+        """Process a sample; return what was moved, once it rests again."""
         self.samples.append(sample)
         self._count += 1
         joints = len(self.leg.joints)

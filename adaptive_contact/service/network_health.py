@@ -122,7 +122,7 @@ class NetworkHealth:
         self._connected = True
 
     def look(self, now_ns: int) -> None:
-        """Look, if it is time."""
+        """Check the network, if it is time."""
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + 1_000_000_000

@@ -51,7 +51,7 @@ def read_frame(stream: IO[bytes]) -> bytes | None:
 
 
 def main() -> None:
-    """Do jobs until the service is gone."""
+    """Run jobs until the service is gone."""
     # Prints go to stderr: they must not come between the frames.
     results = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

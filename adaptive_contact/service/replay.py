@@ -70,7 +70,7 @@ class Counts:
         return (self.last_ns - self.first_ns) / _NS_PER_S
 
     def hand_on(self, log_time_ns: int) -> None:
-        """Note a message that is handed on."""
+        """Count a message that is handed on."""
         if self.first_ns is None:
             self.first_ns = log_time_ns
         self.last_ns = log_time_ns
@@ -351,7 +351,7 @@ class TraceBank:
         return -1 if learner is None else learner.place.leg.t_ns
 
     def traces(self, recorded: TracedRecords) -> list[LegTrace]:
-        """Put together what was decided with what the recording says."""
+        """Combine what was decided with what the recording says."""
         gathered = recorded.gathered
         gathered.replace_events(self._events)
         legs = [leg for leg in gathered.legs if leg in self._t_ns]

@@ -100,7 +100,7 @@ class Inbox:
             self.dropped[address.topic] += 1
 
     def get(self) -> tuple[rmw.Address, Received] | None:
-        """Take the next message; None where none waits."""
+        """Return the next message; None where none waits."""
         return self._waiting[self._order.popleft()].popleft() if self._order else None
 
     def take_dropped(self) -> dict[str, int]:
@@ -245,21 +245,21 @@ class Gateway:
         self._service.subscribe(ALL_LEARNER, self.note_learner)
 
     def _show(self, address: rmw.Address) -> None:
-        """Let the graph see what is subscribed to; of several types, the one that comes."""
+        """Declare subscriptions to the graph; of several types, the one that is received."""
         if address.topic not in self._shown:
             self._shown.add(address.topic)
             number = next(self._numbers)
             self._ros.token(self._node.endpoint_token("MS", number, address, rmw.STREAM))
 
     def note_learner(self, received: Received) -> None:
-        """Keep the newest status of a leg's learner, for the diagnostics."""
+        """Store the newest status of a leg's learner, for the diagnostics."""
         if leg_of_key(received.key) in self._legs:
             self._learners[received.key] = received
 
     # -- ROS 2 to the service ----------------------------------------------------------------------
 
     def _next(self, timeout_s: float) -> tuple[rmw.Address, Received] | None:
-        """Take the next message; None where none comes in time."""
+        """Return the next message; None where none comes in time."""
         wait_s = 0.0 if self._inbox else timeout_s
         for _ in range(len(self._arrivals) or 1):  # and no more: a flood may come as fast
             received = self._arrivals.get(wait_s)
@@ -351,7 +351,7 @@ class Gateway:
                 self._states.put(whole)
 
     def _take(self, received: Received, now_ns: int) -> list[ContactEvent]:
-        """Take a heartbeat or an event in; the events to pass on."""
+        """Process a heartbeat or an event; return the events to pass on."""
         if received.key == HEARTBEAT:
             heartbeat = decode(received.payload, Heartbeat, received.encoding)
             if isinstance(heartbeat, Heartbeat):

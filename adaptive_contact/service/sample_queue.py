@@ -90,7 +90,7 @@ class SampleQueue(Generic[R]):
         self._awake = threading.Condition()
 
     def offer(self, received: Received) -> None:
-        """Take a sample in; never waits for the worker, never raises on what it was given."""
+        """Queue a sample; never waits for the worker, never raises on what it was given."""
         leg = leg_of_key(received.key)
         size = len(received.payload)
         raw = Raw(
@@ -117,12 +117,12 @@ class SampleQueue(Generic[R]):
                 self._enqueue(name, raw)
 
     def open(self, leg: str) -> None:
-        """Give out what is held of a leg."""
+        """Give a leg a queue of its own, with what was held of it."""
         with self._awake:
             self._queues[leg] = self._held.pop(leg)
 
     def ask(self, request: R) -> bool:
-        """Take a query in; False where too many wait already."""
+        """Queue a query; return False where too many wait already."""
         with self._awake:
             # Queries waiting for the worker; an asker beyond them is refused at once.
             if len(self._requests) >= 64:
@@ -132,7 +132,7 @@ class SampleQueue(Generic[R]):
         return True
 
     def take(self, timeout_s: float, *, query: bool = True) -> Batch[R]:
-        """Take what waits, or wait for it.
+        """Return what waits, or wait for it.
 
         Args:
             timeout_s: longest wait; 0 or less does not wait.

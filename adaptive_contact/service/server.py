@@ -258,7 +258,7 @@ class Service:
         self._unfinished.clear()
 
     def save(self, now_ns: int, *, pause: bool) -> None:
-        """Take the snapshot of one leg that is due, in a pause between samples."""
+        """Snapshot one leg whose save is due, in a pause between samples."""
         if self._keeper is None or not self._to_save:
             return
         since_ns, endpoint = self._to_save[0]
@@ -416,7 +416,7 @@ class Service:
         )
 
     def _trace(self) -> None:
-        """Keep the tick for a page that asks for it."""
+        """Record the tick for a page that asks for it."""
         # Of two ticks of a leg in one go the learner knows the last.
         last = dict(self._untraced)
         learners = {leg: self._endpoints[leg].learner for leg in last}

@@ -259,7 +259,7 @@ REMEDY = "start `adaptive-contact serve` there, or give the router's address wit
 
 
 def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
-    """Look from outside at routers that could not be joined.
+    """Probe routers that could not be joined, without Zenoh.
 
     Args:
         endpoints: Zenoh endpoints, tried in order until one listens.

@@ -59,7 +59,7 @@ class LinkSockets:
         self._thread = threading.Thread(target=self._work, name="link-sockets", daemon=True)
 
     def start(self) -> None:
-        """Look ten times a second from now on."""
+        """Check the sockets ten times a second from now on."""
         self._thread.start()
 
     def close(self) -> None:
@@ -82,7 +82,7 @@ class LinkSockets:
         self._busy_ns, self._on_drop, self._on_loss = busy_ns, on_drop, on_loss
 
     def look(self, now_ns: int) -> None:
-        """Look once; ``now_ns`` is monotonic."""
+        """Check the sockets once; ``now_ns`` is monotonic."""
         sockets = _sockets()
         for inode, number in sockets.items():
             if inode not in self._known:

@@ -36,7 +36,7 @@ class Latency:
         self._count = 0
 
     def add(self, latency_ns: int) -> None:
-        """Take one in, ns."""
+        """Add a latency, ns."""
         self._values.append(latency_ns)
         self._count += 1
 

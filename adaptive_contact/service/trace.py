@@ -70,7 +70,7 @@ class Tracer:
         states: Mapping[str, LegState] | None = None,
         swings: Mapping[str, bool] | None = None,
     ) -> None:
-        """Keep the samples of a tick, with the states that follow from them.
+        """Store the samples of a tick, with the states that follow from them.
 
         Args:
             samples: with how they were judged.

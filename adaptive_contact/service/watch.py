@@ -239,7 +239,7 @@ class Watch:
         self.known = KnownContacts()
 
     def event(self, event: ContactEvent, now_ns: int, age_ns: int = 0) -> None:
-        """Take an event in; ``age_ns`` is how old it was when it arrived (a late joiner's)."""
+        """Process an event; ``age_ns`` is its age on arrival (large for a late joiner)."""
         leg = self._leg(event.leg)
         leg.contact = event.contact
         if event.contact:
@@ -249,7 +249,7 @@ class Watch:
                 leg.pending.append((now_ns, event))
 
     def learner(self, status: LearnerStatus, now_ns: int) -> None:
-        """Take a leg's status in."""
+        """Store a leg's status."""
         leg = self._leg(status.leg)
         leg.status, leg.status_ns = status, now_ns
         leg.contact = status.contact
@@ -261,7 +261,7 @@ class Watch:
         leg.ticks.append((now_ns, status.ticks))
 
     def truth(self, leg: str, truth: ContactTruth, now_ns: int) -> None:
-        """Take the simulator's word in."""
+        """Process a truth message of the simulator."""
         view = self._leg(leg)
         if view.truth is None:
             view.truth = _Truth()
@@ -269,7 +269,7 @@ class Watch:
         view.truth.change(truth, now_ns)
 
     def service(self, status: ServiceStatus) -> None:
-        """Take the service's own status in."""
+        """Store the service's own status."""
         self._service = status
         for leg in status.legs:
             self._leg(leg)

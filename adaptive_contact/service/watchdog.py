@@ -83,7 +83,7 @@ class Watchdog:
         self._reporter = threading.Thread(target=self._report, name="stalls", daemon=True)
 
     def start(self) -> None:
-        """Look every quarter of a second from now on."""
+        """Check the worker every quarter of a second from now on."""
         self._looked_s = self._clock_s()
         self._reporter.start()
         self._thread.start()
@@ -97,7 +97,7 @@ class Watchdog:
                 thread.join(2 * LOOK_S)
 
     def look(self, now_ns: int) -> None:
-        """Look once; ``now_ns`` is monotonic."""
+        """Check the worker once; ``now_ns`` is monotonic."""
         before_s, self._looked_s = self._looked_s, self._clock_s()
         stopped_s = self._looked_s - before_s - LOOK_S
         if stopped_s >= STALL_S:
@@ -174,7 +174,7 @@ def _copy(source: int, target: int) -> None:
 
 
 def _try(what: Callable[[], None]) -> None:
-    """Do something on a thread of its own, and go on without it where it hangs."""
+    """Call a function on a thread of its own, and continue without it if it hangs."""
     thread = threading.Thread(target=what, name="last words", daemon=True)
     with contextlib.suppress(RuntimeError):  # no room for another thread
         thread.start()

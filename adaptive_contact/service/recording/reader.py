@@ -397,7 +397,7 @@ class _Walk:
             raise _DamagedError("messages of a channel that is not defined")
 
     def _learn_channels(self) -> None:
-        """Take from the summary the channels that damage may have cost, if it is whole."""
+        """Restore from the summary channels lost by damage, if the summary is whole."""
         footer_bytes = _FOOTER.size + len(MCAP0_MAGIC)
         tail = os.pread(self._file.fileno(), footer_bytes, max(self._size - footer_bytes, 0))
         if len(tail) < footer_bytes or tail[_FOOTER.size :] != MCAP0_MAGIC:

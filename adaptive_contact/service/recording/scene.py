@@ -76,7 +76,7 @@ class Scene:
         self._changed = True
 
     def take(self, key: str, message: Message, time_ns: int) -> Iterator[tuple[str, bytes, Schema]]:
-        """Give topics, messages and their schemas, to be written after this message."""
+        """Yield topics, messages and their schemas, to be written after this message."""
         leg = self._legs.get(leg_of_key(key) or "")
         if leg is None:
             return
@@ -145,7 +145,7 @@ class _DrawnLeg:
         self._paint()
 
     def move(self, measured: list[float]) -> bool:
-        """Take a sample; return False where it is not one of this leg."""
+        """Move the joints to a sample; return False if it does not fit this leg."""
         angles = self._angles(measured)
         if len(angles) != len(self._joints) or not all(map(math.isfinite, angles)):
             return False

@@ -74,7 +74,7 @@ def schema_name(kind: type[Message]) -> str:
 
 
 def parts_of(annotation: Any) -> tuple[Any, tuple[Any, ...], bool]:
-    """Take a type apart.
+    """Split a type into its parts.
 
     Returns:
         Its origin (``list``, ``dict``, ``Literal`` or the type itself), the arguments of that, and

@@ -107,7 +107,7 @@ class StateKeeper:
     def restore(
         self, leg: str, learner: ContactLearner, library: str, now_ns: int
     ) -> Position | None:
-        """Let a new learner go on from where it was, if there is a sound state of it.
+        """Restore a new learner from its newest sound state, if there is one.
 
         Returns:
             Where its source was; None without a state.

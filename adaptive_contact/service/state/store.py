@@ -114,7 +114,7 @@ class StateStore:
             return False
 
     def close(self) -> None:
-        """Let others save here."""
+        """Unlock the folder for other services."""
         if self._lock is not None:
             os.close(self._lock)
             os.close(self._handle)
@@ -145,7 +145,7 @@ class StateStore:
             return 0
 
     def set_aside(self, path: Path) -> None:
-        """Take a refused state out of the way, keeping it for inspection."""
+        """Rename a refused state, to keep it for inspection."""
         with contextlib.suppress(OSError):  # a read-only folder keeps it where it is
             if self.trouble is None:  # the newest and the one before may both be refused
                 self._rename(path.name, f"{path.name}{REFUSED}")
