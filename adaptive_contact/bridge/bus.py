@@ -1,8 +1,8 @@
-"""Reads and writes a Dynamixel bus over the DynamixelSDK, with a result per servo.
+"""Reads and writes a bus of servos over their maker's SDK, with a result per servo.
 
-What the SDK's packet handlers get wrong (docs/bridge.md lists it) is worked around here: packets
-are taken one by one, and the length that each gives is checked.  AX servos know no sync read: each
-is read by itself, and all are written with one sync write.
+What the SDKs' packet handlers get wrong (docs/bridge.md lists it) is worked around here: packets
+are taken one by one, and the length that each gives is checked.  AX servos and Feetech's SCS series
+know no sync read: each is read by itself, and all are written with one sync write.
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
 from typing import Any, Final, NamedTuple, TypeVar
 
-from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
-
 from adaptive_contact.bridge.packets import (
     BROADCAST_ID,
     MAX_ID,
@@ -26,17 +24,18 @@ from adaptive_contact.bridge.packets import (
     alarm_names,
     split_fast_sync,
     unsent,
+    version_of,
 )
 from adaptive_contact.bridge.port import SdkPort
-from adaptive_contact.bridge.tables import Block, Register
-from adaptive_contact.errors import BusError
+from adaptive_contact.bridge.tables import MODEL_NUMBERS, Block, Register, is_feetech
+from adaptive_contact.errors import BusError, needs
 from adaptive_contact.robot import Port
+from adaptive_contact.robot.description import Protocol
 
 T = TypeVar("T")
 
-_TIMEOUT: Final = -3001
-# The same in every control table.
-MODEL_NUMBER: Final = Block(0, 2)
+# Of both SDKs.
+_SUCCESS: Final = 0
 # For what has to succeed, outside the cycle.
 _TRIES: Final = 4
 # Answers that came too late are waited for longer: twice as long each time, up to this.
@@ -45,10 +44,19 @@ MOST_PATIENT_MS: Final = 400.0
 _LOOKS, _GARBLED = 5, 3
 # What an answer takes at the least, with some wire and a computer in between.
 _ASK_S: Final = 0.0005
-# Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err;
-# of 1.0: FF FF id len err.
-_ID2, _LENGTH2, _ERROR2, _DATA2 = 4, 5, 8, 9
-_ID1, _LENGTH1, _ERROR1, _DATA1 = 2, 3, 4, 5
+
+
+class _Places(NamedTuple):
+    """Offsets in the SDKs' lists of a status packet's bytes."""
+
+    id: int
+    length: int
+    error: int
+    data: int
+
+
+# FF FF id len err, and FF FF FD 00 id len len 55 err.
+_PLACES: Final = {1: _Places(2, 3, 4, 5), 2: _Places(4, 5, 8, 9)}
 
 
 class Fault(enum.StrEnum):
@@ -77,7 +85,8 @@ class Pong(NamedTuple):
     model_number: int | None  # None where neither a ping (of protocol 2.0) nor a read gives it
     doubled: bool = False  # several seem to answer
     reads: bool = True  # it answers reads; at a status return level of 0 it does not
-    brand: str | None = None  # what it is in words, where that is no Dynamixel
+    # what it is in words, and in which protocol, where it is a Feetech servo and that is another
+    other: tuple[str, Protocol] | None = None
 
 
 class Bus:
@@ -85,16 +94,26 @@ class Bus:
 
     Attributes:
         late: answers that came after they were waited for, by servo.
+        model_number: where servos of its protocol have it.
+
+    Raises:
+        MissingExtraError: the maker's SDK is not installed.
     """
 
     def __init__(self, name: str, port: Port) -> None:
         self.name, self.device = name, port.device
         self.protocol = port.protocol
+        self.model_number = MODEL_NUMBERS[port.protocol]
         self._fast = port.fast
         self._port = SdkPort(name, port)
-        self._packets: Any = PacketHandler(float(port.protocol))
-        self._codec = Codec(port.protocol)
-        # Before 3.8 the SDK knows no fast sync read, and its calls take one argument less.
+        sdk = sdk_of(port.protocol)
+        # Feetech's takes a byte order, on which nothing that is used here depends.
+        self._packets: Any = sdk.PacketHandler(0 if is_feetech(port.protocol) else port.protocol)
+        self._timeout: int = sdk.COMM_RX_TIMEOUT
+        self._not_sent: int = sdk.COMM_TX_FAIL
+        self._version = version_of(port.protocol)
+        self._codec, self._at = Codec(self._version), _PLACES[self._version]
+        # Before 3.8 the DynamixelSDK knows no fast sync read, and its calls take one argument less.
         self._knows_fast = "fast_option" in signature(self._packets.rxPacket).parameters
         self._slow = (False,) if self._knows_fast else ()
         self._awaited = Awaited()
@@ -141,7 +160,7 @@ class Bus:
         Raises:
             PortLostError: the port is gone.
         """
-        here = self._guarded(lambda: [s for s in servos if self._ping_alone(s)[0] == COMM_SUCCESS])
+        here = self._guarded(lambda: [s for s in servos if self._ping_alone(s)[0] == _SUCCESS])
         self.settle(quiet_ms)
         return [servo for servo in servos if servo in here or self.late[servo]]
 
@@ -167,7 +186,7 @@ class Bus:
         def work() -> dict[int, Reading]:
             found: dict[int, Reading] = {}
             garbled = False
-            if self.protocol == 2 and len(servos) > 1:
+            if self.protocol in (2, "sts") and len(servos) > 1:
                 found, garbled = self._sync_read(servos, wide)
             for servo in servos:
                 first = found.get(servo)
@@ -176,7 +195,7 @@ class Bus:
                         if garbled:
                             found[servo] = Reading(None, (), Fault.CORRUPT)
                         continue
-                    # Missing in the common answer, or protocol 1: ask it alone.
+                    # Missing in the common answer, or there is none: ask it alone.
                     first = found[servo] = self._read_one(servo, wide)
                     if garbled and first.fault is None:
                         # What came for all held more than was understood: this one's, it seems.
@@ -272,7 +291,7 @@ class Bus:
 
         A confirmation says little: a locked EEPROM may have one, an alarm sets its error bits.
         """
-        data = list(value.to_bytes(register.size, "little", signed=register.signed))
+        data = list(register.data(value))
         for _ in range(_TRIES):
             self._guarded(
                 lambda: self._exchange(servo, Instruction.WRITE, 0, [register.address], data)
@@ -290,13 +309,13 @@ class Bus:
         parameters: list[int] = []
         for servo, value in values.items():
             parameters.append(servo)
-            parameters += value.to_bytes(register.size, "little", signed=register.signed)
+            parameters += register.data(value)
         result = self._guarded(
             lambda: self._packets.syncWriteTxOnly(
                 self._port, register.address, register.size, parameters, len(parameters)
             )
         )
-        return bool(result == COMM_SUCCESS)
+        return bool(result == _SUCCESS)
 
     def _guarded(self, work: Callable[[], T]) -> T:
         """Run a transaction; an error of the device closes the port.
@@ -328,20 +347,20 @@ class Bus:
 
     def _ping(self, servo: int) -> Pong | None:
         result, number = self._ping_alone(servo)
-        if result not in (COMM_SUCCESS, _TIMEOUT, COMM_TX_FAIL):
+        if result not in (_SUCCESS, self._timeout, self._not_sent):
             # Two servos that talk at once garble each other; once may be noise.
             result, number = self._ping_alone(servo)
-            if result not in (COMM_SUCCESS, _TIMEOUT):
+            if result not in (_SUCCESS, self._timeout):
                 return Pong(None, doubled=True, reads=False)
-        if result != COMM_SUCCESS:
+        if result != _SUCCESS:
             return None
         # Bytes that follow an answer are of another servo of the same id, a little slower.
         self._port.setPacketTimeout(0)
         doubled = len(self._port.readPort(1)) > 0
         for _ in range(_TRIES):
-            data = self._ask(servo, MODEL_NUMBER).data
+            data = self._ask(servo, self.model_number.block).data
             if data is not None:
-                return Pong(int.from_bytes(data, "little"), doubled)
+                return Pong(self.model_number.value(data), doubled)
         return Pong(number, doubled, reads=False)
 
     def _drain(self) -> None:
@@ -353,8 +372,8 @@ class Bus:
         """Count answers to earlier questions among what has arrived, but for those of ``asked``."""
         # The beginning of a packet stays until the rest of it has come.
         for frame in self._codec.parse(self._port.arrived)[0]:
-            if frame.id != asked and (self.protocol == 1 or frame.code == Instruction.STATUS):
-                size = len(frame.parameters) + 1 - self.protocol
+            if frame.id != asked and (self._version == 1 or frame.code == Instruction.STATUS):
+                size = len(frame.parameters) + 1 - self._version
                 self._awaited.strike(frame.id, size, late=True)
 
     def _ping_alone(self, servo: int) -> tuple[int, int | None]:
@@ -363,10 +382,10 @@ class Bus:
         Returns:
             The SDK's result, and the model number where the answer holds it (protocol 2.0).
         """
-        # Data of an answer to a ping, by protocol.
-        answer, result = self._exchange(servo, Instruction.PING, {1: 0, 2: 3}[self.protocol])
-        payload = self._data(answer) if result == COMM_SUCCESS else ()
-        number = payload[0] + (payload[1] << 8) if len(payload) >= MODEL_NUMBER.size else None
+        # Data of an answer to a ping, by version.
+        answer, result = self._exchange(servo, Instruction.PING, {1: 0, 2: 3}[self._version])
+        payload = self._data(answer) if result == _SUCCESS else ()
+        number = payload[0] + (payload[1] << 8) if len(payload) >= 2 else None
         return int(result), number
 
     def _exchange(
@@ -383,10 +402,10 @@ class Bus:
             The status packet, and the SDK's result.
         """
         self._drain()
-        packet = unsent(self.protocol, servo, instruction, words, data)
+        packet = unsent(self._version, servo, instruction, words, data)
         self._awaited.ask(servo, size, time.monotonic())
         answer, result, _ = self._packets.txRxPacket(self._port, packet)
-        while result == COMM_SUCCESS and self._is_late(servo, answer, size):
+        while result == _SUCCESS and self._is_late(servo, answer, size):
             answer, result = self._packets.rxPacket(self._port, *self._slow)
         self._count_late(servo)
         return answer, result
@@ -394,14 +413,14 @@ class Bus:
     def _read_one(self, servo: int, block: Block) -> Reading:
         at_s = time.monotonic()
         answer, result = self._exchange(servo, Instruction.READ, block.size, block)
-        if result != COMM_SUCCESS:
-            return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
-        error = answer[_ERROR1 if self.protocol == 1 else _ERROR2]
-        return self._reading(self._data(answer), error, block, at_s)
+        if result != _SUCCESS:
+            fault = Fault.NO_ANSWER if result == self._timeout else Fault.CORRUPT
+            return Reading(None, (), fault)
+        return self._reading(self._data(answer), answer[self._at.error], block, at_s)
 
     def _is_late(self, servo: int, packet: Sequence[int], wanted: int) -> bool:
         """Whether a packet is another servo's, or answers an earlier question than the last."""
-        if packet[_ID1 if self.protocol == 1 else _ID2] != servo:
+        if packet[self._at.id] != servo:
             return True
         size = len(self._data(packet))
         if not self._awaited.strike(servo, size, late=size != wanted):
@@ -412,10 +431,11 @@ class Bus:
 
     def _data(self, packet: Sequence[int]) -> Sequence[int]:
         """A status packet's data.  Unstuffing leaves its spare bytes at the end: cut to size."""
-        if self.protocol == 1:
-            return packet[_DATA1 : _DATA1 + packet[_LENGTH1] - 2]
-        size = packet[_LENGTH2] + (packet[_LENGTH2 + 1] << 8) - 4
-        return packet[_DATA2 : _DATA2 + size]
+        at = self._at
+        size = packet[at.length] - 2
+        if self._version == 2:
+            size += (packet[at.length + 1] << 8) - 2
+        return packet[at.data : at.data + size]
 
     def _reading(self, data: Sequence[int], error: int, block: Block, at_s: float) -> Reading:
         alarms = alarm_names(self.protocol, error)
@@ -441,14 +461,14 @@ class Bus:
         result = self._packets.syncReadTx(self._port, *block, list(servos), len(servos), *fast)
         for servo in servos:
             self._awaited.ask(servo, block.size, at_s)
-        if result != COMM_SUCCESS:
+        if result != _SUCCESS:
             return found, False
         before, understood = self._port.received, 0
         if self._fast:
             self._port.is_using = True
             packet, result = self._packets.rxPacket(self._port, True)
-            if result == COMM_SUCCESS and packet[_ID2] == BROADCAST_ID:
-                answers = split_fast_sync(bytes(packet[_ERROR2:-2]), block.size)
+            if result == _SUCCESS and packet[self._at.id] == BROADCAST_ID:
+                answers = split_fast_sync(bytes(packet[self._at.error : -2]), block.size)
                 # One that was cut short would put all after it off their places.
                 if [answer.id for answer in answers] == list(servos):
                     understood += len(packet)
@@ -458,17 +478,38 @@ class Bus:
             return found, self._port.received - before > understood
         while len(found) < len(servos):
             packet, result = self._packets.rxPacket(self._port, *self._slow)
-            if result == _TIMEOUT:
+            if result == self._timeout:
                 break
-            if result != COMM_SUCCESS:
+            if result != _SUCCESS:
                 continue
             understood += len(packet)
-            servo = packet[_ID2]
-            if servo not in servos or servo > MAX_ID or packet[7] != Instruction.STATUS:
+            servo = packet[self._at.id]
+            answers_it = self._version == 1 or packet[7] == Instruction.STATUS
+            if servo not in servos or servo > MAX_ID or not answers_it:
                 continue
             if not self._is_late(servo, packet, block.size):
-                found[servo] = self._reading(self._data(packet), packet[_ERROR2], block, at_s)
+                error = packet[self._at.error]
+                found[servo] = self._reading(self._data(packet), error, block, at_s)
         return found, self._port.received - before > understood
+
+
+def sdk_of(protocol: Protocol) -> Any:
+    """The SDK of a protocol's maker.
+
+    Raises:
+        MissingExtraError: it is not installed, or is not what the extra brings.
+    """
+    # Both import pyserial, which :mod:`.port` uses.
+    if is_feetech(protocol):
+        with needs("a Feetech bus", "feetech"):
+            import scservo_sdk as sdk
+
+            if not hasattr(sdk, "PacketHandler"):
+                raise ImportError("another package has its name, such as ftservo-python-sdk")
+    else:
+        with needs("a Dynamixel bus", "dynamixel"):
+            import dynamixel_sdk as sdk
+    return sdk
 
 
 def _cut(reading: Reading, block: Block, wide: Block) -> Reading:

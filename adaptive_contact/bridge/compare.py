@@ -21,9 +21,13 @@ from adaptive_contact.bridge.tables import ServoModel
 
 COMPARED: Final = (
     "moving_speed",
+    "goal_time",
     "goal_acceleration",
+    "acceleration",
+    "max_acceleration",
     "profile_velocity",
     "profile_acceleration",
+    "phase",
     "drive_mode",
     "operating_mode",
     "control_mode",
@@ -154,9 +158,10 @@ def _acceleration(servo: Servo, register: str) -> str:
     value = servo.values[register]
     if register == "profile_acceleration" and _time_based(servo):
         return f"is {value} ms: so long a servo gathers speed for each goal; 0 sets no limit"
-    most = (
-        "" if register == "goal_acceleration" else f" ({value * _ACCELERATION_RAD_S2:.3g} rad/s²)"
-    )
+    unit = _ACCELERATION_RAD_S2
+    if register == "acceleration":
+        unit = 100 * servo.model.step_rad
+    most = "" if register == "goal_acceleration" else f" ({value * unit:.3g} rad/s²)"
     return f"is {value}: goals are followed with a limited acceleration{most}; 0 sets no limit"
 
 
@@ -164,6 +169,8 @@ def _weaker(servo: Servo, register: str) -> str | None:
     # All of it, as the servo's own unit has it: e-manual AX-12A "Torque Limit(34)", XM430-W350 "PWM
     # Limit(36)".
     value, full = servo.values[register], {"torque_limit": 1023, "pwm_limit": 885}[register]
+    if servo.model.feetech:
+        full = 1000
     if value >= full:
         return None
     return f"is {value} of {full}: it drives with {100 * value / full:.0f} % of what it has"
@@ -177,6 +184,7 @@ def _time_based(servo: Servo) -> bool:
 _SHAPES: Final[Mapping[str, Callable[[Servo, str], str | None]]] = {
     "moving_speed": _speed,
     "goal_acceleration": _acceleration,
+    "acceleration": _acceleration,
     "profile_velocity": _speed,
     "profile_acceleration": _acceleration,
     "torque_limit": _weaker,

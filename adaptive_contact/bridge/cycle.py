@@ -264,14 +264,14 @@ class Cycle:
         registers = model.registers
         faults = self.health[servo.joint.servo].faults
         steps = block.part(reading.data, registers["present_position"])
-        speed = model.signed_speed(block.part(reading.data, registers["present_speed"]))
+        speed = block.part(reading.data, registers["present_speed"]) * model.speed_rad_s
         servo.goal = block.part(reading.data, registers["goal_position"])
         if self.mode == "drive":
             servo.register = servo.waker.compare(servo.goal)
             if servo.register is GoalRegister.FOREIGN:
                 faults["foreign_goal"] += 1
             if model.compact:
-                self._judge(servo, standing(model, block, reading.data))
+                self._judge(servo, standing(model, block, reading.data, servo.waker.fatal))
         stale = servo.steps is not None and is_stale(
             steps, servo.steps, speed, servo.speed_rad_s, model.step_rad / self.plan.period_s
         )

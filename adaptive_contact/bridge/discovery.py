@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, Literal, NamedTuple
+from importlib.util import find_spec
+from typing import Final, NamedTuple
 
 import msgspec
 
@@ -23,11 +24,13 @@ from adaptive_contact.bridge.handshake import (
 )
 from adaptive_contact.bridge.modes import followed, read_slope
 from adaptive_contact.bridge.packets import MAX_ID
-from adaptive_contact.bridge.tables import ServoModel, model_of_number
+from adaptive_contact.bridge.tables import ServoModel, model_of_number, tool_of
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
+from adaptive_contact.robot.description import Protocol
 
-_PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
+# Feetech's answer the pings of protocol 1, and say what they are; protocol 1's answer theirs.
+_PROTOCOLS: Final[tuple[Protocol, ...]] = (1, 2)
 # Servos are numbered one after the other: so far beyond the last found, all are asked again.
 BEYOND: Final = 8
 
@@ -47,6 +50,8 @@ class Found:
     elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
     done: tuple[str, ...] = ()  # what was written
     follows: dict[int, int] = dataclasses.field(default_factory=dict)  # by secondary id: whom
+    # ids that answer and belong to another protocol, by that
+    others: dict[Protocol, list[int]] = dataclasses.field(default_factory=dict)
 
 
 class Wanted(NamedTuple):
@@ -97,6 +102,8 @@ def find_servos(
 ) -> Found:
     """Ask a port at all usual rates, in both protocols, who is there.
 
+    Feetech servos answer in protocol 1, and are then asked in their own.
+
     Writes nothing, but with ``configure`` the status return level of servos that answer no reads.
 
     Args:
@@ -110,18 +117,23 @@ def find_servos(
     Raises:
         BusError: the port cannot be opened, no servo answers, or one answers too late only.
     """
-    places = [(baud, protocol) for baud in bauds for protocol in _PROTOCOLS]
+    protocols = _PROTOCOLS if find_spec("dynamixel_sdk") else ("sts",)
+    places: list[Place] = [(baud, protocol) for baud in bauds for protocol in protocols]
     found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
     if found is None:
         raise BusError(
             f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; "
             "check power and cable, or give the rate with --baud"
         )
-    others = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
-    most = max(others, key=lambda at: others[at], default=None)
-    if most is not None and others[most] > len(found.servos):
+    elsewhere = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
+    most = max(elsewhere, key=lambda at: elsewhere[at], default=None)
+    if most is not None and elsewhere[most] > len(found.servos):
         # The one that was found first is the odd one.
         found = _ask(name, device, most, ids) or found
+    others = found.others
+    usual = max(others, key=lambda protocol: len(others[protocol]), default=None)
+    if usual is not None and 2 * len(others[usual]) > len(found.servos):
+        found = _ask(name, device, (found.port.baud, usual), ids) or found
     return _configured(found, ids) if configure and found.mute else found
 
 
@@ -314,12 +326,12 @@ def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
     protocol = one.port.protocol
     models = {servo: model for servo in ids if (model := one.servos[servo]) is not None}
     other = [f"{s} ({model.name})" for s, model in models.items() if model.protocol != protocol]
-    if other:
+    if other:  # Dynamixel: others have their numbers elsewhere
+        own = 2 if protocol == 1 else 1
         raise BusError(
             f"port {one.name}: servo {', '.join(other)} answers in protocol {protocol}, and is "
-            f"supported in protocol {3 - protocol} only; set its Protocol Type with DYNAMIXEL "
-            "Wizard (servos of one port need one protocol), or name the servos of the legs with "
-            "--ids"
+            f"supported in protocol {own} only; set its Protocol Type with DYNAMIXEL Wizard "
+            "(servos of one port need one protocol), or name the servos of the legs with --ids"
         )
     return tuple(models.values())
 
@@ -348,7 +360,7 @@ def describe(found: Iterable[Found]) -> list[str]:
             lines.append(
                 f"port {one.name}: servo {_ranges(ids)} {does} at {baud} baud, protocol "
                 f"{protocol}: all servos of a port need one baud rate and protocol; set them with "
-                "DYNAMIXEL Wizard"
+                f"{tool_of(one.port.protocol)}"
             )
     return lines
 
@@ -363,7 +375,11 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
             f"port {bus.name}: several servos answer to id {', '.join(map(str, doubled))} (or "
             "their line is disturbed); connect them one by one and give each an id of its own"
         )
-    models = {servo: model_of_number(pong.model_number) for servo, pong in pongs.items()}
+    models = {s: model_of_number(pong.model_number, port.protocol) for s, pong in pongs.items()}
+    others: dict[Protocol, list[int]] = {}
+    for servo, pong in pongs.items():
+        if pong.other is not None:
+            others.setdefault(pong.other[1], []).append(servo)
     slopes = {
         servo: read_slope(bus, servo, model)
         for servo, model in models.items()
@@ -373,7 +389,7 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
         bus.name,
         port,
         models,
-        {servo: named(pong) for servo, pong in pongs.items()},
+        {servo: named(pong, port.protocol) for servo, pong in pongs.items()},
         {servo: slope for servo, slope in slopes.items() if slope is not None},
         tuple(servo for servo, pong in pongs.items() if not pong.reads),
         follows={
@@ -381,6 +397,7 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
             for servo, model in models.items()
             if pongs[servo].reads and (first := followed(bus, servo, model)) is not None
         },
+        others=others,
     )
 
 

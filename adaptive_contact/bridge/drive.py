@@ -5,7 +5,8 @@ docs/bridge.md, "Observe and drive"; why: decision 25.
 
 An alarm that the servo's shutdown register names switches its drive off for good.  An AX, RX, MX
 or XL-320 servo sets its torque limit to 0, and drives again as soon as that is written; an X-series
-one, or an MX with protocol 2.0, switches its torque off and stays so until a reboot.
+one, or an MX with protocol 2.0, switches its torque off and stays so until a reboot.  What wakes a
+Feetech servo is not documented: it is taken for shut down as long as its status says so.
 
 Source: ROBOTIS e-manual, AX-12A "Shutdown (18)", XL-320 "Shutdown(18)", XL330-M288 "Shutdown (63)".
 """
@@ -174,20 +175,30 @@ class Standing(NamedTuple):
     alarms: tuple[str, ...] = ()
 
 
-def standing(model: ServoModel, block: Block, data: bytes) -> Standing:
-    """How a servo stands, by a block that includes the model's ``state``."""
+def standing(model: ServoModel, block: Block, data: bytes, fatal: int = 0xFF) -> Standing:
+    """How a servo stands, by a block that the model's ``state`` or ``watched`` is in.
+
+    Args:
+        model: what it is.
+        block: the registers.
+        data: their bytes.
+        fatal: errors that shut a Feetech servo down, where the block does not hold them.
+    """
 
     def value(name: str) -> int:
         return block.part(data, model.registers[name])
 
-    torque = value("torque_enable") != 0
-    errors_at = model.registers.get("hardware_error")
-    errors = 0 if errors_at is None or not block.holds(errors_at) else block.part(data, errors_at)
+    def known(name: str, otherwise: int) -> int:
+        register = model.registers.get(name)
+        return value(name) if register is not None and block.holds(register) else otherwise
+
+    torque = value("torque_enable") == 1
+    errors, limit = known("hardware_error", 0), known("torque_limit", 1)
     alarms = tuple(name for bit, name in model.error_bits.items() if errors & bit)
+    shuts = bool(errors & known("shutdown", fatal))
     if model.compact:
-        limit = value("torque_limit")
-        return Standing(torque and limit > 0, limit == 0, alarms)
-    return Standing(torque, not torque and bool(errors & value("shutdown")), alarms)
+        return Standing(torque and limit > 0, limit == 0 or (model.feetech and shuts), alarms)
+    return Standing(torque, not torque and shuts, alarms)
 
 
 class Place(NamedTuple):
@@ -262,6 +273,11 @@ class Waker:
             return  # read again
         self.setting = setting(self._joint.model, once)
         self._first = self._first or self.setting.values
+
+    @property
+    def fatal(self) -> int:
+        """Errors that shut it down, as far as it has said that."""
+        return 0xFF if self.setting is None else self.setting.values.get("shutdown", 0xFF)
 
     def bounds(self) -> tuple[float, float]:
         """How far its goals may go: robot.toml's limits within the servo's own, rad."""
@@ -380,6 +396,12 @@ class Waker:
 
 def remedy(model: ServoModel) -> str:
     """What to do for a servo that has shut itself down."""
+    if model.feetech:
+        enable = model.registers["torque_enable"].address
+        return (
+            "shut down, or its torque limit is 0; take the load off it, let it cool, then switch "
+            f"its power off and on, or write 0 to its torque enable ({enable}): the leg goes limp"
+        )
     if model.compact:
         limit = model.registers["torque_limit"].address
         return (

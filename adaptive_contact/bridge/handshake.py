@@ -9,30 +9,33 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final, Literal
+from typing import Final
 
 import msgspec
 
-from adaptive_contact.bridge.bus import MODEL_NUMBER, MOST_PATIENT_MS, Bus, Pong
+from adaptive_contact.bridge.bus import MOST_PATIENT_MS, Bus, Pong
 from adaptive_contact.bridge.drive import remedy, standing
 from adaptive_contact.bridge.modes import followed, setting
-from adaptive_contact.bridge.packets import MAX_ID
+from adaptive_contact.bridge.packets import MAX_ID, version_of
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import latency_advice
 from adaptive_contact.bridge.tables import (
     FEETECH_MARK,
     MODELS,
+    Register,
     ServoModel,
-    feetech_name,
+    feetech_of,
     model_of_number,
     number_name,
+    tool_of,
 )
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
+from adaptive_contact.robot.description import Protocol
 
 ALL_IDS: Final = range(MAX_ID + 1)
 # A baud rate, and a protocol.
-Place = tuple[int, Literal[1, 2]]
+Place = tuple[int, Protocol]
 
 # Rates that servos are delivered with, and those set most; then others that they can have.
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
@@ -139,24 +142,28 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
             pong = _again(bus, servo, pong)
         if pong is None:
             continue
-        number = bus.confirmed(servo, MODEL_NUMBER) if pong.reads else None
+        number = bus.confirmed(servo, bus.model_number.block) if pong.reads else None
         if number is not None:  # what a scan took for it may have been another answer
-            pong = pong._replace(model_number=int.from_bytes(number, "little"))
-        model = model_of_number(pong.model_number)
-        if model is None and pong.reads and bus.protocol == 1:
+            pong = pong._replace(model_number=bus.model_number.value(number))
+        model = model_of_number(pong.model_number, bus.protocol)
+        if model is None and pong.reads and version_of(bus.protocol) == 1:
             mark = bus.confirmed(servo, FEETECH_MARK)
-            pong = pong._replace(brand=None if mark is None else feetech_name(mark, servo))
+            other = None if mark is None else feetech_of(mark, servo)
+            if other is not None and other[1] != bus.protocol:
+                pong = pong._replace(other=other)
         if model is not None and not pong.doubled and not bus.is_clear(servo, model.measured):
             pong = pong._replace(doubled=True)
         pongs[servo] = pong
     return dict(sorted(pongs.items()))
 
 
-def named(pong: Pong) -> str:
-    """What a servo is, in words."""
-    if pong.brand is not None:
-        return pong.brand
-    return "answers pings only" if pong.model_number is None else number_name(pong.model_number)
+def named(pong: Pong, protocol: Protocol) -> str:
+    """What a servo on a port of this protocol is, in words."""
+    if pong.other is not None:
+        return f"{pong.other[0]}, of protocol {pong.other[1]!r}"
+    if pong.model_number is None:
+        return "answers pings only"
+    return number_name(pong.model_number, protocol)
 
 
 def look_elsewhere(
@@ -168,15 +175,15 @@ def look_elsewhere(
         name: of the port.
         port: as it is set; closed.
         ids: whom to look for.
-        bauds: rates to try, in both protocols.
+        bauds: rates to try, of Dynamixel in both protocols.
 
     Returns:
         Ids by the baud rate and the protocol at which they answer.
     """
     found: dict[Place, list[int]] = {}
     left = list(ids)
-    other: Literal[1, 2] = 2 if port.protocol == 1 else 1
-    for protocol in (port.protocol, other):
+    others: dict[Protocol, tuple[Protocol, ...]] = {1: (1, 2), 2: (2, 1)}
+    for protocol in others.get(port.protocol, (port.protocol,)):
         for baud in bauds:
             if not left or (baud, protocol) == (port.baud, port.protocol):
                 continue
@@ -213,11 +220,14 @@ def let_answer(
     """
     pong = found[servo]
     model = (
-        model_of_number(pong.model_number) or model or (MODELS[0] if bus.protocol == 1 else None)
+        model_of_number(pong.model_number, bus.protocol)
+        or model
+        or (MODELS[0] if bus.protocol == 1 else None)
     )
-    if model is None:
-        return f"({named(pong)}) has its status return level at a place that is unknown here"
-    register = model.registers["status_return"]
+    register = None if model is None else model.registers.get("status_return")
+    if model is None or register is None:
+        what = named(pong, bus.protocol)
+        return f"({what}) has its status return level at a place that is unknown here"
     if bus.put(servo, register, _ANSWER_ALL):
         again = bus.ping(servo)
         if again is not None:
@@ -226,6 +236,16 @@ def let_answer(
     torque = "torque off first (the leg will go limp)"
     remedy = torque if register.eeprom and model.protocol == 2 else "power off and on"
     return f"did not take a status return level of {_ANSWER_ALL}; switch its {remedy}"
+
+
+def keep(bus: Bus, servo: int, model: ServoModel, register: Register, value: int) -> bool:
+    """Write a register of the EEPROM; True when the servo holds the value after."""
+    lock = model.registers.get("eeprom_lock")
+    if lock is None or not bus.get(servo, lock):
+        return bus.put(servo, register, value)
+    bus.put(servo, lock, 0)
+    done = bus.put(servo, register, value)
+    return bus.put(servo, lock, 1) and done
 
 
 def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
@@ -372,18 +392,19 @@ class _Handshake:
 
     def _trouble(self, servo: int, pong: Pong, aside: Sequence[int]) -> str | None:
         """Why a servo that answers is not the one expected; ``aside`` are ids of no leg."""
-        joint = self._expected.get(servo)
+        joint, protocol = self._expected.get(servo), self._plan.port.protocol
+        what = named(pong, protocol)
         if pong.doubled:
             return (
                 f"several servos answer to id {servo} (or its line is disturbed); connect "
                 "them one by one and give each an id of its own"
             )
         if joint is None:
-            model = model_of_number(pong.model_number)
+            model = model_of_number(pong.model_number, protocol)
             first = followed(self._bus, servo, model) if pong.reads else None
             role = "" if first is None else f", which follows servo {first} by its secondary id"
             return (
-                f"unexpected servo {servo} ({named(pong)}){role}; add it to a leg, or "
+                f"unexpected servo {servo} ({what}){role}; add it to a leg, or "
                 f"disconnect it, or, if it is no leg's, write ignore = {aside} in "
                 f"[port.{self._plan.name}]"
             )
@@ -394,10 +415,13 @@ class _Handshake:
             )
         leg, wanted = self._legs[servo], " or ".join(model.name for model in joint.models)
         who = f"servo {servo} ({leg} {joint.name})"
-        if pong.brand is not None:
-            return f"{who} is a {pong.brand}, expected {wanted}; this bridge cannot drive it"
+        if pong.other is not None:
+            return (
+                f"{who} is a {what}, expected {wanted}; put it on a port with "
+                f"protocol = {pong.other[1]!r}"
+            )
         if pong.model_number not in [model.number for model in joint.models]:
-            return f"{who} is {named(pong)}, expected {wanted}; correct servos.model of leg '{leg}'"
+            return f"{who} is {what}, expected {wanted}; correct servos.model of leg '{leg}'"
         return None
 
     def _other_place(self, place: Place, ids: Sequence[int]) -> str:
@@ -406,10 +430,11 @@ class _Handshake:
         own = self._plan.port
         does = "answers" if len(ids) == 1 else "answer"
         if set(ids) == set(self._expected):
-            remedy = f"set baud = {baud} and protocol = {protocol} in [port.{self._plan.name}]"
+            remedy = f"set baud = {baud} and protocol = {protocol!r} in [port.{self._plan.name}]"
         else:
             what = "baud rate" if protocol == own.protocol else "baud rate and protocol"
-            remedy = f"set its {what} with DYNAMIXEL Wizard, as all servos of a port have one"
+            tool = tool_of(own.protocol)
+            remedy = f"set its {what} with {tool}, as all servos of a port have one"
         return (
             f"servo {', '.join(map(str, ids))} {does} at {baud} baud, protocol {protocol}, not at "
             f"{own.baud} baud, protocol {own.protocol}; {remedy}"
@@ -459,7 +484,7 @@ class _Handshake:
                 f"{self._port}: servo {servo} drives, so its return delay cannot be set; switch "
                 "its torque off first (the leg will go limp), then run with --configure again"
             )
-        elif self._bus.put(servo, registers["return_delay"], 0):
+        elif keep(self._bus, servo, joint.model, registers["return_delay"], 0):
             self._findings.done.append(f"{self._port}: servo {servo}: return delay set to 0")
         else:
             self._advice.append(

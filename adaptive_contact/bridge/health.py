@@ -16,6 +16,7 @@ from typing import Final
 from adaptive_contact.bridge.bus import Fault, Reading
 from adaptive_contact.bridge.drive import remedy
 from adaptive_contact.bridge.handshake import BUSY, crowd
+from adaptive_contact.bridge.packets import FEETECH_BITS
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.wire import ServoCounts
 
@@ -72,6 +73,7 @@ class ServoHealth:
         return not {
             "overload",
             "overheating",
+            "overcurrent",
             "electrical_shock",
             "voltage",
             "hardware",
@@ -213,10 +215,7 @@ class News:
         by_words: dict[str, list[int]] = {}
         for servo, record in health.items():
             # Alarms of the servo; the others are of a packet, and counted.
-            now = frozenset(
-                record.alarms
-                & {"overload", "overheating", "voltage", "electrical_shock", "encoder"}
-            )
+            now = frozenset(record.alarms & {*FEETECH_BITS.values(), "electrical_shock"})
             before = self._alarms.get(servo, frozenset())
             if now - before:
                 by_words.setdefault(", ".join(sorted(now - before)), []).append(servo)

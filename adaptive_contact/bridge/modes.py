@@ -1,7 +1,8 @@
 r"""Reads from registers how a servo follows goals: modes, limits, offsets, position gain.
 
 Which modes are driven, observed or refused, and why: docs/bridge.md, "Modes and limits".  A servo
-of protocol 1.0, or an XL-320, is judged by its limits, any other by its operating mode.
+of protocol 1.0, an XL-320 or a Feetech servo is judged by its limits, any other by its operating
+mode.
 
 Sources: ROBOTIS e-manual, XL-320 "Control Mode(11)"; MX-106 "Drive Mode(10)"; MX-64
 "CW/CCW Angle Limit(6, 8)", "Resolution Divider (22)", "Torque
@@ -17,6 +18,9 @@ The position gain is read as the error at which a servo drives with all it has, 
   gain 128, 32 and 32, 128 and 8), so :math:`s = 1024 / P` in an AX servo's steps.
 - X-series: the PWM is :math:`P/128` per step of error and ends at the PWM limit :math:`w` (885), so
   :math:`s = 128\,w / P` of its steps.
+- STS: the duty cycle is :math:`0.166\,P` per rad of error, so :math:`s = 1 / (0.166\,P)`; measured
+  with an oscilloscope (``bam/feetech/actuator.py`` of github Rhoban/bam, commit 060af88e).  Of the
+  SCS series it is unknown.
 
 Sources: ROBOTIS e-manual, AX-12A "Compliance Slope (28, 29)", MX-28 "P Gain", XM430-W210 "Position
 PID Gain(80, 82, 84)" and "PWM Limit(36)".
@@ -30,7 +34,7 @@ from typing import Final, NamedTuple
 
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.packets import MAX_ID
-from adaptive_contact.bridge.tables import ServoModel
+from adaptive_contact.bridge.tables import ServoModel, tool_of
 
 _MODES: Final = {
     0: "current",
@@ -41,12 +45,12 @@ _MODES: Final = {
     16: "PWM",
 }
 _POSITION: Final = 3
-# XL-320's control mode that follows goal positions.
-_JOINT: Final = 2
 _MULTI_TURN: Final = (4, 5)
 # Beyond this, position mode ignores a homing offset.
 _MOST_HOMING: Final = 1024
 _WIZARD: Final = "with DYNAMIXEL Wizard"
+# Of an STS servo's phase: positions are not those of one turn.
+_FULL_ANGLE: Final = 0x10
 
 
 class DriveMode:
@@ -89,42 +93,43 @@ def setting(model: ServoModel, data: Sequence[bytes]) -> Setting:
         name: block.part(part, register)
         for block, part in zip(model.settings, data, strict=True)
         for name, register in model.registers.items()
-        if block.holds(register)
+        if block.holds(register) and name not in _TUNED
     }
     return _by_limits(model, values) if model.compact else _by_mode(model, values)
 
 
 def _by_limits(model: ServoModel, values: dict[str, int]) -> Setting:
     lower, upper = values["lower_limit"], values["upper_limit"]
-    usual = f"{model.lowest} and {model.highest}, {_WIZARD}"
-    full = Setting(model.lowest, model.highest, values, ends=(model.lowest, model.highest))
+    tool = f"with {tool_of(model.protocol)}"
+    usual = f"{model.lowest} and {model.highest}, {tool}"
+    ends = None if values.get("phase", 0) & _FULL_ANGLE else (model.lowest, model.highest)
+    full = Setting(model.lowest, model.highest, values, ends=ends)
     if values.get("torque_control"):
         return full._replace(
             wrong="is in torque control mode (register 70 is 1), expected 0: it ignores goal "
             "positions; write 0 to that register, or switch its power off and on"
         )
-    if values.get("control_mode", _JOINT) != _JOINT:
+    if values.get("control_mode") != model.joint_mode:
         return full._replace(
-            wrong=f"is in wheel mode (its control mode is {values['control_mode']}), expected "
-            f"{_JOINT} (joint); set it {_WIZARD}"
+            wrong=f"does not follow goal positions (its control mode is {values['control_mode']}), "
+            f"expected {model.joint_mode}; set it {tool}"
         )
     if values.get("drive_mode", 0) & DriveMode.SLAVE:
         return full._replace(wrong=_slave(values["drive_mode"]))
-    if lower == upper == 0:
+    divider, multi_turn = values.get("resolution_divider", 1), lower == upper == model.multi_turn
+    if divider != 1 and (multi_turn or model.feetech):
+        return full._replace(
+            wrong=f"has a resolution divider of {divider}, expected 1; set that {tool}"
+        )
+    if lower == upper == 0 and not multi_turn:
         return full._replace(
             wrong=f"is in wheel mode (both angle limits are 0); set limits, such as {usual}"
         )
-    if lower == upper == model.highest and "resolution_divider" in values:
-        divider = values["resolution_divider"]
-        if divider != 1:
-            return full._replace(
-                wrong=f"is in multi-turn mode with a resolution divider of {divider}, expected 1; "
-                f"set that, or joint mode with angle limits such as {usual}"
-            )
+    if multi_turn:
         return full._replace(
             ends=None,
-            advice="is in multi-turn mode (both angle limits are 4095) and forgets its turns with "
-            f"its power; joint mode is meant for legs: set limits, such as {usual}",
+            advice=f"is in multi-turn mode (both angle limits are {lower}) and forgets its turns "
+            f"with its power; joint mode is meant for legs: set limits, such as {usual}",
         )
     if lower >= upper:
         return full._replace(
@@ -185,6 +190,7 @@ def _slave(drive: int) -> str:
 _AX_STEP_RAD: Final = math.radians(300.0) / 1023
 _SLOPE_TIMES_GAIN: Final = 1024.0
 _PWM_PER_GAIN: Final = 128.0
+_DUTY_PER_GAIN: Final = 0.166  # and rad
 # What a description may hold.
 _RANGE_RAD: Final = (1e-3, math.pi)
 
@@ -194,6 +200,8 @@ LAW_REGISTERS: Final = (
     ("position_p", "pwm_limit"),
     ("position_p",),
 )
+# Gains may be changed while a servo drives, wherever they are kept.
+_TUNED: Final = ("position_p", "position_i", "position_d")
 
 
 def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:
@@ -214,6 +222,10 @@ def slope_rad(model: ServoModel, values: dict[str, int]) -> float | None:
         slope = (values["lower_slope"] + values["upper_slope"]) / 2 * model.step_rad
     elif not values["position_p"]:
         return None
+    elif model.feetech:
+        if model.protocol == "scs":
+            return None
+        slope = 1.0 / (_DUTY_PER_GAIN * values["position_p"])
     elif "pwm_limit" in values:
         slope = _PWM_PER_GAIN * values["pwm_limit"] / values["position_p"] * model.step_rad
     else:

@@ -1,4 +1,4 @@
-r"""Encodes and decodes packets of both Dynamixel protocols.
+r"""Encodes and decodes packets of both Dynamixel protocols, and of Feetech's.
 
 Protocol 1.0: ``FF FF id length code parameters checksum``.
 
@@ -15,6 +15,9 @@ has code 55 and the error as its first parameter.
 Fast sync read is answered by one packet that the servos write together: the first sends the
 header, each its ``error id data`` and the CRC of all bytes so far; nothing is stuffed.
 
+Feetech's packets are those of protocol 1.0.  Its STS series has a sync read with these: address and
+length of one byte, answers one after the other.
+
 Sources: ROBOTIS e-manual, "DYNAMIXEL Protocol 1.0", "DYNAMIXEL Protocol 2.0" and its "CRC
 calculation".
 """
@@ -27,12 +30,14 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
+from adaptive_contact.robot.description import Protocol
+
 BROADCAST_ID: Final = 0xFE
 MAX_ID: Final = 252  # 253 is reserved in both protocols
 
 
 class Instruction(enum.IntEnum):
-    """Instruction codes; those from SYNC_READ on exist in protocol 2.0 only, but SYNC_WRITE."""
+    """Instruction codes; protocol 1.0 has no REBOOT and no sync read, Feetech's STS the latter."""
 
     PING = 0x01
     READ = 0x02
@@ -70,6 +75,14 @@ ERROR_BITS: Final = {
     0x20: "overload",
     0x40: "instruction",
 }
+# Those of Feetech's, which are its Status register.
+FEETECH_BITS: Final = {
+    0x01: "voltage",
+    0x02: "encoder",
+    0x04: "overheating",
+    0x08: "overcurrent",
+    0x20: "overload",
+}
 
 _HEADER_2: Final = b"\xff\xff\xfd\x00"
 _MAGIC: Final = b"\xff\xff\xfd"
@@ -87,10 +100,16 @@ ERROR_NUMBERS: Final = {
 }
 
 
-def alarm_names(protocol: int, error: int) -> tuple[str, ...]:
+def version_of(protocol: Protocol) -> int:
+    """The version of a protocol's packets, 1 or 2."""
+    return 2 if protocol == 2 else 1
+
+
+def alarm_names(protocol: Protocol, error: int) -> tuple[str, ...]:
     """Names for a status packet's error byte; protocol 2.0's alert bit is ``hardware``."""
-    if protocol == 1:
-        return tuple(name for bit, name in ERROR_BITS.items() if error & bit)
+    if protocol != 2:
+        bits = ERROR_BITS if protocol == 1 else FEETECH_BITS
+        return tuple(name for bit, name in bits.items() if error & bit)
     names = ["hardware"] if error & ALERT else []
     number = error & ~ALERT
     if number:
@@ -279,7 +298,7 @@ class Awaited:
 
 
 def unsent(
-    protocol: int,
+    version: int,
     servo: int,
     instruction: Instruction,
     words: Sequence[int] = (),
@@ -288,13 +307,13 @@ def unsent(
     """A packet as the SDK takes it: header, stuffing and check bytes are left for it to fill in.
 
     Args:
-        protocol: 1 or 2.
+        version: of the packets, 1 or 2.
         servo: its id.
         instruction: what is asked.
         words: parameters of two bytes each, of one in protocol 1.0.
         data: bytes that follow them.
     """
-    if protocol == 1:
+    if version == 1:
         rest = [*words, *data]
         return [0, 0, servo, len(rest) + 2, instruction, *rest, 0]
     rest = [*(byte for word in words for byte in (word & 0xFF, word >> 8)), *data]

@@ -6,14 +6,14 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 import msgspec
 
 from adaptive_contact.bridge.tables import BAUDS, MODELS, ServoModel, models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import AngleFrame, Leg, Port, Robot, ServoBus
-from adaptive_contact.robot.description import angles_text
+from adaptive_contact.robot.description import Protocol, angles_text
 
 # Name of the port of a description without any.
 DEFAULT_PORT: Final = "main"
@@ -93,7 +93,7 @@ def plan_ports(
         if name in ports:
             ports[name] = msgspec.structs.replace(ports[name], device=device)
         elif not ports and name == DEFAULT_PORT:
-            ports[name] = Port(device=device, protocol=_protocol_of(robot))
+            ports[name] = Port(device=device, protocol=protocol_of(robot))
         else:
             raise ConfigurationError(
                 f"robot '{robot.name}' has no port '{name}'; its ports are "
@@ -174,7 +174,7 @@ def _models(where: str, wanted: str, name: str, port: Port) -> tuple[ServoModel,
         also = f', or model = "{other.name}" if it has that firmware' if other else ""
         raise ConfigurationError(
             f"{where}: {wanted} uses protocol {model.protocol}, [port.{name}] is set to "
-            f"{port.protocol}; set protocol = {model.protocol} there{also}"
+            f"{port.protocol}; set protocol = {model.protocol!r} there{also}"
         )
     if port.fast and model.compact:
         raise ConfigurationError(
@@ -203,9 +203,9 @@ def _refuse_angles(leg: Leg, servos: ServoBus) -> None:
     )
 
 
-def _protocol_of(robot: Robot) -> Literal[1, 2]:
-    """Protocol of the robot's servos, for a port that is given on the command line."""
+def protocol_of(robot: Robot) -> Protocol:
+    """Protocol of the robot's servos, for a port that is not described."""
     for leg in robot.legs:
         if leg.servos is not None:
-            return 1 if models_named(leg.servos.models[0])[0].protocol == 1 else 2
+            return models_named(leg.servos.models[0])[0].protocol
     return 1

@@ -1,8 +1,9 @@
-"""Wraps the DynamixelSDK's port and corrects its faults; docs/bridge.md lists them.
+"""A serial port for the packet handlers of the makers' SDKs, without the faults of their own ports.
 
-What its packet handlers get wrong is worked around in :mod:`adaptive_contact.bridge.bus`.
+docs/bridge.md lists these.  What the packet handlers get wrong is worked around in
+:mod:`adaptive_contact.bridge.bus`.
 
-Who has a serial port open: locks are advice, and most Dynamixel software does not ask for it.
+Who has a serial port open: locks are advice, and most software for servos does not ask for it.
 
 Linux shows every process' open files under ``/proc/PID/fd``; two files are the same device where
 their device numbers are.  A pseudo-terminal's number counts within its ``devpts`` only, of which
@@ -25,10 +26,6 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple
 
-import serial
-from dynamixel_sdk import PortHandler
-from serial.tools import list_ports
-
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
@@ -37,10 +34,12 @@ class PortLostError(BusError):
     """A port that was open is gone: unplugged, or its other end hung up."""
 
 
-class SdkPort(PortHandler):
-    """A serial port as the SDK's packet handlers want it.
+class SdkPort:
+    """A serial port as the SDKs' packet handlers want it.
 
     Attributes:
+        is_open: whether it is.
+        is_using: set by the SDKs while they wait for an answer.
         timeout_ms: how long an answer may take beyond its bytes.
         latest_s: monotonic time at which any wait for an answer ends.
         received: bytes read so far.
@@ -50,10 +49,9 @@ class SdkPort(PortHandler):
     """
 
     def __init__(self, name: str, port: Port) -> None:
-        super().__init__(port.device)
-        self.ser: Any = None
-        self.name = name
-        self.baudrate = port.baud
+        self.name, self.port_name, self.baudrate = name, port.device, port.baud
+        self.is_open = self.is_using = False
+        self._serial: Any = None
         self.timeout_ms = port.timeout_ms
         # Start, eight data bits, stop.
         self.byte_s = 10 / port.baud
@@ -70,31 +68,44 @@ class SdkPort(PortHandler):
         Raises:
             BusError: in one line, why it cannot be opened and what to do.
         """
+        from serial import Serial, SerialException
+
+        self.close()
         try:
-            opened = self.openPort()
-        except serial.SerialException as error:
+            self._serial = Serial(
+                self.port_name, self.baudrate, timeout=0, write_timeout=0, exclusive=True
+            )
+            self._fd = self._serial.fileno()
+            # Sets an FTDI adapter's latency timer to 1 ms; pseudo-terminals and most other drivers
+            # have nothing to set.
+            with contextlib.suppress(OSError, ValueError, NotImplementedError):
+                self._serial.set_low_latency_mode(True)
+            # Not a pseudo-terminal: its other end keeps it, and the mark would outlive a killed
+            # bridge.
+            if not is_pseudo(self.port_name):
+                with contextlib.suppress(OSError):
+                    fcntl.ioctl(self._fd, termios.TIOCEXCL)
+                    self._closed_to_others = True
+            self._serial.reset_input_buffer()
+        except SerialException as error:
             raise BusError(_explain(self.name, self.port_name, error)) from error
         except (OSError, termios.error, ValueError) as error:
             raise BusError(
                 f"port {self.name}: {self.port_name} cannot be opened ({error}); expected a serial "
                 "port such as /dev/ttyUSB0"
             ) from error
-        if not opened:
-            raise BusError(
-                f"port {self.name}: baud rate {self.baudrate} is unknown to the DynamixelSDK; "
-                "set one that is, such as 1000000"
-            )
-        if holders(self.port_name):  # software that does not lock, such as the SDK as it comes
+        self.is_open = True
+        if holders(self.port_name):  # software that does not lock, such as the SDKs' own ports
             self.close()
             raise BusError(_in_use(self.name, self.port_name))
 
     def close(self) -> None:
         """Close the port; errors of a port that is gone anyway are not reported."""
-        if self.ser is not None:
+        if self._serial is not None:
             with contextlib.suppress(OSError, termios.error):  # unplugged: nothing left to close
                 if self._closed_to_others:
                     fcntl.ioctl(self._fd, termios.TIOCNXCL)
-                self.ser.close()
+                self._serial.close()
             self._closed_to_others = False
         self.is_open = False
         self.is_using = False
@@ -104,34 +115,12 @@ class SdkPort(PortHandler):
         self.close()
         return PortLostError(f"port {self.name}: {self.port_name} is gone ({error})")
 
-    # -- what the SDK's packet handlers call ----------------------------------------------------
-
-    def setupPort(self, cflag_baud: int) -> bool:
-        """Open the device; called by the SDK."""
-        if self.is_open:
-            self.close()
-        self.ser = serial.Serial(
-            port=self.port_name, baudrate=self.baudrate, timeout=0, write_timeout=0, exclusive=True
-        )
-        # Sets an FTDI adapter's latency timer to 1 ms; pseudo-terminals and most other drivers
-        # have nothing to set.
-        with contextlib.suppress(OSError, ValueError, NotImplementedError):
-            self.ser.set_low_latency_mode(True)
-        self._fd = self.ser.fileno()
-        # Not a pseudo-terminal: its other end keeps it, and the mark would outlive a killed bridge.
-        if not is_pseudo(self.port_name):
-            with contextlib.suppress(OSError):
-                fcntl.ioctl(self._fd, termios.TIOCEXCL)
-                self._closed_to_others = True
-        self.is_open = True
-        self.is_using = False
-        self.ser.reset_input_buffer()
-        return True
+    # -- what the SDKs' packet handlers call ----------------------------------------------------
 
     def clearPort(self) -> None:
         """Throw away what has come unasked, or too late."""
-        # The SDK's way, tcflush, waits for the kernel's worker that hands bytes over, which on a
-        # busy computer may wait itself: a cycle of 84 ms was seen.
+        # DynamixelSDK's way, tcflush, waits for the kernel's worker that hands bytes over, which
+        # on a busy computer may wait itself: a cycle of 84 ms was seen.
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._fd, 4096):
                 self.arrived += data
@@ -194,7 +183,9 @@ def _in_use(name: str, device: str) -> str:
     )
 
 
-def _explain(name: str, device: str, error: serial.SerialException) -> str:
+def _explain(name: str, device: str, error: OSError) -> str:
+    from serial.tools import list_ports
+
     code = error.errno
     if code is None and "exclusively lock" in str(error):
         code = errno.EAGAIN

@@ -7,7 +7,10 @@ compared, register by register, with
 - ``param/dxl_model/*.model`` of github ROBOTIS-GIT/dynamixel_hardware_interface, commit db2b9038,
   for protocol 2.0 (XL330, XC330: the ``_fw52`` files; ``startup`` is in none of them);
 - ``dynamixel_item.cpp`` of github ROBOTIS-GIT/dynamixel-workbench, commit 2eb370f1;
-- ``actuator.cpp`` of github ROBOTIS-GIT/Dynamixel2Arduino, commit 516205ff.
+- ``actuator.cpp`` of github ROBOTIS-GIT/Dynamixel2Arduino, commit 516205ff;
+- Feetech's: ``lerobot/motors/feetech/tables.py`` of github huggingface/lerobot, commit 7427f318,
+  ``src/servo/feetech`` of github pollen-robotics/rustypot, commits 0013a79e and 4de7e7cc, and
+  https://wiki.aifitlab.com/feetech-servo-motor-docs/feetech-sts-servo-memory-table-analysis.
 
 A test holds them to these.  Where they differ the e-manual's counts: the workbench has XL-320's
 torque limit at 34, the others have it at 35.  A model not listed here is refused by name, never
@@ -22,9 +25,10 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot.description import Protocol
 
 
 class Register(NamedTuple):
@@ -34,7 +38,9 @@ class Register(NamedTuple):
     address: int
     size: int
     eeprom: bool = False  # survives power-off, and wears out; written with ``--configure`` only
-    signed: bool = False  # two's complement
+    signed: bool = False  # two's complement, or sign and magnitude
+    sign_bit: int = 0  # of sign and magnitude
+    order: Literal["little", "big"] = "little"
 
     @property
     def block(self) -> Block:
@@ -43,7 +49,16 @@ class Register(NamedTuple):
 
     def value(self, data: bytes) -> int:
         """Its value, out of the bytes of its own block."""
-        return int.from_bytes(data, "little", signed=self.signed)
+        if not self.sign_bit:
+            return int.from_bytes(data, self.order, signed=self.signed)
+        raw, sign = int.from_bytes(data, self.order), 1 << self.sign_bit
+        return -(raw & (sign - 1)) if raw & sign else raw & (sign - 1)
+
+    def data(self, value: int) -> bytes:
+        """Bytes of a value."""
+        if self.sign_bit and value < 0:
+            value = -value | 1 << self.sign_bit
+        return value.to_bytes(self.size, self.order, signed=self.signed and not self.sign_bit)
 
 
 class Block(NamedTuple):
@@ -67,9 +82,9 @@ class Block(NamedTuple):
 class ServoModel:
     """A kind of servo."""
 
-    name: str  # as ROBOTIS writes it
-    number: int  # what the servo answers to a ping
-    protocol: int  # 1 or 2
+    name: str  # as its maker writes it
+    number: int  # what the servo says that it is
+    protocol: Protocol
     registers: dict[str, Register]  # its control table
     # lowest, highest, centre: position steps; ``centre`` is the middle of the horn's travel
     lowest: int
@@ -77,24 +92,32 @@ class ServoModel:
     centre: int
     step_rad: float  # one position step
     speed_rad_s: float  # one step of present speed
-    manual: str  # address of its page in the e-manual
+    manual: str  # address of its manual
     # names of the bits of ``hardware_error``, where it has that register
     error_bits: Mapping[int, str] = field(default_factory=dict)
+    joint_mode: int | None = None  # the control mode that follows goal positions
+    multi_turn: int | None = None  # what both limits are where goals go beyond one turn
+
+    @property
+    def feetech(self) -> bool:
+        """Whether it is a Feetech servo; all others are Dynamixel servos."""
+        return is_feetech(self.protocol)
 
     @property
     def compact(self) -> bool:
-        """Whether torque, goal and motion are neighbours (AX, RX, MX with protocol 1.0, XL-320).
+        """Whether torque, goal and motion are neighbours: all but X, and MX with protocol 2.0.
 
-        Such a servo shuts itself down by a torque limit of 0, and a goal may switch its torque on.
-        The others (X-series, MX with protocol 2.0) have operating modes, shut themselves down by
-        switching their torque off, and no goal switches it on (but see :mod:`.modes`).
+        A goal may switch such a servo's torque on.  AX, RX, MX and XL-320 shut themselves down by a
+        torque limit of 0, Feetech servos say so in their status.  X-series and MX with protocol 2.0
+        have operating modes, shut themselves down by switching their torque off, and no goal
+        switches it on (but see :mod:`.modes`).
         """
-        return "torque_limit" in self.registers
+        return "operating_mode" not in self.registers
 
     @property
     def full_turn(self) -> bool:
         """Whether its encoder counts a whole turn, and begins again where it ends."""
-        return not self.compact or "multi_turn_offset" in self.registers
+        return round(2 * math.pi / self.step_rad) == self.highest + 1
 
     @property
     def motion(self) -> Block:
@@ -114,7 +137,7 @@ class ServoModel:
     @property
     def state(self) -> Block:
         """Whether it drives, and whether it has shut itself down."""
-        if not self.compact:
+        if self.feetech or not self.compact:
             return self._block("shutdown", "torque_enable", "hardware_error")
         if "hardware_error" in self.registers:
             return self._block("torque_enable", "torque_limit", "hardware_error")
@@ -127,6 +150,8 @@ class ServoModel:
         Of :attr:`compact` servos it says whether they drive, too: a goal switches their torque on,
         so that it may be written only where the same reading shows that the servo drives.
         """
+        if self.feetech:
+            return self._block("torque_enable", "hardware_error")
         if self.compact:
             return self._block("torque_enable", "torque_limit", "present_position", "present_speed")
         return self.goal_and_motion
@@ -134,17 +159,11 @@ class ServoModel:
     @property
     def settings(self) -> tuple[Block, ...]:
         """What decides how goals are followed, in one block, or two."""
-        eeprom = self._block(*(name for name in _SETTINGS if name in self.registers))
+        names = [name for name in _SETTINGS if name in self.registers]
+        eeprom = self._block(*names, *(["shutdown"] if self.feetech else []))
         if "torque_control" not in self.registers:
             return (eeprom,)
         return (eeprom, self._block("torque_control"))
-
-    def signed_speed(self, raw: int) -> float:
-        """Present speed in rad/s; positive towards higher positions."""
-        if self.registers["present_speed"].signed:
-            return raw * self.speed_rad_s
-        size = raw & 0x3FF  # e-manual AX-12A: 0-1023 counter-clockwise, 1024-2047 clockwise
-        return (-size if raw & 0x400 else size) * self.speed_rad_s
 
     def _block(self, *names: str) -> Block:
         registers = [self.registers[name] for name in names]
@@ -166,12 +185,16 @@ _DATA: Final = tomllib.loads(
 def _table(family: dict[str, Any]) -> dict[str, Register]:
     """A family's registers by name, those of the family that it is like first."""
     base = _table(_DATA["family"][family["like"]]) if "like" in family else {}
-    own = {
-        name: Register(address, size, "eeprom" in marks, "signed" in marks)
-        for name, (address, size, *marks) in family.get("registers", {}).items()
-    }
+    own = {}
+    for name, (address, size, *marks) in family.get("registers", {}).items():
+        sign_bit = next((mark for mark in marks if isinstance(mark, int)), 0)
+        signed = "signed" in marks or sign_bit > 0
+        own[name] = Register(address, size, "eeprom" in marks, signed, sign_bit)
     without = family.get("without", ())
-    return {name: register for name, register in base.items() if name not in without} | own
+    table = {name: register for name, register in base.items() if name not in without} | own
+    if family["protocol"] != "scs":
+        return table
+    return {name: register._replace(order="big") for name, register in table.items()}
 
 
 def _models() -> Iterator[ServoModel]:
@@ -188,47 +211,75 @@ def _models() -> Iterator[ServoModel]:
                 centre=family["centre"],
                 step_rad=math.radians(family["span_deg"]) / family["steps"],
                 speed_rad_s=family["speed_rpm"] * (2 * math.pi / 60),
-                manual=_E_MANUAL + (page[0] if page else f"x/{name.lower()}/"),
+                manual=family.get(
+                    "manual", _E_MANUAL + (page[0] if page else f"x/{name.lower()}/")
+                ),
                 error_bits={bit: error for error, bit in family.get("error_bits", {}).items()},
+                joint_mode=family.get("joint_mode"),
+                multi_turn=family.get("multi_turn"),
             )
 
 
 MODELS: Final = tuple(_models())
 # Model numbers that are public, of Dynamixel servos without a table here.
 _OTHERS: Final = {int(number): name for number, name in _DATA["others"].items()}
-# Feetech's servos answer pings and reads of protocol 1.0, and have their model's number and their
-# id where Dynamixel servos have id, baud rate and return delay; at 0 and 1 is their firmware's.
-FEETECH_MARK: Final = Block(3, 3)
-_FEETECH: Final = {int(number): name for number, name in _DATA["feetech"].items()}
+# Where each protocol has the model's number.
+MODEL_NUMBERS: Final[Mapping[Protocol, Register]] = {
+    **dict.fromkeys((1, 2), Register(0, 2)),
+    "sts": Register(3, 2),
+    "scs": Register(3, 2, order="big"),
+}
+# Feetech's servos answer pings and reads of protocol 1.0, and have byte order, model number and id
+# where Dynamixel servos have firmware, id, baud rate and return delay.
+FEETECH_MARK: Final = Block(2, 4)
 
-# What DynamixelSDK 4.1.0 can set; AX-12A reach 1,000,000, X-series 4,000,000.
+# AX-12A reach 1,000,000, X-series 4,000,000; Feetech's 1,000,000.
 BAUDS: Final = (
     *(9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 576000, 921600, 1000000),
     *(1152000, 2000000, 2500000, 3000000, 3500000, 4000000),
 )
 
 
-def model_of_number(number: int | None) -> ServoModel | None:
-    """The model that answers with this number, or None."""
-    return next((m for m in MODELS if m.number == number), None)
+def is_feetech(protocol: Protocol) -> bool:
+    """Whether a protocol is one of Feetech's."""
+    return isinstance(protocol, str)
 
 
-def number_name(number: int) -> str:
+def tool_of(protocol: Protocol) -> str:
+    """With what a person sets servos of a protocol."""
+    return "Feetech's FD software" if is_feetech(protocol) else "DYNAMIXEL Wizard"
+
+
+def model_of_number(number: int | None, protocol: Protocol) -> ServoModel | None:
+    """The model that answers with this number in a protocol of its maker, or None."""
+    made = (m for m in MODELS if m.feetech == is_feetech(protocol))
+    return next((m for m in made if m.number == number), None)
+
+
+def number_name(number: int, protocol: Protocol) -> str:
     """What a servo of this model number is, in words, as far as that is public."""
-    model = model_of_number(number)
+    model = model_of_number(number, protocol)
     if model is not None:
         return model.name
     by_number = f"model number {number}"
-    return f"{_OTHERS[number]}, {by_number}" if number in _OTHERS else by_number
+    if number not in _OTHERS or is_feetech(protocol):
+        return by_number
+    return f"{_OTHERS[number]}, {by_number}"
 
 
-def feetech_name(data: bytes, servo: int) -> str | None:
-    """What a Feetech servo is, in words, by the bytes at :data:`FEETECH_MARK`; None for others."""
-    numbers = int.from_bytes(data[:2], "little"), int.from_bytes(data[:2], "big")
-    known = next((_FEETECH[n] for n in numbers if n in _FEETECH), None)
-    if data[2] != servo or (known is None and data[0] == servo):
+def feetech_of(data: bytes, servo: int) -> tuple[str, Protocol] | None:
+    """A Feetech servo's name and protocol by the bytes at :data:`FEETECH_MARK`; None for others."""
+    order, number, own = data[0], data[1:3], data[3]
+    both: tuple[Protocol, ...] = ("sts", "scs")
+    for protocol in both:
+        found = MODEL_NUMBERS[protocol].value(number)
+        model = model_of_number(found, protocol)
+        if own == servo and model is not None and model.protocol == protocol:
+            return f"Feetech {model.name}", protocol
+    if own != servo or number[0] == servo or order > 1:
         return None
-    return f"Feetech {known or f'number {numbers[0]}'}, no Dynamixel"
+    protocol = both[order]
+    return f"Feetech number {MODEL_NUMBERS[protocol].value(number)}", protocol
 
 
 def models_named(name: str) -> tuple[ServoModel, ...]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
 from adaptive_contact.bridge.plan import DEFAULT_PORT, PortPlan, plan_ports
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say
-from adaptive_contact.errors import ConfigurationError, needs
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
 
 DeviceOption = Annotated[
@@ -22,11 +21,6 @@ DeviceOption = Annotated[
         "[PORT=]PATH",
     ),
 ]
-
-
-def needs_sdk() -> AbstractContextManager[None]:
-    """Around imports of the bridge: a missing DynamixelSDK is reported in one line."""
-    return needs("the Dynamixel bridge", "dynamixel", "dynamixel_sdk", "serial")
 
 
 def described_in(config: Path | None) -> str:
@@ -90,8 +84,7 @@ def shake_hands(
     Raises:
         BusError: something stands in the way.
     """
-    with needs_sdk():
-        from adaptive_contact.bridge.handshake import check_ports
+    from adaptive_contact.bridge.handshake import check_ports
 
     findings = check_ports(plans, configure=configure, drive=drive)
     for line in findings.done + findings.advice:

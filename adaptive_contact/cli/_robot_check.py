@@ -20,7 +20,6 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import (
     DeviceOption,
     described_in,
-    needs_sdk,
     plans_of,
     shake_hands,
 )
@@ -332,9 +331,8 @@ def _check_bus(
     seconds: float,
     stop: threading.Event,
 ) -> None:
-    with needs_sdk():
-        from adaptive_contact.bridge.compare import compare, read_servos
-        from adaptive_contact.bridge.training import collect
+    from adaptive_contact.bridge.compare import compare, read_servos
+    from adaptive_contact.bridge.training import collect
 
     plans = plans_of(robot, config, device)
     shake_hands(plans)

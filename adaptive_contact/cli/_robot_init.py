@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import msgspec
 import typer
 
-from adaptive_contact.cli._bus import DeviceOption, devices_of, needs_sdk
+from adaptive_contact.cli._bus import DeviceOption, devices_of
 from adaptive_contact.cli._options import ForceOption, check_output, flatten, option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError
@@ -287,15 +287,14 @@ def _of_bus(
     read: UrdfLegs | None,
 ) -> Robot:
     """The robot whose servos answer, with a URDF's geometry where there is one."""
-    with needs_sdk():
-        from adaptive_contact.bridge.discovery import (
-            describe,
-            find_servos,
-            group,
-            steepness,
-            wanted_legs,
-        )
-        from adaptive_contact.bridge.tables import BAUDS
+    from adaptive_contact.bridge.discovery import (
+        describe,
+        find_servos,
+        group,
+        steepness,
+        wanted_legs,
+    )
+    from adaptive_contact.bridge.tables import BAUDS
 
     wanted = () if wishes.ids is None else wanted_legs(wishes.ids)
     joints = names if isinstance(names, int) else len(names)

@@ -12,7 +12,7 @@ import typer
 
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, shake_hands
+from adaptive_contact.cli._bus import DeviceOption, plans_of, shake_hands
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
@@ -117,8 +117,7 @@ def learn(
         link = network.client(wait=False)
         samples = collect_live(robot, link, seconds, stop=stop)
     else:
-        with needs_sdk():
-            from adaptive_contact.bridge.training import collect
+        from adaptive_contact.bridge.training import collect
 
         plans = plans_of(robot, config, device)
         home = None if pose is None else pose_of(pose, robot, plans)

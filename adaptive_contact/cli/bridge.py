@@ -137,9 +137,7 @@ def _say_ros(line: str) -> None:
     say(f"adaptive-contact bridge ros2: {line}", err=True)
 
 
-app = opt.Commands(
-    help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
-)
+app = opt.Commands(help="Servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True)
 
 # What has virtual servos; the simulator's other robots have none.
 _VIRTUAL: Final = ("hexapod", "quadruped")
@@ -172,7 +170,7 @@ def dynamixel(
     network: opt.Network,
     json: opt.JsonPayloadOption = False,
 ) -> None:
-    """Publish the servos' positions and goals at the control rate, a process per port."""
+    """Publish Dynamixel or Feetech servos' positions and goals, a process per port."""
     make_stdout_optional()
     stop = opt.stoppable()
     plans = plans_of(opt.described_robot(config), config, device, baud)
@@ -259,6 +257,9 @@ class VirtualOptions:
     robot: Annotated[str, option("--robot", "Which shipped robot is simulated.", "NAME")] = (
         "hexapod"
     )
+    servos: Annotated[
+        str | None, option("--servos", "All servos are of this model, such as STS3215.", "MODEL")
+    ] = None
     ports: Annotated[
         int | None,
         option("--ports", "Ports of a robot that has none described; 1 by default.", min=1),
@@ -311,15 +312,16 @@ class VirtualOptions:
             ConfigurationError: an option cannot be used.
         """
         from adaptive_contact_sim.virtual import parse_fault
-        from adaptive_contact_sim.virtual.assembly import VirtualSettings
+        from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_servos
         from adaptive_contact_sim.virtual.session import VirtualPlan
 
         if self.robot not in _VIRTUAL:
             raise ConfigurationError(
                 f"no virtual robot '{self.robot}'; expected --robot {' or '.join(_VIRTUAL)}"
             )
+        robot = opt.described_robot(self.config, self.robot)
         return VirtualPlan(
-            robot=opt.described_robot(self.config, self.robot),
+            robot=robot if self.servos is None else with_servos(robot, self.servos),
             simulated=self.robot,
             directory=self.directory,
             ports=self.ports,
@@ -358,5 +360,6 @@ def _say(line: str) -> None:
     say(f"adaptive-contact bridge virtual: {line}")
 
 
+app.command("feetech")(dynamixel)  # one bridge: the ports say whose servos theirs are
 app.command()(ros2)
 app.command()(foxglove)

@@ -244,13 +244,16 @@ def _axis(direction: Vector) -> Axis:
     return _WORDS.get((x, y, z), (x, y, z))
 
 
+# Dynamixel's, 1 (AX, RX, MX) or 2 (X-series, MX with that firmware); Feetech's, by series
+Protocol = Literal[1, 2, "sts", "scs"]
+
+
 class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Describes a serial port of the bridge."""
 
     device: str  # such as ``/dev/ttyUSB0``
     baud: int = 1_000_000  # bits per second
-    # Dynamixel protocol, 1 (AX, RX, MX) or 2 (X-series, MX with that firmware)
-    protocol: Literal[1, 2] = 1
+    protocol: Protocol = 1
     fast: bool = False  # read with fast sync read (X-series, firmware 45 or newer)
     timeout_ms: float = 5.0  # how long an answer may take beyond its bytes
     # ids of servos that are no joint of a leg, such as a head's: they are left alone

@@ -109,7 +109,7 @@ def _check_ports(robot: Robot, fail: _Fail) -> None:
         if not is_leg_id(name):
             fail(f"[port.{name}]: a name is 1 to 32 letters, digits, '_', '.' or '-'")
         _check_text(port.device, f"[port.{name}] device", fail)
-        if port.fast and port.protocol == 1:
+        if port.fast and port.protocol != 2:
             fail(f"[port.{name}] fast is for protocol 2; remove it, or set protocol = 2")
         if not 0.5 <= port.timeout_ms <= 100.0:
             fail(f"[port.{name}] timeout_ms is {port.timeout_ms}; expected 0.5 to 100 (usual: 5)")
@@ -441,7 +441,7 @@ _EXAMPLES: Final = {
 _CHOICES: Final = {
     "axes": f"{', '.join(get_args(AxisWord))}, or a direction such as [0, 1, 0], for each joint",
     "origins_m": "the way to the next joint, m, such as [0, 0, -0.2], for each joint",
-    "protocol": "1 (AX, RX, MX) or 2 (X-series, MX with that firmware)",
+    "protocol": '1 (AX, RX, MX), 2 (X-series, MX with that firmware), "sts" or "scs" (Feetech)',
     "distro": ", ".join(get_args(get_type_hints(Ros2)["distro"])),
 }
 

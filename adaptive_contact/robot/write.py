@@ -29,7 +29,8 @@ def write_robot(robot: Robot) -> str:
         say.line(f"[port.{_text(name) if '.' in name else name}]")
         say.line(f"device = {_text(port.device)}")
         say.line(f"baud = {port.baud}")
-        say.line(f"protocol = {port.protocol}", "1: AX, RX and MX, 2: X-series")
+        comment = '1: AX, RX and MX, 2: X-series; of Feetech "sts" or "scs"'
+        say.line(f"protocol = {_text(port.protocol)}", comment)
         if port.fast:
             say.line("fast = true")
         if port.timeout_ms != Port(device="").timeout_ms:
@@ -121,5 +122,5 @@ def _numbers(values: Iterable[float]) -> str:
     return "[" + ", ".join(f"{float(x):.6g}" if x % 1 else f"{float(x):.1f}" for x in values) + "]"
 
 
-def _text(value: str) -> str:
+def _text(value: str | int) -> str:
     return msgspec.json.encode(value).decode()

@@ -35,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
 import os
 
 from anybus import serve
-from described import KNOWS_FAST, Serve
+from described import HAS_FEETECH, KNOWS_FAST, Serve
 from kinematic import KinematicBackend
 
 from programs import Program
@@ -123,7 +123,7 @@ def robot_text(
     legs: int = 2,
     joints: int = 3,
     model: str | list[str] = "AX-12A",
-    protocol: int = 1,
+    protocol: int | str = 1,
     ports: int = 1,
     timeout_ms: int = 10,
     extra: str = "",
@@ -131,7 +131,7 @@ def robot_text(
     lines = ['[robot]\nname = "rig"\nperiod_s = 0.02\nquantum_rad = 0.00511\n']
     for p in range(ports):
         lines.append(
-            f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {protocol}\n'
+            f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {json.dumps(protocol)}\n'
             f"timeout_ms = {timeout_ms}\n{extra}\n"
         )
     for i in range(legs):
@@ -157,6 +157,8 @@ def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
         plans = plan_ports(robot)
         if not KNOWS_FAST and any(plan.port.fast for plan in plans):
             pytest.skip("this DynamixelSDK has no fast sync read")
+        if not HAS_FEETECH and any(joint.model.feetech for p in plans for joint in p.joints):
+            pytest.skip("Feetech's SDK is not installed")
         joints = [(plan, joint) for plan in plans for joint in plan.joints]
         backend = KinematicBackend(len(joints))
         rng = np.random.default_rng(seed)

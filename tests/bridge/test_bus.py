@@ -20,6 +20,8 @@ from adaptive_contact_sim.virtual import VirtualServo
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL330-M288", "protocol": 2}
 FAST = {**XL, "extra": "fast = true"}
+STS = {"model": "STS3215", "protocol": "sts"}
+SCS = {"model": "SCS0009", "protocol": "scs"}
 
 
 def opened(rig) -> Bus:
@@ -45,7 +47,7 @@ def test_data_that_look_like_a_header_are_read(rig: Callable, kind: dict, alone:
     bus.close()
 
 
-@pytest.mark.parametrize("kind", [AX, XL, FAST])
+@pytest.mark.parametrize("kind", [AX, XL, FAST, STS, SCS])
 def test_a_silent_servo_hides_no_other(rig: Callable, kind: dict) -> None:
     r = rig(**kind, timeout_ms=100)  # however busy the machine is
     bus, joints = opened(r), r.plans[0].joints
@@ -56,7 +58,7 @@ def test_a_silent_servo_hides_no_other(rig: Callable, kind: dict) -> None:
     bus.close()
 
 
-@pytest.mark.parametrize("kind", [AX, XL, FAST])
+@pytest.mark.parametrize("kind", [AX, XL, FAST, STS, SCS])
 def test_flipped_bits_are_never_taken_for_data(rig: Callable, kind: dict) -> None:
     r = rig(**kind)
     for i in range(6):
@@ -87,7 +89,7 @@ def first_byte(packet: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("broken", [last_byte, first_byte])
-@pytest.mark.parametrize("kind", [XL, FAST])
+@pytest.mark.parametrize("kind", [XL, FAST, STS])
 def test_every_wrong_checksum_of_a_common_answer_is_counted(
     rig: Callable, kind: dict, broken: Callable[[bytes], bytes]
 ) -> None:
@@ -110,7 +112,7 @@ def test_every_wrong_checksum_of_a_common_answer_is_counted(
         assert struck
         corrupt = [i for i, reading in readings.items() if reading.fault is Fault.CORRUPT]
         # Where this computer stood still, answers came too late to be seen to be broken.
-        broken_ids = [3] if kind is XL else ids
+        broken_ids = ids if kind is FAST else [3]
         assert set(corrupt) <= set(broken_ids)
         counted += corrupt == broken_ids
         assert all(reading.data is not None for reading in readings.values())
@@ -118,7 +120,7 @@ def test_every_wrong_checksum_of_a_common_answer_is_counted(
     bus.close()
 
 
-@pytest.mark.parametrize("kind", [AX, XL, FAST])
+@pytest.mark.parametrize("kind", [AX, XL, FAST, STS, SCS])
 def test_silent_servos_take_no_longer_than_there_is_time(rig: Callable, kind: dict) -> None:
     r = rig(**kind, timeout_ms=100)
     bus, joints = opened(r), r.plans[0].joints
@@ -142,7 +144,7 @@ def test_an_error_without_data_is_no_index_error(rig: Callable) -> None:
     bus.close()
 
 
-@pytest.mark.parametrize("kind", [AX, XL], ids=["AX", "XL"])
+@pytest.mark.parametrize("kind", [AX, XL, STS], ids=["AX", "XL", "STS"])
 def test_a_late_answer_is_counted_for_the_servo_that_gave_it(rig: Callable, kind: dict) -> None:
     """A dead one has none, whatever comes late of others: it would pass for the computer's."""
     r = rig(**kind)
@@ -183,7 +185,7 @@ def test_an_sdk_without_fast_reads_does_all_the_rest(
     rig: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if KNOWS_FAST:
-        monkeypatch.setattr("adaptive_contact.bridge.bus.PacketHandler", lambda _: OldHandler())
+        monkeypatch.setattr("dynamixel_sdk.PacketHandler", lambda _: OldHandler())
     r = rig(**XL)
     bus, joints = opened(r), r.plans[0].joints
     readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)

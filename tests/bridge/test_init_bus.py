@@ -16,9 +16,7 @@ from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.discovery import find_servos, group, wanted_legs
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
-from adaptive_contact.bridge.tables import (
-    feetech_name,
-)
+from adaptive_contact.bridge.tables import feetech_of
 from adaptive_contact.cli import main as cli
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import load_robot
@@ -232,22 +230,25 @@ class Feetech:
 
 
 @pytest.mark.parametrize(
-    ("number", "name"),
-    [((777).to_bytes(2, "little"), "STS3215"), ((1284).to_bytes(2, "big"), "SCS0009"),
-     (b"\x63\x00", "number 99")],
+    ("number", "name", "protocol"),
+    [((777).to_bytes(2, "little"), "STS3215", "sts"), ((1284).to_bytes(2, "big"), "SCS0009", "scs"),
+     (b"\x63\x00", "number 99", "sts")],
 )  # fmt: skip
-def test_a_feetech_servo_is_no_dynamixel(bus: Serve, number: bytes, name: str) -> None:
+def test_a_feetech_servo_among_dynamixel_servos(
+    bus: Serve, number: bytes, name: str, protocol: str
+) -> None:
     device, servos = bus("1-3:AX-12A")
     Feetech(servos[2], number)
     with pytest.raises(BusError) as caught:
         init(device)
-    assert f"servo 3 (Feetech {name}, no Dynamixel) is of no known model" in str(caught.value)
+    what = f"Feetech {name}, of protocol '{protocol}'"
+    assert f"servo 3 ({what}) is of no known model" in str(caught.value)
     [line] = check_ports(plan_ports(robot(device, ((1, 2, 3), "AX-12A"))), full=False).errors
-    assert f"is a Feetech {name}, no Dynamixel, expected AX-12A" in line
+    assert f"is a {what}, expected AX-12A; put it on a port with protocol = '{protocol}'" in line
     assert servos[2].writes == 0
 
 
 def test_a_dynamixel_is_no_feetech() -> None:
     # AX: id, baud rate, return delay; an id that is also the return delay.
-    assert feetech_name(bytes((3, 1, 3)), 3) is None
-    assert feetech_name(bytes((3, 1, 250)), 3) is None
+    assert feetech_of(bytes((24, 3, 1, 3)), 3) is None
+    assert feetech_of(bytes((24, 3, 1, 250)), 3) is None

@@ -18,6 +18,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from anybus import AnyServo, Horns, any_servo
+from described import HAS_FEETECH
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
@@ -30,6 +31,7 @@ from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
 from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.robot import Port
+from adaptive_contact.robot.description import Protocol
 from adaptive_contact.wire import MSGPACK, Command, encode
 from adaptive_contact_sim.virtual import FaultSchedule, VirtualPort
 
@@ -47,7 +49,7 @@ class Line:
 
     late = 0.0
 
-    def __init__(self, directory: Path, protocol: int) -> None:
+    def __init__(self, directory: Path, protocol: Protocol) -> None:
         model = next(m for m in MODELS if m.protocol == protocol)
         self.port = VirtualPort(
             f"p{protocol}",
@@ -56,7 +58,7 @@ class Line:
             FaultSchedule([], np.random.default_rng(0)),
         )
         self.port.open()
-        settings = Port(device=str(self.port.path), protocol=protocol, timeout_ms=1000)  # type: ignore[arg-type]
+        settings = Port(device=str(self.port.path), protocol=protocol, timeout_ms=1000)
         self.plan = PortPlan("main", settings, (), PERIOD_S)
         opened: list[Any] = []
 
@@ -97,9 +99,9 @@ class Line:
 
 
 @pytest.fixture(scope="module")
-def lines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[int, Line]]:
+def lines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[Protocol, Line]]:
     directory = tmp_path_factory.mktemp("lines")
-    made = {protocol: Line(directory, protocol) for protocol in (1, 2)}
+    made = {protocol: Line(directory, protocol) for protocol in {m.protocol for m in DRIVEN}}
     yield made
     for line in made.values():
         line.close()
@@ -176,7 +178,7 @@ def registers_of(model: ServoModel) -> st.SearchStrategy[dict[str, int]]:
     """All that decides how a model follows goals."""
     step = st.integers(model.lowest, model.highest)
     whole, wheel = (model.lowest, model.highest), (0, 0)
-    multi = (model.highest, model.highest)
+    multi = (model.multi_turn or model.highest,) * 2
     limits = st.one_of(
         st.just(whole), st.sampled_from([wheel, multi]), st.tuples(step, step), st.just(whole)
     )
@@ -184,7 +186,18 @@ def registers_of(model: ServoModel) -> st.SearchStrategy[dict[str, int]]:
     goal = step
     if model.compact:
         fields: dict[str, Any] = {}
-        if "resolution_divider" in model.registers:
+        if model.feetech:
+            fields["shutdown"] = st.sampled_from([0x2C, 0x25, 0])
+            fields["eeprom_lock"] = st.integers(0, 1)
+        if "homing_offset" in model.registers:
+            fields |= {
+                "resolution_divider": st.sampled_from([1] * 7 + [2]),
+                "homing_offset": st.one_of(st.just(0), st.integers(-2047, 2047)),
+                "phase": st.sampled_from([12, 12, 28]),
+                "torque_limit": st.sampled_from([1000, 1000, 500, 0]),
+            }
+            goal = st.one_of(step, st.integers(-28672, 28672))
+        elif "resolution_divider" in model.registers:
             fields |= {
                 "resolution_divider": st.sampled_from([1, 1, 1, 2, 4]),
                 "multi_turn_offset": st.one_of(st.just(0), st.integers(-24576, 24576)),
@@ -193,7 +206,7 @@ def registers_of(model: ServoModel) -> st.SearchStrategy[dict[str, int]]:
         if "torque_control" in model.registers:
             fields["torque_control"] = st.sampled_from([0] * 7 + [1])
         if "control_mode" in model.registers:
-            fields["control_mode"] = st.sampled_from([2] * 7 + [1])
+            fields["control_mode"] = st.sampled_from([model.joint_mode] * 7 + [1, 3])
         if "drive_mode" in model.registers:
             fields["drive_mode"] = st.sampled_from([0, 0, 0, 1, 1, 2])
     else:
@@ -217,8 +230,9 @@ def registers_of(model: ServoModel) -> st.SearchStrategy[dict[str, int]]:
 
 
 # One of each control table as likely as all the others: 30 X-series have the same.
-KINDS = list({id(model.registers): model.name for model in MODELS}.values())
-models = st.one_of(st.sampled_from(KINDS), st.sampled_from([model.name for model in MODELS]))
+DRIVEN = [model for model in MODELS if HAS_FEETECH or not model.feetech]
+KINDS = list({id(model.registers): model.name for model in DRIVEN}.values())
+models = st.one_of(st.sampled_from(KINDS), st.sampled_from([model.name for model in DRIVEN]))
 horn = st.one_of(st.floats(-2.5, 2.5), st.floats(-12.0, 12.0))
 wish = st.one_of(st.floats(-3.0, 3.0), st.floats(-15.0, 15.0))
 EVENTS = (
@@ -234,9 +248,7 @@ def happen(stage: Stage, what: str, where: float) -> None:
 
     def put(name: str, value: int) -> None:
         register = registers[name]
-        servo.write(
-            register.address, value.to_bytes(register.size, "little", signed=register.signed)
-        )
+        servo.write(register.address, register.data(value))
 
     if what.startswith("reboot"):
         stage.horns.set_torque(0, False)
@@ -257,7 +269,9 @@ def happen(stage: Stage, what: str, where: float) -> None:
         servo.set_errors(servo.value("shutdown"))
         stage.horns.place(0, where)
     elif what == "recovers":
-        if servo.model.compact:
+        if servo.model.feetech:
+            put("torque_enable", 1)
+        elif servo.model.compact:
             put("torque_limit", 1023)
         else:
             servo.reboot()
@@ -291,7 +305,7 @@ def happen(stage: Stage, what: str, where: float) -> None:
     last=wish,
 )
 def test_nothing_moves_that_was_not_asked_to_move(
-    lines: dict[int, Line],
+    lines: dict[Protocol, Line],
     data: st.DataObject,
     name: str,
     at: float,
@@ -351,7 +365,7 @@ def test_nothing_moves_that_was_not_asked_to_move(
 
 @pytest.mark.parametrize("name", KINDS)
 def test_a_late_answer_never_passes_for_one_to_a_later_question(
-    lines: dict[int, Line], name: str
+    lines: dict[Protocol, Line], name: str
 ) -> None:
     """Whatever was asked before, and whatever is asked next: also the same of a horn that moved."""
     [model] = models_named(name)
@@ -370,7 +384,7 @@ def test_a_late_answer_never_passes_for_one_to_a_later_question(
 
 
 @pytest.mark.parametrize("name", ["AX-12A", "XL430-W250"])
-def test_a_late_confirmation_is_no_answer(lines: dict[int, Line], name: str) -> None:
+def test_a_late_confirmation_is_no_answer(lines: dict[Protocol, Line], name: str) -> None:
     [model] = models_named(name)
     line, delay = lines[model.protocol], model.registers["return_delay"]
     servo = any_servo(1, name, Horns(1), 0)

@@ -38,7 +38,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 # What the extras bring; an environment without them has the core dependencies only.
 EXTRAS = (
     *("mujoco", "mujoco_core", "mujoco_studio", "glfw", "OpenGL"),
-    *("dynamixel_sdk", "dynamixel_easy_sdk", "serial"),
+    *("dynamixel_sdk", "dynamixel_easy_sdk", "scservo_sdk", "serial"),
     *("matplotlib", "mpl_toolkits", "pylab", "PIL", "imageio", "imageio_ffmpeg"),
     *("jinja2", "markupsafe"),
 )

@@ -21,6 +21,7 @@ HEAVY = {
     "zenoh",
     "mcap",
     "dynamixel_sdk",
+    "scservo_sdk",
 }
 
 COMMANDS = ("", "serve", "watch", "doctor", "record", "replay", "score", "fit", "demo", "sim walk")

@@ -15,12 +15,11 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import numpy as np
 
-from adaptive_contact.bridge.plan import PortPlan
+from adaptive_contact.bridge.plan import PortPlan, protocol_of
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Port, Robot
@@ -96,6 +95,30 @@ class VirtualSettings:
     wire_time: bool = True  # let answers take as long as on a real wire
 
 
+def with_servos(robot: Robot, model: str) -> Robot:
+    """A description whose servos are all of another model.
+
+    Raises:
+        ConfigurationError: there is no such model.
+    """
+    kind = models_named(model)[-1]  # of a family, the usual one
+    legs = tuple(
+        msgspec.structs.replace(
+            leg,
+            quantum_rad=None,
+            servos=leg.servos and msgspec.structs.replace(leg.servos, model=kind.name),
+        )
+        for leg in robot.legs
+    )
+    ports = {
+        name: msgspec.structs.replace(port, protocol=kind.protocol, fast=False)
+        for name, port in robot.ports.items()
+    }
+    return msgspec.structs.replace(
+        robot, legs=legs, ports=ports, quantum_rad=round(kind.step_rad, 6)
+    )
+
+
 def with_ports(robot: Robot, directory: Path, ports: int | None) -> Robot:
     """A description whose ports lie in a directory.
 
@@ -133,7 +156,7 @@ def with_ports(robot: Robot, directory: Path, ports: int | None) -> Robot:
             )
         servos = msgspec.structs.replace(leg.servos, port=names[i * ports // len(robot.legs)])
         legs.append(msgspec.structs.replace(leg, servos=servos))
-    protocol = _protocol(robot)
+    protocol = protocol_of(robot)
     made = {name: Port(device=str(directory / name), protocol=protocol) for name in names}
     return msgspec.structs.replace(robot, legs=tuple(legs), ports=made)
 
@@ -202,9 +225,3 @@ def check_faults(plans: Sequence[PortPlan], faults: Sequence[FaultSpec]) -> None
                 f"fault '{fault.kind}' of port '{fault.port}': there is no such port; there are "
                 f"{', '.join(ports)}"
             )
-
-
-def _protocol(robot: Robot) -> Literal[1, 2]:
-    servos = robot.legs[0].servos
-    assert servos is not None
-    return 1 if models_named(servos.models[0])[0].protocol == 1 else 2

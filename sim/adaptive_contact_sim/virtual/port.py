@@ -23,12 +23,14 @@ from adaptive_contact.bridge.packets import (
     Instruction,
     Status,
     fast_sync_status,
+    version_of,
 )
 from adaptive_contact.bridge.tables import BAUDS
+from adaptive_contact.robot.description import Protocol
 from adaptive_contact_sim.virtual.faults import FaultSchedule
 from adaptive_contact_sim.virtual.servo import Refusal, VirtualServo
 
-_INSTRUCTION_ERROR: Final = {1: 0x40, 2: 0x02}
+_INSTRUCTION_ERROR: Final[dict[Protocol, int]] = {1: 0x40, 2: 0x02}
 # Terminals' constants of rates.
 _SPEEDS: Final = {
     baud: s for baud in BAUDS if (s := getattr(termios, f"B{baud}", None)) is not None
@@ -76,8 +78,8 @@ class VirtualPort:
         self._byte_s = 10 / baud if wire_time else 0.0
         self._wire_time = wire_time
         self._listening = self.servos
-        protocol = servos[0].model.protocol if servos else 1
-        self._codec = Codec(protocol)
+        self._protocol = servos[0].model.protocol if servos else 1
+        self._codec = Codec(version_of(self._protocol))
         self._buffer = bytearray()
         self._replies: list[tuple[float, int, bytes]] = []
         self._sent = 0
@@ -143,8 +145,8 @@ class VirtualPort:
     # -- private -------------------------------------------------------------------------------
 
     def _answer(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
-        version = self._codec.version
-        if version == 2 and frame.code in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
+        fast = self._protocol == 2 and frame.code == Instruction.FAST_SYNC_READ
+        if fast or (self._protocol in (2, "sts") and frame.code == Instruction.SYNC_READ):
             self._read_many(frame, now_s, elapsed_s)
             return
         if frame.code == Instruction.SYNC_WRITE:
@@ -163,7 +165,7 @@ class VirtualPort:
             replies |= servo.answers == 1 and frame.code == Instruction.READ
             status = self._execute(servo, frame, elapsed_s)
             if everyone:
-                replies = version == 2 and frame.code == Instruction.PING
+                replies = self._protocol in (2, "sts") and frame.code == Instruction.PING
             if status is None or not replies:
                 continue
             if self.faults.strike("silent", status.id, elapsed_s) is not None:
@@ -191,7 +193,7 @@ class VirtualPort:
         if frame.code == Instruction.REBOOT and version == 2:
             servo.reboot()
             return Status(servo.id, 0, b"")
-        return Status(servo.id, _INSTRUCTION_ERROR[version], b"")
+        return Status(servo.id, _INSTRUCTION_ERROR.get(self._protocol, 0), b"")
 
     def _sync_write(self, frame: Frame) -> None:
         p, width = frame.parameters, self._codec.version
@@ -208,10 +210,10 @@ class VirtualPort:
 
     def _read_many(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
         """Sync and fast sync read: servos answer one after the other."""
-        p = frame.parameters
-        address, size = _number(p[:2]), _number(p[2:4])
+        p, width = frame.parameters, self._codec.version
+        address, size = _number(p[:width]), _number(p[width : 2 * width])
         joint: list[list[tuple[VirtualServo, Status]]] = []
-        for wanted in p[4:]:
+        for wanted in p[2 * width :]:
             group = [servo for servo in self._listening if servo.id == wanted and servo.answers]
             if not group or self.faults.strike("silent", wanted, elapsed_s) is not None:
                 # Each waits for the one before it: those after a mute one stay mute.
@@ -222,7 +224,7 @@ class VirtualPort:
             else:
                 answers = [self._answer_of(s, status, now_s, elapsed_s) for s, status in statuses]
                 now_s = self._send_all(answers)
-        if joint and len(joint) == len(p[4:]):
+        if joint and len(joint) == len(p[2 * width :]):
             packet = fast_sync_status([group[0][1] for group in joint])
             if any(len(group) > 1 for group in joint):
                 packet = _overlap(packet, fast_sync_status([group[-1][1] for group in joint]))

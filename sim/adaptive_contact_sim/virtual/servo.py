@@ -8,6 +8,9 @@ The slope of the control law (compliance slope, P gain, PWM limit) acts on the s
 registers of the law (margin, punch, I and D, speeds, a torque limit above 0) are kept and change
 nothing.  Sources: the e-manual pages named in :mod:`adaptive_contact.bridge.tables`, whose
 addresses are used.
+
+A Feetech servo refuses nothing: it keeps what cannot be, and goes to its limits.  One that has shut
+itself down drives again when its torque is switched; no manual says that.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ import numpy as np
 
 from adaptive_contact.bridge.modes import LAW_REGISTERS, DriveMode, slope_rad
 from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
+from adaptive_contact.robot.description import Protocol
 from adaptive_contact_sim.virtual.backend import Backend
 
 # Errors of protocol 1.0 (bits) and 2.0 (numbers) for the same refusals.
@@ -38,12 +42,14 @@ _READ_ONLY: Final = (
 )
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
-_WHEEL, _JOINT = 1, 2  # XL-320's control modes
 _MOST_HOMING: Final = 1024  # of position mode; more is ignored
 _MOST_STEPS: Final = 1_048_575  # of a goal in the extended modes
 _MULTI_TURN_STEPS: Final = 28_672  # of an MX servo's goal
 _BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 _BAUDS320: Final = _BAUDS2[:4]
+_BAUDS_FEETECH: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
+# Of compact servos as delivered, by protocol: errors that shut them down.
+_FATAL: Final[dict[Protocol, int]] = {1: 0x24, 2: 0x03, "sts": 0x2C, "scs": 0x25}
 _LAW: Final[set[str]] = {name for names in LAW_REGISTERS for name in names}
 # A horn slower than this stands still for the register Moving.
 _MOVING_RAD_S: Final = 0.05
@@ -75,7 +81,8 @@ class VirtualServo:
         writes: instructions to write, carried out or refused.
         keeps_goal: torque that comes on drives to the goal in the register.  Firmwares differ in
             this: others set that goal to where the horn is, as X-series do here by default.
-        goal_wakes: a goal switches torque on, as with protocol 1.0.  XL-320's manual does not say.
+        goal_wakes: a goal switches torque on, as with protocol 1.0 and Feetech's.  XL-320's manual
+            does not say.
     """
 
     def __init__(
@@ -100,8 +107,9 @@ class VirtualServo:
         if not model.compact:  # beyond the registers known here
             end = 228 if "330" in model.name else 662
         self._memory = bytearray(end)
+        self._saved = bytearray(end)  # what is in EEPROM
         self.keeps_goal = model.compact
-        self.goal_wakes = model.protocol == 1
+        self.goal_wakes = model.protocol != 2
         self._turns = 0
         self.writes = 0
         self._factory(return_delay)
@@ -118,11 +126,14 @@ class VirtualServo:
     @property
     def drives(self) -> bool:
         """Whether torque reaches the horn: not after a shutdown."""
-        return self.torque and (not self.model.compact or self.value("torque_limit") > 0)
+        limit = self.value("torque_limit") if "torque_limit" in self.model.registers else 1
+        return self.torque and limit > 0 and not self._latched
 
     @property
     def answers(self) -> int:
         """Status return level: 0 to pings, 1 to reads too, 2 to all."""
+        if self.model.feetech:
+            return 1 + self.value("response_level")
         return self.value("status_return")
 
     @property
@@ -133,8 +144,8 @@ class VirtualServo:
     def value(self, name: str) -> int:
         """A register's value as it lies in memory."""
         register = self.model.registers[name]
-        part = self._memory[register.address : register.address + register.size]
-        return int.from_bytes(part, "little", signed=register.signed)
+        at = slice(register.address, register.address + register.size)
+        return register.value(bytes(self._memory[at]))
 
     def follows(self, servo: int, address: int) -> bool:
         """Whether a write to another id counts here: one to the secondary id, and to RAM."""
@@ -147,10 +158,10 @@ class VirtualServo:
             bits: of protocol 1.0's error byte, or of the model's Hardware Error Status.
 
         Returns:
-            Bits to report: those that an X-series servo has shut down for stay until a reboot.
+            Bits to report: those that an X-series or a Feetech servo has shut down for stay.
         """
         fatal = bits & self.value("shutdown")
-        if self.model.compact:
+        if self.model.compact and not self.model.feetech:
             if fatal:
                 self.store("torque_limit", 0)
                 self._backend.set_torque(self._index, False)
@@ -158,7 +169,8 @@ class VirtualServo:
                 self.store("hardware_error", bits)
             return bits
         if fatal:
-            self.store("torque_enable", 0)
+            if not self.model.feetech:
+                self.store("torque_enable", 0)
             self._backend.set_torque(self._index, False)
             self._latched |= fatal
         self.store("hardware_error", bits | self._latched)
@@ -172,23 +184,24 @@ class VirtualServo:
     def read(self, address: int, size: int) -> bytes | Refusal:
         """Bytes of the control table, as of now."""
         if size < 1 or address + size > len(self._memory):
-            return Refusal(RANGE1 if self.model.protocol == 1 else LENGTH2)
+            return self._refusal(RANGE1, LENGTH2)
         self._refresh()
         self.last = bytes(self._memory)
         return self.last[address : address + size]
 
     def write(self, address: int, data: bytes) -> Refusal | None:
         """Write into the control table, whole registers; None when done."""
-        one = self.model.protocol == 1
         self.writes += 1
         if not data or address + len(data) > len(self._memory):
-            return Refusal(RANGE1 if one else LENGTH2)
+            return self._refusal(RANGE1, LENGTH2)
         names = self._touched(address, data)
         for name in names:
             refusal = self._refuse(name, self.model.registers[name], address, data)
             if refusal is not None:
                 return refusal
         self._memory[address : address + len(data)] = data
+        if not self._has("eeprom_lock"):
+            self._saved[:] = self._memory
         for name in names:
             self._act(name)
         return None
@@ -204,6 +217,10 @@ class VirtualServo:
 
     # -- private -------------------------------------------------------------------------------
 
+    def _refusal(self, one: int, two: int) -> Refusal:
+        """The error of its protocol; Feetech's has none."""
+        return Refusal(0 if self.model.feetech else one if self.model.protocol == 1 else two)
+
     def _touched(self, address: int, data: bytes) -> list[str]:
         return [
             name
@@ -212,21 +229,20 @@ class VirtualServo:
         ]
 
     def _refuse(self, name: str, register: Register, address: int, data: bytes) -> Refusal | None:
-        one = self.model.protocol == 1
         if name in _READ_ONLY:
-            return Refusal(INSTRUCTION1 if one else ACCESS2)
-        if register.eeprom and self.torque and not one:
+            return self._refusal(INSTRUCTION1, ACCESS2)
+        if register.eeprom and self.torque and self.model.protocol == 2:
             return Refusal(ACCESS2)
-        if name == "torque_enable" and self._latched:
+        if name == "torque_enable" and self._latched and not self.model.feetech:
             return Refusal(ACCESS2)  # shut down: only a reboot helps
-        if name == "goal_position":
+        if name == "goal_position" and not self.model.feetech:
             at = register.address - address
             if at < 0 or at + register.size > len(data):
                 return None
-            goal = int.from_bytes(data[at : at + register.size], "little", signed=register.signed)
+            goal = register.value(data[at : at + register.size])
             lowest, highest = self.goals()
             if not lowest <= goal <= highest:
-                return Refusal(ANGLE1 if one else LIMIT2)
+                return self._refusal(ANGLE1, LIMIT2)
         return None
 
     def goals(self) -> tuple[int, int]:
@@ -244,7 +260,7 @@ class VirtualServo:
         if not self.model.compact:
             return self.value("operating_mode") in (_EXTENDED, _CURRENT_BASED)
         limits = self.value("lower_limit"), self.value("upper_limit")
-        return "multi_turn_offset" in self.model.registers and limits == (self.model.highest,) * 2
+        return limits == (self.model.multi_turn,) * 2
 
     @property
     def _follows(self) -> bool:
@@ -253,9 +269,11 @@ class VirtualServo:
             return False
         if not self.model.compact:
             return self._multi_turn or self.value("operating_mode") == _POSITION
-        if self._has("torque_control") or self._has("control_mode") == _WHEEL:
+        mode = self.model.joint_mode
+        if self._has("torque_control") or (mode is not None and self.value("control_mode") != mode):
             return False
-        return (self.value("lower_limit"), self.value("upper_limit")) != (0, 0)
+        limits = self.value("lower_limit"), self.value("upper_limit")
+        return self._multi_turn or limits != (0, 0)
 
     def _has(self, name: str) -> int:
         """A register's value, 0 where the model has no such register."""
@@ -286,6 +304,8 @@ class VirtualServo:
         elif name == "operating_mode":
             self._settle_turns()
         elif name == "torque_enable":
+            if self.model.feetech:
+                self._latched = 0
             self._backend.set_torque(self._index, self.drives)
             if self.torque:
                 self._settle_turns()
@@ -302,8 +322,10 @@ class VirtualServo:
     def _drive(self) -> None:
         # What it follows instead of goals is not modelled: it stays.
         here = self._backend.angle(self._index)
-        goal = self._angle(self.value("goal_position")) if self._follows else here
-        self._backend.set_goal(self._index, goal)
+        steps = self.value("goal_position")
+        if self.model.feetech:
+            steps = min(max(steps, self.goals()[0]), self.goals()[1])
+        self._backend.set_goal(self._index, self._angle(steps) if self._follows else here)
 
     def _steps(self, angle_rad: float, noise: float = 0.0) -> int:
         """Return the position register for a horn's angle, by mode, turns and offsets."""
@@ -312,7 +334,7 @@ class VirtualServo:
         turn = model.centre + round(sign * angle_rad / model.step_rad + noise)
         if model.compact and not self._multi_turn:
             if model.full_turn:
-                return turn % (model.highest + 1)  # a full turn of encoder
+                return (turn + offset) % (model.highest + 1)  # a full turn of encoder
             return min(max(turn, model.lowest), model.highest)
         return round((turn - self._turns * (model.highest + 1)) / divider) + offset
 
@@ -324,7 +346,7 @@ class VirtualServo:
         if model.compact and not self._multi_turn:
             # A full turn of encoder: the goal is within the turn the horn is in.
             own = math.floor(
-                (model.centre + sign * self._backend.angle(self._index) / model.step_rad)
+                (model.centre + offset + sign * self._backend.angle(self._index) / model.step_rad)
                 / (model.highest + 1)
             )
             full += own * (model.highest + 1) if model.full_turn else 0
@@ -335,6 +357,8 @@ class VirtualServo:
     def _frame(self) -> tuple[int, int, int]:
         """Offset, divider and sign of the positions reported, as the mode applies them."""
         sign = -1 if self._has("drive_mode") & DriveMode.REVERSE else 1
+        if self.model.feetech:
+            return -self._has("homing_offset"), 1, sign
         if self.model.compact:
             if not self._multi_turn:
                 return 0, 1, sign
@@ -359,34 +383,35 @@ class VirtualServo:
         self.store("present_position", self._steps(backend.angle(index), noise))
         speed = backend.speed(index)
         self.store("moving", int(abs(speed) > _MOVING_RAD_S))
-        raw = round(abs(speed) / model.speed_rad_s)
-        if model.registers["present_speed"].signed:
-            self.store("present_speed", raw if speed >= 0 else -raw)
-        else:
-            self.store("present_speed", min(raw, 1023) | (0 if speed >= 0 else 0x400))
+        raw = round(speed / model.speed_rad_s)
+        most = (1 << (model.registers["present_speed"].sign_bit or 31)) - 1
+        self.store("present_speed", min(max(raw, -most), most))
         if (inside := backend.goal(index)) is not None:
             self.store("goal_position", self._steps(inside))
 
     def store(self, name: str, value: int) -> None:
         """Put a value into a register, whatever the bus would say: what it holds from before."""
         register = self.model.registers[name]
-        data = value.to_bytes(register.size, "little", signed=register.signed)
-        self._memory[register.address : register.address + register.size] = data
+        at = slice(register.address, register.address + register.size)
+        self._memory[at] = self._saved[at] = register.data(value)
 
     def _factory(self, return_delay: int) -> None:
         """EEPROM as delivered, but for what a robot's owner sets first."""
         model = self.model
         initial = {
             "model_number": model.number,
-            "firmware": 24 if model.protocol == 1 else 52,
+            "firmware": 3 if model.feetech else 24 if model.protocol == 1 else 52,
+            "byte_order": int(model.protocol == "scs"),
             "id": self.id,
             "return_delay": return_delay,
             "lower_limit": model.lowest,
             "upper_limit": model.highest,
-            "shutdown": 0x34 if not model.compact else 0x24 if model.protocol == 1 else 0x03,
+            "shutdown": _FATAL[model.protocol] if model.compact else 0x34,
             "status_return": 2,
+            "response_level": 1,
+            "phase": 12,
             "resolution_divider": 1,
-            "control_mode": _JOINT,
+            "control_mode": model.joint_mode or 0,
             "operating_mode": _POSITION,
             "secondary_id": 255,
             "pwm_limit": 885,
@@ -405,24 +430,32 @@ class VirtualServo:
             near = min(BAUDS, key=lambda baud: abs(baud - rate))
             # E-manual: within 3 % no more errors than at the rate itself.
             return near if abs(near - rate) < 0.03 * rate else 0
-        rates = _BAUDS320 if self.model.compact else _BAUDS2
-        return rates[register] if register < len(rates) else 0
+        return self._rates[register] if register < len(self._rates) else 0
 
     def _baud_register(self, baud: int) -> int:
         """Value of the register for a rate; the nearest there is."""
         if self.model.protocol == 1:
             return min(max(round(2_000_000 / baud) - 1, 0), 254)
-        rates = _BAUDS320 if self.model.compact else _BAUDS2
-        return min(range(len(rates)), key=lambda i: abs(rates[i] - baud))
+        return min(range(len(self._rates)), key=lambda i: abs(self._rates[i] - baud))
+
+    @property
+    def _rates(self) -> tuple[int, ...]:
+        if self.model.feetech:
+            return _BAUDS_FEETECH
+        return _BAUDS320 if self.model.compact else _BAUDS2
 
     def _power_on(self) -> None:
         model = self.model
         self._latched = 0
+        self._memory[:] = self._saved  # what was written while EEPROM was locked is gone
         self._settle_turns(fresh=True)
         here = self._steps(self._backend.angle(self._index))
         initial = {"temperature": 35, "torque_control": 0, "goal_position": here}
-        initial["voltage"] = 120 if model.protocol == 1 else 50
-        if model.compact:
+        initial["voltage"] = 50 if model.protocol == 2 else 120
+        if model.feetech:
+            initial |= {"hardware_error": 0, "eeprom_lock": 1, "torque_limit": 1000}
+            initial |= {"position_p": 32, "position_d": 32, "max_acceleration": 254}
+        elif model.compact:
             initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
             initial |= {"torque_limit": 1023, "punch": 32, "position_p": 32}
         else:

@@ -1,0 +1,253 @@
+"""Feetech's servos over their own SDK: registers, observing, driving, what goes wrong."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from described import Serve, init, robot
+
+from adaptive_contact.bridge.bus import Bus
+from adaptive_contact.bridge.compare import compare, read_servos
+from adaptive_contact.bridge.handshake import check_ports
+from adaptive_contact.bridge.modes import setting
+from adaptive_contact.bridge.plan import plan_ports
+from adaptive_contact.bridge.tables import models_named
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.robot import Port, ServoLaw
+
+sdk = pytest.importorskip("scservo_sdk")
+
+STS = {"model": "STS3215", "protocol": "sts"}
+SCS = {"model": "SCS0009", "protocol": "scs"}
+
+
+class Sdk:
+    """A port opened by the SDK's own classes, patient on a busy computer."""
+
+    def __init__(self, device: object, end: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("scservo_sdk.port_handler.LATENCY_TIMER", 200)
+        self.packets = sdk.PacketHandler(end)
+        self.port = sdk.PortHandler(str(device))
+        assert self.port.setBaudRate(1_000_000)
+
+    def word(self, servo: int, address: int) -> int:
+        value, result, error = self.packets.read2ByteTxRx(self.port, servo, address)
+        assert (result, error) == (sdk.COMM_SUCCESS, 0)
+        return int(value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "end", "number", "raw"),
+    # Half a rad below the centre; beyond zero in multi-turn mode, sign and magnitude.
+    [("STS3215", 0, 777, 2048 - 326), ("SCS0009", 1, 1284, 512 - 98),
+     ("STS3215:lower_limit=0:upper_limit=0:homing_offset=2000", 0, 777, 278 | 0x8000)],
+)  # fmt: skip
+def test_the_sdk_reads_what_the_servo_means(
+    bus: Serve, kind: str, end: int, number: int, raw: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device, _ = bus(f"1-3:{kind}:at=-0.5")
+    own = Sdk(device, end, monkeypatch)
+    try:
+        assert own.packets.ping(own.port, 2)[:2] == (number, sdk.COMM_SUCCESS)
+        assert own.word(2, 56) == raw
+        group = sdk.GroupSyncRead(own.port, own.packets, 56, 4)
+        assert all(group.addParam(servo) for servo in (1, 2, 3))
+        result = group.txRxPacket()
+        if end:  # the SCS series knows no sync read
+            assert result == sdk.COMM_RX_TIMEOUT
+        else:
+            assert result == sdk.COMM_SUCCESS
+            assert [group.getData(servo, 56, 2) for servo in (1, 2, 3)] == [raw] * 3
+    finally:
+        own.port.closePort()
+
+
+def test_what_is_written_while_eeprom_is_locked_is_gone_with_the_power(
+    bus: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device, (servo,) = bus("1:STS3215")
+    own = Sdk(device, 0, monkeypatch)
+    try:
+        for lock, kept in ((1, 0), (0, 77)):
+            own.packets.write1ByteTxRx(own.port, 1, 55, lock)
+            own.packets.write1ByteTxRx(own.port, 1, 7, 77)
+            assert servo.value("return_delay") == 77
+            servo.reboot()
+            assert servo.value("return_delay") == kept
+    finally:
+        own.port.closePort()
+
+
+@pytest.mark.parametrize("kind", [STS, SCS])
+def test_configure_unlocks_and_locks_again(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    for servo in r.ports[0].servos:
+        servo.store("return_delay", 250)
+    findings = check_ports(r.plans, full=False)
+    assert "is 500 us, expected 100 or less" in findings.advice[0]
+    assert [servo.writes for servo in r.ports[0].servos] == [0] * 6
+    assert len(check_ports(r.plans, full=False, configure=True).done) == 6
+    for servo in r.ports[0].servos:
+        assert servo.value("eeprom_lock") == 1
+        servo.reboot()
+        assert servo.value("return_delay") == 0
+
+
+@pytest.mark.parametrize("kind", [STS, SCS])
+def test_observing_writes_nothing(run: Callable, kind: dict) -> None:
+    r = run("observe", **kind)
+    r.rig.backend.place(1, -0.7)
+    step = r.rig.servo(1).model.step_rad
+    r.catcher.wait(lambda c: c.ticks and c.ticks[-1]["l0"].measured[1] < -0.6)
+    assert r.catcher.ticks[-1]["l0"].measured == pytest.approx([0.0, -0.7, 0.0], abs=step)
+    assert all(servo.writes == 0 for servo in r.rig.ports[0].servos)
+
+
+@pytest.mark.parametrize("kind", [STS, SCS])
+def test_driving_and_a_servo_that_falls_silent(run: Callable, kind: dict) -> None:
+    r = run("drive", **kind)
+    wish = [0.4, -0.4, 0.2]
+    feed = r.commanding(wish)
+    r.catcher.wait(feed(lambda c: c.ticks and c.ticks[-1]["l0"].measured == there(wish)))
+    assert [r.rig.servo(i).torque for i in (1, 2, 3)] == [True] * 3
+    assert not r.rig.servo(4).torque  # of a leg without a command
+    r.rig.fault("silent:id=2")
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].valid == [True, False, True]))
+    r.rig.fault()
+    wish[1] = -0.1
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == there(wish)))
+
+
+def there(wish: list[float]) -> Any:
+    return pytest.approx(wish, abs=0.02)
+
+
+@pytest.mark.parametrize("kind", [STS, SCS])
+def test_a_servo_that_loses_its_torque_comes_back_at_the_slow_pace(
+    run: Callable, kind: dict
+) -> None:
+    r = run("drive", **kind)
+    wish = [0.4] * 3
+    feed = r.commanding(wish)
+    r.catcher.wait(feed(lambda c: c.ticks and c.ticks[-1]["l0"].measured == there(wish)))
+    r.catcher.wait(lambda c: c.statuses and "l0" in c.statuses[-1].holding)
+    servo = r.rig.servo(2)
+    servo.write(servo.model.registers["torque_enable"].address, b"\0")
+    r.rig.backend.place(1, -0.4)
+    r.catcher.wait(lambda c: c.ticks[-1]["l0"].measured[1] < -0.3)
+    before = len(r.catcher.ticks)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == there(wish)))
+    goals = [tick["l0"].desired[1] for tick in r.catcher.ticks[before:]]
+    back, *steps = [b - a for a, b in itertools.pairwise(goals) if a != b]
+    assert back < -0.7  # first to where it was found
+    assert max(steps) <= 0.2 * 0.15 + 2 * servo.model.step_rad
+
+
+def test_an_overload_shuts_a_servo_down_until_its_torque_is_switched(run: Callable) -> None:
+    r = run("drive", **STS)
+    wish = [0.2] * 3
+    feed = r.commanding(wish)
+    r.catcher.wait(feed(lambda c: c.ticks and c.ticks[-1]["l0"].measured == there(wish)))
+    r.rig.fault("error:id=2,bits=overload")
+    r.catcher.wait(feed(lambda c: any("servo 2 (l0 j1): shut down" in line for line in c.lines)))
+    assert any("write 0 to its torque enable (40)" in line for line in r.catcher.lines)
+    r.rig.fault()
+    servo = r.rig.servo(2)
+    goal = servo.value("goal_position")
+    wish[1] = -0.2
+    seen = len(r.catcher.ticks)
+    r.catcher.wait(feed(lambda c: len(c.ticks) > seen + 60))
+    assert servo.value("goal_position") == goal  # nothing is written meanwhile
+    servo.write(servo.model.registers["torque_enable"].address, b"\0")
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == there(wish)))
+
+
+def test_servos_of_the_other_byte_order_are_named(bus: Serve) -> None:
+    device, _ = bus("1-2:STS3215", "3:SCS0009")
+    mixed = robot(device, ((1, 2, 3), "STS3215"), protocol="sts")
+    (line,) = check_ports(plan_ports(mixed), full=False).errors
+    assert "servo 3 (l0 j2) is a Feetech SCS0009, of protocol 'scs', expected STS3215" in line
+    with pytest.raises(ConfigurationError, match=r"uses protocol scs, .* set protocol = 'scs'"):
+        plan_ports(robot(device, ((1, 2, 3), "SCS0009"), protocol="sts"))
+
+
+@pytest.mark.parametrize(("model", "protocol"), [("STS3215", "sts"), ("SCS0009", "scs")])
+@pytest.mark.parametrize("dynamixel", [True, False])
+def test_init_finds_the_series(
+    bus: Serve, model: str, protocol: str, dynamixel: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device, servos = bus(f"1-3:{model}:position_p=16")
+    if not dynamixel:
+        monkeypatch.setattr("adaptive_contact.bridge.discovery.find_spec", lambda _: None)
+    said, found = init(device)
+    assert f"3 x {model}, ids 1-3; 1000000 baud, protocol {protocol}" in said
+    assert found.ports["main"].protocol == protocol
+    assert found.servo.slope_rad == pytest.approx(
+        0.377 if protocol == "sts" else ServoLaw().slope_rad, abs=1e-3
+    )
+    assert check_ports(plan_ports(found), full=False, drive=True).errors == []
+    assert all(servo.writes == 0 for servo in servos)
+
+
+WRONG = [
+    ({"control_mode": 1}, "does not follow goal positions (its control mode is 1), expected 0"),
+    ({"control_mode": 3}, "does not follow goal positions (its control mode is 3), expected 0"),
+    ({"resolution_divider": 4}, "has a resolution divider of 4, expected 1"),
+    ({"lower_limit": 3000, "upper_limit": 2000}, "has angle limits 3000 and 2000"),
+]
+
+
+@pytest.mark.parametrize(("registers", "words"), WRONG)
+def test_what_follows_no_goals_is_refused(rig: Callable, registers: dict, words: str) -> None:
+    r = rig(**STS)
+    for name, value in registers.items():
+        r.servo(2).store(name, value)
+    (line,) = check_ports(r.plans, full=False).errors
+    assert f"servo 2 {words}" in line
+    assert "FD software" in line
+
+
+def test_multi_turn_is_driven_within_its_turn_and_an_scs_wheel_is_refused() -> None:
+    def judged(name: str, **registers: int) -> Any:
+        (model,) = models_named(name)
+        (block,) = model.settings
+        data = bytearray(block.size)
+        for key, value in registers.items():
+            at = model.registers[key].address - block.address
+            data[at : at + model.registers[key].size] = model.registers[key].data(value)
+        return setting(model, [bytes(data)])
+
+    turns = judged("STS3215", resolution_divider=1)  # both limits 0
+    assert turns.wrong is None
+    assert (turns.lowest, turns.highest, turns.ends) == (0, 4095, None)
+    assert "is in multi-turn mode (both angle limits are 0)" in turns.advice
+    assert "is in wheel mode" in judged("SCS0009").wrong
+    gain = judged("STS3215", resolution_divider=1, position_p=99)
+    assert gain.values == turns.values  # a gain may change while it is driven
+
+
+def test_check_says_what_shapes_the_motion(rig: Callable) -> None:
+    r = rig(**STS)
+    r.servo(1).store("torque_limit", 500)
+    r.servo(2).store("acceleration", 20)
+    r.servo(3).store("max_acceleration", 50)
+    lines = "\n".join(compare(read_servos(r.plans)))
+    assert "torque limit of servo 1 (l0 j0) is 500 of 1000: it drives with 50 %" in lines
+    assert "acceleration of servo 2 (l0 j1) is 20: goals are followed with a limited" in lines
+    assert "(3.07 rad/s²)" in lines
+    assert "max acceleration differs among STS3215: 254 in 5 servos, 50 in servo 3" in lines
+
+
+@pytest.mark.parametrize(("present", "why"), [(False, "is not installed"), (True, "cannot be")])
+def test_a_missing_sdk_is_told_with_its_extra(
+    present: bool, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # None: not to be found; a module without its handler: Feetech's own package of the name.
+    monkeypatch.setitem(sys.modules, "scservo_sdk", type(sys)("scservo_sdk") if present else None)
+    with pytest.raises(MissingExtraError, match=rf"{why}.*\[feetech\]") as caught:
+        Bus("p", Port(device="/dev/null", protocol="sts"))
+    assert caught.value.extra == "feetech"
