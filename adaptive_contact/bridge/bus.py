@@ -507,7 +507,7 @@ def sdk_of(protocol: Protocol) -> Any:
             if not hasattr(sdk, "PacketHandler"):
                 raise ImportError("another package has its name, such as ftservo-python-sdk")
     else:
-        with needs("a Dynamixel bus", "dynamixel"):
+        with needs("a Dynamixel bus (Feetech: 'feetech')", "dynamixel"):
             import dynamixel_sdk as sdk
     return sdk
 

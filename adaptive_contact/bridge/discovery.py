@@ -117,7 +117,8 @@ def find_servos(
     Raises:
         BusError: the port cannot be opened, no servo answers, or one answers too late only.
     """
-    protocols = _PROTOCOLS if find_spec("dynamixel_sdk") else ("sts",)
+    feetech_only = find_spec("scservo_sdk") and not find_spec("dynamixel_sdk")
+    protocols = ("sts",) if feetech_only else _PROTOCOLS
     places: list[Place] = [(baud, protocol) for baud in bauds for protocol in protocols]
     found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
     if found is None:

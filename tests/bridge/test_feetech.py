@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from described import Serve, init, robot
 
+from adaptive_contact.bridge import discovery
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.compare import compare, read_servos
 from adaptive_contact.bridge.handshake import check_ports
@@ -182,7 +183,7 @@ def test_init_finds_the_series(
 ) -> None:
     device, servos = bus(f"1-3:{model}:position_p=16")
     if not dynamixel:
-        monkeypatch.setattr("adaptive_contact.bridge.discovery.find_spec", lambda _: None)
+        monkeypatch.setattr(discovery, "find_spec", "scservo_sdk".__eq__)
     said, found = init(device)
     assert f"3 x {model}, ids 1-3; 1000000 baud, protocol {protocol}" in said
     assert found.ports["main"].protocol == protocol
