@@ -47,7 +47,7 @@ _ASK_S: Final = 0.0005
 
 
 class _Places(NamedTuple):
-    """Offsets in the SDKs' lists of a status packet's bytes."""
+    """Holds offsets in the SDKs' lists of a status packet's bytes."""
 
     id: int
     length: int
@@ -60,7 +60,7 @@ _PLACES: Final = {1: _Places(2, 3, 4, 5), 2: _Places(4, 5, 8, 9)}
 
 
 class Fault(enum.StrEnum):
-    """Why a servo's reading is missing."""
+    """Names why a servo's reading is missing."""
 
     NO_ANSWER = "no_answer"
     CORRUPT = "corrupt"
@@ -68,7 +68,7 @@ class Fault(enum.StrEnum):
 
 
 class Reading(NamedTuple):
-    """What came of a read."""
+    """Holds the result of a read."""
 
     data: bytes | None  # the block's bytes, None with a fault
     alarms: tuple[str, ...] = ()  # names of the error bits
@@ -80,7 +80,7 @@ class Reading(NamedTuple):
 
 
 class Pong(NamedTuple):
-    """A servo that answered a ping."""
+    """Holds a servo's answer to a ping."""
 
     model_number: int | None  # None where neither a ping (of protocol 2.0) nor a read gives it
     doubled: bool = False  # several seem to answer
@@ -90,7 +90,7 @@ class Pong(NamedTuple):
 
 
 class Bus:
-    """One port of ``robot.toml`` and the servos on it.  Not for several threads at once.
+    """Talks to one port of ``robot.toml`` and the servos on it.  Not for several threads at once.
 
     Attributes:
         late: answers that came after they were waited for, by servo.
@@ -122,7 +122,7 @@ class Bus:
 
     @property
     def timeout_ms(self) -> float:
-        """How long an answer may take beyond its bytes."""
+        """Return how long an answer may take beyond its bytes, ms."""
         return self._port.timeout_ms
 
     @timeout_ms.setter
@@ -215,7 +215,7 @@ class Bus:
             self._port.latest_s = math.inf
 
     def is_clear(self, servo: int, block: Block) -> bool:
-        """Whether a servo can be understood; not where several of one id talk at once.
+        """Return whether a servo can be understood; False where several of one id talk at once.
 
         It is asked again on a quiet line before it is denied.
 
@@ -260,7 +260,7 @@ class Bus:
             self.timeout_ms = max(self.timeout_ms, min(2.0 * self.timeout_ms, MOST_PATIENT_MS))
 
     def confirmed(self, servo: int, block: Block) -> bytes | None:
-        """Bytes of registers that stay as they are: two answers in a row agree on them.
+        """Read bytes of registers that stay as they are, until two answers in a row agree.
 
         Nothing is to be said against a servo for one answer.
 
@@ -275,12 +275,12 @@ class Bus:
         return None
 
     def cost_s(self, block: Block) -> float:
-        """How long a servo's answer to a read takes, about, in a common one or alone."""
+        """Estimate how long a servo's answer to a read takes, s, in a common read or alone."""
         # Bytes of a status packet around its data, protocol 2.0's; 1.0 has fewer.
         return _ASK_S + (block.size + 11) * self._port.byte_s
 
     def get(self, servo: int, register: Register) -> int | None:
-        """One register's value, None if the servo does not send it within some tries."""
+        """Read one register's value; None if the servo does not send it within some tries."""
         for _ in range(_TRIES):
             if (data := self._ask(servo, register.block).data) is not None:
                 return register.value(data)
@@ -340,7 +340,7 @@ class Bus:
         return self._guarded(lambda: _cut(self._read_one(servo, wide), block, wide))
 
     def _apart(self, servos: Sequence[int], block: Block) -> Block:
-        """The registers, and as many more that no answer still to come has so many bytes."""
+        """Widen a read until no answer still to come has as many bytes."""
         more = self._awaited.unlike(servos, block.size, time.monotonic()) - block.size
         before = min(more, block.address)  # some tables end with a register that is read
         return Block(block.address - before, block.size + more)
@@ -364,7 +364,7 @@ class Bus:
         return Pong(number, doubled, reads=False)
 
     def _drain(self) -> None:
-        """Throw away what arrived too late, and count whose it was."""
+        """Discard what arrived too late, and count whose it was."""
         self._port.clearPort()
         self._count_late()
 
@@ -419,7 +419,7 @@ class Bus:
         return self._reading(self._data(answer), answer[self._at.error], block, at_s)
 
     def _is_late(self, servo: int, packet: Sequence[int], wanted: int) -> bool:
-        """Whether a packet is another servo's, or answers an earlier question than the last."""
+        """Return whether a packet is another servo's, or answers an earlier question."""
         if packet[self._at.id] != servo:
             return True
         size = len(self._data(packet))
@@ -430,7 +430,7 @@ class Bus:
         return size != wanted
 
     def _data(self, packet: Sequence[int]) -> Sequence[int]:
-        """A status packet's data.  Unstuffing leaves its spare bytes at the end: cut to size."""
+        """Return a status packet's data, cut to size: unstuffing leaves spare bytes at the end."""
         at = self._at
         size = packet[at.length] - 2
         if self._version == 2:
@@ -448,7 +448,7 @@ class Bus:
         return Reading(bytes(data), alarms, None, at_s, time.monotonic())
 
     def _sync_read(self, servos: Sequence[int], block: Block) -> tuple[dict[int, Reading], bool]:
-        """One question to all.
+        """Ask all servos in one packet.
 
         Returns:
             What was understood, and whether more came than that: the SDK drops packets with a
@@ -494,7 +494,7 @@ class Bus:
 
 
 def sdk_of(protocol: Protocol) -> Any:
-    """The SDK of a protocol's maker.
+    """Import the SDK of a protocol's maker.
 
     Raises:
         MissingExtraError: it is not installed, or is not what the extra brings.
@@ -513,7 +513,7 @@ def sdk_of(protocol: Protocol) -> Any:
 
 
 def _cut(reading: Reading, block: Block, wide: Block) -> Reading:
-    """A reading of registers, out of one of more."""
+    """Cut a reading of registers out of one of more."""
     at = block.address - wide.address
     data = reading.data
     return reading._replace(data=None if data is None else data[at : at + block.size])

@@ -59,7 +59,7 @@ _ACCELERATION_RAD_S2: Final = 214.577 * 2 * math.pi / 3600
 
 
 class Servo(NamedTuple):
-    """A servo's registers."""
+    """Holds a servo's registers."""
 
     id: int  # on its port
     where: str  # leg and joint
@@ -95,7 +95,7 @@ def read_servos(plans: Sequence[PortPlan]) -> list[Servo]:
 
 
 def compare(servos: Sequence[Servo]) -> list[str]:
-    """Say what differs among servos of a model, and what shapes their motion, one line each."""
+    """Describe what differs among servos of a model, and what shapes their motion, line by line."""
     by_model: dict[str, list[Servo]] = {}
     for servo in servos:
         by_model.setdefault(servo.model.name, []).append(servo)

@@ -36,7 +36,7 @@ _END_SHARE, _LEAST_SHARE = 0.9, 0.4
 
 @dataclasses.dataclass
 class _Servo:
-    """What is known of a servo."""
+    """Holds what is known of a servo."""
 
     joint: JointPlan  # it is of
     waker: Waker  # says whether it may be moved
@@ -62,7 +62,7 @@ class _Servo:
 
 
 class Cycle:
-    """The control ticks of one port.
+    """Runs the control ticks of one port.
 
     Args:
         plan: what is on the port.
@@ -102,7 +102,7 @@ class Cycle:
 
     @property
     def holding(self) -> list[str]:
-        """Legs whose commands have stopped."""
+        """Return the legs whose commands have stopped."""
         return [leg for leg, driver in self.drivers.items() if driver.mode is Mode.HOLDING]
 
     @property
@@ -122,7 +122,7 @@ class Cycle:
 
     @property
     def limited(self) -> int:
-        """Commands that limits or the largest step cut down."""
+        """Count commands that limits or the largest step cut down."""
         return sum(driver.limited for driver in self.drivers.values())
 
     @property
@@ -132,7 +132,7 @@ class Cycle:
         return {servo: counts for servo, counts in by_id.items() if counts is not None}
 
     def restart(self) -> None:
-        """Rely on nothing after an outage: servos may have been moved, or have lost their goals.
+        """Forget all positions and goals after an outage: servos may have moved, or lost goals.
 
         What was last known of them stays in the samples, marked invalid, so that a leg with a
         servo that does not come back is still there.
@@ -172,7 +172,7 @@ class Cycle:
         return {leg.id: s for leg, s in zip(self.plan.legs, samples, strict=True) if s is not None}
 
     def moving_goal(self) -> JointPlan | None:
-        """The joint whose goal moved most from the tick before to the last, if one did."""
+        """Return the joint whose goal moved most from the tick before to the last, if one did."""
         best, largest = None, 0
         for servo in self._servos.values():
             if servo.goal is not None and servo.last_goal is not None and servo.valid:
@@ -182,7 +182,7 @@ class Cycle:
         return best
 
     def goal_of(self, joint: JointPlan) -> tuple[int | None, int | None]:
-        """Goal of a joint at the last reading, and at the one before, steps."""
+        """Return the goal of a joint at the last reading, and at the one before, steps."""
         servo = self._servos[joint.servo]
         return (servo.goal, servo.last_goal) if servo.valid else (None, None)
 
@@ -347,13 +347,13 @@ class Cycle:
             self.bus.put_all(register, some)
 
     def _place(self, servo: _Servo) -> Place | None:
-        """From where a servo can be moved in this tick."""
+        """Return from where a servo can be moved in this tick."""
         if not servo.fresh or servo.steps is None or servo.goal is None:
             return None
         return servo.waker.place(servo.stands, servo.steps, servo.goal)
 
     def _start(self, driver: Driver, j: int, servo: _Servo, place: Place | None) -> float | None:
-        """The angle from which a joint is moved; corrects the driver where it is another."""
+        """Return the angle from which a joint is moved; corrects the driver if it is another."""
         if place is None:
             return None
         at = servo.joint.angle(place.steps)
@@ -385,7 +385,7 @@ class Cycle:
                     self._servos[number].waker.learn(reading.data)
 
     def _look(self, servos: Sequence[_Servo]) -> None:
-        """See how servos stand, where the tick's reading does not say (X-series).
+        """Read the servos' state where the tick's reading does not have it (X-series).
 
         Those that are awake take turns; the others, and those whose goal is not the one written,
         are looked at in every tick.
@@ -406,7 +406,7 @@ class Cycle:
                 self._judge(servo, standing(servo.joint.model, block, reading.data))
 
     def _lacks(self, servo: _Servo, place: Place | None, *, begun: bool) -> bool:
-        """Whether a leg's command has to do without a servo, for more than a tick."""
+        """Return whether a leg's command must do without a servo for more than a tick."""
         if self._is_absent(servo) or servo.waker.trouble is not None:
             return True
         return place is None and not begun

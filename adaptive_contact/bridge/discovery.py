@@ -37,7 +37,7 @@ BEYOND: Final = 8
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """What answers on a port."""
+    """Describes what answers on a port."""
 
     name: str  # of the port
     port: Port  # device, baud rate and protocol at which they answer
@@ -55,14 +55,14 @@ class Found:
 
 
 class Wanted(NamedTuple):
-    """The servos of one leg, from the body outwards, and their port where it was named."""
+    """Names the servos of one leg, from the body outwards, and their port if it was given."""
 
     port: str | None
     ids: tuple[int, ...]
 
 
 def wanted_legs(text: str) -> tuple[Wanted, ...]:
-    """The legs of ``--ids``: ``2,4,6/8,10,12``, with a port's name where there are several.
+    """Parse ``--ids``: ``2,4,6/8,10,12``, with a port's name where there are several.
 
     Raises:
         ConfigurationError: it cannot be read, or an id is there twice.
@@ -185,7 +185,7 @@ def _configured(found: Found, ids: Sequence[int]) -> Found:
 
 
 def steepness(found: Iterable[Found], robot: Robot) -> dict[str, float]:
-    """How steep a robot's servos are, by model: the median, rad."""
+    """Return the median slope of a robot's servos, by model, rad."""
     by_model: dict[str, list[float]] = {}
     for one in found:
         ignored = robot.ports[one.name].ignore if one.name in robot.ports else one.servos
@@ -259,7 +259,7 @@ def group(
 
 
 def _dealt(found: Sequence[Found], joints: int) -> list[tuple[Found, tuple[int, ...]]]:
-    """All servos that follow no other in the order of their ids, so many a leg."""
+    """Assign all servos that follow no other to legs, in the order of their ids."""
     parts: list[tuple[Found, tuple[int, ...]]] = []
     for one in found:
         ids = sorted(one.servos.keys() - one.follows.keys())
@@ -277,7 +277,7 @@ def _dealt(found: Sequence[Found], joints: int) -> list[tuple[Found, tuple[int, 
 def _chosen(
     found: Sequence[Found], wanted: Sequence[Wanted]
 ) -> list[tuple[Found, tuple[int, ...]]]:
-    """The legs of ``--ids``, each on the port where its servos are."""
+    """Make the legs of ``--ids``, each on the port where its servos are."""
     parts = []
     for port, ids in wanted:
         text = ",".join(map(str, ids))
@@ -306,7 +306,7 @@ def _chosen(
 
 
 def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
-    """What some servos of a port are.
+    """Return the models of some servos of a port.
 
     Raises:
         BusError: one of them cannot be used.
@@ -338,7 +338,7 @@ def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
 
 
 def describe(found: Iterable[Found]) -> list[str]:
-    """What answers, one line per port."""
+    """Describe what answers, one line per port."""
     lines = []
     for one in found:
         models: dict[str, list[int]] = {}
@@ -403,7 +403,7 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
 
 
 def _quantum(models: Sequence[ServoModel]) -> float:
-    """A leg's position step: the largest of its servos', as one number stands for all of them."""
+    """Return a leg's position step: the largest of its servos', as one number stands for all."""
     return round(max(model.step_rad for model in models), 6)
 
 

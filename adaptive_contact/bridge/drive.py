@@ -29,7 +29,7 @@ EASY_SHARE: Final = 0.2
 
 
 class Mode(enum.StrEnum):
-    """What a leg does."""
+    """Names what a leg does."""
 
     IDLE = "idle"
     APPROACHING = "approaching"
@@ -38,7 +38,7 @@ class Mode(enum.StrEnum):
 
 
 class Driver:
-    """One leg's goals.
+    """Computes one leg's goals.
 
     Attributes:
         mode: what the leg does.
@@ -67,7 +67,7 @@ class Driver:
         self._command = self._ahead = None
 
     def found(self, joint: int, angle_rad: float) -> None:
-        """Go on from where a servo was found, at an easy pace: it was silent, limp, or moved.
+        """Continue from where a servo was found, at the slow pace: it was silent, limp, or moved.
 
         It may have lost its power and its place meanwhile; the whole leg comes to its command at
         an easy pace again.
@@ -85,13 +85,13 @@ class Driver:
         self._heard_ns = arrival_ns
 
     def is_asked(self, now_ns: int) -> bool:
-        """Whether there is a command to be followed."""
+        """Return whether there is a command to be followed."""
         return self._command is not None and now_ns - self._heard_ns <= HOLD_AFTER_NS
 
     def step(
         self, start: Sequence[float | None], now_ns: int, absent: Collection[int] = ()
     ) -> list[float] | None:
-        """The goals to write in this tick.
+        """Compute the goals to write in this tick.
 
         Args:
             start: (J,) rad, where a first command leads on from: the goal in force, or the
@@ -139,7 +139,7 @@ class Driver:
     def _toward(
         self, wanted: Sequence[float], start: Sequence[float], largest: float
     ) -> tuple[list[float], bool, bool]:
-        """One tick's goals; whether they arrive, and whether limits cut them down."""
+        """Compute one tick's goals, whether they arrive, and whether limits cut them down."""
         goal, arrived, limited = [], True, False
         for now, want, (lower, upper) in zip(start, wanted, self.bounds, strict=True):
             # A joint found outside its limits may stay, or move inwards; never further out.
@@ -152,7 +152,7 @@ class Driver:
 
 
 def complaint(command: Command, joints: int) -> str | None:
-    """Why a command cannot be used, or None."""
+    """Return why a command cannot be used, or None."""
     if len(command.desired) != joints:
         return f"desired has {len(command.desired)} values for {joints} joints"
     if not all(math.isfinite(x) for x in command.desired):
@@ -167,7 +167,7 @@ def complaint(command: Command, joints: int) -> str | None:
 
 
 class Standing(NamedTuple):
-    """How a servo stands."""
+    """Describes a servo's state: torque, faults."""
 
     torque: bool  # it drives to its goal
     shut: bool = False  # it has shut itself down
@@ -176,7 +176,7 @@ class Standing(NamedTuple):
 
 
 def standing(model: ServoModel, block: Block, data: bytes, fatal: int = 0xFF) -> Standing:
-    """How a servo stands, by a block that the model's ``state`` or ``watched`` is in.
+    """Parse a servo's state from a block that includes the model's ``state``.
 
     Args:
         model: what it is.
@@ -202,7 +202,7 @@ def standing(model: ServoModel, block: Block, data: bytes, fatal: int = 0xFF) ->
 
 
 class Place(NamedTuple):
-    """From where a servo can be moved."""
+    """Holds from where a servo can be moved."""
 
     steps: int  # the goal in force where it has torque, else its position
     torque: bool  # it drives
@@ -210,7 +210,7 @@ class Place(NamedTuple):
 
 
 class GoalRegister(enum.Enum):
-    """What the goal register held, against what was written."""
+    """Names what the goal register held, compared with what was written."""
 
     TAKEN = enum.auto()
     LOST = enum.auto()
@@ -257,7 +257,7 @@ class Waker:
 
     @property
     def wanted(self) -> Block | None:
-        """What is to be read next of its settings, all of them twice; None where they are known."""
+        """Return which settings to read next, all of them twice; None where they are known."""
         blocks = self._joint.model.settings
         return None if self.setting is not None else blocks[len(self._proof) % len(blocks)]
 
@@ -276,18 +276,18 @@ class Waker:
 
     @property
     def fatal(self) -> int:
-        """Errors that shut it down, as far as it has said that."""
+        """Return the errors that shut it down, as far as it has reported them."""
         return 0xFF if self.setting is None else self.setting.values.get("shutdown", 0xFF)
 
     def bounds(self) -> tuple[float, float]:
-        """How far its goals may go: robot.toml's limits within the servo's own, rad."""
+        """Return the range of its goals, rad: robot.toml's limits within the servo's own."""
         assert self.setting is not None
         one, other = (self._joint.angle(s) for s in (self.setting.lowest, self.setting.highest))
         lower = max(self._joint.lower_rad, min(one, other))
         return lower, min(self._joint.upper_rad, max(one, other))
 
     def place(self, stands: Standing | None, steps: int, goal: int) -> Place | None:
-        """From where it can be moved, by one tick's readings; None, and ``trouble``, if it cannot.
+        """Return from where it can be moved, by one tick's readings; else None and ``trouble``.
 
         Args:
             stands: how it stands; None where that was not read.
@@ -323,7 +323,7 @@ class Waker:
         return Place(at, False, abs(goal - steps) <= self._near)
 
     def compare(self, goal: int) -> GoalRegister:
-        """What became of the last write, by the goal register read now."""
+        """Compare the goal register read now with the last write."""
         before, self._before = self._before, goal
         written, self._written, self._lost = self._written, None, None
         if goal == written or (written is None and (goal == before or not self.awake)):
@@ -338,7 +338,7 @@ class Waker:
         return GoalRegister.LOST
 
     def step(self, place: Place, angle_rad: float) -> int:
-        """The goal to write for an angle: one step from the goal in force at the most.
+        """Compute the goal to write for an angle: at most one step from the goal in force.
 
         Where the register does not hold what was written, the write was lost, or the reading is an
         old one: one step from both.
@@ -352,12 +352,12 @@ class Waker:
         return self.wrote(min(max(steps, self.setting.lowest), self.setting.highest))
 
     def wrote(self, goal: int) -> int:
-        """Remember what is written, to compare it with the register in the next tick."""
+        """Store what is written, to compare it with the register in the next tick."""
         self._written = goal
         return goal
 
     def _misplaced(self, at: int, torque: bool) -> str | None:
-        """Why a servo cannot be moved from where it is."""
+        """Return why a servo cannot be moved from where it is."""
         assert self.setting is not None
         low, high = self.setting.lowest, self.setting.highest
         if not low - self._near <= at <= high + self._near:
@@ -395,7 +395,7 @@ class Waker:
 
 
 def remedy(model: ServoModel) -> str:
-    """What to do for a servo that has shut itself down."""
+    """Return what to do for a servo that has shut itself down."""
     if model.feetech:
         enable = model.registers["torque_enable"].address
         return (

@@ -56,7 +56,7 @@ _PATIENT_MS: Final = 25.0
 
 @dataclasses.dataclass
 class Findings:
-    """What a handshake found."""
+    """Holds what a handshake found."""
 
     # why the bridge cannot run, one line each
     errors: list[str] = dataclasses.field(default_factory=list)
@@ -79,14 +79,14 @@ class Findings:
 
 
 def crowd(servos: int) -> int:
-    """How many servos of a port are too many to be silent at once each for a reason of its own."""
+    """Return how many silent servos of a port must have a common cause."""
     return max(2, (servos + 1) // 2)
 
 
 def check_ports(
     plans: Sequence[PortPlan], *, configure: bool = False, full: bool = True, drive: bool = False
 ) -> Findings:
-    """Shake hands on all ports, each on a thread of its own.
+    """Examine all ports, each on a thread of its own.
 
     Args:
         plans: what is expected where.
@@ -158,7 +158,7 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
 
 
 def named(pong: Pong, protocol: Protocol) -> str:
-    """What a servo on a port of this protocol is, in words."""
+    """Describe a servo in words."""
     if pong.other is not None:
         return f"{pong.other[0]}, of protocol {pong.other[1]!r}"
     if pong.model_number is None:
@@ -269,7 +269,7 @@ def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
 
 
 class _Handshake:
-    """Shakes hands on one port."""
+    """Examines one port."""
 
     def __init__(self, plan: PortPlan, *, configure: bool, full: bool, drive: bool) -> None:
         self._plan, self._bus = plan, Bus(plan.name, plan.port)
@@ -294,7 +294,7 @@ class _Handshake:
         return self._findings
 
     def _ask(self) -> dict[int, Pong]:
-        """Who is there, by id; who answers pings only is let answer, where that is wanted."""
+        """Find who is there, by id; let servos that answer pings only answer reads, if wanted."""
         bus, expected = self._bus, self._expected
         asked = ALL_IDS if self._full else expected
         found = scan(bus, [servo for servo in asked if servo not in self._plan.port.ignore])
@@ -312,7 +312,7 @@ class _Handshake:
         return found
 
     def _look_for(self, missing: Sequence[int]) -> dict[Place, list[int]]:
-        """Missing servos that answer at another rate, or in the other protocol, by these."""
+        """Find missing servos that answer at another rate, or in the other protocol."""
         if not missing:
             return {}
         self._bus.settle()  # were they late?
@@ -347,7 +347,7 @@ class _Handshake:
         return f"{self._port}: answers of {count} servos come too late: {BUSY}"
 
     def _is_slow(self, joint: JointPlan) -> bool:
-        """Whether a servo never answers in time, however quiet the line and the computer."""
+        """Return whether a servo never answers in time, however quiet the line and the computer."""
         taken_s = (
             answer.till_s - answer.at_s
             for answer in self._bus.ask_often(joint.servo, joint.model.measured)
@@ -391,7 +391,7 @@ class _Handshake:
                 self._errors.append(f"{where}: {trouble}")
 
     def _trouble(self, servo: int, pong: Pong, aside: Sequence[int]) -> str | None:
-        """Why a servo that answers is not the one expected; ``aside`` are ids of no leg."""
+        """Return why a servo that answers is not the one expected; ``aside`` are ids of no leg."""
         joint, protocol = self._expected.get(servo), self._plan.port.protocol
         what = named(pong, protocol)
         if pong.doubled:
@@ -425,7 +425,7 @@ class _Handshake:
         return None
 
     def _other_place(self, place: Place, ids: Sequence[int]) -> str:
-        """What to say of servos that answer at another rate, or in the other protocol."""
+        """Describe servos that answer at another rate, or in the other protocol."""
         baud, protocol = place
         own = self._plan.port
         does = "answers" if len(ids) == 1 else "answer"

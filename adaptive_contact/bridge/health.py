@@ -28,7 +28,7 @@ ASK_EVERY: Final = 10
 
 @dataclasses.dataclass
 class ServoHealth:
-    """One servo's record."""
+    """Records the answers, faults and alarms of one servo."""
 
     misses: int = 0  # cycles in a row without a reading
     shut: bool = False  # it has shut itself down, and does not drive
@@ -37,7 +37,7 @@ class ServoHealth:
 
     @property
     def silent(self) -> bool:
-        """Whether it is asked less often."""
+        """Return whether the servo is asked less often."""
         return self.misses >= SILENT_AFTER
 
     def note(self, reading: Reading) -> None:
@@ -63,12 +63,12 @@ class ServoHealth:
 
     @property
     def alarms(self) -> set[str]:
-        """What the servo complains of now."""
+        """Return the alarms that the servo reports now."""
         return set(self._alarms)
 
     @property
     def endangered(self) -> bool:
-        """Whether it complains of something that may make it shut itself down."""
+        """Return whether it reports an alarm that may make it shut itself down."""
         # Alarms are shown for this many readings after they were last seen.
         return not {
             "overload",
@@ -81,7 +81,7 @@ class ServoHealth:
 
     @property
     def counts(self) -> ServoCounts | None:
-        """What there is to report, or None."""
+        """Return what there is to report, or None."""
         if not self.faults and not self.shut:
             return None
         alarms = sorted(self._alarms) + ["shutdown"] * self.shut
@@ -91,7 +91,7 @@ class ServoHealth:
 
 
 def due(health: dict[int, ServoHealth], cycle: int, *, hurry: bool = False) -> list[int]:
-    """Servos to ask in this cycle: all that answer, and at most one silent one, last.
+    """Return the servos to ask in this cycle: all that answer, and at most one silent one, last.
 
     Args:
         health: by id, in the order they are asked.
@@ -109,7 +109,7 @@ def due(health: dict[int, ServoHealth], cycle: int, *, hurry: bool = False) -> l
 def is_stale(
     steps: int, before: int, speed_rad_s: float, speed_before_rad_s: float, tick_step_rad: float
 ) -> bool:
-    """Whether a position is an old one come again.
+    """Return whether a position is an earlier one again.
 
     Args:
         steps: position now.
@@ -128,7 +128,7 @@ def is_stale(
 
 @dataclasses.dataclass
 class Punctuality:
-    """Whether a servo is read at its usual moment of the tick.
+    """Checks whether a servo is read at its usual moment of the tick.
 
     A model predicts from tick to tick: a joint at 4 rad/s read 5 ms late is 20 mrad, four steps of
     an AX-12A, beside where it belongs.  On a computer with other work that happens.  A servo looks
@@ -207,7 +207,7 @@ class News:
     def lines(
         self, health: Mapping[int, ServoHealth], late: Mapping[int, int] | None = None
     ) -> list[str]:
-        """What is new since the last call; ``late`` counts late answers since the start."""
+        """Return what is new since the last call; ``late`` counts late answers since the start."""
         said: list[str] = []
         silent = {servo for servo, record in health.items() if record.silent}
         answering = {servo for servo, record in health.items() if not record.misses}
@@ -258,7 +258,7 @@ class News:
     def _silences(
         self, said: list[str], silent: set[int], answering: set[int], now_late: set[int]
     ) -> None:
-        """Say who has fallen silent, and who answers again.
+        """Report who has fallen silent, and who answers again.
 
         A servo whose answers come too late is neither broken nor unplugged: it is not named while
         the computer is too busy.  One of which nothing comes is, however busy the computer.
@@ -292,7 +292,7 @@ class News:
         self._silent = (self._silent | dead) - set(back)
 
     def _strangers(self, said: list[str], health: Mapping[int, ServoHealth]) -> None:
-        """Say once that another program writes goals, which this one writes too."""
+        """Report once that another program writes goals, which this one writes too."""
         found = [
             servo
             for servo, record in health.items()

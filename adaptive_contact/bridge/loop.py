@@ -40,7 +40,7 @@ FAR_SHARE: Final = 0.12
 
 @dataclasses.dataclass
 class PhaseLock:
-    """Where the writes lie against our reading."""
+    """Estimates when another program's writes come, relative to our reading."""
 
     period_s: float
     locked: bool = False  # the writes come right before the reading, as far as could be seen
@@ -49,7 +49,7 @@ class PhaseLock:
 
     @property
     def lead_s(self) -> float:
-        """How far ahead of the main reading the goal is to be read in this tick."""
+        """Return how far ahead of the main reading the goal is to be read in this tick, s."""
         return (FAR_SHARE / 3 if self._near else FAR_SHARE) * self.period_s
 
     def update(self, *, before: int | None, now: int | None, last: int | None) -> float:
@@ -201,7 +201,7 @@ class PortLoop:
         return None if data is None else register.value(data)
 
     def _shift(self, before: int | None) -> int:
-        """Nanoseconds by which the next tick is moved, in observe mode."""
+        """Return the time by which the next tick is moved, in observe mode, ns."""
         if self._lock is None or self._watched is None:
             return 0
         now, last = self.cycle.goal_of(self._watched)
@@ -238,7 +238,7 @@ class PortLoop:
         self._held = held
 
     def _tell_lacking(self) -> None:
-        """Say which legs have commands that some of their servos do not follow."""
+        """Report which legs have commands that some of their servos do not follow."""
         lacking = self.cycle.lacking
         for leg, line in lacking.items():
             if self._lacking.get(leg) != line:
@@ -258,7 +258,7 @@ class PortLoop:
         self._outlet.status(self.status(now_ns))
 
     def status(self, now_ns: int) -> BridgeStatus:
-        """How the port is."""
+        """Return the state of the port."""
         holding = self.cycle.holding
         note = "; ".join(self.cycle.lacking.values()) or self._mailbox.last_reject
         if self._lock is not None and self.cycle.moving_goal() and not self._lock.locked:

@@ -54,7 +54,7 @@ _FULL_ANGLE: Final = 0x10
 
 
 class DriveMode:
-    """Bits of the register Drive Mode (10)."""
+    """Names bits of the register Drive Mode (10)."""
 
     REVERSE = 0x01
     SLAVE = 0x02
@@ -63,7 +63,7 @@ class DriveMode:
 
 
 class Setting(NamedTuple):
-    """How a servo is set."""
+    """Describes how a servo is set."""
 
     # lowest, highest: goals that it takes and that are of its one turn, steps
     lowest: int
@@ -81,7 +81,7 @@ class Setting(NamedTuple):
 
 
 def followed(bus: Bus, servo: int, model: ServoModel | None) -> int | None:
-    """The servo whose goals another one takes as well, by its secondary id; None for none."""
+    """Return the servo whose goals another one takes as well, by its secondary id; else None."""
     register = None if model is None else model.registers.get("secondary_id")
     second = None if register is None else bus.get(servo, register)
     return second if second is not None and second <= MAX_ID and second != servo else None
@@ -205,7 +205,7 @@ _TUNED: Final = ("position_p", "position_i", "position_d")
 
 
 def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:
-    """Slope of a servo on a bus, rad; None where it does not report it.
+    """Read the slope of a servo on a bus, rad; None where it does not report it.
 
     Raises:
         PortLostError: the port is gone.
@@ -217,7 +217,7 @@ def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:
 
 
 def slope_rad(model: ServoModel, values: dict[str, int]) -> float | None:
-    """Slope, rad, of those of :data:`LAW_REGISTERS` that a model has; None where its gain is 0."""
+    """Compute the slope, rad, from a model's :data:`LAW_REGISTERS`; None where its gain is 0."""
     if "lower_slope" in values:
         slope = (values["lower_slope"] + values["upper_slope"]) / 2 * model.step_rad
     elif not values["position_p"]:

@@ -37,7 +37,7 @@ MAX_ID: Final = 252  # 253 is reserved in both protocols
 
 
 class Instruction(enum.IntEnum):
-    """Instruction codes; protocol 1.0 has no REBOOT and no sync read, Feetech's STS the latter."""
+    """Lists instruction codes; from SYNC_READ on of protocol 2.0 only, except SYNC_WRITE."""
 
     PING = 0x01
     READ = 0x02
@@ -50,7 +50,7 @@ class Instruction(enum.IntEnum):
 
 
 class Frame(NamedTuple):
-    """A packet without header, length and check: whose, what, and its parameters (unstuffed)."""
+    """Holds a packet without header, length and check: id, code, parameters (unstuffed)."""
 
     id: int
     code: int
@@ -58,7 +58,7 @@ class Frame(NamedTuple):
 
 
 class Status(NamedTuple):
-    """A servo's answer."""
+    """Holds a servo's answer."""
 
     id: int
     error: int
@@ -101,7 +101,7 @@ ERROR_NUMBERS: Final = {
 
 
 def version_of(protocol: Protocol) -> int:
-    """The version of a protocol's packets, 1 or 2."""
+    """Return the version of a protocol's packets, 1 or 2."""
     return 2 if protocol == 2 else 1
 
 
@@ -131,7 +131,7 @@ _TABLE: Final = _table()
 
 
 def crc16(data: bytes, crc: int = 0) -> int:
-    """CRC of bytes, or of bytes that follow those ``crc`` is of."""
+    """Compute the CRC of bytes, or of bytes that follow those ``crc`` is of."""
     for byte in data:
         crc = ((crc << 8) & 0xFFFF) ^ _TABLE[(crc >> 8) ^ byte]
     return crc
@@ -148,7 +148,7 @@ def unstuff(payload: bytes) -> bytes:
 
 
 class _Layout(NamedTuple):
-    """What surrounds code and parameters in a packet."""
+    """Describes what surrounds code and parameters in a packet."""
 
     header: bytes
     overhead: int  # bytes up to the end of the length, which counts all that follows it
@@ -163,14 +163,14 @@ _LAYOUTS: Final = {
 
 
 class Codec:
-    """A version of the protocol, 1 or 2: bytes from frames, and frames from bytes."""
+    """Encodes and decodes frames of a version of the protocol."""
 
     def __init__(self, version: int) -> None:
         self.version = version
         self._layout = _LAYOUTS[version]
 
     def instruction(self, servo: int, code: int, parameters: bytes = b"") -> bytes:
-        """Bytes of an instruction packet.
+        """Encode an instruction packet.
 
         Raises:
             ValueError: the packet would be longer than the protocol has them.
@@ -189,7 +189,7 @@ class Codec:
         return packet + self._check(packet)
 
     def status(self, servo: int, error: int = 0, data: bytes = b"") -> bytes:
-        """Bytes of a status packet."""
+        """Encode a status packet."""
         if self.version == 1:
             return self.instruction(servo, error, data)
         return self.instruction(servo, Instruction.STATUS, bytes((error,)) + data)
@@ -238,7 +238,7 @@ class Codec:
         return len(buffer) >= self._layout.overhead
 
     def _frame(self, packet: bytes) -> Frame | None:
-        """A packet's frame; None where its check is wrong."""
+        """Decode a packet; None where its check is wrong."""
         header, overhead, _, check_bytes = self._layout
         inside = packet[:-check_bytes]
         if self._check(inside) != packet[-check_bytes:]:
@@ -251,7 +251,7 @@ class Codec:
         return Frame(servo, payload[0], payload[1:])
 
     def _check(self, packet: bytes) -> bytes:
-        """Checksum, or CRC, of a packet that lacks it."""
+        """Compute the checksum, or CRC, of a packet that lacks it."""
         if self.version == 1:
             return bytes((~sum(packet[len(self._layout.header) :]) & 0xFF,))
         return crc16(packet).to_bytes(2, "little")
@@ -273,7 +273,7 @@ class Awaited:
         self._sizes: dict[int, list[tuple[int, float]]] = {}
 
     def unlike(self, servos: Iterable[int], size: int, now_s: float) -> int:
-        """So many bytes, or more, as no answer of these servos has that may still come."""
+        """Return a length, this one or more, that no answer of these servos still to come has."""
         taken = {s for servo in servos for s, end_s in self._sizes.get(servo, ()) if end_s > now_s}
         return next(more for more in itertools.count(size) if more not in taken)
 
@@ -286,7 +286,7 @@ class Awaited:
         self._sizes[servo] = [*known[-15:], (size, now_s + 1.0)]
 
     def strike(self, servo: int, size: int, *, late: bool = False) -> bool:
-        """Strike out an answer that has come; False if none of so many bytes was awaited."""
+        """Remove an answer that has come; return False if none of its length was awaited."""
         sizes = self._sizes.get(servo, [])
         one = next((one for one in sizes if one[0] == size), None)
         if one is None:
@@ -304,7 +304,7 @@ def unsent(
     words: Sequence[int] = (),
     data: Sequence[int] = (),
 ) -> list[int]:
-    """A packet as the SDK takes it: header, stuffing and check bytes are left for it to fill in.
+    """Encode a packet as the SDK takes it: it fills in header, stuffing and check bytes.
 
     Args:
         version: of the packets, 1 or 2.
@@ -321,7 +321,7 @@ def unsent(
 
 
 def fast_sync_status(answers: Sequence[Status]) -> bytes:
-    """The packet that servos write together in answer to a fast sync read.
+    """Encode the packet that servos write together in answer to a fast sync read.
 
     Args:
         answers: one per servo, in the order of the request, with equally long data.

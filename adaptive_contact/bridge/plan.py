@@ -21,7 +21,7 @@ DEFAULT_PORT: Final = "main"
 
 @dataclass(frozen=True)
 class JointPlan:
-    """One servo, as a joint."""
+    """Describes one servo, as a joint."""
 
     servo: int  # id on the bus
     name: str  # of the joint
@@ -36,23 +36,23 @@ class JointPlan:
 
     @property
     def model(self) -> ServoModel:
-        """The control table to use."""
+        """Return the control table to use."""
         return self.models[0]
 
     def angle(self, steps: int) -> float:
-        """Joint angle, rad, of a position in steps."""
+        """Convert a position in steps to the joint's angle, rad."""
         model = self.model
         return self.direction * (steps - model.centre) * model.step_rad + self.offset_rad
 
     def steps(self, angle_rad: float) -> int:
-        """Nearest position in steps of a joint angle, be it within the servo's range or not."""
+        """Convert a joint's angle to the nearest position, steps, also beyond the servo's range."""
         model = self.model
         return model.centre + round(self.direction * (angle_rad - self.offset_rad) / model.step_rad)
 
 
 @dataclass(frozen=True)
 class LegPlan:
-    """One leg's servos, from the body outwards."""
+    """Lists one leg's servos, from the body outwards."""
 
     id: str
     joints: tuple[JointPlan, ...]
@@ -61,7 +61,7 @@ class LegPlan:
 
 @dataclass(frozen=True)
 class PortPlan:
-    """What one process does."""
+    """Describes what one process does."""
 
     name: str
     port: Port
@@ -70,14 +70,14 @@ class PortPlan:
 
     @property
     def joints(self) -> tuple[JointPlan, ...]:
-        """All joints on this port."""
+        """Return all joints on this port."""
         return tuple(joint for leg in self.legs for joint in leg.joints)
 
 
 def plan_ports(
     robot: Robot, devices: Mapping[str, str] | None = None, *, baud: int | None = None
 ) -> tuple[PortPlan, ...]:
-    """Deal the robot's legs to its ports.
+    """Assign the robot's legs to its ports.
 
     Args:
         robot: its description.
@@ -163,7 +163,7 @@ def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
 
 
 def _models(where: str, wanted: str, name: str, port: Port) -> tuple[ServoModel, ...]:
-    """What a model of the description may be on a port."""
+    """Return what a model of the description may be on a port."""
     try:
         models = models_named(wanted)
     except ConfigurationError as error:
@@ -204,7 +204,7 @@ def _refuse_angles(leg: Leg, servos: ServoBus) -> None:
 
 
 def protocol_of(robot: Robot) -> Protocol:
-    """Protocol of the robot's servos, for a port that is not described."""
+    """Return the protocol of the robot's servos, for a port that is not described."""
     for leg in robot.legs:
         if leg.servos is not None:
             return models_named(leg.servos.models[0])[0].protocol

@@ -1,4 +1,4 @@
-"""A serial port for the packet handlers of the makers' SDKs, without the faults of their own ports.
+"""Wraps a serial port for the makers' SDKs, without the faults of their own ports.
 
 docs/bridge.md lists these.  What the packet handlers get wrong is worked around in
 :mod:`adaptive_contact.bridge.bus`.
@@ -31,11 +31,11 @@ from adaptive_contact.robot import Port
 
 
 class PortLostError(BusError):
-    """A port that was open is gone: unplugged, or its other end hung up."""
+    """Reports that an open port is gone: unplugged, or its other end hung up."""
 
 
 class SdkPort:
-    """A serial port as the SDKs' packet handlers want it.
+    """Wraps a serial port as the SDKs' packet handlers want it.
 
     Attributes:
         is_open: whether it is.
@@ -118,7 +118,7 @@ class SdkPort:
     # -- what the SDKs' packet handlers call ----------------------------------------------------
 
     def clearPort(self) -> None:
-        """Throw away what has come unasked, or too late."""
+        """Discard what has come unasked, or too late."""
         # DynamixelSDK's way, tcflush, waits for the kernel's worker that hands bytes over, which
         # on a busy computer may wait itself: a cycle of 84 ms was seen.
         with contextlib.suppress(BlockingIOError):
@@ -154,12 +154,12 @@ class SdkPort:
         self._deadline = time.monotonic() + msec / 1000.0
 
     def isPacketTimeout(self) -> bool:
-        """Whether the wait is over."""
+        """Return whether the wait is over."""
         return time.monotonic() > self._deadline
 
 
 def latency_advice(device: str, root: Path = Path("/sys/bus/usb-serial/devices")) -> str | None:
-    """What to set where a port's USB adapter holds bytes back longer than 1 ms, or None."""
+    """Return what to set if a port's USB adapter holds bytes back longer than 1 ms, or None."""
     name = Path(os.path.realpath(device)).name
     timer = root / name / "latency_timer"
     try:
@@ -221,13 +221,13 @@ class _Device(NamedTuple):
 
 
 def is_pseudo(device: str) -> bool:
-    """Whether a device is a pseudo-terminal; symbolic links are followed."""
+    """Return whether a device is a pseudo-terminal; symbolic links are followed."""
     known = _device(Path(device))
     return known is not None and known.within is not None
 
 
 def holders(device: str) -> dict[int, str]:
-    """Other processes that have a device open, as far as this user may see: name by id."""
+    """Return other processes that have a device open, as far as this user may see: name by id."""
     wanted = _device(Path(device))
     if wanted is None:
         return {}
@@ -244,14 +244,14 @@ def holders(device: str) -> dict[int, str]:
 
 
 def _name(process: Path) -> str:
-    """A program's name; the kernel keeps 15 characters of it, its command line has all."""
+    """Return a program's name; the kernel keeps 15 characters of it, its command line has all."""
     short = _text(process / "comm")
     words = (PurePosixPath(word).name for word in _text(process / "cmdline").split("\0")[:2])
     return next((word for word in words if word.startswith(short)), short) or "a program"
 
 
 def _device(file: Path) -> _Device | None:
-    """Which device a file is, links followed; None if it is not one, or gone."""
+    """Return which device a file is, links followed; None if it is not one, or gone."""
     try:
         status = file.stat()
     except OSError:
@@ -271,7 +271,7 @@ def _files(process: Path) -> Iterator[Path]:
 
 
 def _has_other_end(process: Path, device: str, within: int) -> bool:
-    """Whether a process has the other end of a pseudo-terminal open.
+    """Return whether a process has the other end of a pseudo-terminal open.
 
     Linux gives the number of the pair, and the path by which the other end was opened: ``ptmx`` of
     the ``devpts`` itself, or one beside which that is mounted as ``pts``.
@@ -291,7 +291,7 @@ def _has_other_end(process: Path, device: str, within: int) -> bool:
 
 
 def _file_system(process: Path, folder: PurePosixPath) -> int | None:
-    """The file system of a folder, as that process sees it: a container has mounts of its own."""
+    """Return a folder's file system as that process sees it: containers have their own mounts."""
     try:
         here = (process / "ns/mnt").samefile(_PROCESSES / "self/ns/mnt")
         root = Path("/") if here else process / "root"

@@ -32,7 +32,7 @@ from adaptive_contact.robot.description import Protocol
 
 
 class Register(NamedTuple):
-    """A value in the control table."""
+    """Describes a value in the control table."""
 
     # address, size: bytes
     address: int
@@ -44,43 +44,43 @@ class Register(NamedTuple):
 
     @property
     def block(self) -> Block:
-        """Where it is, to be read alone."""
+        """Return the register's place, to be read alone."""
         return Block(self.address, self.size)
 
     def value(self, data: bytes) -> int:
-        """Its value, out of the bytes of its own block."""
+        """Decode the value from the bytes of its own block."""
         if not self.sign_bit:
             return int.from_bytes(data, self.order, signed=self.signed)
         raw, sign = int.from_bytes(data, self.order), 1 << self.sign_bit
         return -(raw & (sign - 1)) if raw & sign else raw & (sign - 1)
 
     def data(self, value: int) -> bytes:
-        """Bytes of a value."""
+        """Encode a value as bytes."""
         if self.sign_bit and value < 0:
             value = -value | 1 << self.sign_bit
         return value.to_bytes(self.size, self.order, signed=self.signed and not self.sign_bit)
 
 
 class Block(NamedTuple):
-    """Neighbouring registers that are read in one go."""
+    """Groups neighbouring registers that are read in one go."""
 
     address: int
     size: int
 
     def holds(self, register: Register) -> bool:
-        """Whether all of a register is in it."""
+        """Return whether the block has all bytes of a register."""
         ends = register.address + register.size, self.address + self.size
         return self.address <= register.address and ends[0] <= ends[1]
 
     def part(self, data: bytes, register: Register) -> int:
-        """A register's value out of the block's bytes."""
+        """Decode a register's value from the block's bytes."""
         at = register.address - self.address
         return register.value(data[at : at + register.size])
 
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A kind of servo."""
+    """Describes a kind of servo."""
 
     name: str  # as its maker writes it
     number: int  # what the servo says that it is
@@ -100,12 +100,12 @@ class ServoModel:
 
     @property
     def feetech(self) -> bool:
-        """Whether it is a Feetech servo; all others are Dynamixel servos."""
+        """Return whether it is a Feetech servo; all others are Dynamixel servos."""
         return is_feetech(self.protocol)
 
     @property
     def compact(self) -> bool:
-        """Whether torque, goal and motion are neighbours: all but X, and MX with protocol 2.0.
+        """Return whether torque, goal and motion are neighbours (AX, RX, MX 1.0, XL-320).
 
         A goal may switch such a servo's torque on.  AX, RX, MX and XL-320 shut themselves down by a
         torque limit of 0, Feetech servos say so in their status.  X-series and MX with protocol 2.0
@@ -116,27 +116,27 @@ class ServoModel:
 
     @property
     def full_turn(self) -> bool:
-        """Whether its encoder counts a whole turn, and begins again where it ends."""
+        """Return whether its encoder counts a whole turn, and begins again where it ends."""
         return round(2 * math.pi / self.step_rad) == self.highest + 1
 
     @property
     def motion(self) -> Block:
-        """Present position and speed."""
+        """Return the block of present position and speed."""
         return self._block("present_speed", "present_position")
 
     @property
     def goal_and_motion(self) -> Block:
-        """Goal position, present position and speed."""
+        """Return the block of goal position, present position and speed."""
         return self._block("goal_position", "present_speed", "present_position")
 
     @property
     def measured(self) -> Block:
-        """What no two servos measure alike: position, voltage, temperature."""
+        """Return the block that no two servos measure alike: position, voltage, temperature."""
         return self._block("present_position", "voltage", "temperature")
 
     @property
     def state(self) -> Block:
-        """Whether it drives, and whether it has shut itself down."""
+        """Return the block that says whether it drives, and whether it has shut itself down."""
         if self.feetech or not self.compact:
             return self._block("shutdown", "torque_enable", "hardware_error")
         if "hardware_error" in self.registers:
@@ -145,7 +145,7 @@ class ServoModel:
 
     @property
     def watched(self) -> Block:
-        """What a driver reads in every tick: goal, position and speed.
+        """Return the block that a driver reads in every tick: goal, position and speed.
 
         Of :attr:`compact` servos it says whether they drive, too: a goal switches their torque on,
         so that it may be written only where the same reading shows that the servo drives.
@@ -158,7 +158,7 @@ class ServoModel:
 
     @property
     def settings(self) -> tuple[Block, ...]:
-        """What decides how goals are followed, in one block, or two."""
+        """Return the blocks that decide how goals are followed, one or two."""
         names = [name for name in _SETTINGS if name in self.registers]
         eeprom = self._block(*names, *(["shutdown"] if self.feetech else []))
         if "torque_control" not in self.registers:
@@ -183,7 +183,7 @@ _DATA: Final = tomllib.loads(
 
 
 def _table(family: dict[str, Any]) -> dict[str, Register]:
-    """A family's registers by name, those of the family that it is like first."""
+    """Return a family's registers by name, those of the family that it resembles first."""
     base = _table(_DATA["family"][family["like"]]) if "like" in family else {}
     own = {}
     for name, (address, size, *marks) in family.get("registers", {}).items():
@@ -241,23 +241,23 @@ BAUDS: Final = (
 
 
 def is_feetech(protocol: Protocol) -> bool:
-    """Whether a protocol is one of Feetech's."""
+    """Return whether a protocol is one of Feetech's."""
     return isinstance(protocol, str)
 
 
 def tool_of(protocol: Protocol) -> str:
-    """With what a person sets servos of a protocol."""
+    """Return the program with which a person sets servos of a protocol."""
     return "Feetech's FD software" if is_feetech(protocol) else "DYNAMIXEL Wizard"
 
 
 def model_of_number(number: int | None, protocol: Protocol) -> ServoModel | None:
-    """The model that answers with this number in a protocol of its maker, or None."""
+    """Return the model with this number in a protocol of its maker, or None."""
     made = (m for m in MODELS if m.feetech == is_feetech(protocol))
     return next((m for m in made if m.number == number), None)
 
 
 def number_name(number: int, protocol: Protocol) -> str:
-    """What a servo of this model number is, in words, as far as that is public."""
+    """Describe a servo of this model number in words, as far as that is public."""
     model = model_of_number(number, protocol)
     if model is not None:
         return model.name
@@ -268,7 +268,7 @@ def number_name(number: int, protocol: Protocol) -> str:
 
 
 def feetech_of(data: bytes, servo: int) -> tuple[str, Protocol] | None:
-    """A Feetech servo's name and protocol by the bytes at :data:`FEETECH_MARK`; None for others."""
+    """Return a Feetech servo's name and protocol by the bytes at :data:`FEETECH_MARK`, or None."""
     order, number, own = data[0], data[1:3], data[3]
     both: tuple[Protocol, ...] = ("sts", "scs")
     for protocol in both:
@@ -283,7 +283,7 @@ def feetech_of(data: bytes, servo: int) -> tuple[str, Protocol] | None:
 
 
 def models_named(name: str) -> tuple[ServoModel, ...]:
-    """Models that a name in ``robot.toml`` may mean: ``AX-12A``, or a family such as ``XL-330``.
+    """Return the models that a name in ``robot.toml`` may mean: ``AX-12A``, or ``XL-330``.
 
     Raises:
         ConfigurationError: none is meant.

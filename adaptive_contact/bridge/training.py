@@ -47,7 +47,7 @@ def free_swings(
     amplitude_rad: float,
     max_step_rad: float,
 ) -> Iterator[list[float]]:
-    """Goals of one leg, tick by tick, without end.
+    """Yield goals of one leg, tick by tick, without end.
 
     Args:
         leg: with a geometry; its limits are kept.
@@ -107,7 +107,7 @@ Script = Callable[[ServoSample], Iterator[list[float]]]
 
 
 class _Basket:
-    """Outlet of one port: keeps samples, and answers them with goals."""
+    """Keeps the samples of one port, and answers them with goals."""
 
     def __init__(self, scripts: Mapping[str, Script], say: Callable[[str], None]) -> None:
         self.kept: dict[str, list[ServoSample]] = {}

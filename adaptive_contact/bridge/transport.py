@@ -15,7 +15,7 @@ _CYCLES: Final = 500
 
 
 def quantiles(values_ms: list[float]) -> Quantiles:
-    """Quantiles of some times; zeros where there are none."""
+    """Compute quantiles of some times; zeros where there are none."""
     if not values_ms:
         return Quantiles()
     p50, p90, p99, top = np.quantile(values_ms, (0.5, 0.9, 0.99, 1.0)).round(3).tolist()
@@ -23,7 +23,7 @@ def quantiles(values_ms: list[float]) -> Quantiles:
 
 
 class Pulse:
-    """Times of the cycle."""
+    """Measures the times of the cycle."""
 
     def __init__(self, period_s: float) -> None:
         self._period_ns = round(period_s * 1e9)
@@ -44,12 +44,12 @@ class Pulse:
 
     @property
     def cycle_ms(self) -> Quantiles:
-        """Cycle times."""
+        """Return the quantiles of cycle times, ms."""
         return quantiles(list(self._cycle_ms))
 
     @property
     def jitter_ms(self) -> Quantiles:
-        """How far publications lie off an even grid, absolute.
+        """Return the quantiles of how far publications lie off an even grid, ms, absolute.
 
         The grid is the control period's, put through the middle of the publications; missed
         ticks leave a gap in it.
@@ -63,25 +63,25 @@ class Pulse:
         return quantiles(np.abs(off - np.median(off)).tolist())
 
     def rate_hz(self, now_ns: int) -> float:
-        """Cycles in the last second."""
+        """Return the number of cycles in the last second."""
         return float(sum(1 for t in self._published if now_ns - t <= 1_000_000_000))
 
 
 class Outlet(Protocol):
-    """What a bridge publishes; Zenoh in the product, a list in tests."""
+    """Publishes for a bridge; over Zenoh in the product, into a list in tests."""
 
     def samples(self, samples: Mapping[str, ServoSample]) -> None:
-        """One control tick's samples, by leg."""
+        """Publish one control tick's samples, by leg."""
 
     def status(self, status: BridgeStatus) -> None:
-        """How the port is."""
+        """Publish the state of the port."""
 
     def say(self, line: str) -> None:
-        """One line for a person: something happened."""
+        """Print one line for a person: something happened."""
 
 
 class Post(NamedTuple):
-    """A command as it came: its bytes, encoding, and monotonic time of arrival."""
+    """Holds a command as it came: its bytes, encoding, and monotonic time of arrival."""
 
     payload: bytes
     encoding: str
@@ -89,7 +89,7 @@ class Post(NamedTuple):
 
 
 class Mailbox:
-    """The newest command of every leg.
+    """Holds the newest command of every leg.
 
     Written on a thread of the network, read by the cycle: each is one dictionary operation, so
     that neither waits for the other.
@@ -105,7 +105,7 @@ class Mailbox:
         self._newest[leg] = Post(payload, encoding, arrival_ns)
 
     def take(self, leg: str) -> tuple[Command, int] | None:
-        """The newest command since the last call and its time of arrival, or None."""
+        """Return the newest command since the last call and its time of arrival, or None."""
         post = self._newest.pop(leg, None)
         if post is None:
             return None
