@@ -26,9 +26,8 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 # Of the name of a file in the name of the one beside it: a file system allows 255 bytes.
 _NAME_CHARACTERS: Final = 40
 _ADVICE: Final = "give a path in a folder that exists, is writable and has room"
-# In a line of TOML: parts of a key cost the parser their number's square, 4 s for 20,000.  The
-# longest list there is, the origins of 16 joints, has 48.
-_MOST_DOTS: Final = 64
+# In a key of TOML: they cost the parser their number's square, 4 s for 20,000.
+_MOST_PARTS: Final = 64
 
 
 def write_file(
@@ -100,9 +99,10 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         ConfigurationError: in one line, what is wrong in it.
     """
     try:
-        if max(line.count(".") for line in text.split("\n")) > _MOST_DOTS:
+        if max(map(_dots, text.split("\n"))) > _MOST_PARTS:
             raise ConfigurationError(
-                f"{source}: a line has more than {_MOST_DOTS} dots; expected keys of a few parts"
+                f"{source}: a line joins more than {_MOST_PARTS} words by dots;"
+                " expected keys of a few parts"
             )
         table = tomllib.loads(text)
         msgspec.msgpack.encode(table)  # takes integers of 64 bits, as TOML does
@@ -115,6 +115,17 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
             f"{source}: not valid TOML: a whole number has more than 64 bits"
         ) from error
     return table
+
+
+def _dots(line: str) -> int:
+    """Count the dots that may join the parts of one key of TOML.
+
+    Those of the numbers of a list, and those of a comment, join nothing.  In a line with quotes
+    only a parser knows what is a comment: all count.
+    """
+    if '"' in line or "'" in line:
+        return line.count(".")
+    return max(part.count(".") for part in line.partition("#")[0].split(","))
 
 
 @contextlib.contextmanager

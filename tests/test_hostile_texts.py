@@ -15,6 +15,7 @@ import msgpack
 import pytest
 
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.files import parse_toml
 from adaptive_contact.model.model_file import load_baseline
 from adaptive_contact.robot import load_robot
 from adaptive_contact.robot.urdf import read_urdf
@@ -37,6 +38,8 @@ VALUES = {
 TOML = {
     **{name: f"quantum_rad = {value}" for name, value in VALUES.items()},
     "dots": "a." * 20_000 + "b = 1",
+    "quoted dots": '"a\\"" . \'a\'.' * 10_000 + "b = 1",
+    "inline dots": "k = {" + "a." * 20_000 + "b = 1}",
     "lines of dots": "\n".join(f"k{i}." + "a." * 62 + "b = 1" for i in range(1900)),
     "tables of dots": "\n".join(f"[k{i}." + "a." * 62 + "b]" for i in range(1900)),
     "long key": "a" * MANY + " = 1",
@@ -65,6 +68,14 @@ def test_robot_toml(tmp_path: Path, kind: str) -> None:
     text = TOML[kind]
     data = text if isinstance(text, bytes) else (ROBOT + JOINTS + text).encode()
     refused(load_robot, tmp_path / "robot.toml", data)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["# " + "." * 300, "# " + ". " * 300, "notes = [" + "1.5, " * 300 + "2.5]"],
+)
+def test_dots_that_join_no_keys_are_no_matter(line: str) -> None:
+    assert parse_toml(line, "robot.toml") is not None
 
 
 @pytest.mark.parametrize("kind", [*TOML, "gait", "list of seeds"])

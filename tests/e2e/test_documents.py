@@ -80,7 +80,8 @@ CODES = {
     "--listen tcp/0.0.0.0": (2,), "adaptive-contact doctor": (0, 1), "-m pdb": (0, 1),
     "robot learn": (0, 2),
 }  # fmt: skip
-# A source of legs that swing in free air, at the robot's rate, until it is stopped.
+# A source of legs that swing in free air, at the robot's rate, until it is stopped.  Their servos
+# rub, as all do: they rest two steps off their goals.  Without it readings are a function of goals.
 SOURCE = """
 import signal, sys, time
 import numpy as np
@@ -103,7 +104,9 @@ with Link.open(client_settings([sys.argv[2]])) as link:
         for leg in legs:
             goal = np.rint(np.array(next(leg[2])) / step) * step
             measured = np.rint((leg[1] + rng.normal(0, 0.3 * step, 3)) / step) * step
-            leg[1] = leg[1] + 0.09 * np.clip((goal - leg[1]) / 0.164, -1.0, 1.0)
+            lag = goal - leg[1]
+            pull = np.sign(lag) * np.maximum(np.abs(lag) - 2.0 * step, 0.0)
+            leg[1] = leg[1] + 0.09 * np.clip(pull / 0.164, -1.0, 1.0)
             leg[0].put(ServoSample(t_ns=round(seq * robot.period_s * 1e9), seq=seq, run=3,
                                    measured=measured.tolist(), desired=goal.tolist()))
         due_s += robot.period_s
