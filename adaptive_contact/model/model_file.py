@@ -336,9 +336,16 @@ def _domain(entry: _LegFile, library: Library, scale: Array) -> Domain | None:
             f"its domain is no triangle of {p} rows, of numbers up to {bounds.MOST:g}; fit a new "
             "one"
         ) from error
-    if entry.inflation is msgspec.UNSET:
-        return Domain(triangle, scale)
-    return Domain(triangle, scale, inflation=np.where(library.moves, entry.inflation, 1.0))
+    inflation = None
+    if entry.inflation is not msgspec.UNSET:
+        inflation = np.where(library.moves, entry.inflation, 1.0)
+    domain = Domain(triangle, scale, inflation=inflation)
+    # One that has been nowhere would take every tick for new, and the leg would be blind.
+    if not 0.5 * entry.rows < domain.rows < 2.0 * entry.rows:
+        raise IdentificationError(
+            f"its domain is of {domain.rows:.0f} rows, its model of {entry.rows}; fit a new one"
+        )
+    return domain
 
 
 def _baseline(file: _File) -> Baseline:

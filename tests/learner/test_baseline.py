@@ -86,6 +86,15 @@ def test_every_field_that_no_leg_has_is_named(tree: dict[str, Any], value: Any) 
     assert seen == NAMES
 
 
+@pytest.mark.parametrize("times", [0.0, 0.1, 10.0])
+def test_a_domain_is_of_the_rows_of_its_model(tree: dict[str, Any], times: float) -> None:
+    """One of no rows would make a leg blind: its threshold would be out of reach."""
+    leg = next(iter(tree["legs"].values()))
+    leg["domain"] = [" ".join(str(times * float(x)) for x in row.split()) for row in leg["domain"]]
+    with pytest.raises(BaselineError, match="domain"):
+        parse_baseline(json.dumps(tree).encode(), source="here")
+
+
 @pytest.mark.parametrize("shape", [*SHAPE_RANGE, 0.5])
 def test_every_shape_that_is_fitted_can_be_read_cautiously(shape: float) -> None:
     tail = Tail(level=10.0, rate=0.01, scale=2.0, shape=shape, ticks=10_000).cautious()
