@@ -31,7 +31,7 @@ def described_in(config: Path | None) -> str:
 def plans_of(
     robot: Robot, config: Path | None, device: list[str] | None, baud: int | None = None
 ) -> tuple[PortPlan, ...]:
-    """What each port has to do; an error names the robot's file.
+    """Plan what each port has to do; an error names the robot's file.
 
     Raises:
         ConfigurationError: there is no port, no servo, or something is unknown.
@@ -50,7 +50,7 @@ def plans_of(
 
 
 def devices_of(given: list[str] | None) -> dict[str, str]:
-    """Devices of ``--device``, by port.
+    """Parse the devices of ``--device``, by port.
 
     Raises:
         ConfigurationError: a port is given twice.

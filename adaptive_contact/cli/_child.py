@@ -20,7 +20,7 @@ _END_S: Final = 10.0
 
 
 class Child:
-    """A running command; a context manager that ends it.
+    """Runs a command; a context manager that ends it.
 
     Its output is read on a thread, so that a full pipe never stops it.
     """
@@ -51,17 +51,17 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Its id."""
+        """Return its process id."""
         return self._process.pid
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended yet."""
+        """Return whether it has not ended yet."""
         return self._process.poll() is None
 
     @property
     def lines(self) -> list[str]:
-        """What it has said last, without empty lines; all of it, once it has ended."""
+        """Return its last lines, without empty ones; all of them, once it has ended."""
         if not self.running:
             self._reader.join(_END_S)
         with self._changed:
@@ -112,7 +112,7 @@ class Child:
             raise self.failure()
 
     def failure(self) -> AdaptiveContactError:
-        """Why it ended, in one line."""
+        """Return why it ended, in one line."""
         code = self._process.poll()
         return AdaptiveContactError(
             f"{self.name} ended too early (exit code {code}); {self._last_words()}"

@@ -42,7 +42,7 @@ def open_link(
 
 @contextlib.contextmanager
 def unless_stopped(stop: threading.Event) -> Iterator[None]:
-    """Around work on links: once ``stop`` is set, a router that is not there is no failure."""
+    """Wrap work on links: once ``stop`` is set, a router that is not there is no failure."""
     try:
         yield
     except LinkError:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def _without_types_of_flags(params: list[Any]) -> list[Any]:
-    """Options whose help shows no ``<bool>`` behind a flag, which takes no value."""
+    """Remove ``<bool>`` from the help of flags, which take no value."""
     for param in params:
         if getattr(param, "is_flag", False):
             param.metavar = ""
@@ -56,7 +56,7 @@ class _Group(TyperGroup):
 
 
 class Commands(typer.Typer):
-    """A group of commands whose help shows flags without a type."""
+    """Groups commands whose help shows flags without a type."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(cls=_Group, **settings)
@@ -173,7 +173,7 @@ ListenOption = Annotated[
 
 @dataclasses.dataclass(frozen=True)
 class Network:
-    """The options of every command that joins a router; see :func:`flatten`."""
+    """Holds the options of every command that joins a router; see :func:`flatten`."""
 
     connect: Annotated[
         list[str] | None,
@@ -205,7 +205,7 @@ class Network:
 
     @property
     def given(self) -> dict[str, object]:
-        """Those that were given, by name."""
+        """Return the options that were given, by name."""
         options = {
             "--connect": self.connect,
             "--namespace": self.namespace,
@@ -214,7 +214,7 @@ class Network:
         return {name: value for name, value in options.items() if value}
 
     def client(self, *, json: bool = False, wait: bool = True) -> LinkSettings:
-        """Settings of a command that joins a router.
+        """Return the settings of a command that joins a router.
 
         Raises:
             ConfigurationError: an endpoint or the namespace cannot be used.
@@ -309,7 +309,7 @@ RealtimeOption = Annotated[
 
 
 def stoppable() -> threading.Event:
-    """An event that signals to end set; a second one ends the process at once.
+    """Provide an event that signals to end set; a second one ends the process at once.
 
     But for SIGHUP, which a terminal that is closed often sends twice.
     """
@@ -325,7 +325,7 @@ def stoppable() -> threading.Event:
 
 
 def speed_of(text: str | None) -> float | None:
-    """Times real time, 1 unless given; None for as fast as possible.
+    """Return times real time, 1 unless given; None for as fast as possible.
 
     Raises:
         ConfigurationError: neither a factor nor ``max``.
@@ -392,7 +392,7 @@ def say_damage(recording: Recording) -> None:
 
 
 def described_robot(config: Path | None, shipped: str = "hexapod") -> Robot:
-    """The robot of ``--config``, or a shipped one; said where a robot.toml lies here unused."""
+    """Load the robot of ``--config``, or a shipped one; report a robot.toml here that is unused."""
     if config is not None:
         return load_robot(config)
     robot = shipped_robot(shipped)
@@ -403,7 +403,7 @@ def described_robot(config: Path | None, shipped: str = "hexapod") -> Robot:
 
 
 def _unused_here() -> str:
-    """The end of a line on a robot.toml of this folder that is not used (decision 47)."""
+    """Return the end of a line on a robot.toml of this folder that is not used (decision 47)."""
     if not Path("robot.toml").is_file():
         return ""
     return "; this folder's robot.toml is not used, --config robot.toml takes it"
@@ -412,7 +412,7 @@ def _unused_here() -> str:
 def learned_of(
     robot: Robot, config: Path | None, baseline: Path | None
 ) -> tuple[Baseline | None, str | None]:
-    """What is learned of a robot already, by ``--baseline`` or with its description; its origin."""
+    """Load what was learned of a robot, by ``--baseline`` or as it ships; return its origin too."""
     from adaptive_contact.model.model_file import load_baseline, shipped_baseline
 
     if baseline is not None:
@@ -423,7 +423,7 @@ def learned_of(
 
 
 def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
-    """The robot that recordings are taken for; said where it is a shipped one.
+    """Return the robot that recordings are taken for; reported where it is a shipped one.
 
     Raises:
         ConfigurationError: a recording is of another robot, by its own word.

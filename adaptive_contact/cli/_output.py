@@ -69,7 +69,7 @@ def overwrite(line: str) -> None:
 
 
 class OutputLost(Exception):  # noqa: N818 - no error of the program
-    """Standard output takes no more.
+    """Reports that standard output takes no more.
 
     Not an ``OSError``: typer and rich take a broken pipe of any file for that of standard output,
     and end with code 1.
@@ -81,7 +81,7 @@ class OutputLost(Exception):  # noqa: N818 - no error of the program
 
 
 class _Channel(io.FileIO):
-    """A standard stream's file, which drops what cannot be written.
+    """Wraps a standard stream's file, and drops what cannot be written.
 
     Args:
         number: of the file descriptor, which stays open.
@@ -118,7 +118,7 @@ def protect_output() -> None:
 
 
 def make_stdout_optional() -> None:
-    """Lose lines on standard output that cannot be written, instead of ending with them."""
+    """Drop lines that standard output cannot take, instead of ending with them."""
     channel = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
     if isinstance(channel, _Channel):
         channel.needed = False

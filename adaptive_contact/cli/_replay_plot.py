@@ -128,7 +128,7 @@ def _leg(trace: LegTrace, room: int, spans: int) -> dict[str, Any]:
 
 
 def _joints(trace: LegTrace, room: int) -> dict[str, Any]:
-    """Curves of the joints, in ms and tenths of a mrad; None where a tick was not judged."""
+    """Convert the joints' curves to ms and tenths of a mrad; None where not judged."""
     curves = trace.curves
     if curves is None or not len(curves.t_ns):
         return {"joints": [], "curve_ms": []}
@@ -146,7 +146,7 @@ def _joints(trace: LegTrace, room: int) -> dict[str, Any]:
 
 
 def _merged(spans: Spans, room: int) -> list[list[int]]:
-    """Spans in ms; neighbours become one where there are too many."""
+    """Convert spans to ms; neighbours become one where there are too many."""
     step = max(1, math.ceil(len(spans) / room))
     groups = [spans[i : i + step] for i in range(0, len(spans), step)]
     return [[round(group[0][0] * 1000), round(group[-1][1] * 1000)] for group in groups]

@@ -148,7 +148,7 @@ def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
 
 
 def report_lines(report: LiveReport) -> list[str]:
-    """What the motion has shown, and what it cannot."""
+    """Format what the motion has shown, and what it cannot."""
     lines = []
     sure = [leg for leg in report.confirmed if leg not in report.by_hand]
     if sure:
@@ -197,7 +197,7 @@ def report_lines(report: LiveReport) -> list[str]:
 
 
 def legs_table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Table:
-    """Every joint as it is now, and where the foot is by the description, in so many columns."""
+    """Format every joint as it is now, and where the foot is, in a number of columns."""
     import numpy as np
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), caption_justify="left")
@@ -239,7 +239,7 @@ def legs_table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Tab
 
 
 def _foot(leg: LegView) -> list[str]:
-    """Where the foot is, in three lines beside the joints."""
+    """Format where the foot is, in three lines beside the joints."""
     lines = []
     if leg.height_m is not None and leg.reach_m is not None:
         side = "below" if leg.height_m < 0 else "above"
@@ -363,7 +363,7 @@ def _check_bus(
 
 
 def _joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]]) -> Table:
-    """Every joint as it is now, and how far it was moved."""
+    """Format every joint as it is now, and how far it was moved."""
     import numpy as np
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)

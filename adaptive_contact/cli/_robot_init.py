@@ -32,7 +32,7 @@ _ID: Final = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter 
 
 @dataclasses.dataclass(frozen=True)
 class Wishes:
-    """The options of ``robot init``; None where one is not given."""
+    """Holds the options of ``robot init``; None where one is not given."""
 
     device: DeviceOption = None
     out: Annotated[Path, option("--out", "Description to write.", "FILE", short="-o")] = Path(
@@ -179,7 +179,7 @@ def init(*, wishes: Wishes) -> None:
 
 
 def _feet(wishes: Wishes) -> dict[str, str]:
-    """The legs of ``--legs`` with their feet's links, which are empty without a URDF."""
+    """Return the legs of ``--legs`` with their feet's links, which are empty without a URDF."""
     text = wishes.legs
     if text is None:
         if wishes.urdf is not None:
@@ -228,7 +228,7 @@ def _check_ports(devices: Mapping[str, str]) -> None:
 
 
 def _joint_names(text: str | None) -> int | tuple[str, ...]:
-    """What ``--joints`` says: a number, or names."""
+    """Parse ``--joints``: a number, or names."""
     if text is None:
         return 3
     if text.strip().isdigit() and 1 <= int(text) <= MAX_JOINTS:
@@ -286,7 +286,7 @@ def _of_bus(
     names: int | tuple[str, ...],
     read: UrdfLegs | None,
 ) -> Robot:
-    """The robot whose servos answer, with a URDF's geometry where there is one."""
+    """Describe the robot whose servos answer, with a URDF's geometry where there is one."""
     from adaptive_contact.bridge.discovery import (
         describe,
         find_servos,
@@ -389,7 +389,7 @@ def _check_wanted(
 def _of_answers(
     wishes: Wishes, ids: Sequence[str], names: int | tuple[str, ...], read: UrdfLegs | None
 ) -> Robot:
-    """A robot on no bus that is known here, from options and answers."""
+    """Describe a robot on no known bus, from options and answers."""
     if read is None and not ids:
         raise ConfigurationError("which legs? give --legs lf,rf,..., their names")
     rate = _asked(wishes.rate, "control ticks per second, Hz", "--rate 50", 1.0, 10_000.0)
@@ -416,7 +416,7 @@ def _name(wishes: Wishes, read: UrdfLegs | None) -> str:
 
 
 def _asked(given: float | None, what: str, option: str, least: float, most: float) -> float:
-    """An option's value, or a person's answer where one can be asked."""
+    """Return an option's value, or a person's answer where one can be asked."""
     if given is not None:
         return given
     if not is_asked():

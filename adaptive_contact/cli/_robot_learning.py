@@ -176,7 +176,7 @@ def _check_source(
 
 
 def pose_of(text: str, robot: Robot, plans: Sequence[PortPlan]) -> list[float]:
-    """The joint angles of ``--pose``, rad.
+    """Parse the joint angles of ``--pose``, rad.
 
     Raises:
         ConfigurationError: it is no pose of this robot, or no leg may go there.
@@ -232,7 +232,7 @@ def swings_of(
 
 
 def free_file(out: Path) -> Path:
-    """Where the recording of a run goes whose baseline is ``out``: beside it, nothing replaced."""
+    """Return where the recording of a run goes: beside its baseline ``out``, nothing replaced."""
     if out.exists() and not out.is_file():  # a device has no room beside it
         out = Path("learned.json")
     path, number = out.with_suffix(".mcap"), 1
@@ -306,7 +306,7 @@ def _shortfalls(
     gathered: Mapping[str, LegGatherer],
     error: IdentificationError,
 ) -> list[tuple[str, float]]:
-    """What is missing of every leg, in words, and how many times as much it takes."""
+    """Return what is missing of every leg, in words, and how many times as much it takes."""
     from adaptive_contact.model import leg_library
 
     # Thresholds rest on all legs together: each has its part in what they lack.
@@ -331,7 +331,7 @@ def _shortfalls(
 
 
 def losses(samples: Mapping[str, list[ServoSample]]) -> list[str]:
-    """Legs of which too little was read to learn from, and what to do about it."""
+    """Name legs of which too little was read to learn from, and what to do about it."""
     lines = []
     for leg, rows in samples.items():
         if not rows:

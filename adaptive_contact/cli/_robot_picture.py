@@ -39,7 +39,7 @@ _Turn = tuple[int, float, int]
 
 
 class _View(NamedTuple):
-    """From where a leg is seen: which ways of the body go right and up."""
+    """Describes from where a leg is seen: which ways of the body go right and up."""
 
     words: str
     ways: str
@@ -53,7 +53,7 @@ _ABOVE: Final = _View("from above", "x to the right, y up", (1.0, 0.0, 0.0), (0.
 
 
 def chain(leg: Leg, angles: Sequence[float]) -> Array:
-    """Joints and foot of a leg in its own frame.
+    """Compute joints and foot of a leg in its own frame.
 
     Args:
         leg: with a geometry.
@@ -83,7 +83,7 @@ def write_picture(robot: Robot, angles: Mapping[str, Sequence[float]], path: Pat
 
 
 def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
-    """The picture.
+    """Draw the picture.
 
     Args:
         robot: legs without a geometry are left out.
@@ -179,7 +179,7 @@ def _from_above(
 
 
 def _around(legs: Sequence[Leg]) -> list[Leg]:
-    """In the order in which they sit around the body."""
+    """Sort legs by where they sit around the body."""
     return sorted(legs, key=lambda leg: float(np.arctan2(leg.mount.xyz_m[1], leg.mount.xyz_m[0])))
 
 
@@ -194,7 +194,7 @@ def _views(leg: Leg, angles: Sequence[float], *, placed: bool) -> list[_View]:
 
 
 def _own_plane(leg: Leg, angles: Sequence[float]) -> _View:
-    """The upright plane of a leg that yaws, whichever way it points; the body on the left."""
+    """Return the upright plane of a leg that yaws; the body is on the left."""
     points = on_body(leg, chain(leg, angles))
     far = _LEAST_LINK * float(np.ptp(points, axis=0).max())
     ways = [points[-1] - points[0], points[0], np.array([1.0, 0.0, 0.0])]
@@ -258,7 +258,7 @@ def _flat(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_
 
 
 def _side(leg: Leg) -> str:
-    """Where on the body it sits, as far as the mount says."""
+    """Return where on the body a leg sits, as far as the mount says."""
     x, y, _ = leg.mount.xyz_m
     words = [
         "left" if y > 0 else "right" if y < 0 else "",
@@ -271,7 +271,7 @@ def _side(leg: Leg) -> str:
 def _turning(
     joint: tuple[float, float], tip: tuple[float, float], zero_rad: float, colour: str, way: int = 1
 ) -> list[str]:
-    """Where a joint's link is at 0, and the way its angle grows; counter-clockwise from right."""
+    """Draw where a joint's link is at 0, and which way its angle grows."""
     x, y = joint
     length = float(np.hypot(tip[0] - x, tip[1] - y))
     # The arrow around a joint: at half of its link, within these, px; it goes so far, rad.
@@ -300,7 +300,7 @@ def _turning(
 
 
 def _head(x: float, y: float, way_rad: float, colour: str) -> str:
-    """An arrow's head with its tip a little ahead of a point."""
+    """Draw an arrow's head with its tip a little ahead of a point."""
     corners = [
         (x + _HEAD_PX * np.cos(way_rad + turn), y - _HEAD_PX * np.sin(way_rad + turn))
         for turn in (0.0, 2.4, -2.4)
@@ -340,7 +340,7 @@ def _text(
 
 
 def _label(leg: Leg, joint: int, angle_rad: float) -> str:
-    """A joint's name, angle and link, and the sign and offset that robot.toml gives it."""
+    """Format a joint's name, angle and link, and its sign and offset of robot.toml."""
     assert leg.chain is not None
     length_m = np.hypot.reduce(leg.chain.origins_m[joint])
     text = f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, link {1000 * length_m:.0f} mm"

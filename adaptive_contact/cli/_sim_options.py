@@ -53,7 +53,7 @@ ReactOption = Annotated[
 
 @dataclasses.dataclass(frozen=True)
 class RunOptions:
-    """The options that `sim pose` and `sim walk` share; None where one is not given."""
+    """Holds the options that `sim pose` and `sim walk` share; None where one is not given."""
 
     scenario: Annotated[
         str | None,
@@ -152,7 +152,7 @@ class RunOptions:
     def plan(
         self, base: Scenario, settings: SimulationSettings, network: Network, *, json: bool
     ) -> RunPlan:
-        """What to run.
+        """Plan what to run.
 
         Raises:
             ConfigurationError: an option is out of range, or a drift cannot be read.
@@ -179,17 +179,17 @@ class RunOptions:
 def needs_simulator(
     what: str = "the simulator", extra: str = "sim"
 ) -> AbstractContextManager[None]:
-    """Around imports of the simulator: a missing mujoco is reported in one line."""
+    """Wrap imports of the simulator: a missing mujoco is reported in one line."""
     return needs(what, extra, "mujoco")
 
 
 def needs_studies() -> AbstractContextManager[None]:
-    """Around imports of the studies, likewise."""
+    """Wrap imports of the studies, likewise."""
     return needs_simulator("a study", "studies")
 
 
 def given(**options: Any) -> dict[str, Any]:
-    """The options that were given."""
+    """Return the options that were given."""
     return {name: value for name, value in options.items() if value is not None}
 
 

@@ -25,7 +25,7 @@ WEB_PANEL = "Live page"
 
 @dataclasses.dataclass(frozen=True)
 class Page:
-    """The options of the page; see :func:`~adaptive_contact.cli._options.flatten`."""
+    """Holds the options of the page; see :func:`~adaptive_contact.cli._options.flatten`."""
 
     port: Annotated[
         int | None,
@@ -53,7 +53,7 @@ class Page:
     ] = False
 
     def settings(self, web: bool) -> WebSettings | None:
-        """Settings of the page, None where none is asked for.
+        """Return the settings of the page, None where none is asked for.
 
         Raises:
             ConfigurationError: options of the page without ``--web``.

@@ -180,7 +180,7 @@ def dynamixel(
 
 
 class _Crew:
-    """A process per port; one that dies is started again."""
+    """Runs a process per port; one that dies is started again."""
 
     def __init__(
         self, plans: tuple[PortPlan, ...], mode: Any, settings: LinkSettings, *, realtime: bool
@@ -248,7 +248,7 @@ class _Crew:
 
 @dataclass(frozen=True)
 class VirtualOptions:
-    """The options of a virtual bus."""
+    """Holds the options of a virtual bus."""
 
     directory: Annotated[Path, option("--dir", "Where the ports appear, as links.", "DIR")] = Path(
         "bus"
@@ -306,7 +306,7 @@ class VirtualOptions:
         opt.check_output(self.record, "--record", [*read, self.write_config], force=self.force)
 
     def plan(self) -> VirtualPlan:
-        """What to run.
+        """Plan what to run.
 
         Raises:
             ConfigurationError: an option cannot be used.
@@ -342,7 +342,7 @@ class VirtualOptions:
 @app.command()
 @opt.flatten
 def virtual(*, bus: VirtualOptions) -> None:
-    """A bus on pseudo-terminals whose servos are the simulated robot."""
+    """Serve a bus on pseudo-terminals whose servos are the simulated robot."""
     make_stdout_optional()
     stop = opt.stoppable()
     with needs_simulator():

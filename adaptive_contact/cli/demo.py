@@ -123,7 +123,7 @@ def _on_signal(stop: threading.Event) -> None:
 
 
 class _Demo:
-    """A run of the demo.
+    """Runs the demo.
 
     Args:
         out: folder of what it writes; made where it is not there.
@@ -263,7 +263,7 @@ class _Demo:
         return score_messages(read_recording(self._recording), robot, events, **within)
 
     def _replayed(self, robot: Robot, mode: Any) -> tuple[Any, Any]:
-        """Traces of every leg, and events."""
+        """Return the traces of every leg, and events."""
         from adaptive_contact.bank import LearnerBank
         from adaptive_contact.model import shipped_baseline
         from adaptive_contact.service.recording import read_recording

@@ -54,7 +54,7 @@ def doctor(
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """What was found, for a person."""
+    """Print what was found, for a person."""
     console = table_console(pipe_width=140)
     if diagnosis.router != "connected":
         console.print(Text(f"router   {diagnosis.router_line}", style="bold red"))
@@ -75,7 +75,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """What is wrong, each with its remedy."""
+    """Print what is wrong, each with its remedy."""
     for finding in findings:
         line = Text(f"{finding.level}: ", style=_COLOURS[finding.level])
         legs = printable(" ".join(finding.legs))

@@ -98,7 +98,7 @@ def undetermined(leg: str, known: LegFigures) -> str:
 
 
 class Gathered(dict[str, "LegGatherer"]):
-    """What was gathered, by leg.
+    """Holds what was gathered, by leg.
 
     Attributes:
         limits: what was found of joints beyond their limits; a leg's signs may explain it.
@@ -110,7 +110,7 @@ class Gathered(dict[str, "LegGatherer"]):
 
 
 def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> Gathered:
-    """Every leg's samples and truth of several recordings, one after the other.
+    """Gather every leg's samples and truth of several recordings, one after the other.
 
     What is wrong with a recording's streams is said, as ``doctor`` says it of live ones.
 
@@ -174,7 +174,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> Gath
 def _tell_unused(
     legs: Mapping[str, LegGatherer], causes: Mapping[str, set[str]], period_s: float
 ) -> None:
-    """One line for samples that were left out, but for those whose cause was said."""
+    """Print one line on samples that were left out, except those whose cause was printed."""
     left_out: dict[str, dict[str, int]] = {}
     for name, leg in legs.items():
         found = {Cause(cause) for cause in causes.get(name, ())}

@@ -193,7 +193,7 @@ def _lost(cause: OSError) -> int:
 
 
 def _refuse(error: Any) -> int:
-    """One line for a command line that cannot be understood, and where its options are listed."""
+    """Print one line on a command line that cannot be understood, and where its options are."""
     if type(error).__name__ == "NoArgsIsHelpError":  # the help was its message
         error.show()
         return int(error.exit_code)

@@ -191,7 +191,7 @@ def _to_events(
 
 
 def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[str]:
-    """One line for each leg that lost or refused samples, or has something to say.
+    """Describe in one line each leg that lost or refused samples, or has something to report.
 
     Args:
         bank: of the legs.

@@ -109,7 +109,7 @@ def score(
 def _replayed(
     recording: Path, robot: Robot, config: Path | None, baseline: Path | None
 ) -> dict[str, list[ContactEvent] | None]:
-    """Events of the product, and of the same detector with its baseline never updated."""
+    """Return the events of the product, and of the detector with its baseline never updated."""
     from adaptive_contact.bank import LearnerBank
     from adaptive_contact.learn.mode import LearnerMode
     from adaptive_contact.service.one_robot import OneRobot
@@ -142,7 +142,7 @@ def _nothing_judged(recording: Path) -> RecordingError:
 
 
 def read_events(path: Path) -> list[ContactEvent]:
-    """Events of a file with one JSON object per line, read line by line.
+    """Read events of a file with one JSON object per line, line by line.
 
     Raises:
         RecordingError: it cannot be read, a line is no event, or there are too many of them.

@@ -130,7 +130,7 @@ def serve(
 
 @contextlib.contextmanager
 def _refitting() -> Iterator[subprocess.Popen[bytes] | None]:
-    """The process that refits, which loads what it needs while the service does; then its end.
+    """Run the process that refits, which loads what it needs while the service does.
 
     None where there is one core: there it would only make the service late, and starts after it.
     """
@@ -163,7 +163,7 @@ def _leave(fault: BaseException | None) -> None:
 def keeper_of(
     folder: Path | None, robot: Robot, learned: Baseline | None, namespace: str | None
 ) -> StateKeeper:
-    """Where the learners' state is kept: restored when they are made, saved as they go.
+    """Make the keeper of the learners' state: restored when they are made, saved as they go.
 
     Robots of one kind are distinguished by their namespaces.
     """

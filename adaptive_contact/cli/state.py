@@ -64,7 +64,7 @@ def show(
 
 
 def _table(found: Sequence[Stored], rows: Sequence[dict[str, Any]]) -> Table:
-    """The files of one robot; their names hold leg, library of terms and settings."""
+    """Format the files of one robot; their names hold leg, library of terms and settings."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for name in ("leg", "model", "age", "size", "state"):
         table.add_column(name, no_wrap=True)
@@ -129,7 +129,7 @@ def reset(
 
 
 def _nothing_of(state: Path | None, root: Path, robot: str | None, leg: str | None) -> str:
-    """One line for a robot or a leg that nothing is kept of, with what there is."""
+    """Format one line for a robot or a leg that nothing is kept of, with what there is."""
     rows = map(_row, _found(state, None, None))
     kept = sorted({(row["robot"], row["leg"]) for row in rows if row["refused"] is None})
     asked = " of ".join(
@@ -146,7 +146,7 @@ def _folder(state: Path | None) -> Path:
 
 
 def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Stored]:
-    """What is there; a file that cannot be read has neither robot nor leg, but a name."""
+    """Return what is there; a file that cannot be read has neither robot nor leg, but a name."""
     from adaptive_contact.service.state import Refused, list_states
 
     root = _folder(state)
@@ -175,7 +175,7 @@ def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Store
 
 
 def _is_named(path: Path, root: Path, robot: str | None, leg: str | None) -> bool:
-    """Whether a file is a robot's and a leg's by its name; None is any."""
+    """Return whether a file is a robot's and a leg's by its name; None is any."""
     from adaptive_contact.service.state import is_of_leg, robot_folder
 
     of_robot = robot is None or path.parent == robot_folder(root, robot)

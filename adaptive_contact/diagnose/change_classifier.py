@@ -28,7 +28,7 @@ LEAST_ROWS: Final = 8
 
 
 class _Shapes(NamedTuple):
-    """What changes add to one joint's movement."""
+    """Holds what changes add to one joint's movement."""
 
     # (p, s) shapes that are linear in the regressors; friction's, which is not, stands before them
     linear: Array
@@ -69,14 +69,14 @@ class ChangeClassifier:
 
     @property
     def complete(self) -> bool:
-        """Whether more ticks would say more of later changes than of this one."""
+        """Return whether more ticks would show later changes rather than this one."""
         # Ticks after which a kind is settled, fifteen lifts and descents or so: a leg may go on
         # changing.
         return self._rows >= 60
 
     @property
     def kind(self) -> str | None:
-        """Kind that explains the change best; None where none does.
+        """Return the kind that explains the change best; None where none does.
 
         Returns:
             ``friction``, ``drive`` (supply, winding, compliance: the control law is weaker or
@@ -109,7 +109,7 @@ class ChangeClassifier:
 
 
 def _shapes(model: LegModel, joint: int) -> _Shapes:
-    """Those whose terms the library has: the paper's knows no control law and no gravity."""
+    """Return the shapes whose terms the library has: the paper's has no control law, no gravity."""
     library = model.library
     names, name, own = library.names, library.joints[joint], model.coefficients[:, joint]
     drive = np.array([t.startswith("sat(") and speaks_of(t, name) for t in names])
@@ -138,7 +138,7 @@ def _shapes(model: LegModel, joint: int) -> _Shapes:
 
 
 def _term(names: Sequence[str], term: str) -> list[Array]:
-    """The column of a term, (p,), where there is one."""
+    """Return the column of a term, (p,), where there is one."""
     return [np.array([float(name == term) for name in names])] if term in names else []
 
 
@@ -147,7 +147,7 @@ def _difference(names: Sequence[str], one: str, other: str) -> list[Array]:
 
 
 def _explained(products: Array, columns: Sequence[int]) -> float:
-    """What some columns explain of the squared residual."""
+    """Compute what some columns explain of the squared residual."""
     if not columns:
         return 0.0
     among, with_y = products[np.ix_(columns, columns)], products[columns, -1]

@@ -52,12 +52,12 @@ class Owner(NamedTuple):
     why: str
 
     def agrees(self, other: Owner | None) -> bool:
-        """Whether another judgement has named the same leg."""
+        """Return whether another judgement has named the same leg."""
         return other is not None and other.leg == self.leg
 
     @property
     def note(self) -> str:
-        """One line for a person."""
+        """Return one line for a person."""
         return (
             f"{SWAPPED} '{self.leg}': {self.why}; give legs the ids of robot.toml in the source, "
             "or change them there"
@@ -106,7 +106,7 @@ def judge_fit(
 
 
 def _circles(owners: Mapping[str, Owner]) -> dict[str, Owner]:
-    """Those owners that form closed circles: every leg's samples are somewhere."""
+    """Return the owners that form closed circles: every leg's samples are somewhere."""
     left = dict(owners)
     while True:
         named = {owner.leg for owner in left.values()}
@@ -120,7 +120,7 @@ def _circles(owners: Mapping[str, Owner]) -> dict[str, Owner]:
 def _errors(
     robot: Robot, baseline: Baseline, leg: str, motion: LegMotion, ticks: Ints
 ) -> dict[str, float]:
-    """Root mean square of a leg's free residuals, rad, under every model of its library."""
+    """Return the rms of a leg's free residuals, rad, under every model of its library."""
     own = baseline.legs[leg].model
     swing = motion.swing
     if swing is None:
@@ -148,7 +148,7 @@ def _errors(
 
 
 def _root(residuals: Array) -> float:
-    """Root mean square but for the largest, which are touches and bad readings."""
+    """Return the root mean square without the largest, which are touches and bad readings."""
     squares = np.sort(np.square(residuals).mean(axis=1))
     return float(np.sqrt(squares[: math.ceil(0.95 * len(squares))].mean()))
 

@@ -48,11 +48,11 @@ class StandingFeet:
 
     @property
     def rigid(self) -> bool:
-        """Whether they do where the legs are."""
+        """Return whether the feet keep their distances where the legs are described."""
         return self._pairs.rigid(range(len(self._legs)))
 
     def rigid_orders(self) -> list[tuple[int, ...]]:
-        """For each answer the place of every leg's samples; those that move fewest legs first."""
+        """Return for each answer the place of every leg's samples; least moved legs first."""
         own = range(len(self._legs))
         known = [cost for i in own if np.isfinite(cost := self._pairs.cost(own, i))]
         loose = bool(known) and (self.rigid or max(known) >= LOOSE**2)
@@ -63,6 +63,6 @@ class StandingFeet:
         return sorted(orders, key=lambda order: sum(i != k for i, k in enumerate(order)))
 
     def rigid_with_yaw_turned(self, moved: list[int]) -> bool:
-        """Whether they do where the yaws of these legs have the other sign."""
+        """Return whether they keep them if the yaws of these legs have the other sign."""
         own = range(len(self._legs))
         return self._pairs.rigid([len(own) if i in moved else i for i in own])

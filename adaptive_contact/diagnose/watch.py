@@ -31,10 +31,10 @@ class MotionJob:
 
 
 class Finding(Protocol):
-    """What a judgement may find of a leg."""
+    """Defines what a judgement may find of a leg."""
 
     def agrees(self, other: Self | None) -> bool:
-        """Whether another judgement has found the same."""
+        """Return whether another judgement has found the same."""
 
 
 FindingT = TypeVar("FindingT", bound=Finding)
@@ -51,7 +51,7 @@ class Track(Generic[FindingT]):
 
     @property
     def begun(self) -> bool:
-        """Whether the leg has had samples."""
+        """Return whether the leg has had samples."""
         return bool(self._place.leg.kept_n)
 
     @property
@@ -107,7 +107,7 @@ class Watch(abc.ABC, Generic[FindingT]):
         return self._tracks[leg.id]
 
     def look(self) -> None:
-        """Have it judged, if it is time after this tick, and take a judgement when it is there."""
+        """Start a judgement if it is due after this tick, and take its result when it is there."""
         self._ticks += 1
         if self._pending is None:
             self._ask()
