@@ -403,7 +403,10 @@ def described_robot(config: Path | None, shipped: str = "hexapod") -> Robot:
 
 
 def _unused_here() -> str:
-    """Return the end of a line on a robot.toml of this folder that is not used (decision 47)."""
+    """Return the end of a line on a robot.toml of this folder, which is not used.
+
+    The folder is no part of the command: after `cd`, another robot would be served.
+    """
     if not Path("robot.toml").is_file():
         return ""
     return "; this folder's robot.toml is not used, --config robot.toml takes it"
