@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.checks.limits import Limits
 from adaptive_contact.detect.history import MAX_STEP_RAD_S
 from adaptive_contact.detect.layout import (
     BEGAN,
@@ -283,7 +284,10 @@ class ContactLearner:
     def snapshot(self) -> dict[str, Any]:
         """Return what has been learned and counted, as a tree that msgpack can write."""
         self.report.collect_counts()
-        stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
+        limits = [of.tolist() for of in self.report.source.limits]
+        stream = {
+            "missed": self._guard.missed, "stream": self._guard.snapshot(), "limits": limits,
+        }  # fmt: skip
         return {**self.lifecycle.snapshot(), **self.report.counters.snapshot(), **stream}
 
     def restore(self, saved: dict[str, Any]) -> str | None:
@@ -300,6 +304,9 @@ class ContactLearner:
         self._begin()
         self.report.counters.restore(saved)
         self._guard.restore(saved.get("stream"), saved.get("missed"))
+        limits = Limits.saved(saved.get("limits"), len(self.leg.joints))
+        if limits is not None:
+            self.report.source.put_limits(limits)
         return None
 
     # -- one tick, in the order of its calls ----------------------------------------------------
@@ -360,7 +367,11 @@ class ContactLearner:
             if flags & SOURCE:
                 self._faulty = self.report.source.cause is not None
         if flags & (BEGAN | TURNED | RESTARTED):
-            self.report.source.look(flags, known=adapter is not None and adapter.known)
+            known = adapter is not None and adapter.known
+            if self.report.source.look(flags, known=known):
+                lifecycle.start()
+                self._let_go()
+                return True
         if self._misread or self._faulty or adapter is None or not adapter.learning:
             if assessed:
                 self.report.read_status()

@@ -317,6 +317,7 @@ class LegReport:
             else None,
             self._unjudged_note,
             self._unlearned_note,
+            self.source.limits_note,
         )
         return next((note for note in notes if note is not None), None)
 

@@ -116,6 +116,16 @@ def near(angles, origin):
 
 
 @compiled
+def clip(desired, preview, lower, upper):
+    """Clip commands to where the servos stop; those of another turn are left."""
+    for j in range(len(desired)):
+        if lower[j] - math.pi < desired[j] < upper[j] + math.pi:
+            desired[j] = min(max(desired[j], lower[j]), upper[j])
+            for k in range(len(preview)):
+                preview[k, j] = min(max(preview[k, j], lower[j]), upper[j])
+
+
+@compiled
 def judge_tick(handed):
     """Judge a sample of every leg that has one: the first half of a tick, up to its events.
 
@@ -154,6 +164,7 @@ def connect(leg, sample, source, past, model, kept):
     """Connect a sample to those before it: its revolution, its tick, what was lost between."""
     measured, desired, restart = sample.measured, sample.desired, leg.restart
     unwrap(leg, measured, desired, sample.preview_in, sample.seam, restart)
+    clip(desired, sample.preview_in, sample.lower, sample.upper)
     keep_sample(leg, measured, desired, source.kept_angles, source.kept_stamps)
     if restart:
         restart_clock(leg)

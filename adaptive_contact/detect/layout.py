@@ -55,6 +55,8 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "measured": "J",  # the sample, rad; both side by side at the start
         "desired": "J",
         "seam": "J",  # the command before, to unwrap by
+        "lower": "J",  # where the servos stop, whatever is commanded
+        "upper": "J",
         "command": "J",  # in force, and the one before
         "before": "J",
         "phase_before": "J",  # the command before, within a part of a swing
@@ -360,7 +362,7 @@ receive_tick: Final = TICK.receive
 
 # The arrays of one leg, by what they are of.  Shapes and units stand at their names above, and in
 # :class:`~adaptive_contact.detect.leg_batch.LegBatch`.
-Sample = namedtuple("Sample", "measured desired valid preview_in seam command before")
+Sample = namedtuple("Sample", "measured desired valid preview_in seam lower upper command before")
 Source = namedtuple(
     "Source",
     "ring kept_angles kept_stamps parts phase_before turn_at turning turns",

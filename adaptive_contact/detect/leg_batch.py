@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.checks.limits import Limits
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
 from adaptive_contact.detect.layout import (
@@ -88,6 +89,8 @@ class LegBatch:
     measured: Array
     desired: Array
     valid: Mask
+    lower: Array
+    upper: Array
     asked: Array
     start: Array
     foot: Array
@@ -155,6 +158,7 @@ class LegBatch:
             legs_[row]["length"] = shape.length
             legs_[row]["period_ns"] = period_ns
             legs_[row]["has_lengths"] = leg.chain is not None
+            self.lower[row], self.upper[row] = Limits.none(joints)
             if leg.chain is not None:
                 legs_[row]["leg_size"] = leg.chain.size
                 self.links[row], self.axis_kinds[row] = tabulate(leg.chain)

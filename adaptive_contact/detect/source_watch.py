@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Ints
 from adaptive_contact.checks.information import NEEDED_SAMPLES, InformationCheck, Kind, Samples
+from adaptive_contact.checks.limits import SAID, Limits, find_limits
 from adaptive_contact.detect.detector import unwrap
 from adaptive_contact.detect.layout import (
     BEGAN,
@@ -61,7 +62,11 @@ _JITTER_CAUSES: Final[dict[bool | None, str]] = {
 
 
 class SourceWatch:
-    """Reports what is wrong with the source of one leg's samples."""
+    """Reports what is wrong with the source of one leg's samples.
+
+    Attributes:
+        limits_note: one line for a person while goals go beyond what the servos do, else None.
+    """
 
     def __init__(self, leg: Leg, place: LegPlace) -> None:
         self._leg = leg
@@ -73,6 +78,7 @@ class SourceWatch:
         self._check = InformationCheck(len(self._leg.joints), self._place.leg.quantum)
         self._since_ns = 0
         self._twin = ""  # leg of the same readings
+        self.limits_note: str | None = None
         self._place.leg.false_readings = NONE
 
     @property
@@ -91,18 +97,22 @@ class SourceWatch:
         leg = self._place.leg
         return int(leg.began_ns) if leg.cause == PHASE else self._since_ns
 
-    def look(self, flags: int, *, known: bool) -> None:
+    def look(self, flags: int, *, known: bool) -> bool:
         """Look at the readings as a swing begins or ends.
 
         Args:
             flags: of the tick.
             known: the leg's model, which was there before, predicts its lifts.
+
+        Returns:
+            Whether the servos stop elsewhere than was known: what was learned is of other commands.
         """
         leg, check = self._place.leg, self._check
         if flags & RESTARTED:
             check.restart()
         if not flags & (BEGAN | TURNED):
-            return
+            return False
+        moved = bool(flags & BEGAN) and self._look_at_limits()
         samples, stamps = self._newest(self._place.row)
         begins, twin = bool(flags & BEGAN), self._find_twin(samples)
         if check.look(leg.kept_n, samples, begins=begins, known=known, twin=twin):
@@ -110,6 +120,34 @@ class SourceWatch:
             leg.false_readings = NONE if found is None else _FALSE[found.kind]
             if found is not None:
                 self._since_ns = int(stamps[-min(found.since, len(stamps)), 0]) - leg.period_ns
+        return moved
+
+    @property
+    def limits(self) -> Limits:
+        """Where the servos stop, as far as is known."""
+        batch, row = self._place.batch, self._place.row
+        return Limits(batch.lower[row].copy(), batch.upper[row].copy())
+
+    def put_limits(self, limits: Limits) -> None:
+        """Put limits in force, also for the samples that are kept."""
+        batch, row, joints = self._place.batch, self._place.row, len(self._leg.joints)
+        batch.lower[row], batch.upper[row] = limits
+        kept = batch.kept_angles[row, :, joints:]
+        kept[:] = limits.clip(kept)
+
+    def _look_at_limits(self) -> bool:
+        """Look for where the servos stop, in the samples of a minute."""
+        place, limits = self._place, self.limits
+        kept = place.batch.kept_angles[place.row, : place.leg.kept_n]
+        measured, desired = np.split(kept, 2, axis=1)
+        found = find_limits(
+            self._leg.chain, Limits.of(self._leg), limits, place.leg.quantum, measured, desired
+        )
+        ends = found.reached(self._leg.joints, desired)
+        self.limits_note = SAID.format(ends=ends) if ends else None
+        if found is not limits:
+            self.put_limits(found)
+        return found is not limits
 
     @property
     def note(self) -> str | None:

@@ -20,6 +20,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.checks.limits import Limits, find_limits
 from adaptive_contact.conventions.judge import (
     ConventionFinding,
     LegMotion,
@@ -36,6 +37,7 @@ from adaptive_contact.detect.stream import (
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import Stretch, cautious
 from adaptive_contact.robot import AngleFrame, Leg, Robot
+from adaptive_contact.robot.description import ASSUMED_STEP_RAD
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ContactTruth, Reject, ServoSample
 
@@ -72,6 +74,7 @@ class LegGatherer:
         self._period_ns = round(period_s * 1e9)
         self.off_rate = 0
         self._frame = AngleFrame(leg)
+        self._limits = Limits.none(len(leg.joints))  # where the servos stop
         self._guard = StreamGuard(len(leg.joints))
         self._seams = Seams(len(leg.joints))
         self._rate = RateWatch(self._period_ns)
@@ -126,6 +129,16 @@ class LegGatherer:
         Raises:
             IdentificationError: swings cannot be found: no phase, and no lengths to infer it.
         """
+        motion = self.motion()
+        if len(motion.t_ns):
+            self._limits = find_limits(
+                self.leg.chain,
+                Limits.of(self.leg),
+                self._limits,
+                ASSUMED_STEP_RAD,
+                motion.measured,
+                motion.desired,
+            )
         return [
             self._stretch(rows, truth, free)
             for run, truth in zip(self._runs, self._truths(), strict=True)
@@ -184,7 +197,7 @@ class LegGatherer:
 
     def _stretch(self, rows: list[ServoSample], truth: _Truth, free: bool) -> Stretch:
         joints = len(self.leg.joints)
-        desired = np.array([s.desired for s in rows])
+        desired = self._limits.clip(np.array([s.desired for s in rows]))
         swing = self._swing(rows, desired)
         # A run without changes may have touched nothing, or not know.
         certain = bool(truth.sure) or free

@@ -80,6 +80,7 @@ class Cause(enum.StrEnum):
     UNDECLARED = "undeclared"
     PHASE = "phase"
     LIMITS = "limits"
+    GOALS = "goals"
     # What the leg's learner says.
     SIGNS = "signs"
     LEG_SWAP = "leg_swap"

@@ -18,6 +18,7 @@ _NOTED: Final = {
     "restarts every few samples": Cause.RUN,
     "seq wraps at": Cause.SEQ,
     "carry no phase": Cause.PHASE,
+    "goals go beyond": Cause.GOALS,
     "answered": Cause.INVALID,
     "payload refused": Cause.UNREADABLE,
 }

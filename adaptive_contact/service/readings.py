@@ -15,6 +15,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.information import Samples, held_share, survey
+from adaptive_contact.checks.limits import Limits, find_limits
 from adaptive_contact.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
 from adaptive_contact.service.findings import Fault
@@ -153,6 +154,23 @@ def check_readings(
             yield from _steps(measured[:, j], name, quantum_rad)
     if limits_rad is not None:
         yield from _beyond_limits(measured, names, limits_rad)
+    yield from _beyond_stops(measured, desired, names, quantum_rad, limits_rad)
+
+
+def _beyond_stops(
+    measured: Array,
+    desired: Array,
+    names: Sequence[str],
+    quantum_rad: float | None,
+    limits_rad: Sequence[Sequence[float]] | None,
+) -> Iterator[Fault]:
+    """Name joints whose goals, (n, J) rad, go beyond where their servos stop."""
+    none = Limits.none(len(names))
+    said = none if limits_rad is None else Limits(*np.array(limits_rad).T)
+    ends = find_limits(None, said, none, quantum_rad or _EQUAL_RAD, measured, desired)
+    reached = ends.reached(names, desired)
+    if reached:
+        yield Fault.of("goals", reached)
 
 
 def _beyond_limits(
