@@ -193,10 +193,7 @@ class ContactLearner:
         self.place.drop_tick()
         self._assessed = False
         self.lifecycle.restore_last_good()
-        self._let_go()
-        self.place.restart_swing()
-        self._swing.restart()
-        self._labels.restart()
+        self._forget_swings()
         self.report.source.reset()
         self._begin()
 
@@ -370,7 +367,7 @@ class ContactLearner:
             known = adapter is not None and adapter.known
             if self.report.source.look(flags, known=known):
                 lifecycle.start()
-                self._let_go()
+                self._forget_swings()
                 return True
         if self._misread or self._faulty or adapter is None or not adapter.learning:
             if assessed:
@@ -494,6 +491,13 @@ class ContactLearner:
         leg = self.place.leg
         leg.release_pending |= leg.reported
         leg.contact, leg.loaded, leg.calm = False, True, 0
+
+    def _forget_swings(self) -> None:
+        """Forget the swings so far, and whether the leg carries."""
+        self._let_go()
+        self.place.restart_swing()
+        self._swing.restart()
+        self._labels.restart()
 
     def _retract(self) -> None:
         """Retract what was learned from a faulty source."""

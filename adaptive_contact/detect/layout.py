@@ -149,6 +149,11 @@ LEG: Final = np.dtype(
         ("found_ns", f8),  # mean distance of ticks; NaN while unknown
         ("rate_ticks", i4),  # ticks by which the rate is judged
         ("ring_n", i8),  # stamps taken into the ring
+        ("burst", i4),  # ticks that arrive together, stamped on arrival; 0 for none
+        ("bursts", i4),  # of these in a row
+        ("burst_ns", i8),  # stamp and number of the first of the newest burst
+        ("burst_seq", i8),
+        ("stamp_ns", i8),  # newest, as it was sent
         ("lacking", i4),  # samples for which the lack of a preview is still reported
         ("kept_n", i8),  # samples kept since the source began
         ("missed", i8),  # ticks without a sample before this one; -1 after a pause

@@ -38,6 +38,12 @@ RATE_SURE: Final = 2.0
 LATE_PERIODS: Final = 1.6
 # A step this many times too long is a pause of the source, counted by `seq` or not.
 PAUSE_PERIODS: Final = 4.0
+# Ticks closer than so many periods arrive together; so many of them are a burst, as what comes
+# between fewer is no pause.  It is over after as many ticks that come alone as there were bursts,
+# up to so many.
+TOGETHER: Final = 0.5
+LEAST_BURST: Final = 4
+MOST_BURSTS: Final = 8
 # Share of a stamp's deviation by which the schedule follows it.  Higher follows a loop that slips
 # sooner, lower averages the jitter of more stamps.  Measured, the level of residuals is near its
 # least at 0.2 for loops late against a fixed schedule and for ones that slip (decision 30).
@@ -207,12 +213,39 @@ def restart_clock(leg):
 
 
 @compiled
+def even_out(leg, t_ns, seq, ring):
+    """Return when a tick was, of a burst that was stamped as it arrived: by its number in it.
+
+    As many ticks arrive together as the time until the next ones holds.
+    """
+    period, ticks = leg.period_ns, seq - leg.burst_seq
+    together = t_ns - leg.stamp_ns < TOGETHER * period
+    leg.stamp_ns = t_ns
+    if leg.ring_n > 0 and together:
+        return leg.burst_ns + ticks * period if leg.burst else t_ns
+    if (
+        leg.ring_n > 0
+        and ticks >= LEAST_BURST
+        and abs(t_ns - leg.burst_ns - ticks * period) < period
+    ):
+        if leg.burst == 0 and seq == ring[(leg.ring_n - 1) % RING, 1] + 1:
+            leg.ring_n = 0  # the stamps of the first burst were taken as they were
+        leg.burst, leg.bursts = ticks, min(leg.bursts + 1, MOST_BURSTS)
+    elif leg.bursts > 0:
+        leg.bursts -= 1
+        leg.burst = leg.burst if leg.bursts else 0
+    leg.burst_ns, leg.burst_seq = t_ns, seq
+    return t_ns
+
+
+@compiled
 def follow_clock(leg, t_ns, seq, ring):
     """Take in time and number of an accepted sample.
 
     Returns:
         Ticks without a reading since the last one, or :data:`PAUSE`.
     """
+    t_ns = even_out(leg, t_ns, seq, ring)
     if leg.ring_n == 0:
         anchor(leg, t_ns, seq, ring)
         return 0

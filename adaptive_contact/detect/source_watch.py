@@ -249,6 +249,11 @@ class RateWatch:
         return int(self._ring[(count - min(self.rate_ticks, count, RING)) % RING, 2])
 
     @property
+    def burst(self) -> int:
+        """Ticks that arrive together, stamped on arrival; 0 where each comes by itself."""
+        return int(self.leg.burst) if self.leg.bursts > 1 else 0
+
+    @property
     def jitter(self) -> float:
         """Root mean square of recent deviations from the schedule, periods."""
         leg = self.leg
@@ -268,6 +273,11 @@ class RateWatch:
             return (
                 f"samples are {found_ns / 1e6:.1f} ms apart, robot.toml says "
                 f"{period_ms:.1f} ms: nothing is judged or learned until they agree"
+            )
+        if self.burst:
+            return (
+                f"{self.burst} ticks arrive together, stamped on arrival: they are counted by seq; "
+                "stamp each reading when it is read, and send it then"
             )
         jitter = self.jitter
         if jitter <= NOTED_JITTER:

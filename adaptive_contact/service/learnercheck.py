@@ -15,6 +15,7 @@ from adaptive_contact.wire import LearnerStatus
 _NOTED: Final = {
     "ms apart, robot.toml says": Cause.PERIOD,
     "t_ns jitters": Cause.JITTER,
+    "ticks arrive together": Cause.JITTER,
     "restarts every few samples": Cause.RUN,
     "seq wraps at": Cause.SEQ,
     "carry no phase": Cause.PHASE,

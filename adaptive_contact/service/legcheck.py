@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from adaptive_contact.detect.source_watch import NOTED_JITTER
+from adaptive_contact.detect.source_watch import NOTED_JITTER, RateWatch
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.description import ASSUMED_STEP_RAD
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries, many, of_legs
@@ -352,6 +352,12 @@ def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
     """Yield a fault where stamps of the longest run deviate from an even grid."""
     run = Counter(s.run for s in samples).most_common(1)[0][0]
     rows = [s for s in samples if s.run == run]
+    rate = RateWatch(round(period_s * 1e9))
+    for k, row in enumerate(rows):
+        rate.follow(row.t_ns, row.seq, restart=k == 0)
+    if rate.burst:
+        yield Fault.of("jitter-bursts", ticks=rate.burst)
+        return
     if len(rows) < _FEWEST_STAMPS:
         return
     seq = np.array([s.seq - rows[0].seq for s in rows], dtype=np.float64)

@@ -124,6 +124,16 @@ float_seconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] / 1e
 milliseconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] // 1_000_000))
 
 
+def bursts(ticks: int) -> Mistake:
+    """So many ticks arrive together, and are stamped on arrival."""
+
+    def late(sent: Sent, _: np.random.Generator) -> float:
+        k = sent.body["seq"] % ticks
+        return ticks - 1 - k + 0.015 * k
+
+    return _stamped(late)
+
+
 def slower(factor: float) -> Mistake:
     """A control loop of another period than the description's."""
     return each_sample(lambda sent, _: sent.but(t_ns=round(sent.body["t_ns"] * factor)))

@@ -74,6 +74,7 @@ def test_a_robot_that_is_still_learning_is_no_good_one(walk: list[m.Sent]) -> No
 TABLE: dict[str, tuple[m.Mistake, Cause]] = {
     "stamps with white jitter": (m.white_jitter, Cause.JITTER),
     "stamps of a loop that takes turns": (m.turns_jitter, Cause.JITTER),
+    "ticks in bursts of five": (m.bursts(5), Cause.JITTER),
     "stamps in float seconds": (m.float_seconds, Cause.TIME_TYPE),
     "stamps in milliseconds": (m.milliseconds, Cause.TIME_UNIT),
     "a slower loop": (m.slower(1.25), Cause.PERIOD),

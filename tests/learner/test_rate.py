@@ -38,6 +38,45 @@ def test_where_readings_are_known_to_be_late_a_late_tick_is_one_without_a_readin
     assert rate.follow(7 * STEP + 10**9 + step * 1_000_000, 108, restart=False) == missed
 
 
+@pytest.mark.parametrize("ticks", [4, 5, 8, 12])
+@pytest.mark.parametrize("first", [0, 1, 3])
+@pytest.mark.parametrize("jitter_ms", [0.0, 3.0])
+def test_ticks_of_a_burst_are_counted_by_their_numbers(
+    ticks: int, first: int, jitter_ms: float
+) -> None:
+    """From the second burst on; a pause of the source stays one, and ends no burst."""
+    rng = np.random.default_rng(1)
+    rate = RateWatch(STEP)
+    arrived = [
+        (k // ticks * ticks + ticks - 1) * STEP + round(1e6 * jitter_ms * rng.uniform())
+        for k in range(0, 40 * ticks, ticks)
+    ]
+    pause = 30 * ticks
+    missed, at = list[int | None](), list[int]()
+    for k in range(first, 40 * ticks):
+        late = 50 * STEP if k >= pause else 0
+        t_ns = arrived[k // ticks] + k % ticks * 300_000 + late
+        missed.append(rate.follow(t_ns, k, restart=k == first))
+        at.append(rate.at_ns)
+    settled = 3 * ticks - first
+    others = [m for k, m in enumerate(missed) if k >= settled and k != pause - first]
+    assert missed[pause - first] is None
+    assert set(others) == {0}
+    assert rate.burst == ticks
+    assert not rate.off
+    steps = np.diff(at[settled : pause - first])
+    assert np.abs(steps / STEP - 1.0).max() < 0.15
+
+
+def test_a_stall_that_is_made_up_for_is_no_burst_for_long() -> None:
+    rate = RateWatch(STEP)
+    for k in range(200):
+        stalled = 100 <= k < 106
+        t_ns = (105 if stalled else k) * STEP + k % 6 * 300_000 * stalled
+        assert rate.follow(t_ns, k, restart=k == 0) in ((0,) if k != 100 else (0, None))
+        assert rate.burst == 0
+
+
 def observe(rate: RateWatch, *, late: bool, ticks: int = 60) -> None:
     """Ticks late by up to a quarter of a period, and readings that are so, too, or are not."""
     rng = np.random.default_rng(0)

@@ -202,3 +202,21 @@ def test_a_joint_that_is_sent_elsewhere_once_and_does_not_go_is_frozen() -> None
     told = np.concatenate([np.zeros(20), np.full(60, 0.2)])[:, None]
     assert causes(np.zeros_like(told), told) == [Cause.FROZEN]
     assert causes(np.zeros((40, 1)), told[:40]) == []
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_goals_beyond_what_a_servo_does_are_named(described: bool) -> None:
+    rng = np.random.default_rng(7)
+    goals = swings(rng, 900)
+    stops = np.clip(goals, [-9.0, -0.3], [9.0, 0.3])
+    measured = np.round(followed(rng, stops, 1, 25.0) / AX) * AX
+    rows = zip(measured.tolist(), goals.tolist(), strict=True)
+    samples = [
+        ServoSample(t_ns=20_000_000 * k, seq=k, measured=read, desired=told)
+        for k, (read, told) in enumerate(rows)
+    ]
+    limits = [(-3.0, 3.0), (-0.3, 0.3) if described else (-3.0, 3.0)]
+    said = check_readings(samples, ["a", "b"], AX, limits)
+    (fault,) = [one for one in said if one.cause == Cause.GOALS]
+    assert (fault.detail or "").count("b stops at") == 2
+    assert Cause.GOALS not in causes(np.round(followed(rng, goals, 1, 25.0) / AX) * AX, goals)
