@@ -59,10 +59,11 @@ GUARD_TICKS: Final = 3
 # a hexapod with play in its drives learned, 3.2 % in touch, 0.01 % are left, and 96 % of the free.
 FREE_PUSH, MOST_PUSH, SURE_PUSH = 1.0, 6.0, 4.0
 # In a lift, from so long after the command's first tick on, a foot has struck something where it
-# has lost this share of its predicted way, and its squared residual, whitened, exceeds this.
+# has lost this share of its predicted way: friction that grows fourfold takes 0.2.  Of a leg from a
+# prior the test ratio exceeds this, too: in 4,500 lifts that struck nothing it came to 1.6.
 STRIKE_NS: Final = 100_000_000
-STRIKE_LOSS: Final = 0.35
-STRIKE_LEVEL: Final = 30.0
+STRIKE_LOSS: Final = 0.3
+PRIOR_STRIKE: Final = 2.0
 # Ground is not met as high as this share of the foot's rise; an obstacle is, and shows at once.
 HIGH_SHARE: Final = 0.5
 # Fewer free ticks than this say nothing about a lift, nor about the way to a contact.
@@ -161,19 +162,23 @@ def statistic(leg, noise, history, gradient, upward):
 
 
 @compiled
-def strikes(leg, history):
-    """Return whether a lifting foot lags so far behind its prediction that it struck something.
+def strikes(leg, history, score):
+    """Return whether a test ratio in a lift is of a foot that struck something.
 
-    A foot that lets go late, or is slow in what it can do, loses less.  While it is not known when
-    readings are of, nothing is a strike.
+    A foot that lets go late is off from its first ticks on; one that strikes fitted the model until
+    then, and loses more of its predicted way than one that has become slow.  While it is not known
+    when readings are of, nothing is a strike.
     """
-    if leg.ticks * leg.period_ns < STRIKE_NS or not leg.sure or leg.clock_left:
+    if leg.ticks * leg.period_ns < STRIKE_NS or leg.clock_left:
         return False
     way = along = 0.0
     for j in range(history.shape[2]):
         way += history[1, 0, j] ** 2
         along += history[0, 0, j] * history[1, 0, j]
-    return leg.squared > STRIKE_LEVEL and -along > STRIKE_LOSS * way
+    fitting = fitting_before(leg, leg.at_ns) >= MIN_LIFT_ROWS
+    return (
+        fitting and -along > STRIKE_LOSS * way and score > (PRIOR_STRIKE if leg.from_prior else 1.0)
+    )
 
 
 @compiled
@@ -250,12 +255,20 @@ def begin_labels(leg):
 
 
 @compiled
+def fitting_before(leg, onset_ns):
+    """Count the ticks in a row that fit the model up to shortly before an onset."""
+    if leg.misfit_ns < onset_ns - STRIKE_TICKS * leg.period_ns:
+        return leg.fit_n
+    return max(leg.fit_n, leg.fit_before)
+
+
+@compiled
 def note_fit(leg, level):
     """Count ticks in a row that fit the model; ``level`` is a tick's NIS."""
     if level <= UNFIT_LEVEL:
         leg.fit_n += 1
     elif leg.fit_n:
-        leg.fit_before, leg.fit_n, leg.misfit_ns = leg.fit_n, 0, leg.at_ns
+        leg.fit_before, leg.fit_n, leg.misfit_ns = fitting_before(leg, leg.at_ns), 0, leg.at_ns
 
 
 @compiled

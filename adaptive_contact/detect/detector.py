@@ -379,7 +379,9 @@ def leg_score(leg, past_lift, past, model, noise):
         if (
             leg.learning
             and up
-            and not (leg.topped or leg.broken or (not past_lift and strikes(leg, past.history)))
+            and not (
+                leg.topped or leg.broken or (not past_lift and strikes(leg, past.history, score))
+            )
         ):
             score = 1.0  # other than a strike, no alarm before the command's top (decision 19)
         elif not leg.loaded:
