@@ -247,12 +247,15 @@ def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[F
 
 
 def _without_turns(angles: Array) -> tuple[Array, Ints]:
-    """Remove jumps of whole turns from angles; return them and the jumps of each joint."""
-    steps = np.diff(angles, axis=0)
+    """Remove jumps of whole turns from angles; return them and the jumps of each joint.
+
+    Most stay as they are: the first may be one of those that are off.
+    """
+    steps = np.diff(angles, axis=0, prepend=angles[:1])
     turns = np.round(steps / math.tau)
     turns[np.abs(steps - math.tau * turns) >= 0.5] = 0.0
-    whole = angles.copy()
-    whole[1:] -= math.tau * np.cumsum(turns, axis=0)
+    off = np.cumsum(turns, axis=0)
+    whole = angles - math.tau * (off - np.round(np.median(off, axis=0)))
     return whole, np.count_nonzero(turns, axis=0)
 
 

@@ -136,6 +136,20 @@ def test_a_copy_is_one_by_any_delay_and_rounding(rounds: object, step: float | N
         assert causes(copy, told, step) == [Cause.ECHO], delay
 
 
+@pytest.mark.parametrize("commanded", [True, False], ids=["command too", "reading only"])
+@pytest.mark.parametrize("first", [0, 7])
+def test_a_sample_that_is_a_turn_off_puts_no_other_beyond_its_limits(
+    first: int, commanded: bool
+) -> None:
+    rng = np.random.default_rng(6)
+    told = swings(rng)
+    read = followed(rng, told, 1, 40.0)
+    read[first::37, 0] += math.tau
+    if commanded:
+        told[first::37, 0] += math.tau
+    assert causes(read, told, None) == [Cause.TURN]
+
+
 @pytest.mark.parametrize("turns", [1, -2])
 @pytest.mark.parametrize("from_the_start", [False, True])
 def test_turns_that_come_and_go_are_no_degrees(turns: int, from_the_start: bool) -> None:
