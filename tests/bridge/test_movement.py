@@ -285,7 +285,8 @@ def happen(stage: Stage, what: str, where: float) -> None:
         stage.cycle.restart()
     elif what == "cleared" and not servo.model.compact:
         servo.clear()
-    elif what == "set again" and not servo.drives:
+    elif what == "set again" and not servo.drives and not servo.model.feetech:
+        # A Feetech servo keeps goals beyond its limits and stays: that is neither refused nor read.
         put("upper_limit", max(servo.value("upper_limit") // 2, 1))
 
 

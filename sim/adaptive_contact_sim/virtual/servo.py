@@ -15,7 +15,6 @@ itself down drives again when its torque is switched; no manual says that.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
@@ -345,10 +344,8 @@ class VirtualServo:
         full = (steps - offset) * divider
         if model.compact and not self._multi_turn:
             # A full turn of encoder: the goal is within the turn the horn is in.
-            own = math.floor(
-                (model.centre + offset + sign * self._backend.angle(self._index) / model.step_rad)
-                / (model.highest + 1)
-            )
+            here = sign * self._backend.angle(self._index) / model.step_rad
+            own = round(model.centre + offset + here) // (model.highest + 1)
             full += own * (model.highest + 1) if model.full_turn else 0
         else:
             full += self._turns * (model.highest + 1)
