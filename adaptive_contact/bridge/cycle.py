@@ -206,7 +206,7 @@ class Cycle:
         for number, (reading, block) in readings.items():
             if reading.data is not None:
                 servo = self._servos[number]
-                stands = standing(servo.joint.model, block, reading.data)
+                stands = standing(servo.joint.model, block, reading.data, servo.waker.fatal)
                 if stands.alarms:
                     self.health[number].alarm(stands.alarms)
                 self._judge(servo, stands)

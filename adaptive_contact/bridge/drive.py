@@ -26,6 +26,8 @@ from adaptive_contact.wire import MAX_PREVIEW_TICKS, Command
 HOLD_AFTER_NS: Final = 200_000_000
 # Share of the largest step while a leg comes to its first command: 0.03 of 0.15 rad a tick.
 EASY_SHARE: Final = 0.2
+# Errors that shut an STS servo down as delivered: overheating, overcurrent, overload.
+_FATAL: Final = 0x2C
 
 
 class Mode(enum.StrEnum):
@@ -175,8 +177,8 @@ class Standing(NamedTuple):
     alarms: tuple[str, ...] = ()
 
 
-def standing(model: ServoModel, block: Block, data: bytes, fatal: int = 0xFF) -> Standing:
-    """Parse a servo's state from a block that includes the model's ``state``.
+def standing(model: ServoModel, block: Block, data: bytes, fatal: int = _FATAL) -> Standing:
+    """Parse a servo's state from a block that holds the model's ``state`` or ``watched``.
 
     Args:
         model: what it is.
@@ -185,14 +187,13 @@ def standing(model: ServoModel, block: Block, data: bytes, fatal: int = 0xFF) ->
         fatal: errors that shut a Feetech servo down, where the block does not hold them.
     """
 
-    def value(name: str) -> int:
-        return block.part(data, model.registers[name])
-
     def known(name: str, otherwise: int) -> int:
         register = model.registers.get(name)
-        return value(name) if register is not None and block.holds(register) else otherwise
+        if register is None or not block.holds(register):
+            return otherwise
+        return block.part(data, register)
 
-    torque = value("torque_enable") == 1
+    torque = known("torque_enable", 0) == 1
     errors, limit = known("hardware_error", 0), known("torque_limit", 1)
     alarms = tuple(name for bit, name in model.error_bits.items() if errors & bit)
     shuts = bool(errors & known("shutdown", fatal))
@@ -277,7 +278,7 @@ class Waker:
     @property
     def fatal(self) -> int:
         """Return the errors that shut it down, as far as it has reported them."""
-        return 0xFF if self.setting is None else self.setting.values.get("shutdown", 0xFF)
+        return _FATAL if self.setting is None else self.setting.values.get("shutdown", _FATAL)
 
     def bounds(self) -> tuple[float, float]:
         """Return the range of its goals, rad: robot.toml's limits within the servo's own."""

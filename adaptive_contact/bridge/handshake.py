@@ -447,9 +447,11 @@ class _Handshake:
         known = [part for part in data if part is not None]
         if len(known) < len(data):
             return False
-        if standing(model, model.state, known.pop()).shut:
-            self._advice.append(f"{where}: {remedy(model)}")
+        state = known.pop()
         found = setting(model, known)
+        fatal = found.values.get("shutdown", 0)
+        if standing(model, model.state, state, fatal).shut:
+            self._advice.append(f"{where}: {remedy(model)}")
         wrong = found.wrong or (found.undriven if self._drive else None)
         if wrong:
             self._errors.append(f"{where} {wrong}")

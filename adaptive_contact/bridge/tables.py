@@ -136,8 +136,14 @@ class ServoModel:
 
     @property
     def state(self) -> Block:
-        """Return the block that says whether it drives, and whether it has shut itself down."""
-        if self.feetech or not self.compact:
+        """Return the block that says whether it drives, and whether it has shut itself down.
+
+        Of Feetech's servos it says the latter only.  Nothing in it changes while a servo moves, so
+        that it can be read twice alike.
+        """
+        if self.feetech:
+            return self._block("hardware_error")
+        if not self.compact:
             return self._block("shutdown", "torque_enable", "hardware_error")
         if "hardware_error" in self.registers:
             return self._block("torque_enable", "torque_limit", "hardware_error")

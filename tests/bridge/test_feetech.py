@@ -99,6 +99,21 @@ def test_configure_unlocks_and_locks_again(rig: Callable, kind: dict) -> None:
 
 
 @pytest.mark.parametrize("kind", [STS, SCS])
+def test_a_moving_robot_is_let_through(rig: Callable, kind: dict) -> None:
+    """What is read twice alike must not hold what changes with every reading."""
+    r = rig(noise_steps=20.0, **kind)
+    assert check_ports(r.plans, full=False).errors == []
+
+
+def test_a_servo_that_has_shut_itself_down_is_named_before_the_start(rig: Callable) -> None:
+    r = rig(**STS)
+    r.servo(2).set_errors(0x21)  # overload; a voltage that is wrong shuts no STS servo down
+    r.servo(3).set_errors(0x01)
+    advice = check_ports(r.plans, full=False).advice
+    assert [line.split(": ")[1] for line in advice if "shut down" in line] == ["servo 2"]
+
+
+@pytest.mark.parametrize("kind", [STS, SCS])
 def test_observing_writes_nothing(run: Callable, kind: dict) -> None:
     r = run("observe", **kind)
     r.rig.backend.place(1, -0.7)
