@@ -27,6 +27,7 @@ _SHOWN: Final = 3
 _NAMED: Final = frozenset(
     {Cause.UNREADABLE, Cause.TIME_TYPE, Cause.TIME_UNIT, Cause.TIME_BACKWARDS, Cause.JOINTS}
     | {Cause.NOT_FINITE, Cause.UNITS, Cause.PERIOD, Cause.SEQ, Cause.ORDER, Cause.LIMITS}
+    | {Cause.TURN}
 )
 # Of these, the ones that leave no tick to judge an event by.
 _SPOILS: Final = frozenset({Cause.UNITS, Cause.TIME_UNIT, Cause.TIME_TYPE, Cause.TIME_BACKWARDS})

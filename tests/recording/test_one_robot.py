@@ -197,6 +197,24 @@ def test_numbers_that_count_no_ticks_are_named(
 
 
 @pytest.mark.parametrize("command", ["replay", "score"])
+def test_turns_are_named(command: str, run: Any, tmp_path: Path) -> None:
+    """As doctor and fit do: they cost events, and nothing else says so."""
+
+    def turned(fields: Fields) -> Fields:
+        seq = fields["seq"]
+        off = math.tau * (seq % 37 == 3)
+        load = 0.02 * math.sin(seq * seq)  # without it the readings are copies
+        return fields | {
+            "measured": [q + off + load for q in fields["measured"]],
+            "desired": [q + off for q in fields["desired"]],
+        }
+
+    _, _, said = run(command, _write(tmp_path / "a.mcap", turned))
+    assert said.count("readings are off by a full turn") == 1
+    assert "beyond their limits" not in said
+
+
+@pytest.mark.parametrize("command", ["replay", "score"])
 def test_one_leg_in_degrees_does_not_spoil_the_other(
     command: str, run: Any, tmp_path: Path
 ) -> None:
