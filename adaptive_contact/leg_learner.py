@@ -28,7 +28,6 @@ from adaptive_contact.detect.layout import (
     RESTARTED,
     SOURCE,
     TOPPED,
-    TOUCH_KEPT,
     TOUCHED,
     TURNED,
     WEIGHED,
@@ -66,7 +65,7 @@ ROWS_PER_TICK: Final = 3
 # Flags of a tick that make an event; few ticks have one.
 EVENTS: Final = DECIDED | RELEASE_PENDING
 # Flags that change nothing of what the next tick is judged by.
-WAITING: Final = EVENTS | WEIGHED | TOUCH_KEPT | TURNED
+WAITING: Final = EVENTS | WEIGHED | TURNED
 
 
 def check_sample(sample: object) -> None:
@@ -358,7 +357,7 @@ class ContactLearner:
         assessed = flags & ~WAITING or (
             flags & WEIGHED and (adapter is None or adapter.monitor.watches)
         )
-        if assessed or flags & TOUCH_KEPT:
+        if assessed:
             self._hand_over(flags)
             self._assessed = False
             if flags & SOURCE:
@@ -374,6 +373,9 @@ class ContactLearner:
                 self.report.read_status()
             return False
         moved = adapter.tick(ROWS_PER_TICK) if adapter.busy else adapter.pass_tick()
+        if adapter.found is not None:
+            lifecycle.take_slope(adapter.found)
+            return True
         if assessed:
             # Of readings that may be copies, the model would be learned again.
             suspected = self.report.source.suspected
@@ -433,6 +435,7 @@ class ContactLearner:
         lifecycle, place = self.lifecycle, self.place
         if lifecycle.library != place.batch.library:
             place.move(self._batch(), 0)
+            place.drop_rows()  # of the swing: they are of other terms
         place.batch.forget_past(place.row)
         self._begun = lifecycle.begun
         self.report.read_status()
@@ -497,7 +500,6 @@ class ContactLearner:
         self._let_go()
         self.place.restart_swing()
         self._swing.restart()
-        self._labels.restart()
 
     def _retract(self) -> None:
         """Retract what was learned from a faulty source."""

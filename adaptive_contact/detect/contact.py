@@ -24,8 +24,6 @@ from adaptive_contact.detect.layout import (
     BROKE_OFF,
     DECIDED,
     DEPTH,
-    TOUCH_KEPT,
-    TOUCH_TICKS,
     TOUCHED,
     WEIGHED,
 )
@@ -318,39 +316,9 @@ def note_push(leg, rows):
 def break_off(leg):
     """End the swing without learning it: the next sample does not connect."""
     leg.found |= BROKE_OFF
-    leg.whole = leg.stood = leg.touching = False
+    leg.whole = leg.stood = False
     begin_labels(leg)
     leg.broken = True
-
-
-@stage
-def keep_touch(leg, past, noise, touch):
-    """Keep a tick of a contact with the two before it, as a ``Touch`` has them; flag the last."""
-    history, thetas, whiten, unit = past.history, past.thetas, noise.whiten, noise.unit
-    depth, joints = history.shape[1:]
-    at = leg.touch_n * (len(touch) // TOUCH_TICKS)
-    known = min(leg.usable, leg.thetas_n)
-    for lag in range(depth):
-        for k in range(thetas.shape[1]):
-            touch[at] = thetas[lag, k] if lag < known else 0.0
-            at += 1
-    for lag in range(depth):
-        for j in range(joints):
-            touch[at] = history[0, lag, j] + history[1, lag, j]
-            at += 1
-    for width in range(depth):
-        for r in range(joints):
-            for c in range(joints):
-                touch[at] = whiten[leg.context, width, r, c] / math.sqrt(unit[c])
-                at += 1
-    for width in range(depth):
-        touch[at] = noise.limits[direction_of(leg, width + 1), width]
-        at += 1
-    touch[at] = known
-    leg.touch_n += 1
-    if leg.touch_n == TOUCH_TICKS:
-        leg.touching = False
-        leg.found |= TOUCH_KEPT
 
 
 @compiled

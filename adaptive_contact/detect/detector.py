@@ -18,7 +18,6 @@ from adaptive_contact.detect.contact import (
     context_of,
     enter_row,
     is_high,
-    keep_touch,
     let_go,
     model_uncertainty,
     note_contact,
@@ -222,7 +221,6 @@ def follow_swing(leg, sample, source, swing, past, model):
         leg.began_next_ns, leg.began_next_n = leg.at_ns, leg.total_n
         leg.began_count = 2
         leg.unresolved = True
-        leg.touching = False
         begin_labels(leg)
         leg.withholds = leg.withholds_begun
         leg.broken = not (leg.whole or leg.has_lengths)
@@ -343,10 +341,6 @@ def hold_back(leg, swing, past, noise, kept, was_free, past_lift):
     """Hold the tick's row back until its swing is resolved."""
     if not leg.learning:
         return
-    if leg.found & TOUCHED:
-        leg.touching, leg.touch_n = True, 0
-    if leg.touching:
-        keep_touch(leg, past, noise, kept.touch)
     air = airborne(leg)  # then no row is of a touch
     leg.cleared |= air
     if past_lift and not (leg.bad or air) and (was_free or leg.found & TOUCHED):

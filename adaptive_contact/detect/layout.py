@@ -28,7 +28,6 @@ SWINGS: Final = 5  # lengths of swings, remembered
 PATH_TICKS: Final = 400  # commands of a swing, remembered
 RING: Final = 101  # ticks by which the rate is judged, at most
 VALUES: Final = 8  # refused readings remembered
-TOUCH_TICKS: Final = 3  # of a contact that are handed on, from the alarm on
 KEPT: Final = 3000  # samples kept for judgements of a whole motion, a minute at 50 Hz
 
 # What a tick finds of a leg, as bits: what Python has to do for the leg.
@@ -40,7 +39,6 @@ WEIGHED: Final = 16  # a residual was weighed that may be learned
 TOPPED: Final = 32  # the top of the lift has just been passed
 DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
-TOUCH_KEPT: Final = 256  # the first ticks of a contact are kept, all of them
 RATE_OFF: Final = 512  # ticks are not as far apart as described
 SOURCE: Final = 2048  # its readings or phases begin or cease to be false
 TURNED: Final = 4096  # the command turns to stance
@@ -48,8 +46,7 @@ RELEASE_PENDING: Final = 1024  # a contact is to end that no tick can decide any
 
 f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
 
-# The vectors of one leg, by kind; lengths are numbers, or J joints, p terms, w places of a window,
-# t those of a `Touch`.
+# The vectors of one leg, by kind; lengths are numbers, or J joints, p terms, w places of a window.
 VECTORS: Final[dict[Any, dict[str, int | str]]] = {
     f8: {
         "measured": "J",  # the sample, rad; both side by side at the start
@@ -80,7 +77,6 @@ VECTORS: Final[dict[Any, dict[str, int | str]]] = {
         "sigma": "J",  # rad, deviation of residuals at the start
         "unit": "J",  # variance of this tick's residuals over the baseline's
         "scores": DEPTH,  # test ratios of this tick
-        "touch": "t",  # the first ticks of a contact, each as a `Touch` has it
         "reading": "J",  # rad, of this tick, repaired
         "shrink": "J",  # reciprocal roots of `unit`
         "gradient": "J",  # m per rad, of the foot's height
@@ -236,8 +232,6 @@ LEG: Final = np.dtype(
         ("closed", b1),  # no more rows of the descent are taken
         ("broken", b1),  # the swing cannot be labelled
         ("top_seen", b1),  # the top was flagged
-        ("touching", b1),  # the first ticks of a contact are to be kept
-        ("touch_n", i4),  # of these that are
         ("fit_n", i4),  # ticks in a row up to now that fit the model
         ("fit_before", i4),  # and of the row before
         ("misfit_ns", i8),  # the tick that ended it
@@ -387,7 +381,7 @@ Noise = namedtuple(
     "Noise",
     "sigma unit whiten index per_scale root limits scores shrink sums",
 )
-Kept = namedtuple("Kept", "rows row_values touch target free_ring")
+Kept = namedtuple("Kept", "rows row_values target free_ring")
 
 # Each vector's array, and its number.
 SOURCES: Final = ("floats", "ints", "bools")

@@ -28,7 +28,6 @@ from adaptive_contact.detect.layout import (
     SOURCES,
     STATE,
     TICK,
-    TOUCH_TICKS,
     new_legs,
     scalars_of,
     vectors,
@@ -36,7 +35,7 @@ from adaptive_contact.detect.layout import (
 from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
-from adaptive_contact.model.labelled_swing import ROW, Touch
+from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.model.library import ChangeLibrary, Library
 from adaptive_contact.model.noise import CONTEXTS, DIRECTIONS
 from adaptive_contact.robot import Leg
@@ -102,7 +101,6 @@ class LegBatch:
     sigma: Array
     unit: Array
     scores: Array
-    touch: Array
 
     def __init__(
         self, legs: Sequence[Leg], library: Library, quantum_rad: Sequence[float], period_ns: int,
@@ -124,8 +122,7 @@ class LegBatch:
             return np.zeros((rows, *shape), dtype=dtype)
 
         self.legs = legs_ = new_legs(rows)
-        touch = TOUCH_TICKS * Touch.size(p, joints)
-        lengths = {"J": joints, "p": p, "w": depth * joints, "t": touch}
+        lengths = {"J": joints, "p": p, "w": depth * joints}
         self.vectors, self.places = vectors(rows, lengths)
         self._name_vectors()
         self.unit[:] = 1.0
@@ -266,9 +263,9 @@ class LegBatch:
         leg = scalars_of(self.legs, row)
         for name in ("filled", "impossible", "unsure", "refused_n", "reach_ticks", "values_n"):
             setattr(leg, name, 0)
-        for name in ("usable", "thetas_n", "root_n", "touch_n"):
+        for name in ("usable", "thetas_n", "root_n"):
             setattr(leg, name, 0)
-        leg.predicted = leg.bad = leg.seen = leg.touching = False
+        leg.predicted = leg.bad = leg.seen = False
         leg.sound, leg.reading_variance = True, 1.0
 
 
@@ -282,7 +279,7 @@ _OF_NO_LEG: Final = (*SHARED, "places", "accepted")
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "last_good",
     "last", "suspects", "stale", "refused", "values", "counts", "xi0", "coefficients", "index",
-    "per_scale", "root", "domain", "touch",
+    "per_scale", "root", "domain",
 )  # fmt: skip
 
 
@@ -338,6 +335,12 @@ class LegPlace:
         self.leg.accepted = self.leg.unfinished = False
         self.leg.found = 0
 
+    def drop_rows(self) -> None:
+        """Drop what is held back of the present swing, which is not labelled then."""
+        leg = self.leg
+        leg.row_n = leg.lift_n = leg.commanded_n = 0
+        leg.broken = True
+
     def restart_swing(self) -> None:
         """Forget the present swing, and whether the leg carries."""
         leg = self.leg
@@ -349,7 +352,7 @@ class LegPlace:
             setattr(leg, name, 0)
         leg.row_n = leg.commanded_n = 0
         leg.hole_ns, leg.apex = -1, -np.inf
-        for name in ("swing_phase", "topped", "closed", "top_seen", "touching"):
+        for name in ("swing_phase", "topped", "closed", "top_seen"):
             setattr(leg, name, False)
         for name in STATE:
             setattr(leg, name, BEGINNING.get(name, 0))

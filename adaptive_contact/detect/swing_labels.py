@@ -18,7 +18,7 @@ from typing import Final
 
 from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.contact import GUARD_TICKS, MIN_LIFT_ROWS
-from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, RESTARTED, TOPPED, TOUCH_KEPT, WEIGHED
+from adaptive_contact.detect.layout import BEGAN, TOPPED, WEIGHED
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.state import PUT_DOWN
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
@@ -28,7 +28,6 @@ from adaptive_contact.model.labelled_swing import (
     Label,
     LabelledSwing,
     Rows,
-    Touch,
 )
 from adaptive_contact.model.leg_model import LegModel, rollout
 from adaptive_contact.model.noise import UNFIT_LEVEL
@@ -90,23 +89,15 @@ class SwingLabels:
         """Take over the model by which the leg was first known; None where there is none."""
         self._first = first
 
-    def restart(self) -> None:
-        """Forget the present swing, after a fault of the learning."""
-        self._place.leg.touch_n = 0
-
     def assess(self, flags: int) -> list[LabelledSwing]:
         """Label what the next tick is judged by: a swing that begins, a lift past its top."""
         leg = self._place.leg
-        if flags & (RESTARTED | BROKE_OFF | BEGAN):
-            leg.touch_n = 0
         found: list[LabelledSwing] = []
         if not leg.has_model:
             return found
         if flags & BEGAN:
             self._begin_swing()
             found.append(LabelledSwing(Label.BEGIN))
-        if flags & TOUCH_KEPT:
-            found += self._contact()
         if not flags & WEIGHED:
             return found
         joints = self._place.batch.measured.shape[1]
@@ -130,7 +121,6 @@ class SwingLabels:
             descent = descent[~records["after"] | records["high"]]
             descent = descent[: len(descent) - low_rows(descent)]
         return [
-            *self._contact(),  # of a touch that the end of its swing has cut short
             *self._confirmed(descent, lifted=self._swing.had_lifted),
             LabelledSwing(Label.END, early=self._swing.touched_early()),
         ]
@@ -197,16 +187,6 @@ class SwingLabels:
             return []
         rows = moving(rows)
         return [LabelledSwing(Label.DESCENT, rows, self._region)] if rows else []
-
-    def _contact(self) -> list[LabelledSwing]:
-        """Label the first ticks of a contact, for candidate models to be tried on."""
-        batch, leg = self._place.batch, self._place.leg
-        count = leg.touch_n
-        if not count:
-            return []
-        leg.touch_n, leg.touching = 0, False
-        ticks = Touch.of(batch.touch[self._place.row], count, *batch.coefficients.shape[1:])
-        return [LabelledSwing(Label.CONTACT, touch=ticks)]
 
     def _close(self, onset_ns: int, period_ns: int) -> Rows:
         """Close the swing at a contact; return the rows of its descent that are free."""

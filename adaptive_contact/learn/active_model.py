@@ -1,8 +1,4 @@
-"""Owns the model in force, and the recursion that moves it.
-
-The model of the last good swing is kept with its recursion: one that turns out implausible is
-replaced by it, or by the baseline where there was none.
-"""
+"""Owns the model in force, and the recursion that moves it."""
 
 from __future__ import annotations
 
@@ -80,7 +76,7 @@ class FirstSwings:
 
 
 class Good(NamedTuple):
-    """Holds a model that fitted, and the recursion from it."""
+    """Holds a model as it was, with its recursion."""
 
     version: int
     rls: RecursiveLeastSquares
@@ -88,7 +84,7 @@ class Good(NamedTuple):
 
 
 class ActiveModel:
-    """Owns one leg's model in force, its recursion and the last good model.
+    """Owns one leg's model in force and its recursion.
 
     Args:
         start: what the leg begins with, the baseline or a prior.
@@ -116,7 +112,6 @@ class ActiveModel:
         self.as_made = start.model
         self._moved = False  # the recursion has, since it was made
         self._start = Good(start.model.version, self._begun_with(start.spread), self.from_prior)
-        self._good: Good | None = None
         self._go_on_from(self._start)
         self._better_baseline = 0  # lifts in a row
 
@@ -144,21 +139,18 @@ class ActiveModel:
         """Covariance of the coefficients while it is inflated, else None."""
         return self.recursion.roots if self.inflated else None
 
-    def learn(self, values: Array, at: int) -> str | None:
-        """Learn a row; a model that becomes implausible gives way to the last good one.
+    def learn(self, values: Array, at: int) -> bool:
+        """Learn a row.
 
         Args:
             values: as of :meth:`RecursiveLeastSquares.learn`.
             at: which row.
 
         Returns:
-            The model that is in force again, by name, where this one became implausible; else None.
+            Whether the model is plausible.
         """
         self._moved = True
-        if self.recursion.learn(values, at):
-            return None
-        self._go_on_from(self._good or self._start)
-        return "the baseline" if self._good is None else "the last good model"
+        return self.recursion.learn(values, at)
 
     def uncertainty(self, rows: Rows) -> float:
         """Compute the variance of predictions that comes from the coefficients, over the noise's.
@@ -173,10 +165,6 @@ class ActiveModel:
         self.inflated = True
         self.recursion.inflate(change_directions(self.model, self._scale, self._noise))
 
-    def remember(self) -> None:
-        """Keep the model in force as the last good one."""
-        self._good = self.good(self._good)
-
     def good(self, spare: Good | None = None) -> Good:
         """Return the model in force with its recursion; ``spare`` may be written over."""
         rls = self.recursion.copy(None if spare is None else spare.rls)
@@ -186,12 +174,6 @@ class ActiveModel:
         """Restore an earlier model, and drop what was learned since."""
         self._put(self.as_made.moved(good.rls.coefficients, good.version))
         self._go_on_from(good)
-        self._good = good
-
-    def replace(self, model: LegModel) -> None:
-        """Put another model in force; the recursion restarts from it."""
-        self._put(model)
-        self.recursion, self.inflated = self._recursion(model), False
 
     def baseline_is_better(self, rows: Rows) -> bool:
         """Return whether the baseline has fitted lifts much better than the model, up to this one.
@@ -208,9 +190,9 @@ class ActiveModel:
         self._better_baseline = 0
         return True
 
-    def revert_to_baseline(self) -> None:
-        """Put the baseline, or the prior, in force again; the version goes on."""
-        self._go_on_from(self._start)
+    def go_on_from(self, good: Good | None) -> None:
+        """Put an earlier model in force again, the start's where None; the version goes on."""
+        self._go_on_from(good or self._start)
         self._moved = True
 
     def snapshot(self) -> dict[str, Any]:

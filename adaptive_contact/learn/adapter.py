@@ -1,21 +1,23 @@
 """Follows one leg's model: recursion, refits, return to what was known.
 
+Two ways lead back to an older model.  One kept as a swing began takes the place of a model that no
+servo can have, and of one that a false source has taught.  The baseline takes the place of a model
+where it fits again.
+
 When the drift monitor finds that the leg has changed, the covariance of the recursion is inflated
 along the ways in which legs change, and the lifts are learned at once.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import zlib
 from collections import deque
-from collections.abc import Sequence
 from typing import Any, Final, Literal, NamedTuple
 
-from adaptive_contact.arrays import Array
 from adaptive_contact.diagnose.change_classifier import ChangeClassifier
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel, FirstSwings, Good
-from adaptive_contact.learn.candidate import Candidate, rows_for_refit
 from adaptive_contact.learn.drift import (
     SETTLED_LEVEL,
     DriftMonitor,
@@ -23,6 +25,7 @@ from adaptive_contact.learn.drift import (
 )
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.learn.periodic_refit import PeriodicRefit, rows_for_refit
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.learn.state import (
     FORMAT,
@@ -69,6 +72,7 @@ class _Kept(NamedTuple):
 
     t_ns: int
     era: int
+    fits: bool  # the leg was as its model says
     good: Good
     parts: tuple[dict[str, Any] | None, ...]  # of what follows the leg
 
@@ -83,7 +87,7 @@ class EventStatus(NamedTuple):
 
 
 class Adapter:
-    """Adapts one leg's model: routes labelled swings to drift, recursion, buffer and candidate.
+    """Adapts one leg's model: routes labelled swings to drift, recursion, buffer and refits.
 
     Args:
         leg: its id.
@@ -91,12 +95,14 @@ class Adapter:
         noise_tracker: covariances and thresholds, which it keeps up to date.
         mode: what it may do.
         refitter: does the sparse refits.
+        quantum_rad: position step.
 
     Attributes:
         learning: whether it does anything at all.
         baseline: the model as the leg was first known.
         active: the model in force, with its recursion.
-        candidate: refits, requested and tried.
+        refit: sparse refits, requested and judged.
+        found: what a refit has found to go on from with another adapter.
         monitor: whether the lifts fit.
         early: touches reported at the top of swings.
         buffer: confirmed rows.
@@ -111,6 +117,7 @@ class Adapter:
         noise_tracker: NoiseTracker,
         mode: LearnerMode,
         refitter: Refitter,
+        quantum_rad: float,
     ) -> None:
         self.learning = mode is not LearnerMode.FROZEN
         self.baseline = start.model
@@ -134,9 +141,10 @@ class Adapter:
         self._renewed = False  # covariances were, since the last `tick`
         self._kept = deque[_Kept](maxlen=KEPT_SWINGS)
         self.busy = True
-        self.candidate = Candidate(
-            leg, self._noise, self._scale, refitter, start.domain, self.active.most_rad
+        self.refit = PeriodicRefit(
+            leg, start.model.library, self._noise, quantum_rad, refitter, start.domain
         )
+        self.found: LegBaseline | None = None
 
     # -- what detection and status read -----------------------------------------------------------
 
@@ -196,7 +204,7 @@ class Adapter:
     @property
     def refits(self) -> RefitCounts:
         """Counts of refits, for the status."""
-        return self.candidate.counts
+        return self.refit.counts
 
     def free_motion(self) -> FreeMotion:
         """Publish what the next tick is judged by."""
@@ -211,7 +219,7 @@ class Adapter:
             noise.after_known,
             noise.whiten,
             noise.thresholds,
-            self.candidate.domain,
+            self.refit.domain,
         )
 
     # -- what detection has found -------------------------------------------------------------
@@ -230,10 +238,6 @@ class Adapter:
                 self._lift(part.rows, part.region, part.t_ns)
             case Label.DESCENT:
                 self._descent(part.rows, part.region)
-            case Label.CONTACT:
-                # Of any other leg the contact may be wrong, and nothing to try candidates on.
-                if self.status == "valid" and part.touch is not None:
-                    self.candidate.contacts.add(part.touch)
             case Label.END:
                 self._end_swing(part.early)
 
@@ -274,6 +278,13 @@ class Adapter:
         kept = [t_ns for t_ns in self.confirmed_ns if t_ns < since_ns]
         self.confirmed_ns = deque(kept, maxlen=CONFIRMED_TICKS)
 
+    def go_on_from(self, before: Adapter) -> None:
+        """Take over what does not depend on the model, from the adapter of another slope."""
+        self.refit.restore(before.refit.snapshot())
+        self._era = before._era + 1
+        if before.first is None:
+            self.first = None
+
     @property
     def known(self) -> bool:
         """Whether a model that was there before the leg's first swing has fitted all its lifts."""
@@ -286,7 +297,7 @@ class Adapter:
             spare = self._kept[0].good if len(self._kept) == KEPT_SWINGS else None
             good = self.active.good(spare)
             parts = tuple(None if of is None else _state_of(of) for of in self._followers)
-            self._kept.append(_Kept(t_ns, self._era, good, parts))
+            self._kept.append(_Kept(t_ns, self._era, self._fits, good, parts))
 
     def retract(self, since_ns: int) -> None:
         """Drop what was confirmed and learned since a time: those ticks were not of this leg."""
@@ -303,9 +314,12 @@ class Adapter:
             if of is not None and state is not None:
                 vars(of).update(_copied(state))
         self._era, self._evidence = kept.era, None
-        self.candidate.withdraw()
-        self.candidate.contacts.clear()
+        self.refit.leg_changed()
         self._refresh()
+
+    @property
+    def _fits(self) -> bool:
+        return self.monitor.status == "valid" and self.monitor.variance_scale < SETTLED_LEVEL
 
     @property
     def _followers(self) -> tuple[object | None, ...]:
@@ -336,16 +350,13 @@ class Adapter:
         if self.first is not None and self.first.end_swing(valid=valid):
             self.first = None
         if valid and early is not None and self.early.take(early):
-            # They were not contacts.  None are stored meanwhile, so that no refit is promoted.
-            self.candidate.contacts.clear()
+            self.refit.drop()  # no lift shows what is wrong: rows of lifts are no judge
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
             self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
-        if valid and self.monitor.variance_scale < SETTLED_LEVEL:
-            self.active.remember()
-        period_s = self.baseline.library.period_s
-        if self.candidate.swing_done(period_s, learned=learned):
-            self.candidate.request(self.model, self.buffer, self._era)
+        due = self.refit.swing_done(self.baseline.library.period_s, learned=learned)
+        if due and not self.early.reported:
+            self.refit.request(self.buffer, self._era)
 
     def tick(self, budget: int) -> Moved:
         """Learn a few rows and collect a refit that is due; once per control tick.
@@ -380,7 +391,7 @@ class Adapter:
 
     def pass_tick(self) -> Moved:
         """Collect a refit that is due, in a tick in which nothing else is to be done."""
-        return ANYTHING if self.candidate.tick() else NOTHING
+        return ANYTHING if self.refit.tick() else NOTHING
 
     def _share(self, budget: int) -> int:
         """Return how many rows a tick learns: a known leg can wait, a changed one cannot.
@@ -404,7 +415,7 @@ class Adapter:
             "belied": self.early.snapshot(),
             "first": None if self.first is None else self.first.swings,
             "era": self._era,
-            "refits": self.candidate.snapshot(),
+            "refits": self.refit.snapshot(),
             "recent": self._noise_tracker.snapshot(),
             "segments": [segment_of(s) for s in self.buffer.segments],
         }
@@ -427,9 +438,9 @@ class Adapter:
         self.early.restore(saved.get("belied"))
         self._restore_first(saved.get("first"))
         self._era = state.era
-        self.candidate.restore(saved.get("refits"))
+        self.refit.restore(saved.get("refits"))
         self.buffer.restore(state.segments)
-        self.candidate.resume(self.buffer, len(self._scale), self._era)
+        self.refit.resume(self.buffer, self._era)
         self._noise_tracker.restore(saved.get("recent"), self.monitor.variance_in_force)
         self._refresh()
         self.busy = True
@@ -444,13 +455,13 @@ class Adapter:
             self.first = FirstSwings(swings)
 
     def _change(self, *, first: bool) -> None:
-        """Begin a new era, as the leg has changed: inflate the covariance, drop the candidate."""
+        """Begin a new era, as the leg has changed: inflate the covariance, drop the refit."""
         if first:
             self.early.forget()
             self._evidence = ChangeClassifier(self.model, self._noise)
         self._era += 1
         self.active.inflate()
-        self.candidate.withdraw()
+        self.refit.leg_changed()
         self._refresh()
 
     def _confirm(self, rows: Rows, region: int) -> None:
@@ -466,7 +477,7 @@ class Adapter:
             self.monitor.note_kind(self._evidence.kind)
         if self.monitor.status == "valid" and rows:
             scale = self.monitor.variance_in_force
-            self._renewed |= self._noise_tracker.count(rows, self.candidate.domain, scale)
+            self._renewed |= self._noise_tracker.count(rows, self.refit.domain, scale)
         self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
 
@@ -474,33 +485,28 @@ class Adapter:
         """Return to the baseline if it fits again, such as after mud is washed off."""
         if not self.active.baseline_is_better(rows):
             return
-        self.active.revert_to_baseline()
+        self.active.go_on_from(None)
         self.buffer.drop_unlearned()
-        self.candidate.withdraw()
-        self.candidate.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
+        self.refit.leg_changed()
+        self.refit.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self.monitor.mark_unchanged()
         self._evidence = None
         self._era += 1
         self._refresh()
 
     def _learn(self) -> None:
-        """Learn the next row, and let a candidate, if there is one, be tried on it."""
+        """Learn the next row, and judge a refit, if there is one, by it."""
         active, values = self.active, self.buffer.values
         at, self._learned_ns = self.buffer.next_unlearned()
-        self._learn_row(values, at)
-        if self.candidate.trying:
+        if not active.learn(values, at):
+            self._return_from_implausible()
+        elif self.refit.judging:
             terms, joints = active.coefficients.shape
             row = Row(values[at, :terms], values[at, terms : terms + joints], self._learned_ns)
-            # Remade only for the row that decides: that is the model which stands by if replaced.
-            model = active.model if self.candidate.deciding else active.as_made
-            self._try(row, active.recursion.innovations, model)
-
-    def _try(self, row: Row, off: Sequence[float], model: LegModel) -> None:
-        """Compare the candidate with the model in force on a row; put it in force if it wins."""
-        won = self.candidate.compare(row, off, model, valid=self.monitor.status == "valid")
-        if won is not None:
-            self.active.replace(won)
-            self._refresh()
+            won = self.refit.judge(row, active.recursion.innovations)
+            if won is not None:
+                model = won.model.moved(won.model.coefficients, active.version + 1)
+                self.found = dataclasses.replace(won, model=model)
 
     def _refresh(self, *, at_once: bool = True) -> None:
         """Recompute covariances and thresholds for the model in force and the present era.
@@ -516,14 +522,14 @@ class Adapter:
         else:
             self._noise_tracker.begin_refresh(residuals, context, self.buffer.of_era(self._era))
 
-    def _learn_row(self, values: Array, at: int) -> None:
-        """Learn a row; where it makes the model implausible, follow the return to another."""
-        back_to = self.active.learn(values, at)
-        if back_to is None:
-            return
+    def _return_from_implausible(self) -> None:
+        """Go on from the newest model that fitted as a swing began, or from the baseline."""
+        kept = next((kept for kept in reversed(self._kept) if kept.fits), None)
+        self.active.go_on_from(None if kept is None else kept.good)
+        back_to = "the baseline" if kept is None else "the model before"
         self.buffer.drop_unlearned()
-        self.candidate.withdraw()
-        self.candidate.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
+        self.refit.leg_changed()
+        self.refit.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
         self._refresh()
 
 

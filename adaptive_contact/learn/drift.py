@@ -110,7 +110,7 @@ class DriftMonitor:
         self._counted_free = False  # in this swing
         self._held = False  # in this swing, by its way
         self._trusted = True
-        self._lifts = self._lifts_far = 0
+        self._lifts = self._lifts_far = self._far_in_a_row = 0
         self._unfit_n = 0  # lifts that have to fit until the leg is predicted again
 
     @property
@@ -125,11 +125,14 @@ class DriftMonitor:
 
     @property
     def unfit(self) -> bool:
-        """Whether the baseline is of another leg: nearly all of the first lifts were far off.
+        """Whether the model is of another leg: nearly all of the first lifts were far off.
 
         Not while something may hold the foot: a leg that starts on a leash is this leg all the
-        same, and a new start would learn it with its leash.
+        same, and a new start would learn it with its leash.  But a leg that comes its way and is
+        far off in each lift, for as long as a leg is given to settle, has become another.
         """
+        if self._far_in_a_row >= PATIENCE_SWINGS:
+            return True
         far, lifts = self._lifts_far, self._lifts
         if self.obstructed or far < UNFIT_LIFTS:
             return False
@@ -195,6 +198,7 @@ class DriftMonitor:
             return LiftAssessment(fitting)
         self._lifts += 1
         self._lifts_far += level > UNFIT_LEVEL
+        self._far_in_a_row = self._far_in_a_row + 1 if level > UNFIT_LEVEL else 0
         off = level > SETTLED_LEVEL * max(self.variance_scale, 1.0)
         self._unfit_n = SETTLED_SWINGS if off else max(self._unfit_n - 1, 0)
         if level > FAR_LEVEL and self._known:

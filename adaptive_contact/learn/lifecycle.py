@@ -1,5 +1,7 @@
 """Decides which model a leg begins with: a baseline, what is known of any leg, or a saved state.
 
+A refit that finds another slope of the servos' law makes another beginning (:meth:`take_slope`).
+
 What is known of any leg is used where there is no baseline, or an unfit one.  From then on an
 adapter keeps the model up to date; it is made here and nowhere else.
 """
@@ -12,10 +14,11 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.fit.refit_job import Refitter
+from adaptive_contact.fit.refit_job import SLOPE_RANGE, Refitter
 from adaptive_contact.learn.adapter import Adapter
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.learn.state import ImplausibleError, array_of, pack
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.leg_prior import leg_prior, prior_tails
 from adaptive_contact.model.library import Library, leg_library, with_changes
@@ -76,6 +79,7 @@ class Lifecycle:
         self.note: str | None = None
         self._widening = 0.0  # factor on the prior's spread; 0 for a leg with a baseline
         self._unfit = False
+        self._found: LegModel | None = None  # of another slope than described, as it was found
         self._start = self._choose(baseline)
         if self._start is not None:
             assert baseline is not None
@@ -115,6 +119,13 @@ class Lifecycle:
         self._unfit = self._unfit or not self._widening
         self._begin_prior(min(self._widening * WIDER, WIDEST) if self._widening else 1.0)
 
+    def take_slope(self, start: LegBaseline) -> None:
+        """Go on from what a refit has found, with a slope of its own."""
+        before = self.adapter
+        self._begin_found(start)
+        if before is not None and self.adapter is not None:
+            self.adapter.go_on_from(before)
+
     @property
     def note_now(self) -> str | None:
         """The note, with how many swings a leg has of those it needs to be known."""
@@ -126,6 +137,9 @@ class Lifecycle:
     def snapshot(self) -> dict[str, Any]:
         """Return what has been learned, as a tree that msgpack can write."""
         tree: dict[str, Any] = {"unfit": self._unfit, "widening": self._widening, **self._frame}
+        if self._found is not None:
+            slope = self._found.library.slope_rad
+            tree["found"] = {"slope_rad": slope, "first": pack(self._found.coefficients)}
         if self.adapter is not None:
             tree["follower"] = self.adapter.snapshot()
         self._saved = tree
@@ -179,11 +193,32 @@ class Lifecycle:
             self.forget()
         if self._widening and widening > self._widening:
             self._begin_prior(min(widening, WIDEST))
+        if isinstance(saved.get("found"), dict):
+            self._restore_found(saved["found"])
         if not isinstance(inner, dict):  # there was no model
             return None if isinstance(saved.get("unfit"), bool) else self._refused("it is no state")
         if self.adapter is None:
             return self._refused("there is no baseline to go with it")
         return self.adapter.restore(inner)
+
+    def _restore_found(self, saved: dict[str, Any]) -> None:
+        """Begin with a slope that was found before.
+
+        Raises:
+            ImplausibleError: it is none.
+        """
+        slope = saved.get("slope_rad")
+        if not (isinstance(slope, float) and SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]):
+            raise ImplausibleError(f"its slope is {slope!r}")
+        plain = dataclasses.replace(leg_library(self._robot, self._leg), slope_rad=slope)
+        start = leg_prior(plain, self._robot.quantum(self._leg.id))
+        first = array_of(saved.get("first"), start.model.coefficients.shape, "its first model")
+        self._begin_found(dataclasses.replace(start, model=start.model.moved(first, 1)))
+
+    def _begin_found(self, start: LegBaseline) -> None:
+        self._begin(start, prior_tails())
+        self._found, self._widening = start.model, max(self._widening, 1.0)
+        self.origin = f"a refit, with slope_rad = {start.model.library.slope_rad:.3g}"
 
     def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
         if baseline is None:
@@ -205,7 +240,10 @@ class Lifecycle:
         aim = robot.detector.false_alarms_per_hour
         noise_tracker = NoiseTracker(start.noise, tails, aim, start.peaks)
         self.noise_tracker, self.begun = noise_tracker, self.begun + 1
-        self.adapter = Adapter(self._leg.id, start, noise_tracker, self._mode, self._refitter)
+        quantum_rad = robot.quantum(self._leg.id)
+        self.adapter = Adapter(
+            self._leg.id, start, noise_tracker, self._mode, self._refitter, quantum_rad
+        )
 
     def _begin_prior(self, widening: float) -> None:
         """Detect and learn from what is known of any leg."""
@@ -219,6 +257,7 @@ class Lifecycle:
         start = leg_prior(leg_library(robot, leg), robot.quantum(leg.id), widening)
         self._begin(start, prior_tails())
         self._widening, self.note, self.origin = widening, note, "what is known of any leg"
+        self._found = None
 
     def _refused(self, why: str) -> str:
         return f"snapshot of leg '{self._leg.id}' not used: {why}"

@@ -16,7 +16,6 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.compiled import compiled, records
-from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 from adaptive_contact.wire import BufferCounts
 
@@ -232,33 +231,9 @@ class ReplayBuffer:
         """Mark all segments as of an earlier source: their times do not compare with its own."""
         self._of_source = 0
 
-    def factors(
-        self, terms: int, joints: int, *, era: int, every: int = 5
-    ) -> tuple[Factor, Factor]:
-        """Compress the segments of an era into a factor to fit to and one to choose by.
-
-        Args:
-            terms: p.
-            joints: J.
-            era: only segments of this state of the leg.
-            every: each so-manyth segment is held out.
-
-        Returns:
-            The factor of the rest, and of those held out; their rows are compressed on
-            first use.
-        """
-        fit, held_out = Factor(terms, joints), Factor(terms, joints)
-        of_era = [s for s in self.segments if s.era == era]
-        dealt: tuple[list[Segment], list[Segment]] = ([], [])
-        for number, segment in enumerate(of_era):
-            dealt[number % every == every - 1].append(segment)
-        for factor, segments in zip((fit, held_out), dealt, strict=True):
-            if segments:
-                factor.add(
-                    np.concatenate([s.theta for s in segments]),
-                    np.concatenate([s.target for s in segments]),
-                )
-        return fit, held_out
+    def newest(self, era: int, most: int) -> Array:
+        """Copy the newest (n, p + J) regressors and movements of an era, oldest first."""
+        return np.asarray(self.values[np.flatnonzero(self._eras[: self._used] == era)[-most:]])
 
     def restore(self, segments: list[Segment]) -> None:
         """Take over saved segments, oldest first; beyond the limit, the newest."""

@@ -7,7 +7,6 @@ Detection makes them, the learning learns from them.  The value that passes the 
 from __future__ import annotations
 
 import enum
-import functools
 import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple
@@ -16,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.model.noise import WINDOWS
 
 # 120 segments are the lifts and descents of 60 swings: about a minute of walking.
 SEGMENTS: Final = 120
@@ -126,38 +124,6 @@ class Rows:
 NO_ROWS: Final = Rows(np.zeros((0, 0)), np.zeros(0, ROW), 0)
 
 
-class Touch(NamedTuple):
-    """Holds n ticks in contact, each with the two before it, and how they were judged."""
-
-    theta: Array  # (n, 3, p) regressors, lag 0 first; zero before the first usable one
-    target: Array  # (n, 3, J) rad, movements that were measured
-    whiten: Array  # (n, windows, J, J)
-    limits: Array  # (n, windows) thresholds
-    usable: Array  # (n,) how many of the three count
-
-    @classmethod
-    def of(cls, kept: Array, count: int, terms: int, joints: int) -> Touch:
-        """Copy so many ticks out of an array that has them one after the other."""
-        size, fields = _touch_fields(terms, joints)
-        ticks = kept[: count * size].reshape(count, size).copy()
-        return cls(*(ticks[:, field].reshape(count, *shape) for field, shape in fields))
-
-    @staticmethod
-    def size(terms: int, joints: int) -> int:
-        """Compute how many numbers a tick takes."""
-        return _touch_fields(terms, joints)[0]
-
-
-@functools.cache
-def _touch_fields(terms: int, joints: int) -> tuple[int, list[tuple[slice, tuple[int, ...]]]]:
-    """Return places and shapes of a tick's :class:`Touch` fields, and their size together."""
-    w, at, fields = max(WINDOWS), 0, []
-    shapes: list[tuple[int, ...]] = [(w, terms), (w, joints), (w, joints, joints), (w,), ()]
-    for shape in shapes:
-        fields.append((slice(at, at := at + math.prod(shape)), shape))
-    return at, fields
-
-
 class Label(enum.Enum):
     """Names what a part of a swing is."""
 
@@ -166,7 +132,6 @@ class Label(enum.Enum):
     TRAVEL = enum.auto()  # the top of the lift was passed: has the foot followed its command?
     LIFT = enum.auto()  # rows of a lift, all free
     DESCENT = enum.auto()  # rows of a descent that are confirmed to be free
-    CONTACT = enum.auto()  # the first ticks of a contact that was reported
     END = enum.auto()  # the swing is resolved
 
 
@@ -177,7 +142,6 @@ class LabelledSwing(NamedTuple):
     rows: Rows = NO_ROWS  # of a lift or of a descent
     region: int = 0  # of the workspace, 0 to 5
     t_ns: int = 0  # of the newest tick
-    touch: Touch | None = None  # ticks of a contact
     nis: float = math.nan  # of a tick, per joint and in units of the baseline's variance
     obstructed: bool = False  # the foot did not follow its command
     travel_ratio: float = 1.0  # share of its command's way that the foot went

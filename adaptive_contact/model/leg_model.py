@@ -130,6 +130,7 @@ def report_of(leg: Leg, model: LegModel, threshold: float, origin: str | None) -
         library=library.name,
         threshold=threshold,
         origin=origin,
+        slope_rad=library.slope_rad if library.name == "servo" else None,
     )
 
 

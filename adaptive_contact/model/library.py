@@ -251,6 +251,29 @@ class Library:
             for form, first in zip(forms + ahead, firsts, strict=True)
         )
 
+    def window_of(self, theta: Array) -> Array:
+        """Recover windows from their terms, of a ``servo`` library without preview.
+
+        Args:
+            theta: (..., p).
+
+        Returns:
+            As :meth:`evaluate_flat` takes them.
+        """
+        first = {group.form: group.first for group in self.groups}
+
+        def of(form: str, lag: int = 0) -> Array:
+            at = first[form + _at(-lag)]
+            return theta[..., at : at + len(self.joints)]
+
+        rows = [of("θ_{}")]
+        for lag in range(self.window.past_measured):
+            rows.append(rows[-1] - of("v_{}", lag))
+        rows.append(rows[0] + self.slope_rad * of("e_{}/s"))
+        for lag in range(self.window.past_desired):
+            rows.append(rows[-1] - of("Δu_{}", lag))
+        return np.concatenate(rows, axis=-1)
+
     @property
     def moves(self) -> Mask:
         """Return which terms, (p,), depend on motion; the others depend on the position."""
@@ -355,6 +378,11 @@ def with_changes(library: Library, first: Array) -> ChangeLibrary:
     """
     own = {f.name: getattr(library, f.name) for f in dataclasses.fields(Library)}
     return ChangeLibrary(**own, first=first)
+
+
+def plain_of(library: Library) -> Library:
+    """Return the library without the terms of a change."""
+    return Library(**{f.name: getattr(library, f.name) for f in dataclasses.fields(Library)})
 
 
 def leg_library(

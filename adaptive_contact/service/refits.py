@@ -16,7 +16,6 @@ import threading
 from collections import OrderedDict
 from typing import Final
 
-import numpy as np
 import structlog
 
 from adaptive_contact.diagnose.watch import MotionJob
@@ -183,6 +182,5 @@ class WaitingRefitter(ProcessRefitter):
 def result_of_lost(job: Job) -> object:
     """Return the result that stands for a job that cannot be done."""
     if isinstance(job, RefitJob):
-        empty = np.zeros((job.fit.terms, job.fit.outputs))
-        return RefitResult(job.number, FitStatus.LOST, empty, 0.0, float("nan"))
+        return RefitResult(job.number, FitStatus.LOST)
     return job.judge({}) if isinstance(job, MotionJob) else None

@@ -242,6 +242,8 @@ class ModelReport(Message, frozen=True, kw_only=True):
         equations: the same as text, one per joint.
         first: per joint, terms of the movement δ that terms of a changed leg refer to: the
             movement of the leg as it was first known; empty while there are none.
+        slope_rad: error at which the servos' law saturates, by which the leg is predicted: that of
+            robot.toml, or what a refit has found in its place.
     """
 
     leg: str
@@ -253,6 +255,7 @@ class ModelReport(Message, frozen=True, kw_only=True):
     library: str = ""
     threshold: float | None = None
     origin: str | None = None
+    slope_rad: float | None = None
 
 
 class LegTrace(Message, frozen=True, kw_only=True):

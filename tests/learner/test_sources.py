@@ -11,6 +11,7 @@ import pytest
 
 from adaptive_contact import ContactLearner
 from adaptive_contact.bank import LearnerBank
+from adaptive_contact.learn.active_model import Good
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.leg_learner import ContactLearner as Learner
 from adaptive_contact.model import Baseline
@@ -125,13 +126,13 @@ def test_what_was_learned_of_a_copy_is_taken_back(
     adapter = learner.lifecycle.adapter
     assert adapter is not None
     active, good = adapter.active, list[np.ndarray]()
-    remember = active.remember
+    copied = active.good
 
-    def kept() -> None:
-        remember()
+    def kept(spare: Good | None = None) -> Good:
         good.append(active.coefficients.copy())
+        return copied(spare)
 
-    monkeypatch.setattr(active, "remember", kept)
+    monkeypatch.setattr(active, "good", kept)
     play(learner, stream[: 30 * PERIOD])
     theta = adapter.buffer.segments[-1].theta
     stands = np.zeros((len(theta), 3))

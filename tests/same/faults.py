@@ -77,12 +77,12 @@ FAULTS: Final = (
         "FAR_LEVEL: Final = 100.0", "FAR_LEVEL: Final = 120.0",
     ),
     Fault(
-        "ticks until a refit takes effect", "learn/candidate.py",
+        "ticks until a refit takes effect", "learn/periodic_refit.py",
         "REFIT_DUE_TICKS: Final = 50", "REFIT_DUE_TICKS: Final = 51",
     ),
     Fault(
-        "rows of the trial of a refit", "learn/candidate.py",
-        "TRIAL_ROWS: Final = 200", "TRIAL_ROWS: Final = 199",
+        "rows that a refit is judged on", "learn/periodic_refit.py",
+        "JUDGED_ROWS: Final = 200", "JUDGED_ROWS: Final = 199",
     ),
     Fault(
         "segment that a buffer gives up", "learn/replay_buffer.py",
@@ -110,7 +110,7 @@ FAULTS: Final = (
         "LIFTED_M: Final = 0.006", "LIFTED_M: Final = 0.012",
     ),
     Fault(
-        "seed of when legs refit", "learn/candidate.py",
+        "seed of when legs refit", "learn/periodic_refit.py",
         "SPREAD * zlib.crc32(leg.encode())", "SPREAD * zlib.crc32(leg.encode()[:1])",
     ),
     Fault(

@@ -33,7 +33,7 @@ from .simulated import Round
 
 ROOMS: Final = ("bank", "leg_learner", "leg_report", "detect", "learn", "diagnose", "fit", "model")
 # Nothing of them changes once they are made.
-FIXED: Final = {"HeldOut", "Rows", "StandingFeet", "_Speeds", "_Swings"}
+FIXED: Final = {"HeldOut", "Rows", "StandingFeet", "_Posterior", "_Speeds", "_Swings"}
 # What bad samples change: counts of them, and when all legs are compared, which counts calls.
 COUNTED: Final = (
     "Counters.rejects", "LegGatherer.rejects", "ConventionWatch", "IdWatch", "InlineRefitter",

@@ -51,22 +51,24 @@ Tick = dict[str, ServoSample]
 # Round trips in ms, by the second of their samples.
 Trips = dict[int, list[float]]
 
-# What a refit of one leg is: five fits of 62 terms to a compressed factor, over and over.
+# What a refit of one leg is: seven slopes over 1,300 rows, and a sparse fit, over and over.
 REFIT = """
+import dataclasses
 import os
 import numpy as np
 from adaptive_contact.fit.refit_job import RefitJob, refit
-from adaptive_contact.model import Factor
+from adaptive_contact.model import Library
+from adaptive_contact.model.leg_prior import leg_prior
 os.nice(5)
-rng = np.random.default_rng(1)
-truth = rng.normal(size=(62, 3)) * (rng.random((62, 3)) < 0.4)
-fit, held = Factor(62, 3), Factor(62, 3)
-for factor in (fit, held):
-    theta = rng.normal(size=(3000, 62))
-    factor.add(theta, theta @ truth + 0.01 * rng.normal(size=(3000, 3)))
+library = Library("servo", ("a", "b", "c"), ("yaw", "pitch", "pitch"))
+window = np.random.default_rng(1).uniform(-0.4, 0.4, (1300, 24))
+softer = dataclasses.replace(library, slope_rad=0.05)
+other = leg_prior(softer, 0.005)
+target = other.model.library.evaluate_flat(window) @ other.model.coefficients
+values = np.concatenate([library.evaluate_flat(window), target], axis=1)
 print("refitting", flush=True)
 while True:
-    refit(RefitJob("rf", 1, fit, held, np.full(3, 0.01)))
+    refit(RefitJob("rf", 1, values, library, 0.005))
 """
 
 

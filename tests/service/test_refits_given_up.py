@@ -8,10 +8,11 @@ import numpy as np
 
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitResult
-from adaptive_contact.learn.candidate import REFIT_DUE_TICKS, Candidate, first_refit_after
+from adaptive_contact.learn.periodic_refit import REFIT_DUE_TICKS, PeriodicRefit, first_refit_after
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
-from adaptive_contact.model import LegModel, Library
+from adaptive_contact.model import Library
 from adaptive_contact.model.labelled_swing import ROW, Rows
+from adaptive_contact.model.library import with_changes
 from adaptive_contact.service.refits import result_of_lost
 
 WHY = "the process that fits died or took too long"
@@ -37,8 +38,9 @@ class Giving:
 
 
 def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> None:
-    """Through the leg's own challenger, whose reason is what LearnerStatus carries."""
-    library = Library("linear", ("a", "b"), ("pitch", "pitch"))
+    """Through the leg's own refits, whose reason is what LearnerStatus carries."""
+    plain = Library("linear", ("a", "b"), ("pitch", "pitch"))
+    library = with_changes(plain, np.zeros((plain.size, 2)))
     p = library.size
     rng = np.random.default_rng(0)
     buffer = ReplayBuffer()
@@ -49,11 +51,11 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
         (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
         (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
     ):
-        challenger = Candidate("rf", np.full(2, 0.01), np.ones(p), Giving(up_with=status))
+        refit = PeriodicRefit("rf", library, np.full(2, 0.01), 0.005, Giving(up_with=status))
         for _ in range(first_refit_after("rf")[0]):
-            if challenger.swing_done(0.02):
-                challenger.request(LegModel(library, np.zeros((p, 2))), buffer, 0)
+            if refit.swing_done(0.02):
+                refit.request(buffer, 0)
         for _ in range(REFIT_DUE_TICKS + 1):
-            challenger.tick()
-        assert challenger.counts.refused == 1
-        assert challenger.counts.last_reason == words
+            refit.tick()
+        assert refit.counts.refused == 1
+        assert refit.counts.last_reason == words

@@ -1,0 +1,328 @@
+"""Refits: the slope that free rows ask for, and what it takes for it to be put in force."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from adaptive_contact import ContactLearner
+from adaptive_contact.fit import FitStatus
+from adaptive_contact.fit.refit_job import RefitJob, RefitResult, refit
+from adaptive_contact.learn.periodic_refit import (
+    LEAST_GAIN,
+    REFIT_DUE_TICKS,
+    PeriodicRefit,
+    first_refit_after,
+)
+from adaptive_contact.learn.replay_buffer import ReplayBuffer
+from adaptive_contact.model import LegModel
+from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.leg_prior import leg_prior
+from adaptive_contact.model.library import Library, leg_library, with_changes
+from adaptive_contact.model.model_file import LegBaseline
+from adaptive_contact.model.window import stack
+from adaptive_contact.robot import Robot
+
+from .conftest import FakeLeg, outcomes, play, samples
+from .ticks import Tick, rows_of
+
+SLOPE = 0.164  # of the fake leg
+QUANTUM = 0.005
+NOISE = np.array([0.01, 0.01, 0.01])
+NOW, FOUND = 0.01, 0.02  # rad, what the model in force and the refit predict for every tick
+
+
+def library_of(robot: Robot, factor: float = 1.0) -> Library:
+    return dataclasses.replace(leg_library(robot, robot.leg("rf")), slope_rad=SLOPE * factor)
+
+
+def free_rows(library: Library, swings: int = 60, seed: int = 1) -> np.ndarray:
+    """(n, p + J) of a leg that touches nothing, in swings."""
+    measured, desired, swing, _ = FakeLeg(seed=seed).run(swings)
+    cut = stack(measured, desired, library.window)
+    theta = library.evaluate(cut.measured, cut.desired, cut.preview)
+    return np.concatenate([theta, cut.increment], axis=1)[swing[cut.tick] & swing[cut.tick + 1]]
+
+
+def test_windows_come_back_out_of_their_terms(robot: Robot) -> None:
+    library = library_of(robot, 0.7)
+    window = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 24))
+    np.testing.assert_allclose(
+        library.window_of(library.evaluate_flat(window)), window, rtol=0, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("described", [0.25, 0.4, 1.0, 2.5, 4.0])
+def test_the_slope_that_the_rows_ask_for_is_found(robot: Robot, described: float) -> None:
+    library = library_of(robot, described)
+    found = refit(RefitJob("rf", 1, free_rows(library), library, QUANTUM))
+    assert found.status is FitStatus.OK
+    if found.gain < LEAST_GAIN:
+        assert described == 1.0
+        return
+    assert found.start is not None
+    assert 0.6 < found.start.model.library.slope_rad / SLOPE < 1.7
+    rows = free_rows(found.start.model.library, seed=2)
+    off = rows[:, -3:] - rows[:, :-3] @ found.start.model.coefficients
+    assert np.sqrt(np.square(off).mean()) < 1.2 * np.hypot(2**0.5 * 0.003, 2**0.5 * 0.005 / 12**0.5)
+
+
+def test_the_gain_is_that_of_the_rows_probability_under_the_family(robot: Robot) -> None:
+    """By the covariance of all rows at once, which takes n³."""
+    library = library_of(robot, 4.0)
+    values = free_rows(library, 30)[:120]
+    found = refit(RefitJob("rf", 1, values, library, QUANTUM))
+    assert found.start is not None
+    window, target = library.window_of(values[:, :-3]), values[:, -3:]
+
+    def of(slope: float, sigma: np.ndarray) -> float:
+        known = leg_prior(dataclasses.replace(library, slope_rad=slope), QUANTUM)
+        theta = known.model.library.evaluate_flat(window)
+        assert known.spread is not None
+        total = 0.0
+        for j in range(3):
+            prior = theta @ known.spread[j].T
+            covariance = prior @ prior.T + sigma[j] ** 2 * np.eye(len(theta))
+            off = target[:, j] - theta @ known.model.coefficients[:, j]
+            total += multivariate_normal.logpdf(off, np.zeros(len(off)), covariance)
+        return total
+
+    def rms(slope: float) -> np.ndarray:
+        known = leg_prior(dataclasses.replace(library, slope_rad=slope), QUANTUM)
+        theta = known.model.library.evaluate_flat(window)
+        off = target - theta @ known.model.coefficients
+        assert known.spread is not None
+        for j in range(3):
+            prior, noise = theta @ known.spread[j].T, known.noise.rms[j]
+            stacked = np.concatenate([prior / noise, np.eye(prior.shape[1])])
+            aim = np.concatenate([off[:, j] / noise, np.zeros(prior.shape[1])])
+            off[:, j] -= prior @ np.linalg.lstsq(stacked, aim, rcond=None)[0]
+        return np.sqrt(np.square(off).mean(axis=0))
+
+    grid = [library.slope_rad * f for f in (0.25, 0.4, 0.63, 1.0)]  # else beyond the family
+    sigma = np.maximum(np.min([rms(slope) for slope in grid], axis=0), QUANTUM / 12**0.5)
+    best = found.start.model.library.slope_rad
+    assert found.gain == pytest.approx(of(best, sigma) - of(library.slope_rad, sigma), rel=1e-6)
+    assert best == max(grid, key=lambda slope: of(slope, sigma))
+
+
+def test_rows_that_are_not_finite_give_no_model(robot: Robot) -> None:
+    library = library_of(robot)
+    values = free_rows(library)
+    values[3, 4] = np.nan
+    assert refit(RefitJob("rf", 1, values, library, QUANTUM)).status is FitStatus.NOT_FINITE
+
+
+# -- asked for, and judged ---------------------------------------------------------------------
+
+
+class Given:
+    """Answers every job with the same result, and keeps the jobs."""
+
+    def __init__(self, result: RefitResult) -> None:
+        self.result = result
+        self.jobs: list[RefitJob] = []
+
+    def submit(self, job: RefitJob) -> None:
+        """Keep it."""
+        self.jobs.append(job)
+
+    def collect(self, leg: str, number: int) -> RefitResult:
+        """The result."""
+        return self.result
+
+
+def constant(library: Library, moved: float) -> LegModel:
+    coefficients = np.zeros((library.size, 3))
+    coefficients[0] = moved
+    return LegModel(library, coefficients)
+
+
+@pytest.fixture
+def start(robot: Robot) -> LegBaseline:
+    """Of another slope, that says `FOUND`."""
+    other = library_of(robot, 0.4)
+    return dataclasses.replace(leg_prior(other, QUANTUM), model=constant(other, FOUND))
+
+
+def a_row(rng: np.random.Generator, library: Library, truth: float) -> Row:
+    theta = library.evaluate_flat(rng.uniform(-1.0, 1.0, 24))
+    theta = np.concatenate([theta, np.zeros(12)])  # terms of changes
+    return Row(theta, truth + rng.normal(size=3) * NOISE, 0)
+
+
+def buffered(library: Library, segments: int = 60) -> ReplayBuffer:
+    """Lifts of a dozen free ticks, in three regions by turns; 60 are enough for a refit."""
+    rng, buffer = np.random.default_rng(0), ReplayBuffer()
+    for k in range(segments):
+        ticks = [a_row(rng, library, NOW) for _ in range(12)]
+        buffer.add(rows_of([Tick(tick.theta, tick.target) for tick in ticks]), k % 3, 0)
+    return buffer
+
+
+def swings(own: PeriodicRefit, buffer: ReplayBuffer, count: int = 0) -> None:
+    """So many that have ended; as many as come before the first refit by default."""
+    for _ in range(count or first_refit_after("rf")[0]):
+        if own.swing_done(0.02):
+            own.request(buffer, 0)
+
+
+def answer(own: PeriodicRefit) -> None:
+    """The ticks until a result is due."""
+    for _ in range(REFIT_DUE_TICKS + 1):
+        own.tick()
+
+
+def of_leg(robot: Robot, given: Given) -> PeriodicRefit:
+    plain = library_of(robot)
+    library = with_changes(plain, np.zeros((plain.size, 3)))
+    assert library.size == plain.size + 12
+    return PeriodicRefit("rf", library, NOISE, QUANTUM, given)
+
+
+def asked(robot: Robot, result: RefitResult) -> tuple[PeriodicRefit, Given]:
+    """One whose first result has come."""
+    given = Given(result)
+    own = of_leg(robot, given)
+    swings(own, buffered(library_of(robot)))
+    answer(own)
+    assert len(given.jobs) == 1
+    return own, given
+
+
+def judged(own: PeriodicRefit, robot: Robot, truth: float) -> LegBaseline | None:
+    """By new rows, until it is decided."""
+    rng, won = np.random.default_rng(1), None
+    while own.judging:
+        new = a_row(rng, library_of(robot), truth)
+        won = own.judge(new, ((new.target - NOW) / NOISE).tolist())
+    return won
+
+
+def test_a_slope_by_which_new_rows_are_predicted_better_is_promoted(
+    robot: Robot, start: LegBaseline
+) -> None:
+    own, given = asked(robot, RefitResult(1, gain=100.0, start=start))
+    assert len(given.jobs[0].values) == 720
+    assert judged(own, robot, FOUND) is start
+    assert (own.counts.promoted, own.counts.refused) == (1, 0)
+    assert (own.counts.last_reason or "").startswith("promoted: a slope of 0.0656 rad, +")
+
+
+def test_one_by_which_they_are_predicted_worse_is_refused(robot: Robot, start: LegBaseline) -> None:
+    own, _ = asked(robot, RefitResult(1, gain=100.0, start=start))
+    assert judged(own, robot, NOW) is None
+    assert (own.counts.promoted, own.counts.refused) == (0, 1)
+
+
+def test_one_wild_row_does_not_decide(robot: Robot, start: LegBaseline) -> None:
+    own, _ = asked(robot, RefitResult(1, gain=100.0, start=start))
+    wild = a_row(np.random.default_rng(2), library_of(robot), FOUND)
+    assert own.judge(wild, [1e6] * 3) is None
+    assert judged(own, robot, NOW) is None
+
+
+def test_what_cannot_be_compared_is_not_promoted(robot: Robot, start: LegBaseline) -> None:
+    own, _ = asked(robot, RefitResult(1, gain=100.0, start=start))
+    while own.judging:
+        new = a_row(np.random.default_rng(0), library_of(robot), FOUND)
+        assert own.judge(new, [float("nan")] * 3) is None
+    assert own.counts.refused == 1
+
+
+@pytest.mark.parametrize(
+    ("status", "gain", "found", "why"),
+    [
+        (FitStatus.OK, 0.0, False, "no slope fits better than 0.164 rad"),
+        (FitStatus.OK, 39.0, True, "a slope of 0.0656 rad fits hardly better (39 nats)"),
+        (FitStatus.NOT_FINITE, 100.0, True, "the fit ended with 'not_finite'"),
+    ],
+)
+def test_what_no_row_needs_to_judge(
+    robot: Robot, start: LegBaseline, status: FitStatus, gain: float, found: bool, why: str
+) -> None:
+    own, _ = asked(robot, RefitResult(1, status, gain, start if found else None))
+    assert not own.judging
+    assert own.counts.refused == 1
+    assert own.counts.last_reason == f"refused: {why}"
+
+
+def test_a_leg_that_changes_drops_its_refit_and_asks_at_once(
+    robot: Robot, start: LegBaseline
+) -> None:
+    own, given = asked(robot, RefitResult(1, gain=100.0, start=start))
+    own.leg_changed()
+    assert not own.judging
+    swings(own, buffered(library_of(robot), 10), 1)
+    assert len(given.jobs) == 1
+    needed = 4 * (library_of(robot).size + 12)
+    assert own.counts.last_reason == (
+        f"waiting: 120 free ticks of the leg as it is to fit to, {needed} are needed"
+    )
+    swings(own, buffered(library_of(robot)), 1)
+    assert len(given.jobs) == 2
+    answer(own)
+    assert judged(own, robot, FOUND) is not None
+
+
+def test_what_was_counted_outlives_a_restart_with_what_an_older_version_saved(
+    robot: Robot, start: LegBaseline
+) -> None:
+    own, given = asked(robot, RefitResult(1, gain=100.0, start=start))
+    judged(own, robot, FOUND)
+    again = of_leg(robot, given)
+    again.restore({**own.snapshot(), "displaced": None})
+    assert again.counts == own.counts
+
+
+# -- a leg whose slope is described wrongly ------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def misdescribed(robot: Robot) -> Robot:
+    return msgspec.structs.replace(
+        robot, servo=msgspec.structs.replace(robot.servo, slope_rad=4.0 * SLOPE)
+    )
+
+
+def test_a_slope_described_off_by_four_is_corrected_reported_and_outlives_a_restart(
+    misdescribed: Robot,
+) -> None:
+    stops: list[int | None] = [16 if n % 2 else None for n in range(200)]
+    stream = samples(*FakeLeg(seed=3).run(200, touch=lambda n: stops[n])[:3])
+    learner = ContactLearner(misdescribed, "rf")
+    events = play(learner, stream[: 28 * 150])
+    assert learner.status.refits.promoted >= 1
+    report = learner.model_report
+    assert report is not None
+    assert report.slope_rad is not None
+    assert 0.6 < report.slope_rad / SLOPE < 1.7
+    assert report.origin == f"a refit, with slope_rad = {report.slope_rad:.3g}"
+    assert report.model_version >= 2
+    told = outcomes(events, range(100, 150), stops)
+    assert told.count("hit") >= 24
+    assert told.count("alarm") <= 1
+    again = ContactLearner(misdescribed, "rf")
+    assert again.restore(learner.snapshot()) is None
+    assert again.status.refits == learner.status.refits
+    assert again.model_report == msgspec.structs.replace(
+        report, threshold=again.model_report and again.model_report.threshold
+    )
+    for of in (learner, again):
+        told = outcomes(play(of, stream[28 * 150 :]), range(152, 200), stops)
+        assert told.count("hit") >= 23
+        assert told.count("alarm") <= 1
+
+
+@pytest.mark.parametrize("slope", [None, "0.1", float("nan"), 1e-6, 40.0])
+def test_a_saved_slope_that_no_servo_has_is_refused(misdescribed: Robot, slope: object) -> None:
+    learner = ContactLearner(misdescribed, "rf")
+    play(learner, samples(*FakeLeg(seed=3).run(12)[:3]))
+    saved = {**learner.snapshot(), "found": {"slope_rad": slope, "first": None}}
+    again = ContactLearner(misdescribed, "rf")
+    assert "its slope is" in (again.restore(saved) or "")
+    assert again.status.model_version == 0
