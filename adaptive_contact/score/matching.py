@@ -141,8 +141,8 @@ def _at(values: Ints, tick: Ints) -> Ints:
 
 
 def _last_touch(when_ns: Ints, contacts: Contacts) -> Ints:
-    """Return the contact that began last before each time; -1 for none."""
-    return np.searchsorted(contacts.onset_ns, when_ns, side="left") - 1
+    """Return the contact that began last, at each time or before; -1 for none."""
+    return np.searchsorted(contacts.onset_ns, when_ns, side="right") - 1
 
 
 def _holding(when_ns: Ints, contacts: Contacts) -> Ints:
