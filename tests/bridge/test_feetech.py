@@ -67,6 +67,18 @@ def test_the_sdk_reads_what_the_servo_means(
         own.port.closePort()
 
 
+@pytest.mark.parametrize(("kind", "questions"), [(STS, 1), (SCS, 6)])
+def test_the_sts_series_is_asked_in_common(rig: Callable, kind: dict, questions: int) -> None:
+    r = rig(**kind, timeout_ms=100)
+    plan = r.plans[0]
+    bus = Bus(plan.name, plan.port)
+    bus.open()
+    readings = bus.read([joint.servo for joint in plan.joints], plan.joints[0].model.watched)
+    bus.close()
+    assert [reading.fault for reading in readings.values()] == [None] * 6
+    assert r.requests == questions
+
+
 def test_what_is_written_while_eeprom_is_locked_is_gone_with_the_power(
     bus: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,8 +119,8 @@ def test_a_moving_robot_is_let_through(rig: Callable, kind: dict) -> None:
 
 def test_a_servo_that_has_shut_itself_down_is_named_before_the_start(rig: Callable) -> None:
     r = rig(**STS)
-    r.servo(2).set_errors(0x21)  # overload; a voltage that is wrong shuts no STS servo down
-    r.servo(3).set_errors(0x01)
+    r.servo(2).set_errors(0x20)  # overload; a voltage that is wrong shuts no STS servo down
+    r.fault("error:id=3,bits=voltage")
     advice = check_ports(r.plans, full=False).advice
     assert [line.split(": ")[1] for line in advice if "shut down" in line] == ["servo 2"]
 
