@@ -11,11 +11,12 @@ from adaptive_contact.wire import MSGPACK, ServoCounts
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
+STS = {"model": "STS3215", "protocol": "sts"}
 FAST = {**XL, "extra": "fast = true"}
 SPEAKS = ServoCounts()
 
 
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS])
 def test_observing_never_writes(run: Callable, kind: dict) -> None:
     r = run("observe", **kind)
     r.command("l0", 0.5, 0.5, 0.5)
@@ -30,7 +31,7 @@ def test_observing_never_writes(run: Callable, kind: dict) -> None:
     assert sample.measured == pytest.approx([0.0] * 3, abs=0.003)
 
 
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS])
 def test_samples_are_a_tick_apart_and_numbered(run: Callable, kind: dict) -> None:
     r = run("observe", **kind)
     r.catcher.wait(lambda c: len(c.ticks) >= 60 and c.statuses)
@@ -47,7 +48,7 @@ def test_samples_are_a_tick_apart_and_numbered(run: Callable, kind: dict) -> Non
     assert status.cycle_ms.p50 > 0
 
 
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS])
 def test_driving_moves_what_was_asked_for_and_nothing_else(run: Callable, kind: dict) -> None:
     r = run("drive", **kind)
     r.catcher.wait(lambda c: len(c.ticks) >= 20)
@@ -113,7 +114,7 @@ def test_bad_commands_are_counted_and_change_nothing(run: Callable) -> None:
     assert r.rig.servo(1).writes == 0
 
 
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS])
 def test_a_silent_servo_harms_no_other_and_comes_back(run: Callable, kind: dict) -> None:
     r = run("observe", **kind)
     r.catcher.wait(lambda c: len(c.ticks) >= 10)
@@ -136,7 +137,7 @@ def test_a_silent_servo_harms_no_other_and_comes_back(run: Callable, kind: dict)
     r.catcher.wait(lambda c: c.ticks[-1]["l0"].valid is None)
 
 
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS])
 def test_a_driven_leg_goes_on_without_a_dead_servo_after_a_pulled_cable_and_says_so(
     run: Callable, kind: dict
 ) -> None:

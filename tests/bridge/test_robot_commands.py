@@ -34,10 +34,11 @@ real_time = pytest.mark.slow
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL330-M288", "protocol": 2}
+STS = {"model": "STS3215", "protocol": "sts"}
 
 
 @real_time
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS])
 def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> None:
     r = rig(**kind)
     out = tmp_path / "robot.toml"

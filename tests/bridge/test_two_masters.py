@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Instruction
+from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Instruction, version_of
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
+STS = {"model": "STS3215", "protocol": "sts"}
 READ, WRITE, SYNC_WRITE = Instruction.READ, Instruction.WRITE, Instruction.SYNC_WRITE
 SWING_RAD = 0.3
 
@@ -31,21 +32,21 @@ class Controller:
     def __init__(self, rig: Any) -> None:
         self._port = rig.ports[0]
         self._model = self._port.servos[0].model
-        self._codec = Codec(self._model.protocol)
+        self._codec = Codec(version_of(self._model.protocol))
         self._fd = os.open(Path(rig.plans[0].port.device), os.O_RDWR | os.O_NOCTTY)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
-        width, goal = self._model.protocol, self._model.registers["goal_position"]
+        width, goal = self._codec.version, self._model.registers["goal_position"]
         place, size = (x.to_bytes(width, "little") for x in (goal.address, goal.size))
         rng = np.random.default_rng(3)
         began_s = time.monotonic()
         while not self._stop.wait(rng.uniform(0.0005, 0.004)):
             angle = SWING_RAD * math.sin(3.0 * (time.monotonic() - began_s))
             steps = self._model.centre + round(angle / self._model.step_rad)
-            data = steps.to_bytes(goal.size, "little")
+            data = goal.data(steps)
             servo, what = int(rng.integers(1, 7)), rng.uniform()
             if what < 0.3:
                 rows = b"".join(bytes((one.id,)) + data for one in self._port.servos)
@@ -77,7 +78,7 @@ def controller(ended: Callable) -> Callable[[Any], Controller]:
     return lambda rig: ended(Controller(rig))
 
 
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS])
 def test_an_observer_bears_another_master_and_counts_what_it_breaks(
     run: Callable, controller: Callable, kind: dict
 ) -> None:
