@@ -7,6 +7,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 SEED   ?= 1
 MINUTES ?= 30
+HOURS ?= 300
 KILLS ?= 100
 LEGS ?= 64
 DATA ?= recordings
@@ -31,7 +32,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all uncompiled check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second
+.PHONY: help env demo test test-all uncompiled check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second honest
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -88,6 +89,9 @@ strangers: env  ## legs without a baseline: swings to the first touch, touches f
 
 second: env  ## robots of another physics engine, against an ideal observer of the free path (hours, resumable)
 	$(BIN)/python -m adaptive_contact_studies.second out/second
+
+honest: env  ## HOURS of honest legs of all kinds: at most one in 100 leg-hours is doubted (hours, resumable)
+	PYTHONPATH=tests $(BIN)/python -m field.honest out/honest --hours $(HOURS)
 
 unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments that they have not seen
 	$(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)

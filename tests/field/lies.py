@@ -109,7 +109,14 @@ def simulated(seconds: float, seed: int, robots: Sequence[str] = ROBOTS) -> Iter
             )
 
 
-def second_engine(seconds: float, seed: int) -> Iterator[Stream]:
+SECOND: Final = {
+    "hexapod": "tripod", "light": "ripple", "worm": "tripod", "quadruped": "trot", "arm": "steps",
+}  # fmt: skip
+
+
+def second_engine(
+    seconds: float, seed: int, kinds: Sequence[str] = tuple(SECOND)
+) -> Iterator[Stream]:
     """Robots of the second engine; none where it is not installed."""
     try:
         import pybullet  # noqa: F401
@@ -119,16 +126,30 @@ def second_engine(seconds: float, seed: int) -> Iterator[Stream]:
     from adaptive_contact_bullet.plant import Ground
     from adaptive_contact_bullet.record import Plan, record
 
-    for kind, gait in (
-        ("hexapod", "tripod"), ("light", "ripple"), ("worm", "tripod"), ("quadruped", "trot"),
-        ("arm", "steps"),
-    ):  # fmt: skip
+    for kind in kinds:
         ground = Ground("none" if kind == "arm" else "flat")
-        run = record(Plan(kind, GAITS[gait], ground, seconds, seed, plates=0.5 * (kind == "arm")))
+        plates = 0.5 * (kind == "arm")
+        run = record(Plan(kind, GAITS[SECOND[kind]], ground, seconds, seed, plates=plates))
         robot = run.shape.description
         for leg, of in run.run.legs.items():
             made = as_samples(robot, of.measured, of.desired, of.swing)
             yield Stream(f"second {kind}", robot, leg, None, made)
+
+
+def drawn(swings: int, seed: int) -> Iterator[Stream]:
+    """A leg that was drawn, which steps or goes from point to point; none that diverges."""
+    from adaptive_contact_sim.plant import SimulationDivergedError
+    from adaptive_contact_studies.family.legs import draw_leg, record
+
+    leg = draw_leg(seed, second=seed % 2 == 1)
+    try:
+        run = record(leg, "gait" if seed % 4 < 2 else "pose", swings, seed, plates=0.8)
+    except SimulationDivergedError:
+        return
+    robot = leg.robot
+    for name, of in run.legs.items():
+        made = as_samples(robot, of.measured, of.desired, of.swing)
+        yield Stream("drawn", robot, name, None, made)
 
 
 def first_order(seconds: float, seed: int) -> Iterator[Stream]:
@@ -223,16 +244,25 @@ class Honest(NamedTuple):
     name: str
     seconds: float
     doubted: bool
+    words: str = ""  # of the first note on its source
+
+    @property
+    def hours(self) -> float:
+        return self.seconds / 3600.0
 
 
 def follow_honest(stream: Stream, *, fitted: bool) -> Honest:
     """Have a learner follow an honest leg."""
     learner = ContactLearner(stream.robot, stream.leg, stream.baseline if fitted else None)
-    doubted = False
+    doubted, words = False, ""
     for sample in stream.samples:
         learner.update(sample)
         doubted |= learner.report.doubt in ("echo", "stale")
-    return Honest(stream.name, len(stream.samples) * stream.robot.period_s, doubted)
+        if sample.phase == "swing":
+            source = learner.report.source
+            words = words or source.note or source.limits_note or ""
+    seconds = len(stream.samples) * stream.robot.period_s
+    return Honest(stream.name, seconds, doubted, words)
 
 
 def draw(
