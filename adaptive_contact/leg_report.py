@@ -238,6 +238,8 @@ class LegReport:
             return "angles"
         if self._guard.contested:
             return "publishers"
+        if self.source.unproved:
+            return "unproved"
         if self._unjudged:
             return "unjudged"
         return "unlearned" if self._unlearned else self._learning.doubt
@@ -293,7 +295,7 @@ class LegReport:
 
     @property
     def _status(self) -> Status:
-        doubted = self._void or self._guard.contested or self._unjudged
+        doubted = self._void or self._guard.contested or self.source.unproved or self._unjudged
         return "ambiguous" if doubted else self._learning.status
 
     def _note(self) -> str | None:

@@ -39,7 +39,8 @@ from adaptive_contact.wire import Doubt, ServoSample
 
 SOURCE_CAUSES: Final[tuple[Doubt | None, ...]] = (None, "echo", "phase", "stale")
 _FALSE: Final[dict[Kind, int]] = {"copy": ECHO, "held": STALE, "old": STALE, "twin": STALE}
-_SAID: Final[dict[Kind, str]] = {
+_SAID: Final[dict[Kind | None, str]] = {
+    None: "nothing tells measured from a copy of desired: let the leg carry load",
     "copy": "measured copies desired ({names}): publish the positions that the servos report",
     "held": (
         "readings are held for three ticks and more ({names}): read every servo in every tick"
@@ -90,6 +91,11 @@ class SourceWatch:
     def suspected(self) -> bool:
         """Whether readings may be copies, by the last look."""
         return self._check.suspected
+
+    @property
+    def unproved(self) -> bool:
+        """Whether nothing tells the readings from a copy: the leg carries nothing."""
+        return self._check.unproved
 
     @property
     def since_ns(self) -> int:
@@ -158,10 +164,11 @@ class SourceWatch:
                 "phase is swapped: the foot swings while the samples say stance; no contacts are "
                 "reported until it is right"
             )
-        if cause is None or found is None:
+        if not self.unproved and (cause is None or found is None):
             return None
-        names = ", ".join(self._leg.joints[joint] for joint in found.joints)
-        said = _SAID[found.kind].format(names=names, twin=self._twin)
+        kind, joints = (None, ()) if found is None else (found.kind, found.joints)
+        names = ", ".join(self._leg.joints[joint] for joint in joints)
+        said = _SAID[kind].format(names=names, twin=self._twin)
         return f"{said}; no contacts are reported until then"
 
     def _newest(self, row: int) -> tuple[Samples, Ints]:

@@ -57,6 +57,9 @@ def about_learner(
     elif status.doubt == "echo":
         if Cause.ECHO not in causes:
             yield Fault.of("echo", note, key="some")
+    elif status.doubt == "unproved":
+        if Cause.NEAR_ECHO not in causes:
+            yield Fault.of("near_echo-unproved", key="some")
     elif status.doubt == "stale":
         stale = Cause.HELD if "held" in note else Cause.TWINS if "of leg" in note else Cause.OLD
         if stale not in causes:
@@ -99,7 +102,7 @@ def all_lost(
     lost = [
         status
         for status in statuses
-        if (status.status == "ambiguous" and status.doubt != "unjudged")
+        if (status.status == "ambiguous" and status.doubt not in ("unjudged", "unproved"))
         or (status.status == "learning" and given)
     ]
     # Legs that fail together have one cause; one leg alone has its own.

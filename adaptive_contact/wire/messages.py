@@ -34,6 +34,7 @@ Doubt = Literal[
     "publishers",
     "unjudged",
     "unlearned",
+    "unproved",
 ]
 DriftKind = Literal[
     "mass",

@@ -160,6 +160,32 @@ def test_a_leg_that_carries_nothing_is_open_where_a_model_knows_it() -> None:
     assert check.proved.all()
 
 
+@pytest.mark.parametrize("noise", [0.5, 1.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_copy_with_noise_is_found_where_the_leg_has_shown_itself(noise: float, seed: int) -> None:
+    u, swing = commands(24, seed)
+    y = grid(servo(u, swing, gain=0.4))
+    end = 18 * STRIDE
+    y[10 * STRIDE : end] = grid(delayed(u, 3), noise=noise, seed=seed)[10 * STRIDE : end]
+    check, said = played(y, u, swing)
+    assert [kind for _, kind in said] == ["copy", None]
+    assert said[0][0] <= 14 * STRIDE + 2
+    assert end < said[1][0] <= end + 5 * STRIDE
+    assert not check.unproved
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0])
+def test_what_never_showed_itself_is_unproved_until_it_carries_load(noise: float) -> None:
+    """A leg that hangs, and a copy with noise from the start on, are the same thing."""
+    u, swing = commands(24)
+    y = grid(delayed(u, 3), noise=noise)
+    check, said = played(y[: 10 * STRIDE], u[: 10 * STRIDE], swing[: 10 * STRIDE])
+    assert (said, check.unproved) == ([], True)
+    y[10 * STRIDE :] = grid(servo(u, swing, gain=0.4))[10 * STRIDE :]
+    check, said = played(y, u, swing)
+    assert (said, check.unproved) == ([], False)
+
+
 def test_a_leg_that_has_shown_itself_is_not_open() -> None:
     u, swing = commands(24)
     y = grid(servo(u, swing, gain=0.95))

@@ -77,7 +77,7 @@ KINDS: Final[dict[str, Lie]] = {
     "late": Lie(_COPIED, lambda _, u, s, r: _copy(u, s, r)),
     "moved": Lie(_COPIED, lambda _, u, s, r: _copy(u, s, r, moved=r.uniform(-0.05, 0.05))),
     "scaled": Lie(_COPIED, lambda _, u, s, r: _copy(u, s, r, scale=r.uniform(0.5, 1.1))),
-    "noisy": Lie(_COPIED, lambda _, u, s, r: _copy(u, s, r, noise=r.uniform(0.0, 0.25) * s)),
+    "noisy": Lie(_COPIED, lambda _, u, s, r: _copy(u, s, r, noise=r.uniform(0.0, 1.0) * s)),
     "filtered": Lie(_COPIED, lambda _, u, s, r: _copy(u, s, r, pole=r.uniform(0.2, 0.9))),
     "blended": Lie(
         _COPIED, lambda _, u, s, r: rounded((delayed(u, r.integers(6)) + _copy(u, 0.0, r)) / 2, s)
@@ -276,7 +276,7 @@ def draw(
     begin = 0 if rng.random() < 0.3 else int(rng.integers(n // 3, n // 2))
     end = begin + n // 3
     joints = list(range(y.shape[1]))
-    if kind not in ("held", "old") and rng.random() < 0.5:
+    if kind not in ("held", "old", "noisy") and rng.random() < 0.5:
         # A joint that hardly moves says nothing.
         lively = np.flatnonzero(np.diff(u[begin:end], axis=0).std(axis=0) > 3.0 * step)
         joints = [int(rng.choice(lively))] if len(lively) else joints
@@ -304,7 +304,9 @@ def tell(stream: Stream, kind: str, rng: np.random.Generator, *, fitted: bool) -
             swings, since = swings + begun, 0 if begun else since + 1
             # What is found as the next swing begins holds from the tick after.
             if swings <= FOUND or (swings == FOUND + 1 and since <= 1):
-                named |= KINDS[kind].words in (learner.report.source.note or "")
+                note = learner.report.source.note or ""
+                # From the start on, a leg that has never shown itself may as well carry nothing.
+                named |= KINDS[kind].words in note or (begin == 0 and "nothing tells" in note)
             elif event is not None and event.contact:
                 contacts += 1
         elif k >= end:
