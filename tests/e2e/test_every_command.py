@@ -43,6 +43,8 @@ robot init --device bus/port0 --legs lf,lm,lr,rf,rm,rr --lengths 0.052,0.066,0.1
 robot check --config robot.toml
 robot learn --config robot.toml --drive --yes --pose 0,0.6,-1.8 --seconds 60
 bridge dynamixel --config robot.toml &
+bridge virtual --dir sts --robot quadruped --servos STS3215 --write-config sts.toml &
+bridge feetech --config sts.toml --namespace sts &
 watch --once
 record live.mcap --seconds 2
 doctor --seconds 1
@@ -61,6 +63,7 @@ REFUSED = {
     "bench --baseline nosuch.json": "nosuch.json: cannot be read",
     "bench --out /dev/null/x": "give another --out",
     "bridge dynamixel": "has no port; add [port.main]",
+    "bridge feetech": "has no port; add [port.main]",
     "bridge foxglove --port 70000": "Invalid value for '--port'",
     "bridge ros2": "names no topics of ROS 2",
     "bridge virtual --dir /dev/null/x": "give another --dir",
