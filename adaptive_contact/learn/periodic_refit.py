@@ -40,8 +40,8 @@ REFIT_DUE_TICKS: Final = 50
 MIN_ROWS_PER_TERM: Final = 4
 # The newest rows that a refit is made of: fifty swings of a walk.
 MOST_ROWS: Final = 1300
-# By so much the rows have to be likelier (the logarithm).  Legs described rightly come to 12 for
-# another slope, legs described off by 2.5 and 4 to 60 and more (decision 55).
+# By so much the rows have to be likelier (the logarithm).  Where the slope is right no other gains;
+# where none is, neighbours differ by up to 38; off by 4 it is 30 to 600 (decision 55).
 LEAST_GAIN: Final = 40.0
 JUDGED_ROWS: Final = 200  # new ones
 # Room for segments of an older state of the leg.
