@@ -20,7 +20,8 @@ from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, l
 
 if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
-    from adaptive_contact.fit.train import LegFigures, Training
+    from adaptive_contact.fit.train import LegFigures, Stretch, Training
+    from adaptive_contact.service.worth import Worth
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -55,13 +56,15 @@ def fit(
     robot = opt.recorded_robot(config, recordings)
     gathered = gather(recordings, robot, refuse=not anyway)
     check_conventions(robot, gathered, refuse=not anyway)
+    streams = {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples}
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
         training = learn(
             robot,
-            {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples},
+            streams,
             origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
             progress=lambda leg: say(f"fitting leg {leg}", err=True),
         )
+        worth = try_out(robot, streams, training)
     for reason in training.skipped.values():
         say_note(f"left out: {reason}")
     for leg_id, known in training.figures.items():
@@ -79,8 +82,25 @@ def fit(
             f"the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
             "they are cautious, and soft contacts will be missed; record more swings"
         )
-    keep_training(training, robot, out, anyway=anyway, json=json, equations=equations)
+    keep_training(training, robot, out, anyway=anyway, json=json, equations=equations, worth=worth)
     say(f"baseline written to {out}", err=True)
+
+
+def try_out(
+    robot: Robot, streams: Mapping[str, Sequence[Stretch]], training: Training
+) -> dict[str, Worth]:
+    """Fit the first part of the recordings, and try that on the rest; by leg, empty where short."""
+    from adaptive_contact.errors import IdentificationError
+    from adaptive_contact.fit.train import learn
+    from adaptive_contact.service.worth import split, worth
+
+    parts = {leg: split(streams[leg]) for leg in training.figures}
+    say("trying it on stops in swings that are held out", err=True)
+    try:
+        first = learn(robot, {leg: part for leg, (part, _) in parts.items()}, origin="held out")
+    except IdentificationError:
+        return {}
+    return worth(robot, first.baseline, {leg: part for leg, (_, part) in parts.items()})
 
 
 def undetermined(leg: str, known: LegFigures) -> str:
@@ -281,9 +301,26 @@ def check_conventions(
 
 
 def keep_training(
-    training: Training, robot: Robot, out: Path, *, anyway: bool, json: bool, equations: bool
+    training: Training,
+    robot: Robot,
+    out: Path,
+    *,
+    anyway: bool,
+    json: bool,
+    equations: bool,
+    worth: Mapping[str, Worth] | None = None,
 ) -> None:
-    """Write what was learned, and show how good it is; end with code 1 where it is no model."""
+    """Write what was learned, and show how good it is; end with code 1 where it is no model.
+
+    Args:
+        training: what was learned.
+        robot: its description.
+        out: the file.
+        anyway: write it all the same.
+        json: print it as JSON.
+        equations: print them, too.
+        worth: what is found on swings that were held out, by leg.
+    """
     from adaptive_contact.fit.verdict import refusals, verdict
     from adaptive_contact.model.model_file import save_baseline
 
@@ -294,12 +331,19 @@ def keep_training(
         say_note("no baseline was written; --anyway writes it all the same")
         raise typer.Exit(1)
     save_baseline(training.baseline, out)
-    print_training(training, robot, json=json, equations=equations)
-    for line in verdict(robot, training):
+    print_training(training, robot, json=json, equations=equations, worth=worth)
+    for line in verdict(robot, training, worth):
         say(line, err=json)
 
 
-def print_training(training: Training, robot: Robot, *, json: bool, equations: bool) -> None:
+def print_training(
+    training: Training,
+    robot: Robot,
+    *,
+    json: bool,
+    equations: bool,
+    worth: Mapping[str, Worth] | None = None,
+) -> None:
     """Show how well every leg was learned, after its equations where they are wanted."""
     import numpy as np
 
@@ -308,6 +352,7 @@ def print_training(training: Training, robot: Robot, *, json: bool, equations: b
         text = {
             "figures": training.figures,
             "thresholds": thresholds.tolist(),
+            "held_out": {leg: one._asdict() for leg, one in (worth or {}).items()},
             "equations": {
                 leg: known.model.equations() for leg, known in training.baseline.legs.items()
             },

@@ -5,8 +5,8 @@ Behind ``fit`` and ``robot learn``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterator, Mapping
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -24,8 +24,26 @@ _COARSEST_RAD: Final = 0.02
 _SHOWN: Final = 3
 
 
-def verdict(robot: Robot, training: Training) -> list[str]:
-    """Describe in words how well every leg was learned, and what to do about it."""
+class Tried(Protocol):
+    """What a detector reported on swings that were held out; its text says it."""
+
+    @property
+    def good(self) -> bool:
+        """Whether touches are found, and nothing else is reported."""
+        ...
+
+
+def verdict(
+    robot: Robot, training: Training, tried: Mapping[str, Tried] | None = None
+) -> list[str]:
+    """Describe in words how well every leg was learned, and what to do about it.
+
+    Args:
+        robot: its description.
+        training: what was learned.
+        tried: what came of a trial, by leg.
+    """
+    tried = tried or {}
     lines = []
     for leg, figures in training.figures.items():
         noise = _NOISE_STEPS * robot.quantum(leg)
@@ -35,13 +53,16 @@ def verdict(robot: Robot, training: Training) -> list[str]:
         if figures.rows < wanted:
             more = wanted / max(figures.rows, 1)
             word = f"too little: {figures.rows} of {wanted} free ticks; swing {more:.1f} x as long"
+        elif leg in tried and not tried[leg].good:
+            word = "errs where it matters; record more and other swings, at every speed"
         elif worst <= _GOOD:
             word = "good"
-        elif worst <= _FAIR:
+        elif worst <= _FAIR or leg in tried:
             word = "usable; longer and more varied swings may help"
         else:
             word = "poor; check lengths, signs, servo.slope_rad, and that nothing was touched"
-        lines.append(f"leg {leg}: {word} (errs by {worst:.1f} x the noise of its readings)")
+        found = f"; held out: {tried[leg]}" if leg in tried else ""
+        lines.append(f"leg {leg}: {word} (errs by {worst:.1f} x the noise of its readings{found})")
     for leg in robot.leg_ids:
         if leg not in training.figures:
             why = training.skipped.get(leg, "it was not swung")

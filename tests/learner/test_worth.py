@@ -1,0 +1,67 @@
+"""What a baseline is worth, by stops put into swings that it was not learned from."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from adaptive_contact.fit.train import Stretch
+from adaptive_contact.model import Baseline
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.worth import STOPS_S, part, split, worth
+
+from .conftest import FakeLeg
+
+
+def stretch(certain: bool = True, **run: object) -> Stretch:
+    measured, desired, swing, _ = FakeLeg(seed=9).run(90, **run)
+    return Stretch(measured, desired, swing, swing, np.ones(len(swing), bool), certain=certain)
+
+
+def test_stops_are_found_and_free_swings_give_no_contact(robot: Robot, baseline: Baseline) -> None:
+    found = worth(robot, baseline, {"rf": [stretch()]})["rf"]
+    for reported, total in found.stops.values():
+        assert 15 < total < 45
+        assert reported >= 0.9 * total
+    assert 15 < found.free_swings < 45
+    assert found.false == 0
+    assert found.good
+
+
+def test_contacts_where_nothing_touched_are_counted(robot: Robot, baseline: Baseline) -> None:
+    """Of a leg that comes down more slowly than its model says."""
+    held_out = stretch(falling=lambda _: 0.2)
+    found = worth(robot, baseline, {"rf": [held_out]})["rf"]
+    assert found.false > 5
+    assert not found.good
+    assert f"{found.false} false in {found.free_swings} swings" in str(found)
+
+
+def test_where_touches_are_not_known_none_is_called_false(robot: Robot, baseline: Baseline) -> None:
+    found = worth(robot, baseline, {"rf": [stretch(certain=False, falling=lambda _: 0.2)]})["rf"]
+    assert (found.false, found.free_swings) == (0, 0)
+    assert "false" not in str(found)
+
+
+def test_legs_that_were_not_tried_are_left_out(robot: Robot, baseline: Baseline) -> None:
+    whole = stretch()
+    stands = part(whole, 24, 28)
+    assert worth(robot, baseline, {"rf": [stands], "lf": [whole]}) == {}
+
+
+@pytest.mark.parametrize("cuts", [(), (300,), (100, 2000)])
+def test_a_split_keeps_every_tick_in_its_order(cuts: tuple[int, ...]) -> None:
+    whole = stretch()
+    ends = [0, *cuts, len(whole.swing)]
+    parts = [part(whole, a, b) for a, b in itertools.pairwise(ends)]
+    first, last = split(parts)
+    again = np.concatenate([one.measured for one in (*first, *last)])
+    assert np.array_equal(again, whole.measured)
+    held = sum(len(one.swing) for one in last)
+    assert held == pytest.approx(len(whole.swing) / 3, abs=1)
+
+
+def test_stops_have_the_lengths_that_the_pages_name() -> None:
+    assert STOPS_S == (0.06, 0.2)
