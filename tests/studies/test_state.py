@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+
+pytest.importorskip("pybullet", reason="extra 'bullet' is not installed")
 
 from adaptive_contact_studies.state import Leg, table
 
