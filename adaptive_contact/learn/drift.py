@@ -128,15 +128,17 @@ class DriftMonitor:
         """Whether the model is of another leg: nearly all of the first lifts were far off.
 
         Not while something may hold the foot: a leg that starts on a leash is this leg all the
-        same, and a new start would learn it with its leash.  But a leg that comes its way and is
-        far off in each lift, for as long as a leg is given to settle, has become another.
+        same, and a new start would learn it with its leash.
         """
-        if self._far_in_a_row >= PATIENCE_SWINGS:
-            return True
         far, lifts = self._lifts_far, self._lifts
         if self.obstructed or far < UNFIT_LIFTS:
             return False
         return far == lifts or (lifts >= PATIENCE_SWINGS and far >= UNFIT_SHARE * lifts)
+
+    @property
+    def another(self) -> bool:
+        """Whether the leg comes its way and is far off in each lift, for as long as it may take."""
+        return self._far_in_a_row >= PATIENCE_SWINGS
 
     @property
     def doubt(self) -> Doubt | None:
