@@ -89,13 +89,16 @@ def forget_state(leg):
 
 @compiled
 def hangs(leg):
-    """Return whether no stance has shown load, of a leg that is known from a prior alone.
+    """Return whether no stance has shown load, of a leg whose noise after the turn is not known.
 
-    What such a leg does after the turn to stance is not known: a robot that hangs alarmed there
-    swing after swing.
+    What such a leg does after the turn to stance is not known either: a robot that hangs alarmed
+    there swing after swing.  Of a leg with a baseline some push is enough.
     """
-    judged = leg.carried or (leg.hanging and leg.after_known)
-    return leg.has_lengths and leg.from_prior and not judged
+    if not leg.has_lengths or leg.carried:
+        return False
+    if leg.from_prior:
+        return not (leg.hanging and leg.after_known)
+    return not leg.after_known and leg.load_n > 0 and leg.load < PUT_DOWN
 
 
 @compiled

@@ -11,6 +11,7 @@ import pytest
 from adaptive_contact import ContactLearner
 from adaptive_contact.cli.fit import gather
 from adaptive_contact.conventions.judge import judge_motion
+from adaptive_contact.model import load_baseline
 from adaptive_contact.robot import Robot, load_robot
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.service.status import LegFacts
@@ -86,3 +87,25 @@ def test_a_leg_that_hangs_is_learned_and_found_stopped_half_way_down(
     assert found == [stopped]
     # A batch fit of all swings errs by 0.8 mrad.
     assert np.sqrt(np.mean(np.square(knee))) < 1.3 * 0.8e-3
+
+
+def test_a_baseline_without_noise_after_the_turn_alarms_no_leg_that_hangs() -> None:
+    """Of a quadruped whose ``phase`` turns when its feet would touch."""
+    folder = DATA.parents[1] / "field" / "dackel"
+    if not folder.exists():
+        pytest.skip("no ../shared/field/dackel: a recording that is not part of the project")
+    robot, baseline = load_robot(folder / "robot.toml"), load_baseline(folder / "baseline.json")
+    samples: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
+    for message in read_recording(folder / "hung.mcap", robot):
+        if message.key.endswith("/servo"):
+            sample = decode(message.payload, ServoSample, message.encoding)
+            samples[message.key.split("/")[2]].append(sample)
+    swings = 0
+    for leg_id, stream in samples.items():
+        learner = ContactLearner(robot, leg_id, baseline)
+        leg = learner.place.leg
+        for sample in stream:
+            event = learner.update(sample)
+            swings += leg.ticks == 1 and leg.load_n > 0
+            assert leg.load_n == 0 or event is None or not event.contact, (leg_id, sample.t_ns)
+    assert swings > 100
