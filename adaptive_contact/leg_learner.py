@@ -379,10 +379,7 @@ class ContactLearner:
         if assessed:
             # Of readings that may be copies, the model would be learned again.
             suspected = self.report.source.suspected
-            # A leg that may hang stays silent instead: what it does in the air is all there is.
-            leg, monitor = self.place.leg, adapter.monitor
-            unfit = monitor.unfit or (monitor.another and leg.carried)
-            if unfit and leg.ticks and not suspected:
+            if adapter.monitor.unfit and self.place.leg.ticks and not suspected:
                 # Taken up behind the tick: its command is then the first of the next model's past.
                 lifecycle.forget()
                 self._let_go()

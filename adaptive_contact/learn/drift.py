@@ -110,7 +110,7 @@ class DriftMonitor:
         self._counted_free = False  # in this swing
         self._held = False  # in this swing, by its way
         self._trusted = True
-        self._lifts = self._lifts_far = self._far_in_a_row = 0
+        self._lifts = self._lifts_far = 0
         self._unfit_n = 0  # lifts that have to fit until the leg is predicted again
 
     @property
@@ -134,11 +134,6 @@ class DriftMonitor:
         if self.obstructed or far < UNFIT_LIFTS:
             return False
         return far == lifts or (lifts >= PATIENCE_SWINGS and far >= UNFIT_SHARE * lifts)
-
-    @property
-    def another(self) -> bool:
-        """Whether the leg comes its way and is far off in each lift, for as long as it may take."""
-        return self._far_in_a_row >= PATIENCE_SWINGS
 
     @property
     def doubt(self) -> Doubt | None:
@@ -200,7 +195,6 @@ class DriftMonitor:
             return LiftAssessment(fitting)
         self._lifts += 1
         self._lifts_far += level > UNFIT_LEVEL
-        self._far_in_a_row = self._far_in_a_row + 1 if level > UNFIT_LEVEL else 0
         off = level > SETTLED_LEVEL * max(self.variance_scale, 1.0)
         self._unfit_n = SETTLED_SWINGS if off else max(self._unfit_n - 1, 0)
         if level > FAR_LEVEL and self._known:
