@@ -82,8 +82,8 @@ class Limits(NamedTuple):
         ends = [
             f"{name} stops at {at:.3f} rad"
             for name, u, low, high in zip(joints, desired.T, *self, strict=True)
-            for at, beyond in ((low, u <= low), (high, u >= high))
-            if beyond.any()
+            for at, beyond in ((low, u.min() <= low), (high, u.max() >= high))
+            if beyond
         ]
         return ", ".join(ends)
 
@@ -112,19 +112,26 @@ def find_limits(
     Returns:
         ``known`` where nothing is new.
     """
+    if not len(measured):
+        return known
     stop_rad = max(STOP_RAD, STOP_STEPS * step_rad)
     found = Limits(known.lower.copy(), known.upper.copy())
-    for side, said, of in (
-        (-1.0, described.lower, found.lower),
-        (1.0, described.upper, found.upper),
-    ):
-        for j in range(measured.shape[1]):
-            y, u, at = side * measured[:, j], side * desired[:, j], side * of[j]
-            if np.sum(y > at + max(PASSED_RAD, stop_rad)) >= PASSED:
+    reads, asked = measured.T.copy(), desired.T.copy()  # numpy is ten times as fast along rows
+    for j, (y, u) in enumerate(zip(reads, asked, strict=True)):
+        for side, said, of in (
+            (-1.0, described.lower, found.lower),
+            (1.0, described.upper, found.upper),
+        ):
+            top, most = (-y.min(), -u.min()) if side < 0.0 else (y.max(), u.max())
+            at, limit = side * of[j], side * said[j]
+            # Most joints go to no limit, and this is asked at every swing.
+            if most - top < LEAST_SPREAD_RAD and most <= limit + stop_rad and at == np.inf:
+                continue
+            if np.sum(side * y > at + max(PASSED_RAD, stop_rad)) >= PASSED:
                 at = np.inf
-            elif _holds(y, u, side * said[j], stop_rad):
-                at = min(at, side * said[j])
-            at = min(at, _stop(chain, j, y, u, stop_rad, measured))
+            elif _holds(side * y, side * u, limit, stop_rad):
+                at = min(at, limit)
+            at = min(at, _stop(chain, j, side * y, side * u, stop_rad, measured))
             of[j] = side * at
     return known if all(map(np.array_equal, found, known)) else found
 
@@ -136,7 +143,7 @@ def _settled(u: Array, beyond: float) -> Mask:
 
 def _holds(y: Array, u: Array, at: float, stop_rad: float) -> bool:
     """Whether a joint has come to a described limit and not beyond, though it should have."""
-    if not len(y) or u.max() <= at + stop_rad:
+    if u.max() <= at + stop_rad:
         return False
     return bool(_settled(u, at + stop_rad).any() and np.sum(y > at + stop_rad) <= SPOILT)
 

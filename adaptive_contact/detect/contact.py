@@ -277,11 +277,9 @@ def note_contact(leg):
     are frozen or turned around, or which was held from the start.  One that strikes a step soon
     after it began to lift has not come far.
     """
-    fit = struck = leg.fit_n
+    fit, struck = leg.fit_n, fitting_before(leg, leg.onset_ns)
     if not fit and leg.misfit_ns >= leg.onset_ns - leg.period_ns:
         fit = leg.fit_before
-    if not struck and leg.misfit_ns >= leg.onset_ns - STRIKE_TICKS * leg.period_ns:
-        struck = leg.fit_before
     leg.fits |= fit >= MIN_LIFT_ROWS and leg.moved > LEAST_WAY_M * leg.leg_size
     leg.fits |= struck >= STRIKE_ROWS and leg.moved > STRIKE_WAY_M * leg.leg_size
 

@@ -23,7 +23,7 @@ STOPS_S: Final = (0.06, 0.2)
 LATE_S: Final = 0.06
 # The share of a recording that is held out, its last part.
 HELD_OUT: Final = 1.0 / 3.0
-# Samples that are lost between two stretches: the learner begins anew.
+# Numbers that are left out between two stretches, so that the learner sees a pause.
 _GAP_TICKS: Final = 100
 
 
@@ -50,7 +50,10 @@ class Worth(NamedTuple):
 
 
 def split(stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
-    """Split a leg's samples in time: to learn from, and held out."""
+    """Split a leg's samples in time: the first to learn from, the last held out.
+
+    A stretch on the border is cut in two.
+    """
     left = round((1.0 - HELD_OUT) * sum(len(stretch.swing) for stretch in stretches))
     first, last = [], []
     for stretch in stretches:
@@ -63,7 +66,7 @@ def split(stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
 
 
 def part(stretch: Stretch, first: int, last: int) -> Stretch:
-    """Cut some ticks out of a stretch."""
+    """Return ticks ``first`` to ``last`` - 1 of a stretch, as one."""
     names = ("measured", "desired", "swing", "free", "sound")
     cut = {name: getattr(stretch, name)[first:last] for name in names}
     return Stretch(**cut, certain=stretch.certain)
@@ -72,9 +75,15 @@ def part(stretch: Stretch, first: int, last: int) -> Stretch:
 def worth(
     robot: Robot, baseline: Baseline, held_out: Mapping[str, Sequence[Stretch]]
 ) -> dict[str, Worth]:
-    """Replay held-out samples, with stops in two of three swings; by leg.
+    """Replay held-out samples, with stops in two of three swings, drawn at random.
 
-    Legs of which no whole swing was held out, and that the baseline lacks, are left out.
+    Args:
+        robot: its description.
+        baseline: that was learned from other samples.
+        held_out: by leg.
+
+    Returns:
+        By leg; without legs that the baseline lacks, or of which no swing could be stopped.
     """
     found = {}
     for leg_id, stretches in held_out.items():
@@ -86,6 +95,7 @@ def worth(
 
 
 def _of_leg(robot: Robot, leg: Leg, baseline: Baseline, stretches: Sequence[Stretch]) -> Worth:
+    """Replay the stretches of one leg, with stops."""
     learner = ContactLearner(robot, leg.id, baseline)
     draw = np.random.default_rng(len(stretches))
     stops = {length: [0, 0] for length in STOPS_S}
