@@ -16,6 +16,8 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+
 from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.contact import GUARD_TICKS, MIN_LIFT_ROWS
 from adaptive_contact.detect.layout import BEGAN, TOPPED, WEIGHED
@@ -100,9 +102,9 @@ class SwingLabels:
             found.append(LabelledSwing(Label.BEGIN))
         if not flags & WEIGHED:
             return found
-        joints = self._place.batch.measured.shape[1]
-        nis = leg.squared * leg.variance_scale / joints
-        found.append(LabelledSwing(Label.TICK, nis=nis))
+        way = self._place.batch.history[self._place.row, 1, 0]
+        nis = leg.squared * leg.variance_scale / len(way)
+        found.append(LabelledSwing(Label.TICK, nis=nis, way_rad=float(np.abs(way).sum())))
         if flags & TOPPED:
             found += self._lift()
         return found

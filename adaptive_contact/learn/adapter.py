@@ -231,7 +231,7 @@ class Adapter:
             case Label.BEGIN:
                 self.monitor.begin_swing()
             case Label.TICK:
-                self.monitor.look(part.nis)
+                self.monitor.look(part.nis, part.way_rad)
             case Label.TRAVEL:
                 self.monitor.note_travel(obstructed=part.obstructed, travel_ratio=part.travel_ratio)
             case Label.LIFT:

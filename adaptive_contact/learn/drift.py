@@ -15,6 +15,7 @@ import functools
 from collections import deque
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 import scipy  # its parts load where they are used
 
 from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
@@ -28,6 +29,8 @@ SUSPICIONS: Final = 2  # in a row, for a change
 # foot that let go late made it.  A good model's is in 9 of 10, one whose level is 4 in 1 of 20.
 TAKE_BACK_TICKS: Final = 3
 TAKE_BACK_LEVEL: Final = 1.5
+# A tick in which the joints move less than this share of what they did in the lift says nothing.
+MOVING_SHARE: Final = 0.5
 # Share of a new lift in the followed level, and while adapting.
 LEVEL_SHARE: Final = 0.1
 LEVEL_SHARE_ADAPTING: Final = 0.8
@@ -99,6 +102,7 @@ class DriftMonitor:
         self._suspected = NO_ROWS
         self._suspicions = 0
         self._suspected_ns = 0
+        self._lift_rad = 0.0  # way of all joints in a tick of the last lift
         self._newest: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
         self._settled = 0
         self._since_ns: int | None = None
@@ -193,6 +197,7 @@ class DriftMonitor:
         fitting = rows if level < SETTLED_LEVEL else NO_ROWS
         if self._held:
             return LiftAssessment(fitting)
+        self._lift_rad = float(np.abs(rows.target).sum(axis=1).mean())
         self._lifts += 1
         self._lifts_far += level > UNFIT_LEVEL
         off = level > SETTLED_LEVEL * max(self.variance_scale, 1.0)
@@ -233,12 +238,19 @@ class DriftMonitor:
         """Whether the NIS of this swing's ticks may change how it is judged."""
         return self._swing_level is not None or bool(self._swings_adapting)
 
-    def look(self, level: float) -> None:
+    def look(self, level: float, way_rad: float) -> None:
         """Take in the NIS of a tick, which may contradict the assessment of a lift.
 
         A suspicion is withdrawn; a leg that has just changed may have been learned since, from that
-        very lift, and is judged by how it fits now.
+        very lift, and is judged by how it fits now.  Ticks in which the leg hardly moves fit any
+        model.
+
+        Args:
+            level: its NIS.
+            way_rad: how far the joints were to move in it, added up.
         """
+        if way_rad < MOVING_SHARE * self._lift_rad:
+            return
         suspected = self._swing_level is not None and self._suspicions == 1
         moving = self._swings_adapting and self._trusted and self._swings_inflated <= SETTLED_SWINGS
         if not (suspected or (moving and self.variance_in_force > self._least)):

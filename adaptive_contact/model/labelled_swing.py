@@ -143,6 +143,7 @@ class LabelledSwing(NamedTuple):
     region: int = 0  # of the workspace, 0 to 5
     t_ns: int = 0  # of the newest tick
     nis: float = math.nan  # of a tick, per joint and in units of the baseline's variance
+    way_rad: float = math.nan  # in which its joints were predicted to move, all together
     obstructed: bool = False  # the foot did not follow its command
     travel_ratio: float = 1.0  # share of its command's way that the foot went
     # the swing's contact was reported before the foot had begun to come down; None where that is
