@@ -277,7 +277,7 @@ class DriftMonitor:
             travel_ratio: share of its command's way that it went.
         """
         if not obstructed:
-            if self.obstructed or not self._far_swings:  # else its lift is yet to be assessed
+            if not self._far_swings:  # else a lift has to fit
                 self._note_free()
         else:
             self._far_swings, self._held = 0, True
