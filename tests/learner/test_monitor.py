@@ -222,3 +222,52 @@ def test_a_saved_status_goes_on() -> None:
     for k in range(SETTLED_SWINGS):
         assess(monitor, 1.0, 1 + k)
     assert monitor.status == "valid"
+
+
+def moved(level: float, way_rad: float) -> Rows:
+    """Rows of a lift in whose ticks each of three joints moves so far."""
+    rows = lift(level)
+    rows.target[:] = way_rad
+    return rows
+
+
+def test_ticks_in_which_a_leg_hardly_moves_take_no_suspicion_back() -> None:
+    """They fit any model: at the top of a swing a joint that is a tick late is where it should be."""
+    monitor = calmed()
+    monitor.begin_swing()
+    assert not monitor.assess_lift(moved(12.0, 0.03), 40 * SWING_NS).changed
+    for _ in range(9):
+        monitor.look(0.2, 3 * 0.01)
+    assert monitor.variance_in_force > 5.0
+    for _ in range(3):
+        monitor.look(0.2, 3 * 0.02)
+    assert monitor.variance_in_force == monitor.variance_scale < 2.0
+
+
+def test_lifts_that_are_off_again_and_again_are_a_change_whatever_the_top_says() -> None:
+    monitor = calmed()
+    changed = []
+    for swing in range(40, 44):
+        monitor.begin_swing()
+        changed.append(monitor.assess_lift(moved(12.0, 0.03), swing * SWING_NS).changed)
+        for _ in range(6):
+            monitor.look(0.2, 3 * 0.005)
+    assert changed[1]
+    assert monitor.status == "adapting"
+
+
+def test_a_leg_that_is_far_off_is_not_free_by_its_way_alone() -> None:
+    """One with other servos comes all of it, and its lifts may be too short to assess."""
+    monitor = calmed()
+    for swing in range(40, 43):
+        assess(monitor, 200.0, swing)
+    assert monitor.doubt == "far"
+    for _ in range(3 * RELEASE_SWINGS):
+        monitor.begin_swing()
+        monitor.note_travel(obstructed=False, travel_ratio=1.0)
+        assert monitor.doubt == "far"
+    for swing in range(60, 60 + RELEASE_SWINGS):
+        monitor.begin_swing()
+        monitor.note_travel(obstructed=False, travel_ratio=1.0)
+        monitor.assess_lift(lift(1.0), swing * SWING_NS)
+    assert monitor.status == "valid"
