@@ -232,7 +232,7 @@ def moved(level: float, way_rad: float) -> Rows:
 
 
 def test_ticks_in_which_a_leg_hardly_moves_take_no_suspicion_back() -> None:
-    """They fit any model: at the top of a swing a joint that is a tick late is where it should be."""
+    """They fit any model: at the top of a swing, a joint that is late is where it should be."""
     monitor = calmed()
     monitor.begin_swing()
     assert not monitor.assess_lift(moved(12.0, 0.03), 40 * SWING_NS).changed
