@@ -13,6 +13,7 @@ With noise a copy leaves more, but of one tick nothing of the next, while load a
 where a leg has departed with a lag-1 autocorrelation r of :math:`y - \hat y` of 0.3 and more, and
 all its joints leave little with r below 0.1, they are copies as well.
 
+- *equal*: commands, to the last bit, in some ticks only, such as those of swings: a copy as well;
 - *held*: a joint that moves reads the same as in the tick before, more often than not;
 - *old*: the commands of the last 12 ticks explain less of the readings than those of a time before;
 - *twin*: they are another leg's to the last bit, whose commands explain them better.
@@ -88,6 +89,13 @@ NEEDED_SAMPLES: Final = MOST_TICKS + LAGS + OLD_TICKS
 # Readings are on a grid where so many are, to a tenth of its step.
 GRID_SHARE: Final = 0.95
 GRID_RAD: Final = 1e-5
+
+# Readings off their encoder's grid that equal a command, rad, in so many ticks in which it moves:
+# no servo stops there.  On the grid, two joints and more have to move, and all that do have to read
+# their command in so many ticks in a row.
+EQUAL_RAD: Final = 1e-6
+EQUAL_TICKS: Final = 8
+EQUAL_RUN: Final = 12
 
 Kind = Literal["copy", "held", "old", "twin"]
 
@@ -213,6 +221,9 @@ class InformationCheck:
         open_ = known and self.found is None and not self.proved[copies].any()
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
+        equal, since = equal_to_commands(samples, ticks, self._step_rad)
+        if equal:
+            return Finding("copy", equal, since), True
         white, moving = self._is_white(off), np.flatnonzero(np.isfinite(off.rms))
         if white:
             self.suspected |= self._shown < SHOWN_LOOKS
@@ -241,6 +252,44 @@ class InformationCheck:
         self._white = self._white + 1 if white else 0
         self._shown += lasting > COLOURED
         return bool(white)
+
+
+def equal_to_commands(samples: Samples, ticks: int, step_rad: float) -> tuple[tuple[int, ...], int]:
+    """Find joints whose newest readings are commands that their encoder could not have read.
+
+    Args:
+        samples: as many as ticks, and :data:`LAGS` before them.
+        ticks: that are judged.
+        step_rad: of the encoder, as described.
+
+    Returns:
+        The joints, and how many samples ago the first of these readings was.
+    """
+    read, told = samples.measured[-ticks:], samples.desired
+    off_grid = np.abs(read / step_rad - np.round(read / step_rad)) > 0.05
+    moved = np.abs(np.diff(told, axis=0, prepend=told[:1]))
+    copies = np.zeros_like(off_grid)
+    for lag in range(LAGS):
+        at = slice(len(told) - ticks - lag, len(told) - lag)
+        equal = np.abs(read - told[at]) < EQUAL_RAD
+        if equal.sum() < EQUAL_TICKS:
+            continue
+        same = equal & off_grid & (moved[at] > 0.0)
+        copies |= same & (same.sum(axis=0) >= EQUAL_TICKS)
+        moving = moved[at] > 0.5 * step_rad
+        whole = (equal | ~moving).all(axis=1) & (moving.sum(axis=1) > 1)
+        copies |= equal & moving & in_runs(whole, EQUAL_RUN)[:, None]
+    first = int(copies.any(axis=1).argmax())
+    return tuple(np.flatnonzero(copies.any(axis=0)).tolist()), ticks - first
+
+
+def in_runs(of: Mask, least: int) -> Mask:
+    """Select the ticks of an (n,) mask that are in a row of so many and more."""
+    edges = np.flatnonzero(np.diff(of, prepend=False, append=False))
+    found = np.zeros(len(of), dtype=np.bool_)
+    for begin, end in edges.reshape(-1, 2):
+        found[begin:end] = end - begin >= least
+    return found
 
 
 class Departure(NamedTuple):

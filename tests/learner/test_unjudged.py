@@ -39,7 +39,7 @@ class Known(NamedTuple):
         return ContactLearner(self.robot, self.leg, self.baseline)
 
 
-@pytest.fixture(scope="module", params=["fake", "bare", "quadruped12", "leg5"])
+@pytest.fixture(scope="module", params=["fake", "bare", "hexapod", "quadruped12", "leg5"])
 def known(request: pytest.FixtureRequest) -> Known:
     kind: str = request.param
     if kind == "fake":
