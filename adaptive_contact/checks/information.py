@@ -90,9 +90,10 @@ NEEDED_SAMPLES: Final = MOST_TICKS + LAGS + OLD_TICKS
 GRID_SHARE: Final = 0.95
 GRID_RAD: Final = 1e-5
 
-# Readings off their encoder's grid that equal a command, rad, in so many ticks in which it moves:
-# no servo stops there.  On the grid, two joints and more have to move, and all that do have to read
-# their command in so many ticks in a row.
+# Readings that equal a command, rad, in so many ticks in which it moves, off the grid that the
+# others lie on, by so much of its step: no servo stops there.  On the grid, two joints and more
+# have to move, and all that do have to read their command in so many ticks in a row.
+GRID_PART: Final = 0.05
 EQUAL_RAD: Final = 1e-6
 EQUAL_TICKS: Final = 8
 EQUAL_RUN: Final = 12
@@ -266,21 +267,29 @@ def equal_to_commands(samples: Samples, ticks: int, step_rad: float) -> tuple[tu
         The joints, and how many samples ago the first of these readings was.
     """
     read, told = samples.measured[-ticks:], samples.desired
-    off_grid = np.abs(read / step_rad - np.round(read / step_rad)) > 0.05
     moved = np.abs(np.diff(told, axis=0, prepend=told[:1]))
-    copies = np.zeros_like(off_grid)
-    for lag in range(LAGS):
-        at = slice(len(told) - ticks - lag, len(told) - lag)
-        equal = np.abs(read - told[at]) < EQUAL_RAD
-        if equal.sum() < EQUAL_TICKS:
-            continue
-        same = equal & off_grid & (moved[at] > 0.0)
+    shifts = [slice(len(told) - ticks - lag, len(told) - lag) for lag in range(LAGS)]
+    equals = np.abs(read - np.stack([told[at] for at in shifts])) < EQUAL_RAD
+    off = off_grid(read, ~equals.any(axis=0), step_rad)
+    copies = np.zeros_like(off)
+    for at, equal in zip(shifts, equals, strict=True):
+        same = equal & off & (moved[at] > 0.0)
         copies |= same & (same.sum(axis=0) >= EQUAL_TICKS)
         moving = moved[at] > 0.5 * step_rad
         whole = (equal | ~moving).all(axis=1) & (moving.sum(axis=1) > 1)
         copies |= equal & moving & in_runs(whole, EQUAL_RUN)[:, None]
     first = int(copies.any(axis=1).argmax())
     return tuple(np.flatnonzero(copies.any(axis=0)).tolist()), ticks - first
+
+
+def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
+    """Select the (n, J) readings off the grid that a joint's sure ones lie on, if they lie on one."""
+    turns = 2j * np.pi * read / step_rad
+    zeros = np.angle((np.exp(turns) * sure).sum(axis=0))
+    off: Mask = np.abs(np.angle(np.exp(turns - 1j * zeros))) > 2.0 * np.pi * GRID_PART
+    count = sure.sum(axis=0)
+    known = (count >= LEAST_MOVING) & ((~off & sure).sum(axis=0) >= GRID_SHARE * count)
+    return off & known
 
 
 def in_runs(of: Mask, least: int) -> Mask:

@@ -16,6 +16,7 @@ from adaptive_contact.checks.information import (
     Survey,
     basis,
     departure,
+    equal_to_commands,
     held_share,
     is_old,
     low_pass,
@@ -216,6 +217,27 @@ def test_lost_samples_and_spoilt_readings_hide_nothing_and_accuse_nobody() -> No
             if check.look(at, newest, begins=bool(swing[kept][at - 1])) and check.found:
                 said.append(check.found.kind)
         assert said == kinds
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.3 * STEP])
+@pytest.mark.parametrize("described", [STEP, 2e-6, 0.7 * STEP])
+def test_a_servo_on_its_commands_grid_is_no_copy(zero: float, described: float) -> None:
+    u, swing = commands(12)
+    u = np.round(u / STEP) * STEP + zero
+    y = np.round((servo(u, swing, gain=0.9, load=0.0) - zero) / STEP) * STEP + zero
+    at = np.arange(len(u))
+    for last in range(200, len(u), 40):
+        assert equal_to_commands(Samples(at, y, u).part(0, last), 80, described) == ((), 80)
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.3 * STEP])
+def test_commands_for_readings_in_swings_alone_are_found(zero: float) -> None:
+    u, swing = commands(12)
+    y = np.round((servo(u, swing, gain=0.4) - zero) / STEP) * STEP + zero
+    y = np.where(swing[:, None], np.roll(u, 2, axis=0), y)
+    joints, since = equal_to_commands(Samples(np.arange(len(u)), y, u), 120, STEP)
+    assert joints == (0, 1)
+    assert 110 < since <= 120
 
 
 def test_a_frozen_joint_is_no_copy() -> None:
