@@ -283,7 +283,7 @@ def equal_to_commands(samples: Samples, ticks: int, step_rad: float) -> tuple[tu
 
 
 def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
-    """Select the (n, J) readings off the grid that a joint's sure ones lie on, if they lie on one."""
+    """Select the (n, J) readings off the grid of a joint that its sure ones show, if they do."""
     turns = 2j * np.pi * read / step_rad
     zeros = np.angle((np.exp(turns) * sure).sum(axis=0))
     off: Mask = np.abs(np.angle(np.exp(turns - 1j * zeros))) > 2.0 * np.pi * GRID_PART
