@@ -270,7 +270,7 @@ def equal_to_commands(samples: Samples, ticks: int, step_rad: float) -> tuple[tu
     moved = np.abs(np.diff(told, axis=0, prepend=told[:1]))
     shifts = [slice(len(told) - ticks - lag, len(told) - lag) for lag in range(LAGS)]
     equals = np.abs(read - np.stack([told[at] for at in shifts])) < EQUAL_RAD
-    off = off_grid(read, ~equals.any(axis=0), step_rad)
+    off = off_grid(read, np.asarray(~equals.any(axis=0)), step_rad)
     copies = np.zeros_like(off)
     for at, equal in zip(shifts, equals, strict=True):
         same = equal & off & (moved[at] > 0.0)
@@ -289,7 +289,7 @@ def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
     off: Mask = np.abs(np.angle(np.exp(turns - 1j * zeros))) > 2.0 * np.pi * GRID_PART
     count = sure.sum(axis=0)
     known = (count >= LEAST_MOVING) & ((~off & sure).sum(axis=0) >= GRID_SHARE * count)
-    return off & known
+    return np.asarray(off & known)
 
 
 def in_runs(of: Mask, least: int) -> Mask:
