@@ -11,7 +11,6 @@ HOURS ?= 300
 KILLS ?= 100
 LEGS ?= 64
 DATA ?= recordings
-BRIDGE_MINUTES ?= 10
 REV ?= HEAD
 # Of `make same`: AGAINST another revision, a TOLERANCE, recordings to EXPECT differences in, ONLY
 # some recordings, fields to IGNORE, FRESH=1 for replaying what was replayed before.
@@ -32,7 +31,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all uncompiled check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second honest
+.PHONY: help env demo test test-all uncompiled check bench scenarios baseline soak fuzz kills links many unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second honest
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -116,9 +115,6 @@ same-faults: env  ## faults of one line that golden recordings must notice, plan
 bench: env  ## the design's figures and speeds, in out/bench (half an hour or so)
 	$(BIN)/python -m adaptive_contact bench --out out/bench
 	$(BIN)/python tests/service/bench_echo.py --assert
-
-bench-bridge: env  ## the bridge on three virtual ports: cycle, jitter, a silent servo, reconnects
-	PYTHONPATH=tests $(BIN)/python tests/bridge/bench_bridge.py --minutes $(BRIDGE_MINUTES) $(BRIDGE_OPTIONS)
 
 scenarios: env  ## every drift through every learner; docs/adaptation.md (one to three hours, resumable)
 	$(BIN)/python -m adaptive_contact scenarios run --all --out out/scenarios

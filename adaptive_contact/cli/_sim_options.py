@@ -34,16 +34,6 @@ _RUN: Final = "Run"
 _OUT: Final = "Output"
 _ROBOT: Final = "Robot"
 
-SchedulerOption = Annotated[
-    str | None,
-    option(
-        "--scheduler",
-        "Let the workers of this Dask scheduler do the work, such as tcp://10.0.0.1:8786 "
-        "(extra 'cluster'). What they write must be on a file system that they share.",
-        "ADDRESS",
-    ),
-]
-
 # Of the motions, each with a default of its own.
 ReactOption = Annotated[
     float | None,
@@ -104,7 +94,7 @@ class RunOptions:
         Path | None,
         option(
             "--render",
-            "Write a film (.gif, .mp4) or the last picture (.png); needs no display.",
+            "Write a film (.gif) or the last picture (.png); needs no display.",
             "FILE",
             panel=_OUT,
         ),

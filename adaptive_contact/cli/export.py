@@ -36,10 +36,10 @@ def export(
         Path, typer.Argument(metavar="FILE.mcap", help="Recording to read.", show_default=False)
     ],
     to: Annotated[
-        Literal["csv", "parquet", "bag", "mcap"],
+        Literal["csv", "bag", "mcap"],
         option(
             "--to",
-            "csv, parquet: a folder with a table per message; bag: a bag of ROS 2 with contacts and"
+            "csv: a folder with a table per message; bag: a bag of ROS 2 with contacts and"
             " joint states; mcap: a recording as `record` of today writes it.",
             show_default=False,
         ),
@@ -71,7 +71,7 @@ def export(
     if out is None:
         out = file.with_name(f"{file.stem}-{to}{'.mcap' if form is ExportFormat.MCAP else ''}")
     _check(file, out, form, force)
-    if config is not None and form.is_table:
+    if config is not None and form is ExportFormat.CSV:
         raise ConfigurationError(f"--config is of a bag or an mcap; leave it out of {to}")
     if events is not None and form is not ExportFormat.BAG:
         raise ConfigurationError(f"--events is of a bag; leave it out of {to}")
@@ -111,7 +111,7 @@ def _check(file: Path, out: Path, to: ExportFormat, force: bool) -> None:
     if to.value == "bag":
         if out.exists():
             raise ConfigurationError(f"{out} exists already; give another --out, or remove it")
-    elif not to.is_table:
+    elif to.value == "mcap":
         check_output(out, "--out", [file], force=force)
     elif out.exists() and not out.is_dir():
         raise ConfigurationError(f"{out} is no folder; {to} takes one, with a table per message")

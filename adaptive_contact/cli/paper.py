@@ -10,7 +10,7 @@ import typer
 
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import ForceOption, option, refuse_to_replace
-from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
+from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 
@@ -18,7 +18,6 @@ def paper(
     out: Annotated[Path, option("--out", "Where results go.", "DIR")] = Path("out/paper"),
     quick: Annotated[bool, option("--quick", "A few minutes: fewer legs, fewer hours.")] = False,
     workers: Annotated[int, option("--workers", "Processes, 0 for one per core.", min=0)] = 0,
-    scheduler: SchedulerOption = None,
     seed: Annotated[int, option("--seed", "Seed of all streams.", min=0, max=90)] = 0,
     stage: Annotated[
         list[str] | None, option("--stage", "Only this stage; repeatable.", "NAME")
@@ -58,7 +57,7 @@ def paper(
     stages = [name for name in STAGES if not stage or name in stage]
     console = table_console()
     try:
-        work = Work(out, workers or os.cpu_count() or 1, scheduler, console)
+        work = Work(out, workers or os.cpu_count() or 1, console=console)
         results = run_paper(work, plan, stages, logs)
     except KeyboardInterrupt:
         console.print("\ninterrupted; the same command goes on from here")

@@ -21,7 +21,7 @@ from adaptive_contact.cli._options import (
     refuse_to_replace,
 )
 from adaptive_contact.cli._output import say, say_json
-from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
+from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.errors import ConfigurationError
 
 app = Commands(
@@ -88,7 +88,6 @@ def run(
         bool, option("--quick", "Short recordings, two leg-runs: does it all run?")
     ] = False,
     processes: ProcessesOption = 2,
-    scheduler: SchedulerOption = None,
     out: OutOption = DEFAULT_OUT,
     json: JsonOption = False,
 ) -> None:
@@ -115,7 +114,7 @@ def run(
     chosen = named(names or scenarios(), sizes)
     console = table_console(stderr=True)
     try:
-        tree = measure(Work(out, processes, scheduler, console), chosen, sizes)
+        tree = measure(Work(out, processes, console=console), chosen, sizes)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
         # How a command ends that Ctrl-C stopped, as shells have it.

@@ -18,7 +18,6 @@ from adaptive_contact.cli._output import make_stdout_optional, say, say_json, sa
 from adaptive_contact.cli._sim_options import (
     ReactOption,
     RunOptions,
-    SchedulerOption,
     execute,
     given,
     needs_simulator,
@@ -34,7 +33,6 @@ def baseline(
         str, option("--robot", "Which robot: hexapod, quadruped12, leg5.", "NAME")
     ] = "hexapod",
     processes: opt.ProcessesOption = 2,
-    scheduler: SchedulerOption = None,
     equations: opt.EquationsOption = False,
     force: opt.ForceOption = False,
     json: opt.JsonOption = False,
@@ -53,7 +51,7 @@ def baseline(
 
     description = simulated_robot(robot).description
     with threadpool_limits(1):
-        work = Work(None, processes, scheduler, table_console(stderr=True))
+        work = Work(None, processes, console=table_console(stderr=True))
         training = learn_shipped(robot, work, progress=lambda line: say(line, err=True))
     save_baseline(training.baseline, out)
     print_training(training, description, json=json, equations=equations)

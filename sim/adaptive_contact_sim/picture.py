@@ -1,4 +1,4 @@
-"""Pictures of a simulation without a window: ``.png`` (the last moment), ``.gif``, ``.mp4``.
+"""Pictures of a simulation without a window: ``.png`` (the last moment), ``.gif``.
 
 A run keeps moments, which is cheap, and they are painted when it is over: painting a frame takes
 longer than a control tick, and a run in real time must not wait for it.  The engine's renderer on
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import io
-import tempfile
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
@@ -173,7 +172,7 @@ def _line(error: BaseException) -> str:
 
 
 # File kind -> width, height, control ticks per frame.
-_KINDS: Final = {".png": (960, 720, 1), ".gif": (480, 360, 4), ".mp4": (800, 600, 2)}
+_KINDS: Final = {".png": (960, 720, 1), ".gif": (480, 360, 4)}
 
 
 class Film:
@@ -201,10 +200,6 @@ class Film:
         self._frame_s = self._every * sim.settings.period_s
         # Painting takes three times the time that was filmed, and a gif grows by 0.3 MB per second.
         self._most = round(300.0 / self._frame_s)
-        if self._kind == ".mp4":
-            with needs("rendering to .mp4", "video"):
-                importlib.import_module("imageio.v2")
-                importlib.import_module("imageio_ffmpeg")  # imageio finds its ffmpeg through it
         self._sim = sim
         self._stage = Stage(sim)
         self._painter = EnginePainter(self._stage, self._width, self._height)
@@ -226,9 +221,7 @@ class Film:
     def close(self) -> None:
         """Paint what was kept, and write the file."""
         moments = self._moments or [Moment.of(self._sim)]
-        if self._kind == ".mp4":
-            data = self._video(moments)
-        elif self._kind == ".png":
+        if self._kind == ".png":
             data = _encoded(self._paint(moments[-1]), "PNG")
         else:
             # One palette per frame, no dithering: flat colours stay flat, and compress.
@@ -246,20 +239,6 @@ class Film:
             )
         self._painter.close()
         write_file(self.path, data, advice="give another --render")
-
-    def _video(self, moments: list[Moment]) -> bytes:
-        """The film as MP4, which ffmpeg writes into a file of its own."""
-        import imageio.v2 as imageio
-
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, "film.mp4")
-            writer: Any = imageio.get_writer(
-                path, fps=1.0 / self._frame_s, codec="libx264", quality=7, macro_block_size=8
-            )
-            for moment in moments:
-                writer.append_data(np.asarray(self._paint(moment)))
-            writer.close()
-            return path.read_bytes()
 
     def _paint(self, moment: Moment) -> Any:
         """A pillow image of a moment, with its caption."""

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
-from adaptive_contact.errors import ConfigurationError, needs
+from adaptive_contact.errors import ConfigurationError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -41,7 +41,6 @@ LEARNER: Final = (
     *("adaptive_contact.learn", "adaptive_contact.model", "adaptive_contact.robot"),
     *("adaptive_contact.score", "adaptive_contact_models"),
 )
-_CONNECT_S: Final = 10.0
 _IDLE_S: Final = 20
 
 
@@ -84,7 +83,6 @@ class Work:
 
     folder: Path | None = None  # results lie in its folder ``cache``; None keeps none
     processes: int = 1
-    scheduler: str | None = None  # address of a Dask cluster that does it instead
     console: Console | None = None  # where progress goes
 
     def __post_init__(self) -> None:
@@ -126,7 +124,7 @@ class Work:
             weight: of an item, for the progress.
 
         Raises:
-            ConfigurationError: a process ended, or has another source.
+            ConfigurationError: a process ended, or the sources changed meanwhile.
         """
         found: dict[int, R] = {}
         here, kept = replace(self, console=None), self._kept
@@ -138,9 +136,15 @@ class Work:
             else:
                 jobs.append(joblib.delayed(_numbered)(here, do, number, item, key))
         total = sum(weight(item) for number, item in enumerate(items) if number not in found)
+        workers = max(1, min(self.processes, len(jobs)))
         try:
-            with self._workers(len(jobs)) as workers, self._progress(what, total) as advance:
-                for number, result in workers(jobs):
+            # Those of a process that was killed end what they are at, and then go.
+            with (
+                joblib.parallel_config("loky", idle_worker_timeout=_IDLE_S),
+                self._progress(what, total) as advance,
+            ):
+                made = joblib.Parallel(workers, return_as="generator_unordered", batch_size=1)
+                for number, result in made(jobs):
                     found[number] = result
                     advance(weight(items[number]))
         except TerminatedWorkerError as error:
@@ -149,26 +153,6 @@ class Work:
                 "go on, with fewer processes"
             ) from error
         return [found[number] for number in range(len(items))]
-
-    @contextlib.contextmanager
-    def _workers(self, items: int) -> Iterator[joblib.Parallel]:
-        if self.scheduler is None:
-            workers = max(1, min(self.processes, items))
-            # Those of a process that was killed end what they are at, and then go.
-            with joblib.parallel_config("loky", idle_worker_timeout=_IDLE_S):
-                yield joblib.Parallel(workers, return_as="generator_unordered", batch_size=1)
-            return
-        with needs("--scheduler", "cluster"):
-            from distributed import Client
-        try:
-            client = Client(self.scheduler, timeout=_CONNECT_S)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise ConfigurationError(
-                f"--scheduler {self.scheduler}: no scheduler of Dask answers there; start `dask "
-                "scheduler` and `dask worker ADDRESS --nthreads 1`, and give the address it prints"
-            ) from error
-        with client, joblib.parallel_config("dask"):
-            yield joblib.Parallel(-1, return_as="generator_unordered", batch_size=1)
 
     @contextlib.contextmanager
     def _progress(self, what: str, total: float) -> Iterator[Callable[[float], None]]:
@@ -226,7 +210,7 @@ def _numbered(
     """
     if _key(do, item) != key:
         raise ConfigurationError(
-            "a worker has another source of adaptive-contact: it was changed while the run was "
-            "going on, or is not the one installed there; start the same command again"
+            "the source of adaptive-contact was changed while the run was going on; start the same "
+            "command again"
         )
     return number, work.one(do, item)

@@ -39,7 +39,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 EXTRAS = (
     *("mujoco", "mujoco_core", "mujoco_studio", "glfw", "OpenGL"),
     *("dynamixel_sdk", "dynamixel_easy_sdk", "scservo_sdk", "serial"),
-    *("matplotlib", "mpl_toolkits", "pylab", "PIL", "imageio", "imageio_ffmpeg"),
+    *("matplotlib", "mpl_toolkits", "pylab", "PIL"),
     *("jinja2", "markupsafe"),
 )
 

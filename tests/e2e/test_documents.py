@@ -26,7 +26,7 @@ MODELS = ROOT / "models" / "adaptive_contact_models"
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(
     r"(\$ |[A-Z_]+=\S+ |\.venv/bin/)*"
-    r"(adaptive-contact (?!([a-z]+ ?)*:)|python3? |pip |make |sudo |journalctl |ros2 |dask |kill )"
+    r"(adaptive-contact (?!([a-z]+ ?)*:)|python3? |pip |make |sudo |journalctl |ros2 |kill )"
 )
 # Lines that are not run here, and why.
 ELSEWHERE = {
@@ -34,7 +34,6 @@ ELSEWHERE = {
     r"pip |python3 -m venv": "needs a package index",
     r"sudo |journalctl ": "changes the computer",
     r"ros2 |.* (free|walk) --config": "needs ROS 2; bags are those of tests/ros2",
-    r"dask |.*--scheduler": "needs computers; tests/studies/test_cluster.py",
     r"adaptive-contact sim baseline": "takes hours",
 }
 # What a page takes for granted, before a line that begins so.

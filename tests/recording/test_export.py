@@ -186,24 +186,6 @@ def test_a_table_has_a_row_for_each_message(recorded: Path, tmp_path: Path) -> N
     assert json.loads(model["equations"]) == ['x\' = 2 x, "quoted"']
 
 
-def test_parquet_is_the_same_table(recorded: Path, tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    for to in (ExportFormat.CSV, ExportFormat.PARQUET):
-        export_recording(read_recording(recorded), tmp_path / "tables", to)
-    for path in (tmp_path / "tables").glob("*.csv"):
-        rows = parquet.read_table(path.with_suffix(".parquet")).to_pylist()
-        texts = table(path)
-        assert [list(row) for row in rows] == [list(row) for row in texts]
-        shown = [
-            {
-                k: "" if v is None else str(int(v) if isinstance(v, bool) else v)
-                for k, v in r.items()
-            }
-            for r in rows
-        ]
-        assert shown == texts
-
-
 def test_damage_is_said_and_the_rest_exported(ours: Any, recorded: Path, tmp_path: Path) -> None:
     content = recorded.read_bytes()
     cut = tmp_path / "cut.mcap"
@@ -263,15 +245,3 @@ def test_a_full_disk_is_one_line(ours: Any, recorded: Path) -> None:
     assert done.code == 2
     assert done.err.count("\n") == 1
     assert "No space left" in done.err
-
-
-def test_a_number_of_more_than_64_bits_is_counted(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
-    source = tmp_path / "in.mcap"
-    with RecordingWriter(source) as writer:
-        huge = b'{"v":1,"t_ns":%d,"seq":0,"measured":[],"desired":[]}' % 2**63
-        writer.write("robot/leg/lf/servo", huge, JSON, 0)
-        writer.write("robot/leg/lf/servo", encode(SAMPLE), MSGPACK, 1)
-    exported = export_recording(read_recording(source), tmp_path / "out", ExportFormat.PARQUET)
-    assert exported.left_out == {("robot/leg/lf/servo", "out_of_range"): 1}
-    assert exported.messages == 1

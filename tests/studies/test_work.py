@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 import signal
-import socket
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
-from adaptive_contact_studies import work as module
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest, rests_on
 
 LIMIT_S = 120.0
@@ -156,57 +150,3 @@ def test_a_run_that_is_stopped_leaves_no_worker_and_keeps_what_was_done(tmp_path
     assert said.endswith(b"stopped\n")
     kept = list((tmp_path / "out").rglob("output.pkl"))
     assert len(kept) >= 3
-
-
-@pytest.fixture
-def scheduler(tmp_path: Path) -> Iterator[str]:
-    """A cluster of Dask with one worker."""
-    pytest.importorskip("distributed")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    dask = [sys.executable, "-m", "dask"]
-    port = address.rpartition(":")[2]
-    commands = (
-        [*dask, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"],
-        [*dask, "worker", address, "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1"],
-    )
-    where = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-    started = [
-        subprocess.Popen(command, cwd=tmp_path, env=where, stderr=subprocess.DEVNULL)
-        for command in commands
-    ]
-    yield address
-    for process in started:
-        process.terminate()
-        process.wait(30)
-
-
-@pytest.mark.e2e
-def test_what_a_cluster_makes_is_what_is_made_here(scheduler: str, tmp_path: Path) -> None:
-    from operator import attrgetter  # a function of a module that the workers have
-
-    from adaptive_contact_sim.simulation import SimulationSettings
-    from adaptive_contact_studies.training import PlannedRun, recorded
-
-    specs = [PlannedRun("walk", SimulationSettings(seed=seed), 1.0) for seed in (1, 2)]
-    far = None
-    until = time.monotonic() + LIMIT_S
-    while far is None and time.monotonic() < until:
-        with contextlib.suppress(ConfigurationError):  # it is not up yet
-            far = Work(tmp_path, scheduler=scheduler).each("recording", recorded, specs)
-    assert far is not None
-    here = Work(None).each("recording", recorded, specs)
-    for one, other in zip(far, here, strict=True):
-        np.testing.assert_array_equal(*map(attrgetter("position_m"), (one, other)))
-
-
-def test_a_cluster_that_cannot_be_used_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_CONNECT_S", 0.5)
-    nowhere = Work(None, scheduler="tcp://127.0.0.1:9")
-    with pytest.raises(ConfigurationError, match="no scheduler of Dask answers there") as caught:
-        nowhere.each("squares", square, [1])
-    assert "\n" not in str(caught.value)
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtraError, match=r"pip install '.*\[cluster\]'"):
-        nowhere.each("squares", square, [1])

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import importlib
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
-from typing import IO, Any, Final, get_type_hints
+from typing import IO, Any, Literal, get_type_hints
 
 import msgspec
 
@@ -39,9 +38,6 @@ from adaptive_contact.wire import (
     leg_of_key,
 )
 
-# Rows of a Parquet group; PyArrow holds one group of each table in memory.
-_ROWS: Final = 20_000
-
 OnRecord = Callable[[Record], None]
 
 
@@ -49,14 +45,8 @@ class ExportFormat(StrEnum):
     """Names what a recording is converted to."""
 
     CSV = "csv"
-    PARQUET = "parquet"
     BAG = "bag"
     MCAP = "mcap"
-
-    @property
-    def is_table(self) -> bool:
-        """Return whether the output is a folder of tables, not one MCAP file."""
-        return self in (ExportFormat.CSV, ExportFormat.PARQUET)
 
 
 class Exported:
@@ -115,8 +105,8 @@ def export_recording(
         MissingExtraError: a library for the format is not installed.
     """
     exported = Exported()
-    if to.is_table:
-        _write_tables(recording, out, to, exported, on_record)
+    if to is ExportFormat.CSV:
+        _write_tables(recording, out, exported, on_record)
         return exported
     if to is ExportFormat.BAG:
         assert robot is not None
@@ -202,11 +192,9 @@ class _Columns:
     def __init__(self, kind: type[Message]) -> None:
         self.width: Counter[str] = Counter()
         self._fields = [
-            (name, attrgetter(name), scalar, many, many and scalar is not str)
-            for name, scalar, many in _flat(kind, "")
-            if name != "leg"  # by the key
-        ]
-        self._lists = [(name, get) for name, get, _, _, wide in self._fields if wide]
+            (name, attrgetter(name), form) for name, form in _flat(kind, "") if name != "leg"
+        ]  # the leg is known by the key
+        self._lists = [(name, get) for name, get, form in self._fields if form == "wide"]
 
     def look(self, message: Message) -> None:
         """Make room for a message's lists, up to the widest of a robot."""
@@ -217,14 +205,12 @@ class _Columns:
                 self.width[name] = len(held)
 
     @property
-    def types(self) -> dict[str, type]:
-        types: dict[str, type] = {"log_time_ns": int, "key": str, "leg": str}
-        for name, _, scalar, _, wide in self._fields:
-            if wide:
-                types |= {f"{name}_{place}": scalar for place in range(self.width[name])}
-            else:
-                types[name] = scalar
-        return types
+    def names(self) -> Row:
+        names: Row = ["log_time_ns", "key", "leg"]
+        for name, _, form in self._fields:
+            wide = form == "wide"
+            names += [f"{name}_{at}" for at in range(self.width[name])] if wide else [name]
+        return names
 
     def row(self, record: Record, message: Message) -> Row | None:
         """Return the values in the order of the columns; None where a list is too long."""
@@ -233,49 +219,49 @@ class _Columns:
             record.key,
             leg_of_key(record.key) or getattr(message, "leg", None),
         ]
-        for name, get, _, many, wide in self._fields:
+        for name, get, form in self._fields:
             try:
                 held = get(message)
             except AttributeError:  # of a struct that is None
                 held = None
-            if wide:
+            if form == "wide":
                 held = held or ()
                 room = self.width[name] - len(held)
                 if room < 0:
                     return None
                 row.extend(held)
                 row.extend([None] * room)
-            elif many and held is not None:
+            elif form == "json" and held is not None:
                 row.append(msgspec.json.encode(held).decode())
             else:
                 row.append(held)
         return row
 
 
-def _flat(struct: type[msgspec.Struct], before: str) -> Iterator[tuple[str, type, bool]]:
-    """Yield each value's path, its type, and whether it is a list or written as JSON."""
+def _flat(
+    struct: type[msgspec.Struct], before: str
+) -> Iterator[tuple[str, Literal["plain", "wide", "json"]]]:
+    """Yield each value's path, and whether it has a column, one for each place, or one of JSON."""
     hints = get_type_hints(struct)
     for field in msgspec.structs.fields(struct):
         name = f"{before}{field.name}"
         origin, arguments, _ = parts_of(hints[field.name])
         inner = parts_of(arguments[0])[0] if origin is list else origin
         if origin is list and inner in (float, int, bool):
-            yield name, inner, True
+            yield name, "wide"
         elif origin in (list, dict):
-            yield name, str, True
-        elif inner in (float, int, bool):
-            yield name, inner, False
+            yield name, "json"
         elif isinstance(inner, type) and issubclass(inner, msgspec.Struct):
             yield from _flat(inner, f"{name}.")
         else:
-            yield name, str, False
+            yield name, "plain"
 
 
 class _CsvTable:
-    def __init__(self, types: Mapping[str, type], file: IO[bytes]) -> None:
+    def __init__(self, names: Row, file: IO[bytes]) -> None:
         self._text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         self._rows = csv.writer(self._text, lineterminator="\n")
-        self._rows.writerow(types)
+        self._rows.writerow(names)
 
     def add(self, row: Row) -> None:
         # A flag is 1 or 0: programs that plot columns do not take words.
@@ -284,39 +270,6 @@ class _CsvTable:
     def close(self) -> None:
         self._text.flush()
         self._text.detach()
-
-
-class _ParquetTable:
-    def __init__(self, types: Mapping[str, type], file: IO[bytes]) -> None:
-        import pyarrow
-        from pyarrow import parquet
-
-        known = {int: "int64", float: "float64", bool: "bool", str: "string"}
-        self._arrow = pyarrow
-        self._schema = pyarrow.schema(
-            [(name, pyarrow.type_for_alias(known[kind])) for name, kind in types.items()]
-        )
-        self._integers = [at for at, kind in enumerate(types.values()) if kind is int]
-        self._writer = parquet.ParquetWriter(file, self._schema, compression="zstd")
-        self._held: list[Row] = []
-
-    def add(self, row: Row) -> None:
-        """Append a row; ValueError where the format cannot say it."""
-        if any(not -(2**63) <= (row[at] or 0) < 2**63 for at in self._integers):
-            raise ValueError("more than 64 bits")
-        self._held.append(row)
-        if len(self._held) >= _ROWS:
-            self._flush()
-
-    def close(self) -> None:
-        self._flush()
-        self._writer.close()
-
-    def _flush(self) -> None:
-        if self._held:
-            held = [list(column) for column in zip(*self._held, strict=True)]
-            self._writer.write_table(self._arrow.table(held, schema=self._schema))
-        self._held = []
 
 
 def _known(
@@ -336,13 +289,7 @@ def _known(
             yield record, kind, message
 
 
-def _write_tables(
-    recording: Recording, out: Path, to: ExportFormat, exported: Exported, on_record: OnRecord
-) -> None:
-    make = _CsvTable if to is ExportFormat.CSV else _ParquetTable
-    if to is ExportFormat.PARQUET:
-        with needs("export --to parquet", "export"):
-            importlib.import_module("pyarrow")  # before anything is written
+def _write_tables(recording: Recording, out: Path, exported: Exported, on_record: OnRecord) -> None:
     columns: dict[type[Message], _Columns] = {}
     first = Exported()
     for record, kind, message in _known(recording, first, on_record):
@@ -359,24 +306,20 @@ def _write_tables(
             f"{out}: cannot be made ({error.strerror}); give a folder in one that exists"
         ) from error
     with contextlib.ExitStack() as stack:
-        tables: dict[type[Message], _CsvTable | _ParquetTable] = {}
+        tables: dict[type[Message], _CsvTable] = {}
         counts: dict[type[Message], int] = dict.fromkeys(columns, 0)
         for kind, described in columns.items():
-            path = out / f"{kind.__name__}.{to}"
+            path = out / f"{kind.__name__}.csv"
             file = stack.enter_context(whole_file(path, error=RecordingError))
-            tables[kind] = make(described.types, file)
+            tables[kind] = _CsvTable(described.names, file)
         for record, kind, message in _known(recording, exported, on_record):
             row = columns[kind].row(record, message)
             if row is None:
                 exported.left_out[record.key, Reject.WRONG_JOINTS.value] += 1
                 continue
-            try:
-                tables[kind].add(row)
-            except ValueError:  # an integer of more than 64 bits
-                exported.left_out[record.key, Reject.OUT_OF_RANGE.value] += 1
-                continue
+            tables[kind].add(row)
             counts[kind] += 1
             exported.count(record)
         for kind, table in tables.items():
             table.close()
-            exported.files[out / f"{kind.__name__}.{to}"] = counts[kind]
+            exported.files[out / f"{kind.__name__}.csv"] = counts[kind]
