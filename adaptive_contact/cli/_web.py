@@ -9,6 +9,7 @@ import threading
 import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from adaptive_contact.cli._link import open_link
@@ -51,6 +52,15 @@ class Page:
     no_browser: Annotated[
         bool, option("--no-browser", "Print the page's link, and open nothing.", panel=WEB_PANEL)
     ] = False
+    record_to: Annotated[
+        Path | None,
+        option(
+            "--record-to",
+            "Let the page start and stop recordings, into this folder. The link has a token then.",
+            "FOLDER",
+            panel=WEB_PANEL,
+        ),
+    ] = None
 
     def settings(self, web: bool) -> WebSettings | None:
         """Return the settings of the page, None where none is asked for.
@@ -61,12 +71,14 @@ class Page:
         if not web:
             if self != Page():
                 raise ConfigurationError(
-                    "--host, --port and --no-browser are of the page; give --web"
+                    "--host, --port, --no-browser and --record-to are of the page; give --web"
                 )
             return None
         from adaptive_contact.web import WebSettings
 
-        return WebSettings(host=self.host or "127.0.0.1", port=self.port or 0)
+        return WebSettings(
+            host=self.host or "127.0.0.1", port=self.port or 0, record_to=self.record_to
+        )
 
 
 @contextlib.contextmanager

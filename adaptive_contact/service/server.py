@@ -34,7 +34,7 @@ from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue, read
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.status import SERVICE_STATUS, Latency, LegFacts, ServiceStatus
-from adaptive_contact.service.trace import Tracer, judged_tick
+from adaptive_contact.service.trace import Tracer, judged_tick, placed
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.wire import (
     ALL_SERVO,
@@ -443,7 +443,8 @@ class Service:
             legs = [leg for leg in self._endpoints if request.covers(trace_key(leg))]
             now_ns = time.monotonic_ns()
             for trace in self._tracer.answer(legs, request.parameter("after"), now_ns):
-                request.reply(trace, trace_key(trace.leg))
+                described = self._endpoints[trace.leg].learner.leg
+                request.reply(placed(trace, described), trace_key(trace.leg))
             request.close()
             return
         asked = [leg for leg in self._endpoints if request.covers(model_key(leg))]

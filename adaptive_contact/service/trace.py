@@ -13,8 +13,10 @@ from collections.abc import Iterable, Mapping
 from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
+
 from adaptive_contact.arrays import np
-from adaptive_contact.robot import AngleFrame
+from adaptive_contact.robot import AngleFrame, Leg
 from adaptive_contact.service.link import Link
 from adaptive_contact.wire import (
     LegState,
@@ -136,6 +138,14 @@ def _trace(leg: str, kept: deque[_Tick], after: int, last: int) -> LegTrace:
         test_ratio=[None if tick.judged is None else tick.judged.test_ratio for tick in ticks],
         p=[tick.p for tick in ticks],
     )
+
+
+def placed(trace: LegTrace, leg: Leg) -> LegTrace:
+    """Add where the leg's joints and foot are at the newest tick of a trace."""
+    if not trace.measured:
+        return trace
+    places = leg.outline(AngleFrame(leg).angles(trace.measured[-1]))
+    return msgspec.structs.replace(trace, places_m=places)
 
 
 def judged_tick(learner: ContactLearner, sample: ServoSample) -> Judged | None:

@@ -6,6 +6,7 @@ A frame is JSON with what is new since the one before it:
 * ``k``: by leg, ticks ``[t, swing, ratio, c, d…, m…, p…]``: ms; 1 in swing, 0 in stance, -1
   unknown; test ratio, and probability that the foot carries, in hundredths or null; command,
   reading and, where there is one, prediction of each joint in 0.1 mrad;
+* ``f``: by leg, places of its joints and its foot on the body, ``[x, y, x, y, …]`` in mm;
 * ``e``: contact events ``[leg, t, onset, contact, score, withheld]``;
 * ``g``: changes of truth ``[leg, t, contact]``;
 * ``v``: verdicts ``[leg, kind, t]``.
@@ -34,6 +35,9 @@ from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, Leg
 _MOST_WAITING: Final = 1024
 # Text of the wire that is shown: notes are a line, and nothing stops a stranger's from being long.
 _MOST_TEXT: Final = 600
+# Of an outline: what is more, or further off, is no leg.
+_MOST_PLACES: Final = 32
+_MOST_M: Final = 100.0
 
 
 class Frames:
@@ -49,6 +53,7 @@ class Frames:
         self._offsets: dict[str, int] = {}
         self._last_ms: dict[str, int] = {}
         self._ticks: dict[str, list[list[Any]]] = {}
+        self._places: dict[str, list[int]] = {}
         self._contacts: deque[tuple[str, ContactEvent | ContactTruth]] = deque(maxlen=_MOST_WAITING)
         self._verdicts: list[tuple[str, Verdict]] = []
 
@@ -69,6 +74,10 @@ class Frames:
         if not rows:
             return
         self._follow(trace.leg, rows[-1][0], now_ns)
+        outline = trace.places_m[:_MOST_PLACES]
+        places = [value for place in outline for value in place[:2]]
+        if len(places) == 2 * len(outline) and all(abs(value) < _MOST_M for value in places):
+            self._places[trace.leg] = [round(value * 1e3) for value in places]
         ticks = self._ticks.setdefault(trace.leg, [])
         # A tick further ahead of its arrival, or longer ago, is none: nothing after it could be
         # drawn.
@@ -124,10 +133,11 @@ class Frames:
         ]
         self._verdicts = []
         found: dict[str, Any] = {"t": (now_ns - self._start_ns) // 1_000_000}
-        parts = {"k": self._ticks, "e": events, "g": truths, "v": verdicts}
+        placed = {leg: places for leg, places in self._places.items() if places}
+        parts = {"k": self._ticks, "f": placed, "e": events, "g": truths, "v": verdicts}
         found |= {name: part for name, part in parts.items() if part}
         encoded = msgspec.json.encode(found)
-        self._ticks = {}
+        self._ticks, self._places = {}, {}
         return encoded
 
     def _follow(self, leg: str, newest_ns: int, now_ns: int) -> None:
@@ -150,9 +160,14 @@ class Frames:
 
 
 class Table:
-    """Encodes the table of legs as JSON, when it has changed."""
+    """Encodes the table of legs as JSON, when it has changed.
 
-    def __init__(self) -> None:
+    Args:
+        clock_ms: wall clock at time 0 of the frames.
+    """
+
+    def __init__(self, clock_ms: int) -> None:
+        self._clock_ms = clock_ms
         self._shown = b""
         self._attention = Attention()
 
@@ -163,6 +178,7 @@ class Table:
         now_ns: int,
         *,
         waiting: Finding | None = None,
+        recording: dict[str, Any] | None = None,
         untraced: bool = False,
     ) -> bytes | None:
         """Encode the table; None where it has not changed.
@@ -172,6 +188,7 @@ class Table:
             statuses: last one of each leg.
             now_ns: monotonic.
             waiting: what stands in the way of that.
+            recording: state of the newest recording; None where the page may make none.
             untraced: samples come, and the service does not say how it judges them.
         """
         if view is None:
@@ -188,6 +205,7 @@ class Table:
                 found.append(Finding("warning", None, what, remedy))
             legs = [_leg(leg, statuses.get(leg.leg), view) for leg in view.legs]
             table = {"legs": legs, "banner": _banner(found), "service": _service(view)}
+        table |= {"clock_ms": self._clock_ms, "recording": recording}
         encoded = msgspec.json.encode(table)
         if encoded == self._shown:
             return None

@@ -39,6 +39,11 @@ class Refused(Exception):  # noqa: N818 - an answer
         self.status, self.line, self.headers = status, line, headers
 
 
+def get_only() -> Refused:
+    """Return the refusal of another method."""
+    return Refused(HTTPStatus.METHOD_NOT_ALLOWED, "GET only", ("Allow", "GET, HEAD"))
+
+
 class Request(NamedTuple):
     """Holds the head of a request; names of headers in small letters."""
 
@@ -73,8 +78,8 @@ async def read_request(reader: asyncio.StreamReader) -> Request:
     if len(words) != 3 or words[2] not in ("HTTP/1.1", "HTTP/1.0"):
         raise Refused(HTTPStatus.BAD_REQUEST, "no request of HTTP/1.1")
     method, target, _ = words
-    if method not in ("GET", "HEAD"):
-        raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "GET only", ("Allow", "GET, HEAD"))
+    if method not in ("GET", "HEAD", "POST"):
+        raise get_only()
     headers = _headers(lines)
     if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
         raise Refused(HTTPStatus(413), "a request with a body")

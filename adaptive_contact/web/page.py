@@ -12,17 +12,20 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
 from typing import Final, Self
 
 import msgspec
 
-from adaptive_contact.errors import LinkError
+from adaptive_contact.errors import LinkError, RecordingError
 from adaptive_contact.service.findings import Finding, Level
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.trace import TraceReader
 from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.web.frames import Frames, Table
+from adaptive_contact.web.http import Refused
+from adaptive_contact.web.recordings import Recordings
 from adaptive_contact.web.server import Site, WebSettings
 from adaptive_contact.wire import LegTrace, ModelReport, Rejected, decode, model_key
 
@@ -46,13 +49,18 @@ class LivePage:
     """
 
     def __init__(self, settings: WebSettings) -> None:
-        self._site = Site(settings, self._model)
+        to = settings.record_to
+        self._recordings = None if to is None else Recordings(to)
+        self._site = Site(settings, self._model, self._do)
         self._site.bind()
         self._loop = asyncio.new_event_loop()
         self._ended = asyncio.Event()
         self._stop = threading.Event()
-        self._frames = Frames(time.monotonic_ns())
-        self._table = Table()
+        self._start_ns = time.monotonic_ns()
+        # One offset for the whole page, as of a recording.
+        self._wall_ns = time.time_ns() - self._start_ns
+        self._frames = Frames(self._start_ns)
+        self._table = Table((self._start_ns + self._wall_ns) // 1_000_000)
         self._waiting: Finding | None = None
         self._link: Link | None = None
         self._reader: TraceReader | None = None
@@ -101,6 +109,8 @@ class LivePage:
         self._stop.set()
         self._feeder.join(_END_S)
         self._asker.join(_END_S)
+        if self._recordings is not None:
+            self._recordings.stop()
 
     def close(self, farewell: str | None = None) -> None:
         """End both threads; calling it twice is safe.
@@ -154,6 +164,35 @@ class LivePage:
                 self._models[leg] = (now_s, await asked)
             return self._models[leg][1]
 
+    async def _do(self, path: str, query: Mapping[str, str]) -> bytes:
+        """Do one of :data:`~.server.ACTIONS`; return the state of the recording."""
+        return await asyncio.get_running_loop().run_in_executor(None, self._record, path, query)
+
+    def _record(self, path: str, query: Mapping[str, str]) -> bytes:
+        recordings = self._recordings
+        if recordings is None:
+            line = "this page records nothing; give `watch --web` a folder by --record-to"
+            raise Refused(HTTPStatus.FORBIDDEN, line)
+        try:
+            if path == "/mark":
+                recordings.mark(query.get("label", ""), self._wall_at(query.get("t", "")))
+            elif path == "/record/stop":
+                recordings.stop()
+            else:
+                recordings.start(self._link)
+        except RecordingError as error:
+            raise Refused(HTTPStatus.CONFLICT, str(error)) from error
+        return msgspec.json.encode(recordings.state())
+
+    def _wall_at(self, text: str) -> int:
+        """Convert a time of the page, ms since its start, to the wall clock, ns."""
+        now_ms = (time.monotonic_ns() - self._start_ns) // 1_000_000
+        if not (
+            text.isascii() and text.isdigit() and len(text) < 12 and int(text) <= now_ms + 1000
+        ):
+            raise Refused(HTTPStatus.BAD_REQUEST, "no time of this page; expected /mark?t=1200")
+        return self._start_ns + self._wall_ns + int(text) * 1_000_000
+
     def _ask_model(self, leg: str) -> bytes | None:
         if self._link is None:
             return None
@@ -193,6 +232,7 @@ class LivePage:
                     statuses,
                     time.monotonic_ns(),
                     waiting=self._waiting,
+                    recording=None if self._recordings is None else self._recordings.state(),
                     untraced=self._unanswered > _UNANSWERED,
                 )
             frame = self._frames.frame(time.monotonic_ns())

@@ -1,6 +1,7 @@
-"""Serves one page over HTTP: a fixed set of paths, GET only, and one stream of events.
+"""Serves one page over HTTP: a fixed set of paths, one stream of events, and three things to do.
 
-Requests carry no body, answers are bytes that are there already, and every connection but a stream
+What is done needs POST with a header that no other site can send unasked.  Requests carry no body,
+answers are bytes that are there already, and every connection but a stream
 closes after its answer.  Who may ask for what, why streams share one history, and why Python's own
 ``asyncio`` is enough: decision 34.
 """
@@ -16,14 +17,22 @@ import os
 import secrets
 import socket
 from collections import Counter, deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from importlib import resources
+from pathlib import Path
 from typing import Final
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.web.http import MOST_HEAD_BYTES, Refused, Request, read_request, write_answer
+from adaptive_contact.web.http import (
+    MOST_HEAD_BYTES,
+    Refused,
+    Request,
+    get_only,
+    read_request,
+    write_answer,
+)
 from adaptive_contact.wire import is_leg_id
 
 # Browsers that look at once, connections that have shown the token, and those that have not yet:
@@ -41,15 +50,22 @@ _PAGES: Final = {
     **{
         f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
         for name in (
-            *("page", "charts", "data", "dom", "look", "panel", "plots", "stream", "table"),
-            *("theme", "uPlot"),
+            *("page", "above", "charts", "data", "dom", "look", "marks", "panel", "plots"),
+            *("recording", "stream", "table", "theme", "uPlot"),
         )
     },
 }
 
 
+# What can be done by POST, with a header: a form or an image of another site cannot send one, and a
+# script of another site would have to ask first (OPTIONS, which is refused).
+ACTIONS: Final = frozenset({"/record/start", "/record/stop", "/mark"})
+_HEADER: Final = "x-adaptive-contact"
+
 # Asked for a leg's model: JSON, or None where there is none.
 ModelOf = Callable[[str], Awaitable[bytes | None]]
+# Asked to do one of :data:`ACTIONS`, with the parameters of the request: JSON; raises Refused.
+Do = Callable[[str, Mapping[str, str]], Awaitable[bytes]]
 
 
 @dataclass(frozen=True)
@@ -62,12 +78,14 @@ class WebSettings:
 
     host: str = "127.0.0.1"  # address to listen on, or a name of this computer
     port: int = 0  # 0 takes a free one
-    token: str | None = None  # that a browser must show; made beyond loopback where none is given
+    # that a browser must show; made beyond loopback, and where files may be written
+    token: str | None = None
+    record_to: Path | None = None  # folder of recordings that the page may make
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65_535:
             raise ConfigurationError(f"port {self.port}; expected 0 to 65535")
-        if self.token is None and not self.loopback:
+        if self.token is None and not (self.loopback and self.record_to is None):
             object.__setattr__(self, "token", secrets.token_urlsafe(24))
 
     @property
@@ -153,9 +171,10 @@ class Site:
         streams: browsers that look at the moment.
     """
 
-    def __init__(self, settings: WebSettings, model_of: ModelOf) -> None:
+    def __init__(self, settings: WebSettings, model_of: ModelOf, do: Do) -> None:
         self._settings = settings
         self._model_of = model_of
+        self._do = do
         self._socket: socket.socket | None = None
         self._connections: set[asyncio.Task[None]] = set()
         # Those that have shown the token, where one is asked for; others with their address, the
@@ -281,7 +300,15 @@ class Site:
         self._check_token(request)
         self._admit()
         head_only = request.method == "HEAD"
-        if request.path in self._files:
+        if request.method == "POST":
+            if request.path not in ACTIONS:
+                raise get_only()
+            if _HEADER not in request.headers:
+                raise Refused(HTTPStatus.FORBIDDEN, f"a request without {_HEADER} does nothing")
+            body, kind = await self._do(request.path, request.query), "application/json"
+        elif request.path in ACTIONS:
+            raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "POST only", ("Allow", "POST"))
+        elif request.path in self._files:
             body, kind = self._files[request.path]
         elif request.path == "/model":
             body, kind = await self._model(request.query.get("leg", "")), "application/json"

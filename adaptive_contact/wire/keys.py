@@ -19,6 +19,7 @@ ALL_STATE: Final = "robot/leg/*/state"
 ALL_TRUTH: Final = "robot/leg/*/truth"
 SIM_DRIFT: Final = "robot/sim/drift"
 HEARTBEAT: Final = "robot/service"
+MARK: Final = "robot/mark"
 
 # A leg id becomes one chunk of a key: no '/', and none of the wildcards '*', '$', '?', '#',
 # which Zenoh accepts in `put` and would fan one sample out over every leg.
@@ -26,7 +27,9 @@ _LEG_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}\Z")
 _LEG_KEY = re.compile(rf"robot/leg/([^/]*)/(?:{'|'.join(LEG_MESSAGES)})\Z")
 _OWN_DEPTH: Final = 4
 # Keys of the contract that belong to no leg, in a namespace or out of it.
-_OTHER_KEY = re.compile(r"(?:.*/)?robot/(?:service(?:/status)?|sim/drift|bridge/[^/]+/status)\Z")
+_OTHER_KEY = re.compile(
+    r"(?:.*/)?robot/(?:service(?:/status)?|mark|sim/drift|bridge/[^/]+/status)\Z"
+)
 
 
 def is_leg_id(text: str) -> bool:

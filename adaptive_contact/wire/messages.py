@@ -271,6 +271,8 @@ class LegTrace(Message, frozen=True, kw_only=True):
             was not judged.
         test_ratio: (n,) statistic over threshold, above 1 for a contact; None likewise.
         p: (n,) probability that the foot carries, None while unknown.
+        places_m: (J + 1, 3) of joints and foot at the newest tick, on the body; empty where the
+            leg's geometry or its mount is not described.
     """
 
     leg: str
@@ -283,6 +285,7 @@ class LegTrace(Message, frozen=True, kw_only=True):
     predicted: list[list[float] | None] = []
     test_ratio: list[float | None] = []
     p: list[float | None] = []
+    places_m: list[list[float]] = []
 
 
 class ContactTruth(Message, frozen=True, kw_only=True, omit_defaults=True):
@@ -345,6 +348,18 @@ class DriftReply(Message, frozen=True, kw_only=True, omit_defaults=True):
     t_ns: int
     holds: dict[str, dict[str, dict[str, float]]]
     error: str | None = None
+
+
+class Mark(Message, frozen=True, kw_only=True):
+    """Marks a moment for people, as the live page writes it into its recordings.
+
+    Attributes:
+        t_ns: wall clock of the moment.
+        label: what a person has called it.
+    """
+
+    t_ns: int
+    label: str
 
 
 State = Literal["running", "holding", "lost"]

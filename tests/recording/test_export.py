@@ -27,6 +27,7 @@ from adaptive_contact.wire import (
     ContactTruth,
     Drift,
     LearnerStatus,
+    Mark,
     Message,
     ModelReport,
     ModelTerm,
@@ -71,6 +72,7 @@ MESSAGES: dict[str, Message] = {
         servos={"3": ServoCounts(faults={"stale": 2})},
     ),
     "robot/sim/drift": Drift(kind="mass", value=0.1),
+    "robot/mark": Mark(t_ns=BIG, label="a slip"),
 }  # fmt: skip
 
 

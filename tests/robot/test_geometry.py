@@ -13,6 +13,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import (
     Chain,
     Leg,
+    Mount,
     foot,
     inverse,
     link_angles,
@@ -137,3 +138,31 @@ def test_joints_that_never_raise_the_foot_are_known() -> None:
         ((0.0, 0.05, 0.0), (0.0, 0.0, -0.1), (0.0, 0.0, -0.1), (0.0, 0.0, -0.05)),
     )
     assert chain.lifts.tolist() == [False, True, True, False]
+
+
+@given(st.lists(st.floats(-3, 3), min_size=3, max_size=3), st.floats(-3, 3))
+def test_an_outline_is_the_mounted_chain(q: list[float], yaw: float) -> None:
+    """Joint by joint by rotation matrices: yaw about z, pitches about -y, all carried on."""
+    mount = (0.1, -0.2, 0.03)
+    leg = Leg(
+        id="rf",
+        joints=("coxa", "femur", "tibia"),
+        lengths_m=LENGTHS,
+        mount=Mount(xyz_m=mount, yaw_rad=yaw),
+    )
+    turn, place = Rotation.from_rotvec([0, 0, yaw]), np.array(mount)
+    expected = [place]
+    for angle, axis, length in zip(q, ((0, 0, 1), (0, -1, 0), (0, -1, 0)), LENGTHS, strict=True):
+        turn = turn * Rotation.from_rotvec(angle * np.array(axis))
+        place = place + turn.apply([length, 0, 0])
+        expected.append(place)
+    np.testing.assert_allclose(leg.outline(q), expected, atol=1e-12)
+
+
+def test_an_outline_needs_geometry_mount_and_angles() -> None:
+    mount, joints, q = Mount(xyz_m=(0.1, 0.0, 0.0)), ("coxa", "femur", "tibia"), [0.1, 0.2, 0.3]
+    assert Leg(id="a", joints=joints, mount=mount).outline(q) == []
+    assert Leg(id="a", joints=joints, lengths_m=LENGTHS).outline(q) == []
+    leg = Leg(id="a", joints=joints, lengths_m=LENGTHS, mount=mount)
+    assert leg.outline(q[:2]) == []
+    assert len(leg.outline(q)) == 4

@@ -5,11 +5,12 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+from msgspec.structs import replace
 
 from adaptive_contact.leg_learner import JudgedTick
-from adaptive_contact.robot import parse_robot
-from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Tracer, judged_tick
-from adaptive_contact.wire import LegState, Phase, ServoSample
+from adaptive_contact.robot import Mount, parse_robot
+from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Tracer, judged_tick, placed
+from adaptive_contact.wire import LegState, LegTrace, Phase, ServoSample
 
 S = 1_000_000_000
 ROBOT = parse_robot(
@@ -144,3 +145,11 @@ def test_swing_is_the_samples_word_or_the_commands() -> None:
     rf, lf = tracer.answer(("rf", "lf"), None, 0)
     assert rf.swing == [None, True, False]
     assert lf.swing == [None], "without lengths nobody knows"
+
+
+def test_places_are_of_the_newest_tick_in_the_angles_of_the_description() -> None:
+    leg = replace(ROBOT.leg("rf"), mount=Mount(xyz_m=(0.1, -0.1, 0.0), yaw_rad=-0.5))
+    trace = LegTrace(leg="rf", number=1, measured=[[0.0] * 3, [0.1, 0.2, -1.2]])
+    assert placed(trace, leg).places_m == leg.outline([0.1, 0.5 - 0.2, -1.2])
+    assert placed(LegTrace(leg="rf", number=1), leg).places_m == []
+    assert placed(trace, ROBOT.leg("rf")).places_m == [], "where it is mounted is not described"

@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from adaptive_contact.web import WebSettings
@@ -22,10 +22,11 @@ class Running:
 
     def __init__(self, settings_: WebSettings) -> None:
         self.loop = asyncio.new_event_loop()
-        self.site = Site(settings_, self._model)
+        self.site = Site(settings_, self._model, self._do)
         self.site.bind()
         self.stop = asyncio.Event()
         self.asked: list[str] = []
+        self.done: list[tuple[str, dict[str, str]]] = []
         self.faults: list[object] = []
         self.loop.set_exception_handler(lambda _, context: self.faults.append(context))
         self.thread = threading.Thread(target=self._run, daemon=True)
@@ -40,6 +41,10 @@ class Running:
     async def _model(self, leg: str) -> bytes | None:
         self.asked.append(leg)
         return b'{"leg":"rf"}' if leg == "rf" else None
+
+    async def _do(self, path: str, query: Mapping[str, str]) -> bytes:
+        self.done.append((path, dict(query)))
+        return b"{}"
 
     def push(self, frame: bytes = FRAME, view: bytes | None = None) -> None:
         self.on_loop(lambda: self.site.history.push(frame, view))

@@ -54,6 +54,14 @@ def test_a_tick_has_time_swing_ratio_and_angles() -> None:
     assert frame(frames, 101 * S + 1) == {"t": 1000}, "each comes once"
 
 
+def test_an_outline_is_seen_from_above_and_comes_once() -> None:
+    frames = Frames(0)
+    frames.trace(trace("rf", 0, 1, places_m=[[0.1, -0.05, 0.0], [0.2, -0.15, 0.03]]), S)
+    frames.trace(trace("lf", 0, 1), S)
+    assert frame(frames, S)["f"] == {"rf": [100, -50, 200, -150]}
+    assert "f" not in frame(frames, S + 1)
+
+
 def test_a_tick_that_was_not_judged_has_no_prediction() -> None:
     frames = Frames(0)
     frames.trace(trace("rf", 0, 1, predicted=[None], test_ratio=[None], swing=[None], p=[]), S)
@@ -88,6 +96,7 @@ def test_a_clock_that_jumps_is_followed_and_time_never_runs_back() -> None:
     desired=st.lists(st.lists(st.floats(), max_size=4), max_size=4),
     predicted=st.lists(st.none() | st.lists(st.floats(), max_size=4), max_size=4),
     ratio=st.lists(st.none() | st.floats(), max_size=4),
+    places=st.lists(st.lists(st.floats(), max_size=4), max_size=40),
 )
 def test_whatever_a_trace_holds_a_frame_is_json_of_numbers(
     t_ns: list[int],
@@ -95,6 +104,7 @@ def test_whatever_a_trace_holds_a_frame_is_json_of_numbers(
     desired: list[list[float]],
     predicted: list[list[float] | None],
     ratio: list[float | None],
+    places: list[list[float]],
 ) -> None:
     frames = Frames(0)
     hostile = LegTrace(
@@ -107,6 +117,7 @@ def test_whatever_a_trace_holds_a_frame_is_json_of_numbers(
         desired=desired,
         predicted=predicted,
         test_ratio=ratio,
+        places_m=places,
     )
     frames.trace(hostile, S)
     frames.contact("rf", event("rf", 2**62, onset_ns=-(2**62), score=math.nan))
@@ -116,6 +127,9 @@ def test_whatever_a_trace_holds_a_frame_is_json_of_numbers(
             assert len(row) % 1 == 0
             assert all(value is None or isinstance(value, int) for value in row)
         assert [row[0] for row in rows] == sorted({row[0] for row in rows})
+    for outline in found.get("f", {}).values():
+        assert len(outline) % 2 == 0
+        assert all(isinstance(value, int) for value in outline)
 
 
 def test_the_table_comes_when_it_has_changed() -> None:
@@ -137,7 +151,7 @@ def test_the_table_comes_when_it_has_changed() -> None:
         uptime_s=1.0,
     )
     view = View(legs=[LegView(leg="rf", status="valid", contact=True)], service=service, alive=True)
-    table = Table()
+    table = Table(1_700_000_000_000)
     encoded = table.encode(view, {"rf": status}, S)
     assert encoded is not None
     assert b"\n" not in encoded

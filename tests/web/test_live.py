@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from adaptive_contact.service.link import Link, Received, client_settings
+from adaptive_contact.service.recording import Recording
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ContactEvent,
@@ -36,9 +37,10 @@ LEGS = ["lf", "lm", "lr", "rf", "rm", "rr"]
 
 # What the page's modules keep and do, by the names that they give it.
 _MODULES = """
-Promise.all(['data', 'stream', 'theme', 'plots', 'charts'].map((name) => import(`/${name}.js`)))
-  .then(([data, stream, theme, plots, charts]) => {
-    Object.assign(globalThis, { ...data, stream, theme, plots, panel: charts });
+Promise.all(['data', 'stream', 'theme', 'plots', 'charts', 'above'].map(
+  (name) => import(`/${name}.js`)))
+  .then(([data, stream, theme, plots, charts, above]) => {
+    Object.assign(globalThis, { ...data, stream, theme, plots, above, panel: charts });
   })
 """
 
@@ -234,6 +236,157 @@ def _values_can_be_read(tab: Tab) -> None:
 
 
 @pytest.mark.slow
+def test_feet_from_above_are_red_while_they_touch(tab: Tab) -> None:
+    tab.wait(
+        "[...state.legs.values()].every((leg) => leg.places.length > 20 && leg.contacts.length)"
+    )
+    assert tab.value("document.getElementById('above-note').textContent") == "by measured angles"
+    # Legs are where the robot has them: x forward, y to the left, mm.
+    feet = tab.value("[...state.legs.values()].map((l) => l.places.at(-1)[1].slice(-2))")
+    for name, (x, y) in zip(LEGS, feet, strict=True):
+        assert (y > 0) is (name[0] == "l"), (name, x, y)
+        assert {"f": x > 60, "m": abs(x) < 80, "r": x < -60}[name[1]], (name, x, y)
+    # Looking back, the picture is of that time: a contact that began half a second before it.
+    tab.wait(
+        "(() => { const red = state.legs.get('rf').contacts.findLast((one) => one[1]);"
+        " return red && red[0] + 200 < state.now && state.legs.get('rf').ticks.count > 100; })()"
+    )
+    tab.value("stream.source.close(); state.over = 'test'")
+    for contact, colour in ((1, "bad"), (0, "card")):
+        changes = "state.legs.get('rf').contacts"
+        t = tab.value(f"{changes}.findLast((one) => one[1] === {contact})[0]")
+        tab.value(f"state.span = 1000; state.end = {t} + 1; dispatchEvent(new Event('resize'))")
+        assert _foot_is(tab, "rf", colour)
+    # Without ticks nothing is known, and without places the legs stand where their names say.
+    tab.value(
+        "state.end = state.now; state.now += 5000; state.end = state.now;"
+        " dispatchEvent(new Event('resize'))"
+    )
+    tab.wait("document.getElementById('above-note').textContent.startsWith('a scheme')")
+    assert _foot_is(tab, "rf", "stance")
+
+
+def _foot_is(tab: Tab, leg: str, colour: str) -> bool:
+    """Whether a foot has a colour once it is drawn: that of the pixel beside its label."""
+    return bool(
+        tab.wait(
+            f"above.feet.has('{leg}') && ({_FOOT_COLOUR})('{leg}') === "
+            f"({_PIXEL_OF})(theme.colour['{colour}'])"
+        )
+    )
+
+
+_PIXEL_OF = """(colour) => {
+  const probe = document.createElement('canvas').getContext('2d');
+  probe.fillStyle = colour;
+  probe.fillRect(0, 0, 1, 1);
+  return [...probe.getImageData(0, 0, 1, 1).data].join();
+}"""
+_FOOT_COLOUR = """(leg) => {
+  const canvas = document.getElementById('above-canvas');
+  const ratio = canvas.width / canvas.clientWidth;
+  const [x, y] = above.feet.get(leg).map((at) => Math.round(at * ratio));
+  return [...canvas.getContext('2d').getImageData(x, y, 1, 1).data].join();
+}"""
+
+
+@pytest.mark.slow
+def test_legs_without_geometry_stand_where_their_names_say(tab: Tab) -> None:
+    for names in (
+        ["lf", "lm", "lr", "rf", "rm", "rr"],
+        ["FL", "FR", "RL", "RR"],
+        ["front_left", "front_right", "hind_left", "hind_right"],
+    ):
+        places = tab.value(f"above.schematic({names})")
+        for name, (*_, x, y) in zip(names, places, strict=True):
+            left = "left" in name or ("l" in name.lower() if len(name) == 2 else False)
+            if name in ("lr", "rl", "lf", "rf", "lm", "rm", "rr"):
+                left = name[0] == "l"
+            assert (y > 0) is left, name
+            front = name[-1] == "f" if name.islower() and len(name) == 2 else name[0] in "Ff"
+            assert (x > 0) is front, name
+    ring = tab.value("above.schematic(['a', 'b', 'c', 'd', 'e'])")
+    assert len({(round(x), round(y)) for *_, x, y in ring}) == 5
+
+
+@pytest.mark.slow
+def test_a_mark_stands_over_all_plots_and_can_be_gone_back_to(tab: Tab) -> None:
+    tab.value("document.getElementById('mark-label').value = ' <b>slip</b> '")
+    tab.value("document.getElementById('mark').click()")
+    key = "document.dispatchEvent(new KeyboardEvent('keydown', { key: 'm', %s }))"
+    tab.value(key % "ctrlKey: true")  # a browser's own
+    tab.value("document.getElementById('mark-label').value = ''")
+    tab.value(key % "")
+    texts = tab.value("[...document.querySelectorAll('#marks button')].map((e) => e.textContent)")
+    assert [text[9:] for text in texts] == ["mark 2", "<b>slip</b>"]
+    assert all(re.match(r"\d\d:\d\d:\d\d ", text) for text in texts)
+    tab.value("document.querySelector('.leg').click()")
+    tab.wait("document.querySelectorAll('#detail-plots canvas').length === 4")
+    tab.wait(
+        "[...document.querySelectorAll('.leg canvas, #detail-plots canvas')].slice(0, 4)"
+        f".every({_MARK_DRAWN}) && [...document.querySelectorAll('#detail-plots canvas')]"
+        f".every({_MARK_DRAWN})"
+    )
+    begin = tab.value("state.now")
+    tab.wait(f"state.now > {begin + 6000}")
+    tab.value("document.querySelector('#marks button').click()")
+    tab.wait(
+        "state.end !== null && Math.abs(state.end - state.span / 2 "
+        "- (state.marked.at(-1)[0] - state.clockMs)) < 5"
+    )
+
+
+# Of columns of pixels, one is of the mark's colour from top to bottom.
+_MARK_DRAWN = f"""(canvas) => {{
+  const {{ width, height }} = canvas;
+  const data = canvas.getContext('2d').getImageData(0, 0, width, height).data;
+  const wanted = ({_PIXEL_OF})(theme.colour.accent);
+  for (let x = 0; x < width; x += 1) {{
+    let found = 0;
+    for (let y = 0; y < height; y += 1) {{
+      const i = 4 * (y * width + x);
+      if (data.slice(i, i + 4).join() === wanted) found += 1;
+    }}
+    if (found > height / 2) return true;
+  }}
+  return false;
+}}"""
+
+
+@pytest.mark.slow
+def test_the_page_starts_and_stops_a_recording(
+    robot: Robot, browser: Chromium, tmp_path: Path
+) -> None:
+    page = begun(
+        *("watch", "--web", "--no-browser", "--connect", robot.endpoint),
+        *("--record-to", str(tmp_path)),
+    )
+    tab = browser.page()
+    try:
+        tab.go(page.wait_line(r"live page at (http://\S+)").group(1))
+        tab.wait("document.querySelectorAll('.leg').length === 6")
+        tab.wait("!document.getElementById('recording').hidden")
+        press = "document.getElementById('record').click()"
+        shown = "document.getElementById('recorded').textContent"
+        tab.value(press)
+        tab.wait("document.getElementById('record').textContent.includes('stop')")
+        tab.value("document.getElementById('mark').click()")
+        tab.wait(f"/, [1-9]\\d* kB, [1-9]\\d* s/.test({shown})")
+        tab.value(press)
+        tab.wait("document.getElementById('record').textContent.includes('record')")
+        (file,) = tmp_path.iterdir()
+        name, size, _ = tab.value(shown).split(", ")
+        assert (name, size) == (file.name, f"{round(file.stat().st_size / 1e3)} kB")
+        keys = {record.key.rpartition("/")[2] for record in Recording(file)}
+        assert {"mark", "servo", "contact"} <= keys
+        assert tab.log == []
+    finally:
+        tab.close()
+        assert page.stop() == 0
+        page.close()
+
+
+@pytest.mark.slow
 def test_six_legs_fill_a_large_screen(tab: Tab) -> None:
     tab.size(2560, 1440)
     tab.wait("innerWidth === 2560 && document.querySelectorAll('.leg').length === 6")
@@ -425,7 +578,7 @@ def test_a_port_in_use_and_options_that_do_not_go_together_are_one_line(robot: R
     for args, line in (
         (("--web", "--no-browser", "--port", port), f"port {port} of 127.0.0.1 is in use; give"),
         (("--web", "--json"), "--web shows a page; leave --once and --json out"),
-        (("--port", "1234"), "--host, --port and --no-browser are of the page; give --web"),
+        (("--port", "1234"), "are of the page; give --web"),
     ):
         second = begun("watch", *args, "--connect", robot.endpoint)
         assert second.wait() == 2

@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+import json
+import re
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.service.link import Link, Request, client_settings
+from adaptive_contact.service.recording import Recording
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.web import LivePage, WebSettings, page
-from adaptive_contact.wire import LearnerStatus, LegTrace, learner_key, trace_key
+from adaptive_contact.web.recordings import Recordings
+from adaptive_contact.wire import (
+    MARK,
+    LearnerStatus,
+    LegTrace,
+    Mark,
+    decode,
+    learner_key,
+    trace_key,
+)
+from waiting import until
 
 from .running import events
 
@@ -120,6 +140,132 @@ def test_a_fault_of_the_page_reaches_the_command(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("threading.excepthook", lambda _: None)
     with LivePage(WebSettings()) as live, pytest.raises(ZeroDivisionError, match="planted"):
         live.wait()
+
+
+# -- recordings ------------------------------------------------------------------------------------
+
+
+def act(live: LivePage, path: str) -> tuple[int, str]:
+    """Ask a page with a token to do something."""
+    address, _, token = live.url.partition("/?token=")
+    port = address.rpartition(":")[2]
+    request = urllib.request.Request(
+        f"{address.rstrip('/')}{path}",
+        method="POST",
+        headers={
+            "X-Adaptive-Contact": "page",
+            "Cookie": f"adaptive_contact_{port}={token}",
+        },
+    )
+    try:
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as refused:
+        return refused.code, refused.read().decode()
+
+
+def test_a_recording_has_what_came_and_its_marks(router: Link, tmp_path: Path) -> None:
+    with (
+        Link.open(client_settings(router.endpoints)) as own,
+        Link.open(client_settings(router.endpoints)) as link,
+        LivePage(WebSettings(record_to=tmp_path)) as live,
+    ):
+        assert "?token=" in live.url, "who may write files has shown a token, on loopback, too"
+        assert act(live, "/record/start") == (409, "there is no router yet; nothing to record\n")
+        live.follow(link)
+        assert act(live, "/mark?t=1&label=x") == (409, "nothing is being recorded\n")
+        # Nothing that is asked names the file.
+        status, state = act(live, "/record/start?file=../../evil&name=/tmp/evil")
+        assert status == 200
+        file = json.loads(state)["file"]
+        assert re.fullmatch(r"page-\d{8}-\d{6}\.mcap", file)
+        assert act(live, "/record/start") == (409, "a recording runs already; stop it first\n")
+        service = Service(own)
+        for bad in ("", "-1", "1e3", "9" * 11, "\u0663"):
+            path = f"/mark?t={urllib.parse.quote(bad)}"
+            assert act(live, path) == (400, "no time of this page; expected /mark?t=1200\n")
+        before_s = time.time()
+        label = urllib.parse.quote("slip\x1b[2J" + "x" * 200)
+        assert act(live, f"/mark?t=0&label={label}")[0] == 200
+
+        def recorded() -> bool:
+            service.say()
+            keys = {record.key for record in Recording(tmp_path / file)}
+            return {MARK, learner_key("rf")} <= keys
+
+        until(recorded)
+        status, state = act(live, "/record/stop")
+        facts = json.loads(state)
+        assert not facts["running"]
+        assert facts["bytes"] == (tmp_path / file).stat().st_size > 0
+        assert act(live, "/record/stop")[0] == 200, "twice is safe"
+    (mark,) = [record for record in Recording(tmp_path / file) if record.key == MARK]
+    message = decode(mark.payload, Mark, mark.encoding)
+    assert isinstance(message, Mark)
+    assert message.label == f"slip\\u001b[2J{'x' * 72}"
+    assert before_s - 60 < message.t_ns / 1e9 < before_s
+    assert [path.name for path in tmp_path.iterdir()] == [file]
+
+
+def test_no_recording_writes_over_a_file_or_through_a_link(
+    router: Link, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.strftime", lambda *_: "page-20260101-000000")
+    victim = tmp_path / "victim"
+    victim.write_text("kept")
+    (tmp_path / "page-20260101-000000.mcap").symlink_to(victim)
+    (tmp_path / "page-20260101-000000-1.mcap").write_text("kept")
+    recordings = Recordings(tmp_path)
+    recordings.start(router)
+    recordings.stop()
+    assert recordings.state()["file"] == "page-20260101-000000-2.mcap"
+    assert victim.read_text() == (tmp_path / "page-20260101-000000-1.mcap").read_text() == "kept"
+
+
+def test_what_stands_in_the_way_of_a_recording_is_one_line(
+    router: Link, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ConfigurationError, match="found no such folder"):
+        LivePage(WebSettings(record_to=tmp_path / "none"))
+    with LivePage(WebSettings()) as live:
+        line = "this page records nothing; give `watch --web` a folder by --record-to\n"
+        assert act(live, "/record/start") == (403, line)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    recordings = Recordings(folder)
+    with monkeypatch.context() as patch:
+        patch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=499_000_000))
+        with pytest.raises(RecordingError, match="make room first"):
+            recordings.start(router)
+    recordings.start(router)
+    with monkeypatch.context() as patch:  # full while it runs: what there is stays
+        patch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=499_000_000))
+        until(lambda: recordings.state()["error"])
+    state = recordings.state()
+    assert (state["running"], state["error"][:25]) == (False, "less than 0.5 GB is free ")
+    kept = Recording(folder / state["file"])
+    assert not list(kept)
+    assert kept.damage is None
+    (folder / state["file"]).unlink()
+    folder.rmdir()
+    with pytest.raises(RecordingError, match="cannot be written to"):
+        recordings.start(router)
+
+
+def test_a_recording_ends_by_itself_and_with_the_page(
+    router: Link, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recordings = Recordings(tmp_path)
+    recordings.start(router)
+    monkeypatch.setattr("adaptive_contact.web.recordings._LONGEST_S", 0.1)
+    recordings.stop()
+    recordings.start(router)
+    until(lambda: not recordings.state()["running"])
+    with LivePage(WebSettings(record_to=tmp_path)) as live:
+        live.follow(router)
+        file = json.loads(act(live, "/record/start")[1])["file"]
+    assert Recording(tmp_path / file).about["key"] == "robot/**"
+    assert not list(Recording(tmp_path / file))
 
 
 def test_closing_twice_is_safe() -> None:

@@ -46,7 +46,10 @@ def guarded() -> Iterator[Running]:
 
 SCRIPTS = [
     f"/{name}.js"
-    for name in ("page", "data", "dom", "look", "panel", "plots", "stream", "table", "theme")
+    for name in (
+        *("page", "above", "charts", "data", "dom", "look", "marks", "panel", "plots"),
+        *("recording", "stream", "table", "theme"),
+    )
 ]
 
 
@@ -85,6 +88,43 @@ def test_a_model_is_asked_for_by_the_id_of_a_leg_only(shared: Running) -> None:
     for leg in ("*", "**", "a/b", "", "%2a", "%00", "x" * 33, "rf?x"):
         assert shared.get(f"/model?leg={leg}")[0] == 400
     assert len(shared.asked) == before, "no wildcard reaches the service"
+
+
+# -- what can be done ----------------------------------------------------------------------------
+
+OWN = "X-Adaptive-Contact: page"
+
+
+@pytest.mark.parametrize("path", sorted(server.ACTIONS))
+def test_what_is_done_needs_post_and_a_header_of_the_page(running: Running, path: str) -> None:
+    assert running.get(f"{path}?t=7&label=a%20b", OWN, method="POST")[::2] == (200, b"{}")
+    assert running.done == [(path, {"t": "7", "label": "a b"})]
+    for headers, status in (
+        ((), 403),
+        (("Content-Type: text/plain",), 403),
+        ((OWN, "Origin: http://evil.example"), 403),
+        ((OWN, "Sec-Fetch-Site: cross-site"), 403),
+        ((OWN, "Content-Length: 4"), 413),
+    ):
+        found, _, body = running.get(path, *headers, method="POST")
+        assert (found, body.count(b"\n")) == (status, 1), headers
+    for method in ("GET", "HEAD"):
+        found, answered, _ = running.get(path, OWN, method=method)
+        assert (found, answered["Allow"]) == (405, "POST")
+    # A script of another site asks before it sends a header of its own, and is told no.
+    asks = ("Origin: http://evil.example", "Access-Control-Request-Headers: x-adaptive-contact")
+    found, answered, _ = running.get(path, *asks, method="OPTIONS")
+    assert found == 405
+    assert not [name for name in answered if name.startswith("Access-Control")]
+    assert len(running.done) == 1
+
+
+def test_without_the_token_nothing_is_done(guarded: Running) -> None:
+    for path in server.ACTIONS:
+        assert guarded.get(f"{path}?token=s3cret-token", OWN, method="POST")[0] == 403
+    assert not guarded.done
+    cookie = f"Cookie: adaptive_contact_{guarded.port}=s3cret-token"
+    assert guarded.get("/record/stop", OWN, cookie, method="POST")[0] == 200
 
 
 # -- strangers -----------------------------------------------------------------------------------

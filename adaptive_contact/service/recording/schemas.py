@@ -27,6 +27,7 @@ from adaptive_contact.wire import (
     Drift,
     Heartbeat,
     LegTrace,
+    Mark,
     Message,
 )
 
@@ -40,13 +41,15 @@ if TYPE_CHECKING:
 _OF_LEG: Final = {name: kind for name, kind in LEG_MESSAGES.items() if kind is not LegTrace}
 _KEY: Final = re.compile(
     rf"(?:^|/)robot/(?:leg/[^/]+/(?P<leg>{'|'.join(_OF_LEG)})"
-    r"|(?P<bridge>bridge/[^/]+/status)|(?P<service>service/status)|(?P<heartbeat>service)|(?P<drift>sim/drift))\Z"
+    r"|(?P<bridge>bridge/[^/]+/status)|(?P<service>service/status)|(?P<heartbeat>service)"
+    r"|(?P<drift>sim/drift)|(?P<mark>mark))\Z"
 )
 _OTHERS: Final[dict[str, type[Message]]] = {
     "bridge": BridgeStatus,
     "service": ServiceStatus,
     "heartbeat": Heartbeat,
     "drift": Drift,
+    "mark": Mark,
 }
 KINDS: Final[tuple[type[Message], ...]] = (*_OF_LEG.values(), *_OTHERS.values())
 _PACKAGE: Final = "adaptive_contact"

@@ -2,7 +2,7 @@
 
 import { state } from "./data.js";
 import { make, setText } from "./dom.js";
-import { DEG, drawChanges } from "./plots.js";
+import { DEG, drawChanges, drawMarked } from "./plots.js";
 import { colour } from "./theme.js";
 
 const uPlot = globalThis.uPlot; // vendored: uPlot.js, MIT licence beside it
@@ -39,13 +39,25 @@ const times = axis({
   values: (_, splits) => splits.map((value) => (value ? `${value} s` : "now")),
 });
 
+const spansOf = (u) => ({
+  x: (time) => u.valToPos((time - state.now) / 1000, "x", true),
+  begin: state.now + u.scales.x.min * 1000,
+  end: state.now + u.scales.x.max * 1000,
+  left: u.bbox.left,
+  right: u.bbox.left + u.bbox.width,
+});
+
+function drawOwn(u) {
+  const ratio = u.bbox.width / u.over.clientWidth;
+  drawMarked(u.ctx, spansOf(u), u.bbox.top, u.bbox.top + u.bbox.height, u.bbox.top + 9 * ratio, ratio);
+}
+
 /** Contacts, withheld contacts and missing samples behind the lines. */
 function drawSpans(u) {
   const { left, top, width, height } = u.bbox;
   const pen = u.ctx;
-  const x = (time) => u.valToPos((time - state.now) / 1000, "x", true);
-  const right = left + width;
-  const spans = { x, begin: state.now + u.scales.x.min * 1000, end: state.now + u.scales.x.max * 1000, right, left };
+  const spans = spansOf(u);
+  const { x, right } = spans;
   pen.save();
   pen.beginPath();
   pen.rect(left, top, width, height);
@@ -86,7 +98,7 @@ function chart(box, height, y, series) {
         { label: "time", value: (_, value) => (value === null ? "–" : `${value.toFixed(2)} s`) },
         ...series,
       ],
-      hooks: { drawClear: [drawSpans] },
+      hooks: { drawClear: [drawSpans], draw: [drawOwn] },
     },
     null,
     box,

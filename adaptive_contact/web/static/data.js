@@ -3,7 +3,7 @@
 
 const KEPT_MS = 5 * 60 * 1000;
 const MOST_TICKS = 60000; // of a leg: five minutes at 200 Hz
-const MOST_MARKS = 2000; // of a leg and kind
+const MOST_MARKS = 3000; // of a leg and kind: five minutes of ten a second
 const MOST_LEGS = 64;
 export const LATE_MS = 500; // what is older says nothing of now: a leg's ticks, the server's frames
 const RAD = 1e-4; // angles come in 0.1 mrad
@@ -81,6 +81,7 @@ class Leg {
     this.contacts = []; // [time, contact, score, withheld]
     this.truth = []; // [time, contact]
     this.marks = []; // [time, kind]
+    this.places = []; // [time, [x, y, …]] of its joints and its foot, mm
     this.row = null;
     this.card = null;
   }
@@ -101,7 +102,7 @@ class Leg {
   }
 
   trim(oldest) {
-    for (const list of [this.contacts, this.truth, this.marks]) {
+    for (const list of [this.contacts, this.truth, this.marks, this.places]) {
       let gone = Math.max(list.length - MOST_MARKS, 0);
       // One older change is kept: it says how the oldest time was.
       while (gone + 1 < list.length && list[gone + 1][0] < oldest) gone += 1;
@@ -124,6 +125,9 @@ export const state = {
   opened: null, // name of the leg in the panel
   truth: false,
   trouble: null, // of this page and its server
+  clockMs: null, // wall clock at time 0
+  marked: [], // [wall clock ms, label, text] of one's own marks
+  recording: null, // the newest one; null where this page may make none
   over: null, // last words of the server, which will not come back
 };
 
@@ -148,6 +152,7 @@ export function takeFrame(frame) {
   if (state.begin === null) state.begin = frame.t;
   state.begin = Math.max(state.begin, frame.t - KEPT_MS);
   for (const [name, rows] of Object.entries(frame.k || {})) legOf(name)?.take(rows);
+  for (const [name, places] of Object.entries(frame.f || {})) legOf(name)?.places.push([frame.t, places]);
   for (const [name, t, , contact, score, withheld] of frame.e || []) {
     const leg = legOf(name);
     if (leg) insert(leg.contacts, [t, contact, score, withheld]);
@@ -166,6 +171,8 @@ export function takeFrame(frame) {
 
 export function takeView(view) {
   state.banner = view.banner;
+  state.clockMs = view.clock_ms;
+  state.recording = view.recording;
   state.service = view.service || null;
   if (state.service && state.service.period_ms) state.periodMs = state.service.period_ms;
   const order = view.legs.map((row) => row.leg);

@@ -1,10 +1,13 @@
 // The live page: it draws what has come, and takes what is chosen.
 
+import { drawAbove } from "./above.js";
 import { state } from "./data.js";
 import { $, drawnBy, schedule } from "./dom.js";
 import { drawScrub, lookAt } from "./look.js";
+import { listenForMarks } from "./marks.js";
 import { closePanel, drawPanel } from "./panel.js";
 import { drawLeg } from "./plots.js";
+import { listenForRecording } from "./recording.js";
 import { follow } from "./stream.js";
 import { addCard, drawTable } from "./table.js";
 import { applyTheme, nextTheme } from "./theme.js";
@@ -20,6 +23,7 @@ function draw() {
       if (visible(leg.card.root)) drawLeg(leg);
     }
   }
+  if (!covered) drawAbove();
   if (panel) drawPanel();
   drawScrub();
 }
@@ -44,6 +48,8 @@ $("detail-close").addEventListener("click", closePanel);
 document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" && $("detail").open) closePanel();
 });
+listenForMarks();
+listenForRecording();
 window.addEventListener("resize", schedule);
 new ResizeObserver(schedule).observe($("legs")); // a banner comes, and plots have less room
 window.addEventListener("scroll", schedule, { passive: true });

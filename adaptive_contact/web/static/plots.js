@@ -243,6 +243,28 @@ function drawMarks(pen, axis, marks, y, truthY) {
   }
 }
 
+/** One's own marks, with their labels; `left` to `right` are times from `begin` to `end`. */
+export function drawMarked(pen, { begin, end, x }, top, bottom, labelY, ratio = 1) {
+  pen.save();
+  pen.font = `${11 * ratio}px system-ui, sans-serif`;
+  pen.textAlign = "left";
+  pen.textBaseline = "middle";
+  for (const [wall, , text] of state.marked) {
+    const time = wall - state.clockMs;
+    if (time < begin || time > end) continue;
+    const at = x(time);
+    pen.fillStyle = colour.card;
+    pen.globalAlpha = 0.7; // what is under the label is seen
+    const wide = pen.measureText(text).width + 6 * ratio;
+    pen.fillRect(at + 2 * ratio, labelY - 7 * ratio, wide, 14 * ratio);
+    pen.globalAlpha = 1;
+    pen.fillStyle = colour.accent;
+    pen.fillRect(at - ratio / 2, top, 1.5 * ratio, bottom - top);
+    pen.fillText(text, at + 5 * ratio, labelY);
+  }
+  pen.restore();
+}
+
 export function drawLeg(leg) {
   const drawn = prepared(leg.card.canvas);
   if (!drawn) return;
@@ -279,4 +301,5 @@ export function drawLeg(leg) {
     drawRatio(pen, axis, ticks, from, to, ratioTop, tall);
   }
   label(pen, "test ratio", ratioTop + tall - 6);
+  drawMarked(pen, axis, 0, bottom, top + 6);
 }

@@ -4,6 +4,7 @@ import { state } from "./data.js";
 import { $, make, schedule, setClass, setText } from "./dom.js";
 import { dragged } from "./look.js";
 import { fillPanel, openPanel } from "./panel.js";
+import { drawRecording } from "./recording.js";
 import { framesStopped, silence } from "./stream.js";
 
 export function addCard(leg) {
@@ -159,5 +160,6 @@ export function drawTable() {
   drawBanner();
   drawSummary();
   drawJoints();
+  drawRecording();
   fillPanel();
 }

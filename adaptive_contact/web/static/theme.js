@@ -6,7 +6,7 @@ import { $, schedule, setText } from "./dom.js";
 export let colour = {};
 const COLOURS = [
   "stance", "contact", "truth", "command", "reading", "predicted", "ratio", "carries",
-  "threshold", "grid", "dim", "bad", "withheld",
+  "threshold", "grid", "dim", "bad", "withheld", "accent", "card",
 ];
 
 function readColours() {
