@@ -71,7 +71,7 @@ def watch(
     if link is None:
         return
     with link:
-        feed = Feed(link)
+        feed = Feed(link, states=True)
 
         def look() -> View:
             return feed.view(time.monotonic_ns())

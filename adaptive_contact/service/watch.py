@@ -24,6 +24,7 @@ from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    ALL_STATE,
     ALL_TRUTH,
     HEARTBEAT,
     LEG_MESSAGES,
@@ -32,6 +33,7 @@ from adaptive_contact.wire import (
     ContactTruth,
     Heartbeat,
     LearnerStatus,
+    LegState,
     Message,
     Status,
     decode,
@@ -46,6 +48,8 @@ _DETECTION_NS: Final = 120_000_000
 _JUDGE_AFTER_NS: Final = 250_000_000
 # Times of contacts that are kept, of a leg.
 _MOST_TIMES: Final = 256
+# A p that is older says nothing of now.
+_P_NS: Final = 1_000_000_000
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,6 +57,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
 
     leg: str
     contact: bool | None = None  # None while it is not known
+    p: float | None = None  # probability that the foot carries, None while it is not known
     age_s: float | None = None  # of the newest sample that the service has used
     status: Status | None = None
     contact_age_s: float | None = None  # since the last change to contact
@@ -228,6 +233,8 @@ class _Leg:
     truth: _Truth | None = None
     pending: list[tuple[int, ContactEvent]] = field(default_factory=list)
     ticks: list[tuple[int, int]] = field(default_factory=list)
+    p: float | None = None
+    p_ns: int = 0
 
 
 class Watch:
@@ -242,6 +249,7 @@ class Watch:
         """Process an event; ``age_ns`` is its age on arrival (large for a late joiner)."""
         leg = self._leg(event.leg)
         leg.contact = event.contact
+        leg.p, leg.p_ns = event.p, now_ns - age_ns
         if event.contact:
             leg.contact_ns = now_ns - age_ns
             leg.arrivals.event(event.t_ns)
@@ -259,6 +267,11 @@ class Watch:
         oldest_ns = now_ns - int(3.0 * 1e9)
         leg.ticks = [pair for pair in leg.ticks if pair[0] >= oldest_ns]
         leg.ticks.append((now_ns, status.ticks))
+
+    def state(self, leg: str, state: LegState, now_ns: int) -> None:
+        """Store the state of a leg's newest tick."""
+        view = self._leg(leg)
+        view.p, view.p_ns = state.p, now_ns
 
     def truth(self, leg: str, truth: ContactTruth, now_ns: int) -> None:
         """Process a truth message of the simulator."""
@@ -304,9 +317,11 @@ class Watch:
     def _row(self, name: str, leg: _Leg, now_ns: int) -> LegView:
         self._judge(leg, now_ns)
         status, truth = leg.status, leg.truth
+        known = self.known.is_known(name, now_ns)
         row = LegView(
             leg=name,
-            contact=leg.contact if self.known.is_known(name, now_ns) else None,
+            contact=leg.contact if known else None,
+            p=leg.p if known and now_ns - leg.p_ns < _P_NS else None,
             age_s=self.known.age_s(name, now_ns),
             contact_age_s=None if leg.contact_ns is None else (now_ns - leg.contact_ns) / 1e9,
         )
@@ -380,9 +395,12 @@ class Feed:
         link: open; closed by its owner.
         on_contact: is given each contact event and change of truth that :meth:`view` takes in, with
             its leg, and an event for each leg whose contact is not known any more.
+        states: whether to subscribe to the state of every tick, which the service sends for that.
     """
 
-    def __init__(self, link: Link, on_contact: OnContact | None = None) -> None:
+    def __init__(
+        self, link: Link, on_contact: OnContact | None = None, *, states: bool = False
+    ) -> None:
         self._link = link
         self._on_contact = on_contact
         self.watch = Watch()  # that is fed
@@ -395,6 +413,8 @@ class Feed:
         link.subscribe(ALL_CONTACT, self._receive, history=True)
         link.subscribe(ALL_LEARNER, self._receive)
         link.subscribe(ALL_TRUTH, self._receive)
+        if states:
+            link.subscribe(ALL_STATE, self._receive)
 
     def _receive(self, received: Received) -> None:
         # A larger one would only be refused, and until then be kept.
@@ -422,6 +442,8 @@ class Feed:
             self._pass_on(self.watch.known.event(message, received.arrival_ns))
         elif isinstance(message, LearnerStatus):
             self.watch.learner(message, received.arrival_ns)
+        elif isinstance(message, LegState) and leg is not None:
+            self.watch.state(leg, message, received.arrival_ns)
         elif isinstance(message, ContactTruth) and leg is not None:
             self.watch.truth(leg, message, received.arrival_ns)
             if self._on_contact is not None:

@@ -174,23 +174,25 @@ def _columns(legs: Sequence[LegView]) -> list[_Column]:
         _Column("state", 1, _state, right=False),
         _Column("status", 2, _status, right=False),
     ]
+    if any(leg.p is not None for leg in legs):
+        columns.append(_Column("p", 6, _p))
     if any(leg.changed_s is not None or leg.kind is not None for leg in legs):
-        columns.append(_Column("changed", 9, _change, right=False))
+        columns.append(_Column("changed", 10, _change, right=False))
     columns.append(_Column("last contact", 3, lambda leg: _age(leg.contact_age_s)))
     if any(leg.touches is not None for leg in legs):
         columns += [
-            _Column("latency", 10, _latency),
+            _Column("latency", 11, _latency),
             _Column("seen", 4, _seen),
             _Column("false", 5, _false),
         ]
     return [
         *columns,
-        _Column("residual", 13, _residual),
-        _Column("× floor", 11, _ratio),
-        _Column("model", 12, _version),
-        _Column("Hz", 8, lambda leg: Text("-" if leg.rate_hz is None else f"{leg.rate_hz:.1f}")),
-        _Column("missed", 6, _lost),
-        _Column("rejects", 7, _rejects),
+        _Column("residual", 14, _residual),
+        _Column("× floor", 12, _ratio),
+        _Column("model", 13, _version),
+        _Column("Hz", 9, lambda leg: Text("-" if leg.rate_hz is None else f"{leg.rate_hz:.1f}")),
+        _Column("missed", 7, _lost),
+        _Column("rejects", 8, _rejects),
     ]
 
 
@@ -227,6 +229,10 @@ def _state(leg: LegView) -> Text:
     if leg.withheld and leg.status == "ambiguous":
         return Text(f"{leg.withheld} withheld", style="yellow")
     return Text("free")
+
+
+def _p(leg: LegView) -> Text:
+    return Text("-", style="dim") if leg.p is None else Text(f"{leg.p:.2f}")
 
 
 def _status(leg: LegView) -> Text:

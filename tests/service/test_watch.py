@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,16 +12,20 @@ import msgspec
 import pytest
 from views import MS, S, drawn, event, heartbeat, service, status, truth
 
-from adaptive_contact.service.watch import Watch
+from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.service.watch import Feed, Watch
 from adaptive_contact.service.watch_table import headline
 from adaptive_contact.wire import (
+    HEARTBEAT,
     DriftLevel,
     LearnerStatus,
+    LegState,
     ServoSample,
     servo_key,
+    state_key,
     truth_key,
 )
-from waiting import matched
+from waiting import matched, until
 
 
 def after_one_swing() -> Watch:
@@ -55,6 +60,50 @@ def test_events_and_statuses_make_a_row() -> None:
     assert row(watch, 7 * S).contact is False
     assert row(watch, 7 * S).contact_age_s == 3.0
     assert row(watch, 7 * S).stale, "the last status is 4 s old"
+
+
+def test_p_is_of_the_newest_state_or_event_while_that_is_fresh() -> None:
+    watch = Watch()
+
+    def shown(now_ms: int) -> float | None:
+        watch.known.heartbeat(heartbeat("rf"), now_ms * MS)
+        found: float | None = row(watch, now_ms * MS).p
+        return found
+
+    watch.event(msgspec.structs.replace(event(1), p=0.9), 1000 * MS, age_ns=400 * MS)
+    assert shown(1500) == 0.9
+    assert shown(1700) is None, "of an event that is over a second old"
+    watch.state("rf", LegState(t_ns=0, seq=1, contact=True, p=0.75, known=True), 2000 * MS)
+    assert shown(2100) == 0.75
+    watch.state("rf", LegState(t_ns=0, seq=2, contact=False, p=None, known=False), 2200 * MS)
+    assert shown(2300) is None
+    watch.state("rf", LegState(t_ns=0, seq=3, contact=True, p=0.75, known=True), 2400 * MS)
+    assert shown(2500) == 0.75
+    assert row(watch, 3200 * MS).p is None, "the service is gone"
+
+
+@pytest.mark.e2e
+def test_states_are_asked_for_by_who_shows_p(router: Link) -> None:
+    with (
+        Link.open(client_settings(router.endpoints)) as own,
+        Link.open(client_settings(router.endpoints)) as link,
+    ):
+        states, beats = own.publisher(state_key("rf")), own.publisher(HEARTBEAT)
+        Feed(link)
+        feed = Feed(link, states=True)
+
+        def p() -> float | None:
+            beats.put(heartbeat("rf"))
+            states.put(LegState(t_ns=0, seq=1, contact=True, p=0.75, known=True))
+            legs = feed.view(time.monotonic_ns()).legs
+            return legs[0].p if legs else None
+
+        until(lambda: p() == 0.75)
+        assert states.matched
+        feed_without = Feed(router)
+        for _ in range(5):
+            assert p() == 0.75
+        assert all(leg.p is None for leg in feed_without.view(time.monotonic_ns()).legs)
 
 
 def test_a_late_joiner_knows_how_old_the_contact_is() -> None:

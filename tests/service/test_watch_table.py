@@ -120,6 +120,13 @@ def test_the_table_says_what_matters() -> None:
         assert part in text, f"{part!r} not in\n{text}"
 
 
+def test_p_has_a_column_where_it_is_known() -> None:
+    legs = [LegView(leg="lf", contact=True, p=0.987), LegView(leg="rf", contact=False)]
+    head, _, lf, rf = lines(View(legs=legs, alive=True), 120)[2:6]
+    assert (head.split()[3], lf.split()[3], rf.split()[3]) == ("p", "0.99", "-")
+    assert " p " not in "\n".join(lines(View(legs=legs[1:], alive=True), 120))
+
+
 def test_without_truth_there_are_no_columns_of_it() -> None:
     watch = Watch()
     watch.learner(status(), 0)
