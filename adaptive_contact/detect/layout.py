@@ -279,7 +279,7 @@ LEG: Final = np.dtype(
         ("command_odds", f8),  # nats
         ("pressed_n", i4),  # ticks in a row that depart from the free path, low
         ("idle_n", i4),  # ticks of low commands without that
-        ("stance_n", i4),  # ticks of the stance in hand whose push is summed up
+        ("stance_n", i4),  # ticks of the stance in hand whose push is summed up; below 0: none yet
         ("stance_push", f8),  # the sum
         ("load", f8),  # mean push of the last stances
         ("load_n", i4),  # stances in it
@@ -436,4 +436,5 @@ BEGINNING: Final = {
     "apex": -np.inf, "asked_n": 1, "lowest_m": np.inf, "untouched_ns": -1, "phase_part": -1,
     "resolved_fallen": np.nan, "began_count": 1,
     "lowest_command_m": 1e3, "highest_command_m": -1e3, "p": np.nan,
+    "stance_n": -1,
 }  # fmt: skip

@@ -45,6 +45,7 @@ STEEPNESS: Final = 4.0
 STEP: Final = 0.01
 FULL_TICKS: Final = 720  # before, steps are longer
 KNOWN_TICKS: Final = 60
+GIVEN_TICKS: Final = 10  # that the sizes of a baseline are worth
 # A size is at least this share of a loaded push: the quantile over the lower half of the range.
 # Without it, a leg whose free residuals are very small touches before it does.
 LOADED_SIZES: Final = 12.0
@@ -83,7 +84,7 @@ def forget_state(leg):
     leg.carried = leg.touches = False
     leg.pressed_n = leg.idle_n = 0
     leg.push_sum = leg.stance_push = 0.0
-    leg.stance_n = 0
+    leg.stance_n = -1
     leg.p = np.nan
 
 
@@ -98,7 +99,7 @@ def hangs(leg):
         return False
     if leg.from_prior:
         return not (leg.hanging and leg.after_known)
-    return not leg.after_known and leg.load_n > 0 and leg.load < PUT_DOWN
+    return not leg.after_known and leg.load < PUT_DOWN
 
 
 @compiled
@@ -115,20 +116,24 @@ def follow_load(leg):
     stances the sign of its mean parts the two.
     """
     if not leg.ticks or leg.after:
-        if leg.variance_scale <= STRANGE and leg.stance_n * leg.period_ns < STANCE_NS:
+        inside = 0 <= leg.stance_n * leg.period_ns < STANCE_NS  # of a stance that began in sight
+        if inside and leg.variance_scale <= STRANGE:
             leg.stance_n += 1
             leg.stance_push += leg.push_sum
         return
-    if not leg.stance_n:
+    count, leg.stance_n = leg.stance_n, 0
+    if count <= 0:
         return
-    push = leg.stance_push / leg.stance_n
-    leg.stance_n, leg.stance_push = 0, 0.0
-    if leg.hanging and leg.load_n == STANCES and push > leg.load + PUT_DOWN:
+    push, leg.stance_push = leg.stance_push / count, 0.0
+    learned = airborne(leg)
+    # In a motion that the model does not predict, a stance's push says less.
+    put_down = leg.load + PUT_DOWN if leg.sure else max(leg.load + PUT_DOWN, LOADED)
+    if learned and leg.load_n == STANCES and push > put_down:
         leg.hanging, leg.load_n = False, 0  # what it learns from here on may carry
     leg.load_n = min(leg.load_n + 1, STANCES)
     leg.load += (push - leg.load) / leg.load_n
     if leg.load_n == STANCES and leg.load < (LIFTED if leg.carried else UNLOADED):
-        if not leg.hanging:
+        if leg.from_prior and not learned:
             leg.load_n = 0  # measured again, as its stances are learned from here on
         leg.hanging, leg.carried = True, False
     elif leg.load_n >= LEAST_STANCES and leg.load > LOADED:
@@ -170,7 +175,7 @@ def follow_state(leg, sample, swing, past, noise):
     joints = len(sample.measured)
     height_gradient(past.reading, swing.links, swing.axis_kinds, swing.lever)
     context = context_of(leg, sample.command, sample.before)
-    push = square = arm = 0.0
+    push = square = arm = free = 0.0
     for r in range(joints):
         whitened = 0.0
         for c in range(joints):
@@ -179,16 +184,21 @@ def follow_state(leg, sample, swing, past, noise):
             whitened += noise.whiten[context, 0, r, c] * off
             if r == c:
                 push += swing.lever[c] * off
+                free += (swing.lever[c] / noise.whiten[context, 0, r, c]) ** 2
                 arm += abs(swing.lever[c])
         square += whitened * whitened
     share = follow_range(leg)
+    if not (leg.high_ticks or leg.from_prior):
+        # A baseline knows the sizes of free motion: medians of what is normally distributed.
+        leg.push_size, leg.misfit_size = 0.67 * math.sqrt(free), math.sqrt(joints - 0.6)
+        leg.high_ticks = GIVEN_TICKS
     if share > 0.5:
         leg.high_ticks += 1
         least = LEAST_QUANTA * leg.quantum * arm
         leg.push_size = max(sized(leg.push_size, abs(push), leg.high_ticks, 0.5), least)
         misfit = math.sqrt(square)
         leg.misfit_size = max(sized(leg.misfit_size, misfit, leg.high_ticks, 0.5), LEAST_QUANTA)
-    if leg.high_ticks < KNOWN_TICKS:
+    if leg.high_ticks < (KNOWN_TICKS if leg.from_prior else GIVEN_TICKS):
         return
     if share < 0.5:
         leg.low_ticks += 1

@@ -73,6 +73,7 @@ class SwingLabels:
         self._travel_judged = False
         self._rollout: Rollout | None = None  # from where the leg was before the swing
         self._unobserved = 0  # whole swings since a lift was labelled
+        self._touched = False  # a contact began in this swing
 
     @property
     def unobservable_note(self) -> str | None:
@@ -99,7 +100,8 @@ class SwingLabels:
             return found
         if flags & BEGAN:
             self._begin_swing()
-            found.append(LabelledSwing(Label.BEGIN))
+            found.append(LabelledSwing(Label.BEGIN, refuted=self._touched and self._hangs))
+            self._touched = False
         if not flags & WEIGHED:
             return found
         way = self._place.batch.history[self._place.row, 1, 0]
@@ -132,6 +134,7 @@ class SwingLabels:
         leg = self._place.leg
         if not leg.has_model:
             return []
+        self._touched = True
         onset_ns, now_ns, period_ns = leg.onset_ns, leg.at_ns, leg.period_ns
         if leg.topped:
             self._swing.touched(round((now_ns - onset_ns) / period_ns))

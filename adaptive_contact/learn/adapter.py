@@ -229,7 +229,7 @@ class Adapter:
         self.busy = True
         match part.label:
             case Label.BEGIN:
-                self.monitor.begin_swing()
+                self.monitor.begin_swing(refuted=part.refuted)
             case Label.TICK:
                 self.monitor.look(part.nis, part.way_rad)
             case Label.TRAVEL:

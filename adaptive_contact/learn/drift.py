@@ -60,6 +60,9 @@ RELEASE_SWINGS: Final = 3
 # that merely changed overnight is followed instead.  With lifts that fitted by chance it takes
 # longer: nine in ten, for as long as a leg is given to settle.
 UNFIT_LIFTS: Final = 3
+# Contacts of so many swings in a row, after which a foot in the air carried nothing, are the
+# model's error.
+REFUTED_SWINGS: Final = 2
 UNFIT_SHARE: Final = 0.9
 # Early contacts: of so many swings, how many are too many, and with how many that ends.  Legs in
 # pose that meet obstacles up to the top of every second swing come to 16, walking ones to 5
@@ -116,6 +119,7 @@ class DriftMonitor:
         self._trusted = True
         self._lifts = self._lifts_far = 0
         self._unfit_n = 0  # lifts that have to fit until the leg is predicted again
+        self._refuted = 0  # swings in a row whose contact was refuted
 
     @property
     def variance_in_force(self) -> float:
@@ -148,7 +152,7 @@ class DriftMonitor:
 
     @property
     def unlearned(self) -> bool:
-        """Whether one of the last lifts was much further off than those before."""
+        """Whether a lift was much further off than before, or contacts were refuted, lately."""
         return self._unfit_n > 0
 
     @property
@@ -172,8 +176,15 @@ class DriftMonitor:
             )
         return None
 
-    def begin_swing(self) -> None:
-        """Begin a swing: the suspicion of the last one's lift does not widen its threshold."""
+    def begin_swing(self, *, refuted: bool = False) -> None:
+        """Begin a swing: the suspicion of the last one's lift does not widen its threshold.
+
+        Args:
+            refuted: the last swing's contact, as the stance after it showed no load.
+        """
+        self._refuted = self._refuted + 1 if refuted else 0
+        if self._refuted >= REFUTED_SWINGS:
+            self._unfit_n = SETTLED_SWINGS
         self._swing_level = None
         self._newest.clear()
         self._trusted = not self.obstructed

@@ -149,3 +149,4 @@ class LabelledSwing(NamedTuple):
     # the swing's contact was reported before the foot had begun to come down; None where that is
     # not known
     early: bool | None = None
+    refuted: bool = False  # the last swing's contact: the stance after it showed no load

@@ -271,3 +271,17 @@ def test_a_leg_that_is_far_off_is_not_free_by_its_way_alone() -> None:
         monitor.note_travel(obstructed=False, travel_ratio=1.0)
         monitor.assess_lift(lift(1.0), swing * SWING_NS)
     assert monitor.status == "valid"
+
+
+@pytest.mark.parametrize("refuted", [1, 2, 3])
+def test_contacts_that_stances_refute_are_an_error_of_the_model(refuted: int) -> None:
+    monitor = calmed()
+    for swing in range(40, 40 + refuted):
+        monitor.begin_swing(refuted=True)
+        monitor.assess_lift(lift(1.0), swing * SWING_NS)
+    assert monitor.unlearned == (refuted >= 2)
+    for swing in range(50, 53):
+        assert monitor.unlearned == (refuted >= 2 and swing < 52)
+        monitor.begin_swing()
+        monitor.assess_lift(lift(1.0), swing * SWING_NS)
+    assert not monitor.unlearned

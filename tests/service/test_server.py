@@ -156,6 +156,7 @@ def test_a_leg_falls_silent_and_comes_back(step: Lockstep, inbox: Any, sample: S
     step.client.watch_tokens("robot/leg/*", tokens)
     step.work(0, lf=sample(0), rf=sample(0))
     assert got.wait(1)[0].status == "valid"
+    tokens.wait(2)  # a subscriber that comes late is told the newest state alone
     for ms in range(20, 620, 20):
         step.work(ms * MS, rf=sample(ms))
     silent = got.wait(2)[1]
