@@ -93,7 +93,7 @@ honest: env  ## HOURS of honest legs of all kinds: at most one in 100 leg-hours 
 	PYTHONPATH=tests $(BIN)/python -m field.honest out/honest --hours $(HOURS)
 
 unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments that they have not seen
-	$(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)
+	PYTHONPATH=tests $(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)
 
 links: env  ## 1 to 64 links that are cut or hang, up to 130 viewers that stop reading: events within 0.75 s
 	LINKS=1,4,20,64 VIEWERS=10,130 LONGEST_S=0.75 $(BIN)/python -m pytest -s -p no:cacheprovider \

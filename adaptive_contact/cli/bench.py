@@ -46,19 +46,15 @@ def bench(
     The figures in out/bench are replaced; those in another folder only with --force.
     """
     refuse_to_replace([out / "bench.json"], "--out", force=force or out == _OUT)
-    import dataclasses
-
     import msgspec
 
     from adaptive_contact.model.model_file import load_baseline, shipped_baseline
-    from adaptive_contact.score.tables import summary_json
+    from adaptive_contact.score.tables import summary_json, summary_table
 
     with needs_studies():
         from adaptive_contact_sim import SimulationSettings, TerrainSettings, WalkSettings
         from adaptive_contact_sim.arrays import record_arrays
         from adaptive_contact_studies.headline import HEADLINE_RUNS, run_headline
-        from adaptive_contact_studies.paper.compression import compare_all
-        from adaptive_contact_studies.paper.plan import FULL
         from adaptive_contact_studies.speed import tick_speed
         from adaptive_contact_studies.work import Work
 
@@ -73,8 +69,6 @@ def bench(
     if not speeds_only:
         runs = [run._replace(seconds=part * run.seconds) for run in HEADLINE_RUNS]
         rows = run_headline(robot, known, work, runs)
-    plan = dataclasses.replace(FULL, train_segments=round(part * FULL.train_segments))
-    (fits,) = work.each(f"{plan.train_segments:,} segments, compressed", compare_all, [plan])
     console.print("measuring speeds")
     # The walk of the speeds is no row of the table; any seed would do.
     settings = SimulationSettings(
@@ -85,7 +79,6 @@ def bench(
     result = {
         "rows": {name: summary_json(summary) for name, summary in rows.items()},
         "six_leg_tick": tick,
-        "compressed_fit": fits,
         "baseline": known.origin,
     }
     text = msgspec.json.format(msgspec.json.encode(result), indent=2)
@@ -93,8 +86,10 @@ def bench(
     if json:
         say_json(text.decode())
         return
-    if rows:
-        _print_rows(rows)
+    shown = table_console()
+    for name, summary in rows.items():
+        shown.print(f"\n{name}: the default detector, on runs it has not seen", style="bold")
+        shown.print(summary_table(summary))
     speeds = Table(title="Speeds", show_header=False)
     speeds.add_row(
         "six-leg tick",
@@ -103,49 +98,5 @@ def bench(
         f"{tick.ticks} ticks during which a refit was under way",
     )
     speeds.add_row("learners", f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core")
-    for fit in fits:
-        kept = sum(fit.kept) / len(fit.kept)
-        speeds.add_row(
-            f"compressed fit, {fit.library} library",
-            f"{fit.speed_up:.0f} x faster than PySINDy's {fit.raw_s:.2f} s on {fit.rows} rows, "
-            f"{kept:.0f} of {fit.terms} terms kept ({1e3 * fit.compressed_s:.1f} ms; factor built "
-            f"once in {1e3 * fit.factor_s:.0f} ms; "
-            f"{'same' if fit.same_support else 'ANOTHER'} support, coefficients within "
-            f"{fit.difference:.0e})",
-        )
-    table_console().print(speeds)
+    shown.print(speeds)
     console.print(f"figures in {out / 'bench.json'}")
-
-
-def _print_rows(rows: dict[str, Summary]) -> None:
-
-    from adaptive_contact.score import Row
-
-    console = table_console()
-    table = Table(title="Default detector, runs it has not seen (95 % intervals)")
-    for name in (
-        "row",
-        "touches",
-        "recall",
-        "latency p50/p95/p99 ms",
-        "false alarms",
-        "per robot-hour",
-    ):
-        table.add_column(name, justify="left" if name == "row" else "right")
-    for name, summary in rows.items():
-        row = summary.rows[Row.HEADLINE]
-        late = row.latency
-        low, high = (100 * limit for limit in row.interval)
-        recall = "-" if row.recall is None else f"{100 * row.recall:.2f} % ({low:.2f}-{high:.2f})"
-        hours = summary.per_hour_interval
-        table.add_row(
-            name,
-            str(row.touches),
-            recall,
-            "-"
-            if late is None
-            else f"{late.median_ms:.0f} / {late.p95_ms:.0f} / {late.p99_ms:.0f}",
-            f"{summary.false_alarms} in {summary.judged_ticks} ticks",
-            f"{summary.per_hour:.1f} ({hours.low:.1f}-{hours.high:.1f})",
-        )
-    console.print(table)

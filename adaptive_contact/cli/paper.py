@@ -22,9 +22,6 @@ def paper(
     stage: Annotated[
         list[str] | None, option("--stage", "Only this stage; repeatable.", "NAME")
     ] = None,
-    logs: Annotated[
-        Path | None, option("--logs", "Recordings of real servos; skipped where absent.", "PATH")
-    ] = Path("../shared/data"),
     docs: Annotated[
         Path | None, option("--docs", "Write the page and its pictures here, too.", "FILE.md")
     ] = None,
@@ -58,7 +55,7 @@ def paper(
     console = table_console()
     try:
         work = Work(out, workers or os.cpu_count() or 1, console=console)
-        results = run_paper(work, plan, stages, logs)
+        results = run_paper(work, plan, stages)
     except KeyboardInterrupt:
         console.print("\ninterrupted; the same command goes on from here")
         raise typer.Exit(130) from None

@@ -39,11 +39,16 @@ def as_json(score: Score) -> dict[str, Any]:
 
 def as_table(score: Score) -> RenderableType:
     """Format rows, totals and legs as tables, with the notes below."""
-    parts: list[RenderableType] = [_rows_table(score.total), _totals(score.total)]
+    parts: list[RenderableType] = [summary_table(score.total)]
     if sum(summary.swings > 0 for summary in score.legs.values()) > 1:
         parts.append(_legs_table(score))
     parts.extend(Text(f"note: {note}", style="yellow") for note in score.notes)
     return Group(*parts)
+
+
+def summary_table(summary: Summary) -> RenderableType:
+    """Format rows and totals as tables."""
+    return Group(_rows_table(summary), _totals(summary))
 
 
 def summary_json(summary: Summary) -> dict[str, Any]:

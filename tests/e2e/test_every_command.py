@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from typer.main import get_command
 
@@ -32,7 +31,7 @@ replay walk.mcap --events events.jsonl --plot walk.html
 score walk.mcap --events events.jsonl
 export walk.mcap --to csv
 fit walk.mcap -o legs.json
-paper --quick --stage logs --logs logs --out paper
+paper --quick --stage dataset --out paper
 bench --quick --out bench
 scenarios run step-friction4 --quick --seeds 1 --out scenarios
 scenarios report --out scenarios --docs pages
@@ -76,7 +75,7 @@ REFUSED = {
     "fit": "Missing argument 'RECORDING...'; see `adaptive-contact fit --help`",
     "fit nosuch.mcap": "nosuch.mcap: cannot be read",
     "fit x.mcap -o /": "/: cannot be written (it is a folder)",
-    "paper --out /dev/null/x --stage logs": "give another --out",
+    "paper --out /dev/null/x --stage dataset": "give another --out",
     "paper --stage nosuch": "no stage 'nosuch'",
     "record nosuch/x.mcap": "there is no folder",
     "record x.mcap --key a//b --seconds 1": "key expression 'a//b' cannot be used",
@@ -152,12 +151,6 @@ def test_what_is_wrong_is_one_line(
 @pytest.mark.timeout(3600)
 def test_every_command_works_from_the_wheel(shell: Callable[..., Any]) -> None:
     one = shell()
-    (one.folder / "logs").mkdir()
-    t = np.arange(900) * 0.02
-    goal = np.sin(np.outer(t, (0.9, 1.7)))
-    arm = {"t": t, "goal": goal, "pos": np.roll(goal, 4, axis=0).round(3)}
-    motions = {f"m{i}/{name}": values[i:] for i in range(6) for name, values in arm.items()}
-    np.savez(one.folder / "logs" / "arm.npz", **motions)
     models = ROOT / "models" / "adaptive_contact_models" / "hexapod" / "robot.toml"
     ros2 = models.read_text("utf-8").replace("[[leg]]", '[ros2]\nstate = "/state"\n[[leg]]', 1)
     ros2 = re.sub(

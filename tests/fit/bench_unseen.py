@@ -1,6 +1,6 @@
 """Fits of a real arm on motions and moments that they have not seen; a script, not a test.
 
-    python tests/fit/bench_unseen.py FOLDER [--splits halves,moments,motions] [--out FILE]
+    make unseen DATA=FOLDER UNSEEN_OPTIONS="[--splits halves,moments,motions] [--out FILE]"
 
 FOLDER holds `.npz` recordings of github.com/isaac-sim2real/sage (`output/real/so101`), which touch
 nothing.  Each split is fitted with `fit`'s own `learn`, all motions being free swings, and tried on
@@ -40,14 +40,13 @@ from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact import ContactLearner, ServoSample
-from adaptive_contact.errors import RecordingError
 from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.model import Library
 from adaptive_contact.model.library import leg_library
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, parse_robot
-from adaptive_contact_studies.paper.log_files import Recording, load_logs
+from real_logs import Recording, load_logs
 
 Array = NDArray[np.float64]
 
@@ -268,10 +267,7 @@ def main() -> None:
     parser.add_argument("--splits", default="halves,moments,motions")
     parser.add_argument("--out", type=Path, help="write the figures as JSON")
     chosen = parser.parse_args()
-    try:
-        motions = [r for r in load_logs(chosen.folder).recordings if r.kind == "arm"]
-    except RecordingError as error:
-        parser.error(str(error))
+    motions = [r for r in load_logs(chosen.folder) if not r.gain]
     if len(motions) < 2:
         parser.error(f"{chosen.folder}: {len(motions)} motions of an arm, expected at least 2")
     motions.sort(key=lambda motion: motion.name)

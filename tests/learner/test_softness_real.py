@@ -7,7 +7,6 @@ seconds (decision 46).
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +16,9 @@ from adaptive_contact.learn.active_model import ActiveModel
 from adaptive_contact.model import Factor, Library, Window, stack, with_changes
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.leg_prior import leg_prior
-from adaptive_contact_studies.paper.log_files import Recording, load_logs
+from real_logs import DATA, Recording, load_logs
 
-REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "xl330"
+REAL = DATA / "xl330"
 
 # Error at a gain at which the servo reaches full drive: with half of it the slope is twice as wide.
 # The best of a scan at each gain alone, the other gains unseen.
@@ -45,7 +44,7 @@ def fitted(library: Library, runs: list[Recording]) -> np.ndarray:
 @pytest.mark.parametrize("gain", sorted(SLOPES))
 def test_half_the_gain_is_twice_the_slope(gain: float) -> None:
     """On a trajectory that neither the model nor the number has seen, each of four in turn."""
-    runs = load_logs(REAL).recordings
+    runs = load_logs(REAL)
     library = Library(
         "servo", ("joint",), ("pitch",), Window(3, 3, 0), slope_rad=SLOPES[gain], period_s=0.02
     )
@@ -83,7 +82,7 @@ def test_another_gain_is_followed_within_two_seconds(before: float, after: float
     The reference has seen the very ticks it is tried on: a fit to all runs of the gain.  Each run
     begins afresh; what its first two seconds hold is not counted.
     """
-    runs = load_logs(REAL).recordings
+    runs = load_logs(REAL)
     library = Library("servo", ("joint",), ("pitch",), slope_rad=SLOPE_RAD[before], period_s=0.02)
     first, again = (fitted(library, [r for r in runs if r.gain == g]) for g in (before, after))
     changing = with_changes(library, first)

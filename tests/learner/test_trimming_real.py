@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.robot import parse_robot
-from adaptive_contact_studies.paper.log_files import load_logs
+from real_logs import DATA, load_logs
 
-REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "so101"
+REAL = DATA / "so101"
 MOTIONS = 8
 QUANTUM = 0.001534
 ARM = """
@@ -34,7 +32,7 @@ def test_most_of_a_real_arms_free_ticks_are_learned() -> None:
     """A noise read off those that stand still had left out all that moved."""
     stretches = []
     moving = 0
-    for motion in load_logs(REAL).recordings[:MOTIONS]:
+    for motion in load_logs(REAL)[:MOTIONS]:
         measured, desired = motion.measured[:, :3], motion.desired[:, :3]
         swing = np.arange(len(measured)) % 30 < 25
         sound = np.ones(len(measured), dtype=bool)

@@ -1,6 +1,4 @@
 """The paper's experiments, and what they leave out: data, identification, detection, report.
 
-:func:`~adaptive_contact_studies.paper.run.run_paper` runs them all, resumable;
-:func:`~adaptive_contact_studies.paper.logs.run_logs` tries the same libraries on recordings of
-real servos.
+:func:`~adaptive_contact_studies.paper.run.run_paper` runs them all, resumable.
 """

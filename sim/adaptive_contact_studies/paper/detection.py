@@ -8,7 +8,6 @@ shown in a row of their own, and together with the headline in another.
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
@@ -16,18 +15,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, shipped_robot
+from adaptive_contact.robot import ROBOT_HOUR_TICKS, shipped_robot
 from adaptive_contact.score import (
-    ROWS,
     LegOutcome,
     Row,
     RowFigures,
-    clopper_pearson,
     match,
     summarise,
 )
 from adaptive_contact.score.summary import AlarmFigures
-from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_studies.paper.detectors import DETECTORS, MODELS, alarms
 from adaptive_contact_studies.paper.evaluation import (
     AIM,
@@ -130,7 +126,6 @@ def detection(plan: Plan, jobs: Sequence[Job], evaluated: Sequence[list[Evaluate
         },
         "worst_leg_run": max(stand.items(), key=lambda own: max(own[1])),
         "leg_runs": len(plan.leg_runs),
-        "limits": limits_of(robot),
         "aim_per_hour": robot.detector.false_alarms_per_hour,
     }
 
@@ -159,20 +154,6 @@ def _figures(name: str, touched: Sequence[Touched], quiet: dict[Role, Quiet]) ->
             ),
             "touch": rate_of(summary.false_alarms, summary.judged_ticks),
         },
-        "by_speed": binned(
-            touched,
-            outcomes,
-            "speed_m_s",
-            (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 2.5),
-            (Row.SOFT, Row.GRAZING),
-        ),
-        "by_force": binned(
-            touched,
-            outcomes,
-            "force_n",
-            (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, float("inf")),
-            (Row.GRAZING,),
-        ),
         "roc": _curve(name, [t for t in touched if not t.slow], [*quiet.values()]),
     }
 
@@ -236,66 +217,4 @@ def row_figures(figures: RowFigures) -> Tree:
         "median_ms": latency.median_ms if latency else None,
         "p95_ms": latency.p95_ms if latency else None,
         "p99_ms": latency.p99_ms if latency else None,
-    }
-
-
-def binned(
-    touched: Sequence[Touched],
-    outcomes: Sequence[LegOutcome],
-    field: str,
-    edges: Sequence[float],
-    without: tuple[Row, ...],
-) -> list[Tree]:
-    """Recall by a property of the touch.
-
-    Lift and late touches are never counted, nor fast ones in slow approaches, as in the headline.
-
-    Args:
-        touched: streams.
-        outcomes: of one detector on each.
-        field: of the table of touches.
-        edges: of the bins; the last may be infinite.
-        without: further rows that are left out.
-    """
-    left_out = [ROWS.index(row) for row in (*without, Row.LIFT, Row.LATE, Row.UNKNOWN)]
-    tables = [o.touches for o in outcomes]
-    value, found, row = (
-        np.concatenate([getattr(table, name) for table in tables])
-        for name in (field, "found", "row")
-    )
-    slow = np.repeat([t.slow for t in touched], [len(table.row) for table in tables])
-    use = ~np.isin(row, left_out) & ~(slow & (row == ROWS.index(Row.HEADLINE)))
-    bins = []
-    for low, high in itertools.pairwise(edges):
-        inside = use & (value >= low) & (value < high)
-        hits, total = int(np.count_nonzero(found & inside)), int(np.count_nonzero(inside))
-        bins.append(
-            {
-                "low": low,
-                "high": high,
-                "touches": total,
-                "recall": hits / total if total else None,
-                "interval": list(clopper_pearson(hits, total)),
-            }
-        )
-    return bins
-
-
-def limits_of(robot: Robot) -> Tree:
-    """What one step of a servo is at the foot of a stretched leg.
-
-    A step of a joint moves the foot by the step times the length beyond that joint; against the
-    servo's proportional drive it takes the torque of one step over the same length.
-    """
-    leg = robot.legs[0]
-    assert leg.lengths_m is not None
-    beyond = [sum(leg.lengths_m[joint:]) for joint in range(len(leg.lengths_m))]
-    step_rad = robot.quantum(leg.id)
-    servo = ServoParameters()
-    torque_nm = servo.stall_torque_nm[:3] / servo.slope_steps[:3]
-    return {
-        "step_rad": step_rad,
-        "period_s": robot.period_s,
-        "step_m": {j: step_rad * b for j, b in zip(leg.joints, beyond, strict=True)},
-        "step_n": {j: float(t / b) for j, t, b in zip(leg.joints, torque_nm, beyond, strict=True)},
     }

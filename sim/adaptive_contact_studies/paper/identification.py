@@ -17,14 +17,13 @@ import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.fit import Fit, FitSettings, FitStatus, fit_sparse
-from adaptive_contact.model import Factor, LegModel, Library, LibraryName, Window, leg_library
+from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.model.window import Rows
-from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact_studies.paper.compression import RIDGE, PaperFit, paper_fit
 from adaptive_contact_studies.paper.data import Stream, join, load
 from adaptive_contact_studies.paper.plan import Plan
 from adaptive_contact_studies.paper.rows import (
-    NO_MODEL,
     PAPER_WINDOW,
     FreeRows,
     blockwise,
@@ -171,26 +170,6 @@ def sparsest_of(points: Iterable[dict[str, Any]]) -> float | None:
     near = (errors <= TOLERANCE * errors.min(axis=0)).all(axis=1)
     values = [float(p["lambda"]) for p in points]
     return max((v for v, n in zip(values, near, strict=True) if n), default=min(values))
-
-
-def fitted_model(
-    robot: Robot, stream: Stream, name: LibraryName, window: Window, threshold: float
-) -> tuple[LegModel | None, FitStatus]:
-    """A model of a stream's free swings; None where the fit left nothing.
-
-    Args:
-        robot: its description.
-        stream: learned from.
-        name: of the library.
-        window: of the library.
-        threshold: λ in units of the residual.
-    """
-    library = leg_library(robot, robot.leg(stream.leg), name, window)
-    rows = free_rows(stream, library)
-    factor = factor_of(library, rows.windows, rows.windows.increment)
-    unit = residual_unit(fit_sparse(factor, FitSettings()))
-    fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=unit))
-    return None if fit.status in NO_MODEL else LegModel(library, fit.coefficients), fit.status
 
 
 def _in_unit(windows: Rows, factor: float) -> Rows:

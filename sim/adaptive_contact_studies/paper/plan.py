@@ -111,7 +111,6 @@ class Plan:
     touch_s: dict[str, float]  # reported collisions per leg-run by kind, s
     # collisions per leg-run by kind, s, on which baselines choose their settings
     tune_touch_s: dict[str, float]
-    collisions: int = 10  # of section 4.3
     seed: int = 0
 
     @property

@@ -94,9 +94,7 @@ def write_document(results: Mapping[str, Any], document: Path) -> None:
     write_page(document, markdown("page.md", results=results, headline=headline(results)))
     drawings: dict[str, tuple[Callable[[Any], Figure], str]] = {
         "sweep": (_sweep, "identification"),
-        "collision": (_collision, "collisions"),
         "roc": (_roc, "detection"),
-        "limits": (_limits, "detection"),
     }
     with styled(_STYLE, "the report"):
         for name, (draw, stage) in drawings.items():
@@ -107,14 +105,8 @@ def write_document(results: Mapping[str, Any], document: Path) -> None:
 
 def markdown(template: str, **given: Any) -> str:
     """Fill a template of the paper's."""
-    filters: dict[str, Callable[..., Any]] = {"degrees": math.degrees, "span": span}
+    filters: dict[str, Callable[..., Any]] = {"degrees": math.degrees}
     return unwrapped(render(f"paper/{template}", filters, BOTH=BOTH, SLOW_FAST=SLOW_FAST, **given))
-
-
-def span(part: Mapping[str, Any]) -> str:
-    """The range of speeds or forces that a part of the touches has."""
-    end = "and more" if part["high"] is None else f"to {part['high']:g}"
-    return f"{part['low']:g} {end}"
 
 
 def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -222,40 +214,6 @@ def _sweep(data: Any) -> Figure:
     return figure
 
 
-def _collision(data: Any) -> Figure:
-    """Figure 5: one collision, from the position error to the detection."""
-    trace, row = data["trace"], data["table"][data["drawn"]]
-    figure = new_figure(8.6, 6.4)
-    axes = figure.subplots(3, 1, sharex=True)
-    ticks = np.array(trace["tick_ms"])
-    labels = {
-        "tracking_deg": "position error:\ncommand − reading\n(deg)",
-        "residual_deg": "predicted error:\nreading − predicted\n(deg)",
-        "difference_deg": "change of\n|predicted error|\n(deg)",
-    }
-    events = [
-        (trace["moves_ms"], "black", ":", "leg moves"),
-        (trace["onset_ms"], "black", "-", "touch"),
-        *((when, RED, "-", "paper's rule") for when in trace["paper_ms"]),
-        *((when, BLUE, "--", "default detector") for when in trace["default_ms"]),
-    ]
-    for ax, (name, label) in zip(axes, labels.items(), strict=True):
-        for values, colour, joint in zip(
-            np.array(trace[name], dtype=float).T, JOINT_COLOURS, JOINTS, strict=True
-        ):
-            ax.plot(ticks, values, ".-", color=colour, lw=1, label=joint)
-        for when, colour, style, what in events:
-            ax.axvline(when, color=colour, ls=style, label=what)
-        ax.set(ylabel=label, xlim=(ticks[0], ticks[-1]))
-    for limit, colour in zip(data["limit_deg"], JOINT_COLOURS, strict=True):
-        axes[2].axhline(limit, color=colour, lw=1.2, ls=":")
-    found = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
-    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=4)
-    axes[2].set_xlabel("time (ms)")
-    axes[0].set_title(f"{row['speed_m_s']:.2f} m/s, {row['force_n']:.1f} N")
-    return figure
-
-
 def _roc(data: Any) -> Figure:
     """Headline recall against false alarms; whole, and from 90 % on."""
     figure = new_figure(10.4, 6.0)
@@ -292,41 +250,3 @@ def _curve(axes: Axes, name: str, title: str, figures: Any) -> None:
         at = max(own["per_hour"], 0.5 / own["hours"]), 100 * (own["recall"] or 0.0)
         mark, size = ("*", 15) if name == "default" else ("o", 6)
         axes.plot([at[0]], [at[1]], mark, color=colour, ms=size, mec="white", zorder=5)
-
-
-def _limits(data: Any) -> Figure:
-    """Recall against approach speed and contact force, with 95 % intervals."""
-    figure = new_figure(10.4, 6.0)
-    left, right = figure.subplots(1, 2, sharey=True)
-    for axes, field, label in (
-        (left, "by_speed", "speed at touch (m/s), hard ground"),
-        (right, "by_force", "force, mean over 20 ms (N)"),
-    ):
-        for offset, name in enumerate(("default", "servo ratio", "paper rule", "tracking")):
-            bins = [b for b in data["figures"][name][field] if b["touches"]]
-            # The last bin of the forces has no upper end.
-            ends = np.array([(max(b["low"], 0.01), b["high"] or 2.5 * b["low"]) for b in bins])
-            recall = 100 * np.array([b["recall"] for b in bins])
-            spread = 100 * np.array([b["interval"] for b in bins])
-            colour, style, _ = _LOOKS[name]
-            axes.errorbar(
-                np.sqrt(ends.prod(axis=1)) * (1 + 0.03 * (offset - 2)),
-                recall,
-                yerr=np.abs(spread.T - recall),
-                color=colour,
-                ls=style,
-                marker="o",
-                ms=3.5,
-                label=data["detectors"][name],
-            )
-        axes.set(xscale="log", xlabel=label, ylim=(-2, 102))
-    limits = data["limits"]
-    steps, forces = list(limits["step_m"].values()), list(limits["step_n"].values())
-    for ticks, alpha in ((1, 0.28), (3, 0.14)):
-        slowest, fastest = (end / (ticks * limits["period_s"]) for end in (min(steps), max(steps)))
-        words = f"a servo step in {ticks} tick{'s' if ticks > 1 else ''} (tibia to coxa)"
-        left.axvspan(slowest, fastest, color=GREY, alpha=alpha, lw=0, label=words)
-    right.axvspan(min(forces), max(forces), color=GREY, alpha=0.28, lw=0)
-    left.set_ylabel("recall (%)")
-    legend_below(figure, left, 2)
-    return figure

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Ints
-from adaptive_contact.fit import Fit, FitStatus
+from adaptive_contact.fit import Fit
 from adaptive_contact.model import Factor, LegModel, Library, Rows, Window, stack
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.servo import QUANTUM_RAD
@@ -20,14 +20,6 @@ from adaptive_contact_studies.paper.data import Stream
 PAPER_WINDOW: Final = Window(past_measured=2, past_desired=2, preview=1)
 # Rows whose regressors are held at once: 295 doubles each, some tens of megabytes.
 BLOCK: Final = 20_000
-# Fits that end so leave nothing but zeros: an error of theirs would be that of no prediction.
-NO_MODEL: Final = frozenset({FitStatus.TOO_FEW_ROWS, FitStatus.NOT_FINITE})
-_SEVERITY: Final = (
-    FitStatus.OK,
-    FitStatus.EMPTIED,
-    FitStatus.NOT_FINITE,
-    FitStatus.TOO_FEW_ROWS,
-)
 
 
 class FreeRows(NamedTuple):
@@ -88,11 +80,6 @@ def factor_of(library: Library, windows: Rows, target: Array) -> Factor:
     for part, theta in thetas(library, windows):
         factor.add(theta, target[part])
     return factor
-
-
-def worst(statuses: Iterable[FitStatus]) -> FitStatus:
-    """The status of several fits that make one figure: that of the worst; ok without any."""
-    return max(statuses, key=_SEVERITY.index, default=FitStatus.OK)
 
 
 def residual_unit(least_squares: Fit) -> tuple[float, ...]:

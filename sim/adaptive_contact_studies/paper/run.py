@@ -6,36 +6,29 @@ import dataclasses
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from adaptive_contact.errors import RecordingError
-from adaptive_contact_studies.paper.collisions import ten_collisions
 from adaptive_contact_studies.paper.compression import compare_all
 from adaptive_contact_studies.paper.data import load, record_all
 from adaptive_contact_studies.paper.detection import detection
 from adaptive_contact_studies.paper.evaluation import evaluate, jobs_of, learned, tuned
 from adaptive_contact_studies.paper.identification import identification
-from adaptive_contact_studies.paper.logs import run_logs
 from adaptive_contact_studies.paper.plan import Plan, Role
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 
-STAGES: Final = (*("dataset", "identification", "compression", "collisions", "detection", "logs"),)
+STAGES: Final = ("dataset", "identification", "compression", "detection")
 _REPORTED: Final[tuple[Role, ...]] = ("touch", "stand", "free")
 
 
-def run_paper(
-    work: Work, plan: Plan, stages: Sequence[str] = STAGES, logs: Path | None = None
-) -> dict[str, Any]:
+def run_paper(work: Work, plan: Plan, stages: Sequence[str] = STAGES) -> dict[str, Any]:
     """Run the experiments.
 
     Args:
         work: how it is done, and where it is kept.
         plan: how much of everything.
         stages: which, of :data:`STAGES`.
-        logs: recordings of real servos; the stage is skipped with a reason where absent.
 
     Returns:
         A tree of figures, by stage.
@@ -49,7 +42,7 @@ def run_paper(
         "simulator": digest(*SIMULATOR),
         "learner": digest(*LEARNER),
     }
-    if {*stages} - {"detection", "logs"}:
+    if {*stages} - {"detection"}:
         paper = [piece for role in ("train", "tune") for piece in plan.paper_pieces(role)]
         record_all(work, "the paper's dataset", paper)
     for stage in stages:
@@ -58,14 +51,10 @@ def run_paper(
                 results[stage] = _dataset(work, plan)
             case "identification":
                 results[stage] = identification(work, plan)
-            case "compression" | "collisions":
-                do = compare_all if stage == "compression" else ten_collisions
-                # By itself: CPU time is compared.
-                (results[stage],) = work.each(stage, do, [plan])
-            case "detection":
-                results[stage] = _detection(work, plan)
+            case "compression":  # by itself: CPU time is compared
+                (results[stage],) = work.each(stage, compare_all, [plan])
             case _:
-                results[stage] = _logs(logs)
+                results[stage] = _detection(work, plan)
     return dict(plain(results))
 
 
@@ -91,16 +80,6 @@ def _detection(work: Work, plan: Plan) -> dict[str, Any]:
     what = "every detector on every stream"
     found = work.each(what, evaluate, jobs, lambda job: len(job.pieces))
     return detection(plan, jobs, found)
-
-
-def _logs(path: Path | None) -> dict[str, Any]:
-    """Real servos, where their recordings are."""
-    if path is None or not path.exists():
-        return {"skipped_stage": f"{path or 'no --logs'}: no recordings of real servos there"}
-    try:
-        return run_logs(path)
-    except RecordingError as error:
-        return {"skipped_stage": str(error)}
 
 
 def plain(value: Any) -> Any:

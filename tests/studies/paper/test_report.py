@@ -7,7 +7,6 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -34,7 +33,6 @@ TINY = dataclasses.replace(
     stand_s={"descent": 8.0},
     touch_s={"hard": 20.0, "hard slow": 12.0},
     tune_touch_s={"hard": 10.0},
-    collisions=2,
 )
 
 
@@ -49,30 +47,6 @@ def test_an_unknown_stage_is_one_line(tmp_path: Path) -> None:
     assert "identification" in str(result.exception)
 
 
-@pytest.mark.parametrize("logs", [None, Path("nowhere")])
-def test_recordings_that_are_not_there_are_skipped_with_a_reason(
-    logs: Path | None, tmp_path: Path
-) -> None:
-    results = run_paper(Work(None), TINY, stages=("logs",), logs=logs)
-    assert "no recordings of real servos there" in results["logs"]["skipped_stage"]
-    write_report(results, tmp_path)
-    assert "Skipped: " in (tmp_path / "paper.md").read_text()
-
-
-def arm(path: Path) -> None:
-    """Six motions of two servos of limited speed."""
-    rng, t, arrays = np.random.default_rng(6), np.arange(300) * 0.02, {}
-    for i in range(6):
-        goal = np.sin(2.0 * np.pi * rng.uniform(0.2, 1.2, 2) * t[:, None])
-        position = np.zeros_like(goal)
-        for k in range(len(t) - 1):
-            error = np.clip((goal[k] - position[k]) / 0.16, -1.0, 1.0)
-            position[k + 1] = position[k] + 0.08 * error
-        noisy = position + rng.normal(scale=1e-3, size=position.shape)
-        arrays |= {f"m{i}/t": t, f"m{i}/goal": goal, f"m{i}/pos": noisy}
-    np.savez(path, **arrays)
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_whole_run_is_made_again_from_what_is_kept_and_shown(
@@ -82,10 +56,7 @@ def test_a_whole_run_is_made_again_from_what_is_kept_and_shown(
     monkeypatch.setattr(identification, "LAMBDAS", (0.01, 5.0))
     monkeypatch.setattr(identification, "OUR_LAMBDAS", (0.0, 0.3))
     monkeypatch.setattr(identification, "PAPER_WINDOW", identification._SHORT)
-    arm(tmp_path / "arm.npz")
-    first, again = (
-        run_paper(Work(tmp_path / "out"), TINY, logs=tmp_path / "arm.npz") for _ in range(2)
-    )
+    first, again = (run_paper(Work(tmp_path / "out"), TINY) for _ in range(2))
     assert first == again
     assert set(STAGES) <= set(first)
     figures = first["detection"]["figures"]
@@ -96,6 +67,6 @@ def test_a_whole_run_is_made_again_from_what_is_kept_and_shown(
     write_document(first, document)
     text = document.read_text()
     pictures = re.findall(r"\]\((pictures/.+?)\)", text)
-    assert len(pictures) == 4
+    assert len(pictures) == 2
     assert all((document.parent / name).stat().st_size > 5_000 for name in pictures)
     assert "nan" not in text.lower().split()
