@@ -83,8 +83,7 @@ class Child:
         began_s = time.monotonic()
         with self._changed:
             while True:
-                # A first start compiles: 10 to 20 s, and minutes on a quarter of a core.  It says
-                # so, and is alive.
+                # A first start compiles, for minutes beside other work.  It says so, and is alive.
                 if any(re.search(r"compiling the arithmetic", line) for line in self._lines):
                     timeout_s = max(timeout_s, 600.0)  # a slow computer's first start
                 for line in self._lines:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import platform
+import resource
 import subprocess
 import sys
 import threading
+import time
 from typing import Final
 
 from adaptive_contact.cli._output import say_note
@@ -25,7 +27,13 @@ def compile_tick(stop: threading.Event | None = None) -> None:
         stop: ends it early: nothing is loaded then.
     """
     from adaptive_contact.bank import compile_ahead
-    from adaptive_contact.compiled import cache_folder, compiles, is_cached
+    from adaptive_contact.compiled import (
+        cache_folder,
+        compiles,
+        compiling_s,
+        is_cached,
+        note_compiled,
+    )
 
     if not compiles():
         why = f"numba, which has builds for 64 bits only, is not installed ({platform.machine()})"
@@ -37,12 +45,29 @@ def compile_tick(stop: threading.Event | None = None) -> None:
         kept = "at each start, as no folder could be had to keep it in"
         if cache_folder():
             kept = "once"
-        say_note(f"compiling the arithmetic of a tick for this computer, {kept} (10 to 20 s)")
+        how_long = f"{_about(compiling_s())} of one core, longer beside other work"
+        say_note(f"compiling the arithmetic of a tick for this computer, {kept}: {how_long}")
         if cache_folder():
+            began_s, before_s = time.monotonic(), _children_s()
             # In a process of its own: the compiler would keep 200 MB for as long as this one runs.
             _run_until(stop or threading.Event(), [sys.executable, "-c", _CODE])
+            if is_cached():
+                note_compiled(_children_s() - before_s)
+                say_note(f"compiled after {time.monotonic() - began_s:.0f} s")
     if stop is None or not stop.is_set():
         compile_ahead()
+
+
+def _about(seconds: float) -> str:
+    """Round a time that is estimated."""
+    step = 1 if seconds < 10.0 else 5 if seconds < 60.0 else 30
+    return f"about {max(round(seconds / step) * step, 1)} s"
+
+
+def _children_s() -> float:
+    """Return the CPU time of processes that have ended, s."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _run_until(stop: threading.Event, words: list[str]) -> None:

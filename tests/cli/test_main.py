@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -14,6 +15,8 @@ from typing import Any
 
 import pytest
 
+from adaptive_contact import compiled
+from adaptive_contact.cli import _compiling
 from adaptive_contact.compiled import CACHE_VARIABLE, compiles
 
 SOURCES = os.pathsep.join(path for path in sys.path if path)
@@ -91,6 +94,32 @@ def test_a_stop_while_the_tick_is_compiled_is_clean(
     assert serve.wait(600) == 0
     assert len(serve.lines) == 1
     assert not list(cache.glob("compiled-*/whole"))
+
+
+def test_a_first_start_says_how_long_it_compiles_and_how_long_it_took(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if not compiles():
+        pytest.skip("nothing is compiled here")
+    work = "import time\nwhile time.process_time() < 2.0: pass\n"
+    mark = "from adaptive_contact.compiled import note_cached; note_cached()"
+    monkeypatch.setattr(_compiling, "_CODE", work + mark)
+    monkeypatch.setattr("adaptive_contact.bank.compile_ahead", lambda: None)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    compiled.cache_folder.cache_clear()
+    try:
+        before = tmp_path / "compiled-before" / "whole"
+        before.parent.mkdir()
+        before.write_text("42.0")
+        _compiling.compile_tick()
+        first, second = capsys.readouterr().err.splitlines()
+        assert "for this computer, once: about 40 s of one core" in first
+        assert re.fullmatch(r"adaptive-contact: compiled after \d+ s", second)
+        assert 2.0 <= compiled.compiling_s() < 10.0
+        _compiling.compile_tick()
+        assert capsys.readouterr().err == "", "once"
+    finally:
+        compiled.cache_folder.cache_clear()
 
 
 @pytest.mark.parametrize(("asked", "others"), [("score", 0), ("state", 0), ("nosuch", 10)])
