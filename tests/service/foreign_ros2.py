@@ -4,7 +4,8 @@
 
 Prints a line of JSON per message.  Publishes a controller's state of two legs at 50 Hz, ten ticks
 in contact and ten free, until standard input says "quiet"; then tells what it sees of the graph.
-Ends with standard input.
+With the next line another listener joins, which asks for what is latched.  Ends with standard
+input.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, get_topic_names_and_types
+from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
 STATE = "control_msgs/msg/JointTrajectoryControllerState"
 VALUES = "control_msgs/msg/DynamicJointState"
@@ -36,6 +38,16 @@ FIELDS = (
     + "".join(f"trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_{n}\n" for n in POINTS)
 )
 JOINTS = [f"{leg}_{joint}" for leg in ("lf", "rf") for joint in ("coxa", "femur", "tibia")]
+
+
+class Late(ROS2Subscriber):  # type: ignore[misc]
+    """Asks for what is latched; the SDK itself finds publishers of topics of one level only."""
+
+    def _discover_publishers(self) -> list[str]:
+        topic = self.topic.replace("/", "%")
+        replies = self.session_mgr.liveliness.get(f"@ros2_lv/{self.domain_id}/**", timeout=2.0)
+        tokens = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok]
+        return list({parts[2] for parts in tokens if parts[5:6] == ["MP"] and parts[9] == topic})
 
 
 def main(port: int) -> None:
@@ -130,6 +142,14 @@ def main(port: int) -> None:
         quiet.wait(max(0.0, due - time.monotonic()))
     say(topic="graph", topics=dict(get_topic_names_and_types(router_port=port, domain_id=0)))
     say(topic="sent", ticks=tick)
+    sys.stdin.readline()
+    latched = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=1)
+    _late = Late(
+        topic="/adaptive_contact/rf/contact",
+        callback=lambda m: say(topic="late", contact=bool(m.data)),
+        qos=latched,
+        **definition(BOOL),
+    )
     sys.stdin.read()
 
 

@@ -188,6 +188,14 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, program, ros, port)
     until(lambda: told("sent"))
 
     ticks = told("sent")[0]["ticks"]
+    # Nothing is published on the topic any more: who joins now gets what is latched, or nothing.
+    until(
+        lambda: told("values")[-1]["legs"]["rf"]["valid"] == 0.0 and not told("rf")[-1]["contact"]
+    )
+    foreign.process.stdin.write("join\n")
+    foreign.process.stdin.flush()
+    until(lambda: told("late"), lambda: foreign.lines[-12:])
+    assert [line["contact"] for line in told("late")] == [False]
     foreign.process.stdin.close()
     got: list[ServoSample] = samples.wait(50)
     assert ticks >= len(got)
