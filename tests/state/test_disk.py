@@ -127,7 +127,9 @@ def test_a_disk_that_does_not_answer_is_told(
         for _ in range(3):
             keeper.snapshot(desk, 0)
         assert error.startswith(f"rf not saved in {folder.store.shown}: the disk has not answered")
-        assert [(line["event"], line["log_level"]) for line in logs] == [
+        # Threads of tests before this one may still log.
+        own = [line for line in logs if folder.store.shown in str(line.get("why"))]
+        assert [(line["event"], line["log_level"]) for line in own] == [
             ("state not saved", "warning")
         ]
         go_on.set()
