@@ -51,12 +51,12 @@ def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) ->
     Returns:
         On free ticks a value is zero half of the time, else chi-square with one degree of freedom.
     """
-    z, motion = np.matvec(whiten, np.stack([residual, increment]).cumsum(axis=-2))
-    opposed = np.minimum(np.vecdot(z, motion), 0.0)
-    way = np.vecdot(motion, motion)
+    z, motion = np.einsum("...ij,...j->...i", whiten, np.stack([residual, increment]).cumsum(-2))
+    opposed = np.minimum((z * motion).sum(axis=-1), 0.0)
+    way = (motion**2).sum(axis=-1)
     value = np.divide(opposed**2, way, out=np.zeros_like(way), where=way > 0.0)
     within = np.asarray(usable)[..., None] >= np.asarray(WINDOWS)
-    return Statistic(np.where(within, value, np.nan), np.vecdot(z, z)[..., 0])
+    return Statistic(np.where(within, value, np.nan), (z**2).sum(axis=-1)[..., 0])
 
 
 def free_quantile(probability: ArrayLike) -> Array:

@@ -61,3 +61,22 @@ def test_the_rules_set_what_the_bridge_advises() -> None:
     for line in lines:
         for part in line.split(", "):
             assert re.fullmatch(r'[A-Z]+(\{[^}]+\})?(==|=|\+=)"[^"]*"', part), part
+
+
+# What numpy 2.0 to 2.4 have brought.
+_SINCE_2 = re.compile(
+    r"\bnp\.(a(cos|sin|tan)h?|astype|atan2|bitwise_(count|invert|left_shift|right_shift)|bool|concat|"
+    r"cumulative_(prod|sum)|isdtype|u?long|matrix_transpose|matvec|permute_dims|pow|strings|trapezoid|"
+    r"unique_(all|counts|inverse|values)|unstack|vecdot|vecmat)\b"
+)
+
+
+def test_no_function_is_used_that_the_least_numpy_lacks() -> None:
+    """`packaging/listen` asks for 1.26, what learns for 2.0."""
+    root = PACKAGING.parent
+    assert (PACKAGING / "listen" / "pyproject.toml").read_text().count("numpy>=1.26") == 3
+    assert "numpy>=2.0" in (root / "pyproject.toml").read_text()
+    paths = [*(root / "adaptive_contact").rglob("*.py"), *(root / "sim").rglob("*.py")]
+    found = {path.name: _SINCE_2.search(path.read_text(encoding="utf-8")) for path in paths}
+    assert len(found) > 100
+    assert {name: match[0] for name, match in found.items() if match} == {}
