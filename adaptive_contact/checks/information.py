@@ -39,6 +39,7 @@ POLES: Final = (0.5, 0.75, 0.9)
 # simulators (2,700 windows with noise of 0.3 steps and more), real legs 1.1 to 3; a robot arm's
 # wrist in slow sines 0.36.
 COPY_STEPS: Final = 0.40
+COPY_STAYS: Final = 0.55  # until it leaves more
 OWN_STEPS: Final = 1.0
 # A leg leaves white noise below the first mean lag-1 autocorrelation of its joints, of so many
 # steps at most, until above the second, above which it is its own, shown in so many looks.  Copies
@@ -79,7 +80,7 @@ HELD_AROUND: Final = 6
 OLD_REST: Final = 0.03
 OLD_LOOK: Final = 0.02  # nothing is old where all functions of the commands leave less
 OLD_RATIO: Final = 0.25
-OLD_STAYS: Final = 0.9  # until recent ones leave about as little
+OLD_STAYS: Final = 0.9  # of what was old
 OLD_MOST: Final = 0.15  # left by the earlier ones; a foot that is stopped is a function of none
 OLD_TICKS: Final = 122
 BAND: Final = 6
@@ -217,11 +218,14 @@ class InformationCheck:
         off = departure(samples, ticks, steps)
         if off is None:
             return None, False
-        copies = np.flatnonzero(off.rms < COPY_STEPS)
+        before = self.found.joints if self.found is not None and self.found.kind == "copy" else ()
+        copies = np.flatnonzero(off.rms < (COPY_STAYS if before else COPY_STEPS))
         self.suspected = bool(len(copies))
         open_ = known and self.found is None and not self.proved[copies].any()
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
+        if np.isnan(off.rms[list(before)]).any():
+            return self.found, False  # a joint that hardly moves does not clear itself
         equal, since = equal_to_commands(samples, ticks, self._step_rad)
         if equal:
             return Finding("copy", equal, since), True
@@ -235,9 +239,9 @@ class InformationCheck:
         # leave.
         if own is not None and own.rest < 0.5 * off.rest:
             return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
-        # What is old stays so until it is clearly not.
-        ratio = OLD_STAYS if self.found and self.found.kind == "old" else OLD_RATIO
-        if off.rest > OLD_LOOK and is_old(samples, max(ticks, ENOUGH_TICKS), ratio):
+        was = self.found is not None and self.found.kind == "old"
+        old = was or off.rest > OLD_LOOK
+        if old and is_old(samples, max(ticks, ENOUGH_TICKS), was=was):
             return Finding("old", tuple(range(len(steps))), 2 * ticks), True
         self.proved |= off.rms > OWN_STEPS
         return None, bool(np.isfinite(off.rms).any())
@@ -409,8 +413,11 @@ def held_share(samples: Samples, joint: int, step_rad: float) -> float:
     return float(np.mean(y[k] == y[k - 1])) if len(k) >= LEAST_MOVING else 0.0
 
 
-def is_old(samples: Samples, ticks: int, ratio: float = OLD_RATIO) -> bool:
-    """Whether earlier commands explain the readings that recent ones do not."""
+def is_old(samples: Samples, ticks: int, *, was: bool = False) -> bool:
+    """Whether earlier commands explain the readings that recent ones do not.
+
+    What was old stays so until recent ones explain it about as well.
+    """
     u, y = samples.desired, samples.measured[-ticks:]
     joints = np.ptp(u[-ticks:], axis=0) > LEAST_TRAVEL_RAD
     # Commands of every second tick before; a band is of seven.
@@ -429,7 +436,8 @@ def is_old(samples: Samples, ticks: int, ratio: float = OLD_RATIO) -> bool:
     explained = (fitted[..., 0] * to_band).sum(axis=2)
     square = np.maximum((z[:, :, 0] ** 2).sum(axis=1), 1e-12)
     rest = (1.0 - explained / square[:, None]).mean(axis=0)
-    return bool(rest[0] > OLD_REST and rest[1:].min() < min(ratio * rest[0], OLD_MOST))
+    limit = OLD_STAYS * rest[0] if was else min(OLD_RATIO * rest[0], OLD_MOST)
+    return bool(rest[0] > OLD_REST and rest[1:].min() < limit)
 
 
 def step_of(readings: Array, described_rad: float) -> float:

@@ -194,6 +194,28 @@ def test_a_leg_that_has_shown_itself_is_not_open() -> None:
     assert [kind for _, kind in played(y, u, swing, known=True)[1]] == ["copy"]
 
 
+def test_a_copied_joint_that_hardly_moves_for_strides_stays_a_copy() -> None:
+    u, swing = commands(24)
+    still = slice(14 * STRIDE, 18 * STRIDE)
+    u[still, 0] = u[still.start, 0]
+    y = grid(servo(u, swing, gain=0.4))
+    y[8 * STRIDE : 20 * STRIDE, 0] = delayed(u, 2)[8 * STRIDE : 20 * STRIDE, 0]
+    _, said = played(y, u, swing)
+    assert [kind for _, kind in said] == ["copy", None]
+    assert 20 * STRIDE < said[1][0] <= 25 * STRIDE
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_old_readings_of_a_leg_that_carries_stay_old(seed: int) -> None:
+    u, swing = commands(40, seed)
+    own = grid(servo(u, swing, gain=0.3, load=0.12, seed=seed))
+    y = own.copy()
+    y[8 * STRIDE : 34 * STRIDE] = np.roll(own, 50, axis=0)[8 * STRIDE : 34 * STRIDE]
+    _, said = played(y, u, swing)
+    assert [kind for _, kind in said] == ["old", None]
+    assert said[1][0] > 34 * STRIDE
+
+
 def test_one_joint_is_named() -> None:
     u, swing = commands(12)
     y = grid(servo(u, swing, gain=0.4))
