@@ -224,8 +224,8 @@ class InformationCheck:
         open_ = known and self.found is None and not self.proved[copies].any()
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
-        if np.isnan(off.rms[list(before)]).any():
-            return self.found, False  # a joint that hardly moves does not clear itself
+        if before and np.isnan(off.rms[list(before)]).all():
+            return self.found, False  # joints that hardly move clear nothing
         equal, since = equal_to_commands(samples, ticks, self._step_rad)
         if equal:
             return Finding("copy", equal, since), True
