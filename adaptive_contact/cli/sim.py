@@ -119,6 +119,10 @@ def walk(
         str | None, option("--stop-on", "Who stops a descent. [truth]", "truth|service|never")
     ] = None,
     react_ms: ReactOption = None,
+    raise_m: Annotated[
+        float | None,
+        option("--raise-m", "Lift a leg that strikes something by so much more, m. [0]"),
+    ] = None,
     phase: Annotated[
         str | None,
         option(
@@ -138,7 +142,7 @@ def walk(
         from adaptive_contact_sim import WalkSettings
 
     base, motion = run.base(WalkSettings, gait)
-    changes = given(gait=gait, stop_on=stop_on, react_ms=react_ms, phase=phase)
+    changes = given(gait=gait, stop_on=stop_on, react_ms=react_ms, raise_m=raise_m, phase=phase)
     settings = dataclasses.replace(
         base.settings,
         motion=dataclasses.replace(motion, **changes),

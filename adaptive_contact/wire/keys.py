@@ -18,6 +18,7 @@ ALL_LEARNER: Final = "robot/leg/*/learner"
 ALL_STATE: Final = "robot/leg/*/state"
 ALL_TRUTH: Final = "robot/leg/*/truth"
 SIM_DRIFT: Final = "robot/sim/drift"
+SIM_BODY: Final = "robot/sim/body"
 HEARTBEAT: Final = "robot/service"
 MARK: Final = "robot/mark"
 
@@ -28,7 +29,7 @@ _LEG_KEY = re.compile(rf"robot/leg/([^/]*)/(?:{'|'.join(LEG_MESSAGES)})\Z")
 _OWN_DEPTH: Final = 4
 # Keys of the contract that belong to no leg, in a namespace or out of it.
 _OTHER_KEY = re.compile(
-    r"(?:.*/)?robot/(?:service(?:/status)?|mark|sim/drift|bridge/[^/]+/status)\Z"
+    r"(?:.*/)?robot/(?:service(?:/status)?|mark|sim/(?:drift|body)|bridge/[^/]+/status)\Z"
 )
 
 

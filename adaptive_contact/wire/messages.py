@@ -309,6 +309,20 @@ class ContactTruth(Message, frozen=True, kw_only=True, omit_defaults=True):
     grazing: bool = False
 
 
+class BodyPose(Message, frozen=True, kw_only=True):
+    """States where the simulated robot's body is, in recordings of the simulator.
+
+    Attributes:
+        t_ns: of the pose, the start of a control tick.
+        position_m: (3,) of the body's frame, z up.
+        quaternion_wxyz: (4,) its attitude, w first.
+    """
+
+    t_ns: int
+    position_m: tuple[float, float, float]
+    quaternion_wxyz: tuple[float, float, float, float]
+
+
 class Command(Message, frozen=True, kw_only=True, omit_defaults=True):
     """Commands a leg: (J,) rad, and optionally the next M ticks, 64 at most."""
 

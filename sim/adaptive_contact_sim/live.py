@@ -1,6 +1,7 @@
 """Keeping time: a tick every so often, without drift.
 
-A simulation on the wire: samples and truth out, drifts and contact events in.
+A simulation on the wire: samples and truth out, drifts and contact events in; or, without one,
+the contact events of learners in this process.
 
 Callbacks only enqueue; one loop makes ticks, answers drifts between them, and keeps time.
 """
@@ -101,25 +102,35 @@ def run_live(
     pace: Pace,
     stop: Event,
     on_tick: Callable[[Tick], None],
+    on_event: Callable[[ContactEvent], None] = lambda _: None,
 ) -> Outcome:
     """Run at a pace, on an open link or without a network.
 
     Args:
-        sim: what to run; a gait that stops on the service's word gets its contact events.
+        sim: what to run; a gait that stops on the service's word gets its contact events, without
+            a network those of learners in this process.
         link: where to publish; stays open.
         seconds: of simulated time, None for until stopped.
         pace: how fast.
         stop: ends the run when set.
         on_tick: gets every tick, after it was published.
+        on_event: gets every event that the gait gets, before the tick that can act on it.
     """
+    learners = None
+    if link is None and _listens(sim):
+        from adaptive_contact_sim.learners import InProcess
+
+        learners = InProcess(sim)
     with contextlib.nullcontext() if link is None else contextlib.closing(_Wire(sim, link)) as wire:
         while not _over(sim, seconds) and not stop.is_set():
-            if wire is not None:
-                wire.take()
+            for event in () if wire is None else wire.take():
+                on_event(event)
             tick = sim.tick()
             if wire is not None:
                 wire.publish(tick)
             on_tick(tick)
+            for event in () if learners is None else learners.take(tick):
+                on_event(event)
             if not pace.wait(stop):
                 break
     return Outcome(sim.time_s, pace.elapsed_s, sim.ticks, pace.late)
@@ -130,7 +141,7 @@ class _Wire:
 
     def __init__(self, sim: Simulation, link: Link) -> None:
         self._sim = sim
-        legs, motion = sim.layout.legs, sim.settings.motion
+        legs = sim.layout.legs
         self._servo = {leg: link.publisher(servo_key(leg)) for leg in legs}
         self._truth = {
             leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in legs
@@ -138,13 +149,14 @@ class _Wire:
         self._requests: queue.Queue[Request] = queue.Queue(_QUEUE)
         self._events: queue.Queue[Received] = queue.Queue(_QUEUE)
         self._declared = [link.queryable(SIM_DRIFT, lambda asked: _offer(self._requests, asked))]
-        if isinstance(motion, WalkSettings) and motion.stop_on == "service":
+        if _listens(sim):
             self._declared.append(
                 link.subscribe(ALL_CONTACT, lambda event: _offer(self._events, event))
             )
 
-    def take(self) -> None:
-        """Answer requests, and pass contact events on to the gait."""
+    def take(self) -> list[ContactEvent]:
+        """Answer requests, and pass contact events on to the gait; return those."""
+        taken: list[ContactEvent] = []
         while not self._requests.empty():
             self._answer(self._requests.get_nowait())
         while not self._events.empty():
@@ -153,6 +165,8 @@ class _Wire:
             leg = leg_of_key(received.key)
             if leg is not None and not isinstance(event, Rejected):
                 self._sim.notify_contact(leg, event.contact)
+                taken.append(event)
+        return taken
 
     def _answer(self, request: Request) -> None:
         """Take a drift, and answer with what now holds."""
@@ -183,6 +197,12 @@ class _Wire:
         """End what was declared; the link stays open."""
         for declared in self._declared:
             declared.close()
+
+
+def _listens(sim: Simulation) -> bool:
+    """Whether the gait stops on the service's word."""
+    motion = sim.settings.motion
+    return isinstance(motion, WalkSettings) and motion.stop_on == "service"
 
 
 def _over(sim: Simulation, seconds: float | None) -> bool:

@@ -7,7 +7,15 @@ from typing import Self
 
 from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.service.recording.scene import Scene
-from adaptive_contact.wire import SIM_DRIFT, servo_key, truth_key
+from adaptive_contact.wire import (
+    SIM_BODY,
+    SIM_DRIFT,
+    BodyPose,
+    ContactEvent,
+    contact_key,
+    servo_key,
+    truth_key,
+)
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 
 
@@ -16,7 +24,8 @@ class TickRecorder:
 
     Samples are logged at their own time.  Changes of contact are logged when they became
     certain, up to 60 ms after their own time stamp, as they would be on the wire; drifts when
-    they begin.
+    they begin.  The body's pose is logged after each tick, at its own time; contact events when the
+    gait gets them.
 
     Raises:
         RecordingError: the file cannot be written.
@@ -60,6 +69,16 @@ class TickRecorder:
             write(servo_key(leg), sample, sample.t_ns)
         for change in tick.truth:
             write(truth_key(change.leg), change.message, now_ns)
+        plant = self._sim.plant
+        if plant.elements.floats:
+            place = plant.body_pose()[0].tolist()
+            turn = plant.data.xquat[plant.elements.body].tolist()
+            pose = BodyPose(t_ns=now_ns, position_m=tuple(place), quaternion_wxyz=tuple(turn))
+            write(SIM_BODY, pose, now_ns)
+
+    def write_event(self, event: ContactEvent) -> None:
+        """Append an event; to be called when the gait gets it."""
+        self._writer.write_message(contact_key(event.leg), event, self._sim.t_ns)
 
 
 def record_file(settings: SimulationSettings, seconds: float, path: str | Path) -> int:

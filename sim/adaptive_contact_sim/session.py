@@ -12,11 +12,11 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import ContactEvent
 from adaptive_contact_sim.live import Outcome, Pace, run_live
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
-from adaptive_contact_sim.walk import WalkSettings
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
@@ -37,18 +37,11 @@ class RunPlan:
     render: Path | None = None  # picture or film to make
 
     def __post_init__(self) -> None:
-        motion = self.settings.motion
-        if self.link is None:
-            if self.seconds is None:
-                raise ConfigurationError(
-                    "a run without a network would never end; give --seconds, or a scenario that "
-                    "has them"
-                )
-            if isinstance(motion, WalkSettings) and motion.stop_on == "service":
-                raise ConfigurationError(
-                    "legs cannot stop on the service's word without a network; leave out "
-                    "--offline, or take --stop-on truth"
-                )
+        if self.link is None and self.seconds is None:
+            raise ConfigurationError(
+                "a run without a network would never end; give --seconds, or a scenario that has "
+                "them"
+            )
         if self.seconds is not None and not 0.0 < self.seconds <= 1e6:
             raise ConfigurationError(f"a run of {self.seconds} s; expected above 0, to 1000000 s")
 
@@ -82,6 +75,7 @@ def run(
     touches: Counter[str] = Counter()
     with ExitStack() as stack:
         looks: list[Look] = []
+        recorder = None
         if plan.record is not None:
             from adaptive_contact_sim.recorder import TickRecorder
 
@@ -100,6 +94,10 @@ def run(
             for look in looks:
                 look(tick)
 
+        def on_event(event: ContactEvent) -> None:
+            if recorder is not None:
+                recorder.write_event(event)
+
         period_s = 0.0 if plan.speed is None else settings.period_s / plan.speed
         link = None
         does = "no network"
@@ -111,8 +109,9 @@ def run(
         if on_start is not None:
             on_start(f"{describe(settings)}; {does}")
         outcome = run_live(
-            sim, link, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick
-        )
+            sim, link, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick,
+            on_event=on_event,
+        )  # fmt: skip
     return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs})
 
 

@@ -39,6 +39,7 @@ _HEIGHT_GAIN: Final = 3.0
 _LEVEL_GAIN: Final = 4.0
 _SHARE_GAIN: Final = 2.0  # of the difference between a foot's load and the mean
 _FOOT_RANGE_M: Final = 0.05  # how far stance feet may leave the nominal height
+_LETS_GO_S: Final = 0.1  # from a swing's begin; until then a foot may still leave the ground
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,9 @@ class WalkSettings:
     # next foot lifts, and one that presses earlier lifts its neighbours off; None leaves it to the
     # preload
     land_m: float | None = None
+    # by which a leg lifts higher once it is reported to strike something in its lift; 0 leaves the
+    # swing as it is
+    raise_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.gait not in GAITS:
@@ -99,6 +103,7 @@ class WalkSettings:
             ("lag", self.lag_s, 0.0, 0.5, "s"),
             ("sway", self.sway, 0.0, 1.5, ""),
             ("reaction time", self.react_ms, 0.0, 1000.0, "ms"),
+            ("raise after a strike", self.raise_m, 0.0, 0.05, "m"),
         )
         for name, value, low, high, unit in ranges:
             if not low <= value <= high:
@@ -175,6 +180,11 @@ class WalkMotion:
         self._swinging = np.zeros(self._legs, dtype=np.bool_)
         self._own_before = self._own_clock()
         self._descent_tick = np.zeros(self._legs, dtype=np.int64)
+        # (L,) swings that were stopped this tick on the report of a touch, and raised on that of a
+        # strike
+        self.stopped, self.raised = self._swinging.copy(), self._swinging.copy()
+        self._lifted_tick = self._descent_tick.copy()  # from then on a report is of a strike
+        self._begun_again = np.zeros(self._legs)  # progress at the swing's last strike
         self._planned = settings.phase == "planned"
         # Three feet stand while one swings: none has to carry before it is needed.
         self._land_m = settings.land_m if self._legs * (1.0 - gait.share) >= 3.0 else None
@@ -280,6 +290,8 @@ class WalkMotion:
             swings.top_m[leg] = floor + lift
             swings.target_m[leg, 2] = floor - rng.uniform(*settings.depth_m)
             swings.began_step[leg] = world.step
+            self._begun_again[leg] = 0.0
+            self._lifted_tick[leg] = world.tick + round(_LETS_GO_S / self._period_s)
 
     def _expected_ground(self, world: World, measured: Array) -> _Ground:
         """The level plane through the middle of the feet that stand; of a plan, where it has it."""
@@ -325,11 +337,13 @@ class WalkMotion:
 
     def _swing(self, world: World, measured: Array) -> None:
         """Move swing feet along their way; land those that touch, or that are at its end."""
+        self.stopped[:] = self.raised[:] = False
         if not self._swinging.any():
             return
-        progress = self._own_clock() / self._share
+        clock = self._own_clock() / self._share
+        progress = (clock - self._begun_again) / (1.0 - self._begun_again)
         points = self._swings.feet(np.minimum(progress, 1.0))
-        for leg in np.flatnonzero(self._swinging):
+        for leg in np.flatnonzero(self._swinging).tolist():
             descending = progress[leg] > DESCENT
             if self._planned:
                 self._feet[leg] = points[leg]
@@ -341,8 +355,14 @@ class WalkMotion:
                 continue
             if not descending:
                 self._descent_tick[leg] = world.tick + 1
-            if descending and self._stops(world, int(leg)):
-                self._swinging[leg] = False
+                lifted = self._lifted_tick[leg]
+                step = lifted * round(self._period_s / world.step_s)
+                if self.settings.raise_m and self._touched(world, leg, lifted, step):
+                    self._raise(world, leg, measured[leg])
+                    self._begun_again[leg] = clock[leg]
+                    continue
+            elif self._touched(world, leg, self._descent_tick[leg], self._swings.began_step[leg]):
+                self._swinging[leg], self.stopped[leg] = False, True
                 if self._land_m is not None:
                     lowest = measured[leg, 2] - self._land_m
                     self._feet[leg, 2] = max(self._feet[leg, 2], lowest)
@@ -351,16 +371,29 @@ class WalkMotion:
             if progress[leg] >= 1.0:
                 self._swinging[leg] = False
 
-    def _stops(self, world: World, leg: int) -> bool:
-        """Whether the leg is to stop now."""
+    def _raise(self, world: World, leg: int, measured: Array) -> None:
+        """Begin a swing again where its foot was struck, to a higher top, in the time left."""
+        swings, feet = self._swings, self._feet
+        # The swing stops here: the command is ahead of a foot that is held.
+        feet[leg] = measured
+        swings.start_m[leg] = feet[leg]
+        swings.top_m[leg] = max(swings.top_m[leg], feet[leg, 2]) + self.settings.raise_m
+        swings.began_step[leg] = world.step
+        self._lifted_tick[leg] = world.tick + 1
+        self.raised[leg] = True
+
+    def _touched(self, world: World, leg: int, since_tick: int, since_step: int) -> bool:
+        """Return whether a touch is reported, in a tick from one on; a true one, after a step.
+
+        What was reported of the lift is of no use for the descent, and would stop it in the air.
+        """
         if self.settings.stop_on == "truth":
             touched = world.touch_step[leg]
-            if touched is None or touched <= self._swings.began_step[leg]:
+            if touched is None or touched <= since_step:
                 return False
             since_ms = (world.step - touched) * world.step_s * 1e3
             return since_ms >= self.settings.react_ms
         if self.settings.stop_on == "service":
             at = world.reported_tick[leg]
-            # What was said of the lift is of no use for the descent, and would stop it in the air.
-            return at is not None and at >= self._descent_tick[leg]
+            return at is not None and at >= since_tick
         return False

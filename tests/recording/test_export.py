@@ -21,6 +21,7 @@ from adaptive_contact.service.recording.schemas import kind_of_key
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,
+    BodyPose,
     BridgeStatus,
     Command,
     ContactEvent,
@@ -73,6 +74,9 @@ MESSAGES: dict[str, Message] = {
     ),
     "robot/sim/drift": Drift(kind="mass", value=0.1),
     "robot/mark": Mark(t_ns=BIG, label="a slip"),
+    "robot/sim/body": BodyPose(
+        t_ns=6, position_m=(0.1, 0.2, 0.3), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0)
+    ),
 }  # fmt: skip
 
 
@@ -118,7 +122,7 @@ def whole(held: Any) -> Any:
         return {f: whole(getattr(held, f)) for f in held.__struct_fields__}
     if isinstance(held, dict):
         return {k: whole(part) for k, part in held.items()}
-    return [whole(part) for part in held] if isinstance(held, list) else held
+    return [whole(part) for part in held] if isinstance(held, list | tuple) else held
 
 
 def told(held: Any) -> Any:

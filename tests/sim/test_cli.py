@@ -92,7 +92,7 @@ def test_options_change_a_scenario() -> None:
         (("walk", "--gait", "gallop", "--offline"), "gaits are tripod"),
         (("walk", "--terrain", "sand", "--offline"), "terrains are"),
         (("walk", "--stop-on", "luck"), "truth, service, never"),
-        (("walk", "--stop-on", "service", "--offline", "--seconds", "1"), "without a network"),
+        (("walk", "--raise-m", "0.2", "--offline", "--seconds", "1"), "expected 0 to 0.05 m"),
         (("walk", "--speed", "fast"), "expected a factor above 0"),
         (("walk", "--speed", "nan"), "expected a factor above 0"),
         (("walk", "--drift", "fiction:value=3"), "did you mean 'friction'"),

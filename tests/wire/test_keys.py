@@ -35,7 +35,8 @@ def test_other_keys_have_no_leg() -> None:
 @pytest.mark.parametrize(
     "key",
     [
-        SERVICE_STATUS, wire.HEARTBEAT, wire.MARK, wire.SIM_DRIFT, wire.bridge_status_key("servos"),
+        SERVICE_STATUS, wire.HEARTBEAT, wire.MARK, wire.SIM_DRIFT, wire.SIM_BODY,
+        wire.bridge_status_key("servos"),
         *(f"robot/leg/rf/{kind}" for kind in LEG_MESSAGES),
     ],
 )  # fmt: skip

@@ -28,7 +28,14 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.description import AngleFrame
 from adaptive_contact.robot.kinematics import Vector
-from adaptive_contact.wire import ContactEvent, ContactTruth, Message, ServoSample, leg_of_key
+from adaptive_contact.wire import (
+    BodyPose,
+    ContactEvent,
+    ContactTruth,
+    Message,
+    ServoSample,
+    leg_of_key,
+)
 
 _TOPICS: Final = {
     "/joint_states": "foxglove.JointStates",
@@ -36,6 +43,7 @@ _TOPICS: Final = {
     "/robot": "foxglove.SceneUpdate",
 }
 BODY: Final = "base_link"
+WORLD: Final = "world"
 # Colours as red, green, blue and opacity.
 _LINK: Final = (0.35, 0.45, 0.6, 1.0)
 _FREE: Final = (0.7, 0.7, 0.7, 1.0)
@@ -69,6 +77,7 @@ class Scene:
             for leg in robot.legs
         }
         self._moved: set[str] = set()
+        self._body: Any = None  # its transform; None while nothing says where it is
         self.restart()
 
     def restart(self) -> None:
@@ -77,6 +86,8 @@ class Scene:
 
     def take(self, key: str, message: Message, time_ns: int) -> Iterator[tuple[str, bytes, Schema]]:
         """Yield topics, messages and their schemas, to be written after this message."""
+        if isinstance(message, BodyPose):
+            self._move_body(message)
         leg = self._legs.get(leg_of_key(key) or "")
         if leg is None:
             return
@@ -93,6 +104,15 @@ class Scene:
             self._changed |= leg.show_contact(seen)
         elif isinstance(message, ContactTruth):
             self._changed |= leg.show_truth(touches=message.contact)
+
+    def _move_body(self, pose: BodyPose) -> None:
+        """Place the body in the world, for the ticks that follow."""
+        if self._body is None:
+            transforms = self._transforms.transforms
+            self._body = transforms.add(parent_frame_id=WORLD, child_frame_id=BODY)
+        rotation = self._body.rotation
+        _place(self._body.translation, pose.position_m)
+        rotation.w, rotation.x, rotation.y, rotation.z = pose.quaternion_wxyz
 
     def _draw(self, time_ns: int) -> Iterator[tuple[str, bytes, Schema]]:
         self._moved.clear()

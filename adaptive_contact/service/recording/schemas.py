@@ -23,6 +23,7 @@ from google.protobuf.message import DecodeError
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.wire import (
     LEG_MESSAGES,
+    BodyPose,
     BridgeStatus,
     Drift,
     Heartbeat,
@@ -42,7 +43,7 @@ _OF_LEG: Final = {name: kind for name, kind in LEG_MESSAGES.items() if kind is n
 _KEY: Final = re.compile(
     rf"(?:^|/)robot/(?:leg/[^/]+/(?P<leg>{'|'.join(_OF_LEG)})"
     r"|(?P<bridge>bridge/[^/]+/status)|(?P<service>service/status)|(?P<heartbeat>service)"
-    r"|(?P<drift>sim/drift)|(?P<mark>mark))\Z"
+    r"|(?P<drift>sim/drift)|(?P<body>sim/body)|(?P<mark>mark))\Z"
 )
 _OTHERS: Final[dict[str, type[Message]]] = {
     "bridge": BridgeStatus,
@@ -50,6 +51,7 @@ _OTHERS: Final[dict[str, type[Message]]] = {
     "heartbeat": Heartbeat,
     "drift": Drift,
     "mark": Mark,
+    "body": BodyPose,
 }
 KINDS: Final[tuple[type[Message], ...]] = (*_OF_LEG.values(), *_OTHERS.values())
 _PACKAGE: Final = "adaptive_contact"
