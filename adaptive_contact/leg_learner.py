@@ -461,6 +461,8 @@ class ContactLearner:
             self._assess(flags)
         if flags & TOUCHED:
             self._learn(self._labels.alarm())
+        if flags & BEGAN:
+            self.report.begin_swing()
         if flags & BEGAN and adapter is not None and self.report.source.cause is None:
             adapter.keep(self.place.leg.at_ns)
         if flags & RATE_OFF and adapter is not None:

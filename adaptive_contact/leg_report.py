@@ -193,6 +193,8 @@ class LegReport:
             contact=leg.reported,
             contacts=counts["contacts"],
             withheld=counts["withheld"],
+            swings=counts["swings"],
+            swings_withheld=counts["swings withheld"],
             doubt=self.doubt,
             jitter_ms=self.rate.jitter_ms,
             untouched=leg.untouched,
@@ -204,6 +206,11 @@ class LegReport:
     def withholds(self) -> bool:
         """Return whether contacts are withheld, as the leg is ambiguous."""
         return self._withholds_at(self.doubt, fits=self._place.leg.fits)
+
+    def begin_swing(self) -> None:
+        """Count a swing that begins."""
+        self.counters.counts["swings"] += 1
+        self.counters.counts["swings withheld"] += self.withholds
 
     def read_status(self) -> None:
         """Take over what the learning says of the leg, for the events of the next ticks."""

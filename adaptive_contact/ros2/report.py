@@ -173,6 +173,8 @@ class Report:
             "contact": status.contact and valid,
             "contacts": status.contacts,
             "withheld": status.withheld,
+            "swings": status.swings,
+            "swings_withheld": status.swings_withheld,
             "doubt": status.doubt or "",
             "model_version": status.model_version,
             "drift_level": round(status.drift.level, 3),

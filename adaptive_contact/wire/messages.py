@@ -173,6 +173,8 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         contact: whether the leg touches, by its last event.
         contacts: contacts reported up to ``t_ns``; a subscriber with fewer has lost some.
         withheld: contacts withheld so far, as the leg was ambiguous.
+        swings: that began so far.
+        swings_withheld: of these, those that began while contacts were withheld.
         doubt: why the leg is ambiguous, None while it is not.
         jitter_ms: root mean square of what ``t_ns`` has been off an even grid of late, ms.
         untouched: swings without a touch up to 16 ticks after their turn to stance, of those that
@@ -197,6 +199,8 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
     contact: bool = False
     contacts: int = 0
     withheld: int = 0
+    swings: int = 0
+    swings_withheld: int = 0
     doubt: Doubt | None = None
     jitter_ms: float = 0.0
     untouched: int = 0

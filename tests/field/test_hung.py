@@ -126,5 +126,8 @@ def test_legs_that_hang_report_little_and_stay_known() -> None:
             contacts[leg_id].append(swings[leg_id])
     assert sum(swings.values()) > 600
     assert sum(map(len, contacts.values())) <= 8, contacts
+    statuses = {leg: learner.status for leg, learner in learners.items()}
+    assert {leg: status.swings for leg, status in statuses.items()} == swings
+    assert 0 < sum(status.swings_withheld for status in statuses.values()) < 200
     for found in contacts.values():
         assert all(c - a > 2 for a, c in zip(found, found[2:], strict=False)), contacts
