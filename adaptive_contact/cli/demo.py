@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __all__ = ["demo"]
 
 _OUT: Final = Path("out/demo")
-_MADE: Final = ("demo.mcap", "summary.json", "report.png")
+_MADE: Final = ("demo.mcap", "summary.json", "report.html")
 # Swings take 1.3 s a leg: fewer seconds leave too few of them on either side of the drift.
 _SHORTEST_S: Final = 8.0
 _DRIFTS: Final = (("friction", 4.0), ("mass", 0.06))
@@ -74,21 +74,19 @@ def demo(
 ) -> None:
     """Watch a simulated robot walk, one leg drift, and what becomes of its contacts.
 
-    Starts `serve`, `record` and `sim walk` as processes, and writes a picture, the figures and
+    Starts `serve`, `record` and `sim walk` as processes, and writes a page, the figures and
     the recording.  Those in out/demo are replaced; in another folder only with --force.
     """
     stop = threading.Event()
     on_signals(lambda *_: _on_signal(stop))
     with needs_simulator():
         from adaptive_contact_sim.robots import simulated_robot
-    from adaptive_contact_studies.show.figures import needs_matplotlib
 
     walker = simulated_robot(robot)
     if walker.walk is None:
         raise ConfigurationError(
             f"robot '{robot}' ({walker.about}) does not walk; expected hexapod or quadruped12"
         )
-    needs_matplotlib("the demo's report", "plot")
     refuse_to_replace([out / name for name in _MADE], "--out", force=force or out == _OUT)
     page_settings = page.settings(web)
     run = _Demo(out, seconds, seed, walker, stop)
@@ -105,7 +103,7 @@ def demo(
             run.conduct(live)
             run.judge()
             if live is not None:
-                live.close(f"The demo is over; {out / 'report.png'} has what was found.")
+                live.close(f"The demo is over; {out / 'report.html'} has what was found.")
     except (KeyboardInterrupt, AdaptiveContactError):
         # Ctrl-C in a terminal reaches every process at once; who ends first is chance.
         if not stop.is_set():

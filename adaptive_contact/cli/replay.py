@@ -64,7 +64,7 @@ def replay(
             "--plot",
             "Use no network: feed the learners and draw per leg what was detected and missed, "
             "and how far below the threshold.",
-            "FILE.html|png",
+            "FILE.html",
         ),
     ] = None,
     baseline: opt.BaselineOption = None,

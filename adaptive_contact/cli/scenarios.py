@@ -135,7 +135,7 @@ def report(
     docs: Annotated[Path, option("--docs", "Where adaptation.md goes.", "FOLDER")] = _DOCS,
     force: ForceOption = False,
 ) -> None:
-    """Write docs/adaptation.md and its picture, of what `scenarios run` measured last.
+    """Write docs/adaptation.md, of what `scenarios run` measured last.
 
     The page in docs is replaced; one in another folder only with --force.
     """

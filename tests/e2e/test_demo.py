@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
-import struct
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_it_writes_what_it_shows(start: Callable[..., Any], tmp_path: Path) -> N
     assert len(pids) == 2, "service and simulator"
     assert all(gone(pid) for pid in pids)
     out = tmp_path / "here" / "demo"
-    assert {path.name for path in out.iterdir()} == {"demo.mcap", "report.png", "summary.json"}
+    assert {path.name for path in out.iterdir()} == {"demo.mcap", "report.html", "summary.json"}
 
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     assert (summary["seed"], summary["robot"]) == (3, "hexapod-ax12a")
@@ -64,11 +64,12 @@ def test_it_writes_what_it_shows(start: Callable[..., Any], tmp_path: Path) -> N
     assert summary["frozen_after"]["counted"]["touches"] == summary["after"]["counted"]["touches"]
     assert any(line == summary["result"][2] for line in demo.lines)
 
-    head = (out / "report.png").read_bytes()[:24]
-    assert head[:8] == b"\x89PNG\r\n\x1a\n"
-    width, height = struct.unpack(">II", head[16:])
-    assert width >= 1200
-    assert height >= 1000
+    drawn = json.loads(re.findall(r"<script type=.application/json.*?>(.*?)</script>",
+                                  (out / "report.html").read_text("utf-8"))[0])  # fmt: skip
+    assert drawn["title"].splitlines() == summary["result"]
+    assert drawn["mark_ms"] == round(1000 * summary["drift"]["at_s"])
+    assert [leg["leg"] for leg in drawn["legs"]] == [*before["legs"], "rf\nfrozen"]
+    assert all(leg["truth"] and leg["t_ms"] for leg in drawn["legs"])
     kinds = {record.key.rpartition("/")[2] for record in read_recording(out / "demo.mcap")}
     assert {"servo", "truth", "contact", "learner", "status"} <= kinds
 
@@ -102,7 +103,7 @@ def test_the_failure_of_a_process_is_one_line(
     assert gone(simulator)
     assert demo.lines[-1].startswith(f"adaptive-contact: {which} ended too early (exit code -9)")
     assert not any("Traceback" in line for line in demo.lines)
-    assert not (tmp_path / "out" / "report.png").exists()
+    assert not (tmp_path / "out" / "report.html").exists()
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,6 @@ def test_without_an_extra_a_command_says_which(
 @pytest.mark.parametrize(
     "args",
     [
-        ["demo", "--seconds", "10"],
         ["sim", "walk", "--offline", "--seconds", "1", "--render", "walk.gif"],
     ],
 )

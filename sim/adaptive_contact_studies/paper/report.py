@@ -6,6 +6,7 @@ number of its own but the goals.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -14,23 +15,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from adaptive_contact.files import write_file
 from adaptive_contact_studies.paper.detection import BOTH, SLOW_FAST
 from adaptive_contact_studies.paper.rows import noise_floor
-from adaptive_contact_studies.show.figures import (
-    BLUE,
-    GREEN,
-    GREY,
-    JOINT_COLOURS,
-    JOINTS,
-    ORANGE,
-    PURPLE,
-    RED,
-    SKY,
-    legend_below,
-    new_figure,
-    save,
-    styled,
-)
 from adaptive_contact_studies.show.pages import (
     number,
     per_joint,
@@ -44,8 +31,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# Okabe and Ito's colours, which all readers can distinguish.
+BLUE: Final = "#0072B2"
+ORANGE: Final = "#E69F00"
+GREEN: Final = "#009E73"
+RED: Final = "#D55E00"
+SKY: Final = "#56B4E9"
+PURPLE: Final = "#CC79A7"
+GREY: Final = "#666666"
+JOINTS: Final = ("coxa", "femur", "tibia")
+JOINT_COLOURS: Final = (BLUE, ORANGE, GREEN)
 # Shown at about the size they are drawn at: no smaller than 9 points.
-_STYLE: Final = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
+_STYLE: Final[Any] = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
 _LOOKS: Final = {
     "default": ("black", "-", 2.2),
     "servo ratio": (BLUE, "-", 1.8),
@@ -92,15 +89,19 @@ def write_document(results: Mapping[str, Any], document: Path) -> None:
         ConfigurationError: it cannot be written there.
     """
     write_page(document, markdown("page.md", results=results, headline=headline(results)))
-    drawings: dict[str, tuple[Callable[[Any], Figure], str]] = {
-        "sweep": (_sweep, "identification"),
-        "roc": (_roc, "detection"),
-    }
-    with styled(_STYLE, "the report"):
-        for name, (draw, stage) in drawings.items():
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        for name, (draw, size, stage) in _DRAWINGS.items():
             if stage in results:
+                figure = Figure(size, dpi=100, layout="constrained")
+                draw(figure, results[stage])
+                picture = io.BytesIO()
+                figure.savefig(picture, format="png", metadata={"Software": None})
                 file = document.parent / "pictures" / f"paper-{name}.png"
-                save(draw(results[stage]), file)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_file(file, picture.getvalue(), advice="give another folder with --out")
 
 
 def markdown(template: str, **given: Any) -> str:
@@ -179,10 +180,9 @@ def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     return lines
 
 
-def _sweep(data: Any) -> Figure:
+def _sweep(figure: Figure, data: Any) -> None:
     """Figure 4, and under it what R² does not show."""
     sweeps = data["sweeps"]
-    figure = new_figure(2.75 * len(sweeps), 7.6)
     grid = figure.subplots(3, len(sweeps), sharex="col", sharey="row", squeeze=False)
     for (above, middle, below), sweep in zip(grid.T, sweeps, strict=True):
         points = [p for p in sweep["points"] if p["lambda"] > 0 and p["status"] == "ok"]
@@ -211,12 +211,10 @@ def _sweep(data: Any) -> Figure:
         axes.set_ylabel(label)
     grid[0][0].legend(fontsize=8)
     grid[1][0].legend(fontsize=8)
-    return figure
 
 
-def _roc(data: Any) -> Figure:
+def _roc(figure: Figure, data: Any) -> None:
     """Headline recall against false alarms; whole, and from 90 % on."""
-    figure = new_figure(10.4, 6.0)
     whole, upper = figure.subplots(1, 2)
     hours = data["figures"]["default"]["false_alarms"]["all"]["hours"]
     for axes in (whole, upper):
@@ -231,8 +229,8 @@ def _roc(data: Any) -> Figure:
         )
     whole.set(ylim=(-2, 102), ylabel="recall, headline touches (%)")
     upper.set(ylim=(90, 100.2), title="the same from 90 % on")
-    legend_below(figure, whole, 2)
-    return figure
+    handles, labels = whole.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
 
 
 def _curve(axes: Axes, name: str, title: str, figures: Any) -> None:
@@ -250,3 +248,10 @@ def _curve(axes: Axes, name: str, title: str, figures: Any) -> None:
         at = max(own["per_hour"], 0.5 / own["hours"]), 100 * (own["recall"] or 0.0)
         mark, size = ("*", 15) if name == "default" else ("o", 6)
         axes.plot([at[0]], [at[1]], mark, color=colour, ms=size, mec="white", zorder=5)
+
+
+# By name of the picture: what draws it, inches, and the stage that it shows.
+_DRAWINGS: Final = {
+    "sweep": (_sweep, (11.0, 7.6), "identification"),
+    "roc": (_roc, (10.4, 6.0), "detection"),
+}
