@@ -47,7 +47,6 @@ OTHERS = {
         "scenario",
         "urdf",
         "more",
-        "logs",
         "device",
     ),
     *(("replay", "file"), ("export", "file"), ("score", "events"), ("fit", "recordings")),
