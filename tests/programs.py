@@ -113,9 +113,9 @@ class Program:
             self.process.stdout.close()
 
 
-def invoke(*words: object, answers: str | None = None) -> str:
+def invoke(*words: object) -> str:
     """What a command of ours that succeeds says, run in this process."""
-    result = CliRunner().invoke(cli.app, [str(word) for word in words], input=answers)
+    result = CliRunner().invoke(cli.app, [str(word) for word in words])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     assert result.exit_code == 0, result.output

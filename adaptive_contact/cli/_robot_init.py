@@ -1,16 +1,14 @@
-"""Runs ``robot init``: a description from a bus, a URDF, answers, or all of them."""
+"""Runs ``robot init``: a description from a bus, a URDF, options, or all of them."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
-import typer
 
 from adaptive_contact.cli._bus import DeviceOption, devices_of
 from adaptive_contact.cli._options import ForceOption, check_output, flatten, option
@@ -128,19 +126,16 @@ def init(*, wishes: Wishes) -> None:
 
     With --device the bus is asked who is there; nothing is moved, and without --configure nothing
     is set.  Without a bus, for servos of any kind, joints come from --urdf or --joints, and
-    --resolution and --rate are asked for where they are not given.
+    --resolution and --rate are needed.
     """
     # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
     devices = {port: str(Path(path).absolute()) for port, path in devices_of(wishes.device).items()}
     out = wishes.out
     if not devices and wishes.urdf is None and wishes.joints is None:
-        if wishes.legs is None or not is_asked():
-            raise ConfigurationError(
-                "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on "
-                "no such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
-            )
-        joints = "joints of a leg, from the body outwards: their number, or NAME,NAME,..."
-        wishes = dataclasses.replace(wishes, joints=typer.prompt(joints, err=True))
+        raise ConfigurationError(
+            "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on no "
+            "such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
+        )
     check_output(out, "--out", [wishes.urdf], force=wishes.force)
     if wishes.lengths is not None and wishes.urdf is not None:
         raise ConfigurationError("--lengths and --urdf both give the geometry; leave one out")
@@ -156,7 +151,7 @@ def init(*, wishes: Wishes) -> None:
     if devices:
         robot = _of_bus(wishes, devices, tuple(feet), names, read)
     else:
-        robot = _of_answers(wishes, tuple(feet), names, read)
+        robot = _of_options(wishes, tuple(feet), names, read)
     if wishes.lengths is not None:
         measured = _lengths(wishes.lengths, len(robot.legs[0].joints))
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
@@ -386,19 +381,17 @@ def _check_wanted(
         )
 
 
-def _of_answers(
+def _of_options(
     wishes: Wishes, ids: Sequence[str], names: int | tuple[str, ...], read: UrdfLegs | None
 ) -> Robot:
-    """Describe a robot on no known bus, from options and answers."""
+    """Describe a robot on no known bus."""
     if read is None and not ids:
         raise ConfigurationError("which legs? give --legs lf,rf,..., their names")
-    rate = _asked(wishes.rate, "control ticks per second, Hz", "--rate 50", 1.0, 10_000.0)
-    step = _asked(
+    rate = _needed(wishes.rate, "control ticks per second, Hz", "--rate 50")
+    step = _needed(
         wishes.resolution,
         "one step of a reading, rad (12 bits over a turn: 0.00153)",
         "--resolution 0.00153",
-        1e-6,
-        0.2,
     )
     if read is not None:
         legs = read.legs
@@ -415,18 +408,7 @@ def _name(wishes: Wishes, read: UrdfLegs | None) -> str:
     return wishes.name or own or "my-robot"
 
 
-def _asked(given: float | None, what: str, option: str, least: float, most: float) -> float:
-    """Return an option's value, or a person's answer where one can be asked."""
-    if given is not None:
-        return given
-    if not is_asked():
+def _needed(given: float | None, what: str, option: str) -> float:
+    if given is None:
         raise ConfigurationError(f"{what}: not given; give {option}")
-    while True:
-        value: float = typer.prompt(what, type=float, err=True)
-        if least <= value <= most:
-            return value
-        say(f"{value:g}: expected {least:g} to {most:g}", err=True)
-
-
-def is_asked() -> bool:
-    return sys.stdin.isatty()
+    return given

@@ -1,4 +1,4 @@
-"""``robot init`` without a bus: from a URDF, from options, from answers; and its picture."""
+"""``robot init`` without a bus: from a URDF, from options; and its picture."""
 
 from __future__ import annotations
 
@@ -73,20 +73,6 @@ def test_without_a_urdf_joints_are_named() -> None:
     robot = load_robot("robot.toml")
     assert robot.leg("l").joints == ("hip", "knee", "ankle", "toe")
     assert robot.leg("l").joint_axes == ("yaw", "pitch", "pitch", "pitch")
-
-
-def test_what_is_not_givenis_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a terminal; what does not fit is asked for once more."""
-    monkeypatch.setattr("adaptive_contact.cli._robot_init.is_asked", lambda: True)
-    said = invoke("robot", "init", "--legs", "l", "--joints", "2", answers="0\n50\n0.003\n")
-    assert "control ticks per second" in said
-    assert "0: expected 1 to 10000" in said
-    robot = load_robot("robot.toml")
-    assert (robot.period_s, robot.quantum_rad) == (0.02, 0.003)
-    assert "joints of a leg" not in said
-    said = invoke("robot", "init", "--legs", "l", "--force", answers="hip,knee\n50\n0.003\n")
-    assert "joints of a leg, from the body outwards" in said
-    assert load_robot("robot.toml").leg("l").joints == ("hip", "knee")
 
 
 @pytest.mark.parametrize(
