@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -80,3 +81,10 @@ def test_no_function_is_used_that_the_least_numpy_lacks() -> None:
     found = {path.name: _SINCE_2.search(path.read_text(encoding="utf-8")) for path in paths}
     assert len(found) > 100
     assert {name: match[0] for name, match in found.items() if match} == {}
+
+
+@pytest.mark.parametrize("folder", [PACKAGING.parent, PACKAGING / "listen"])
+def test_no_address_is_named_that_is_not_there(folder: Path) -> None:
+    """A wheel shows `[project.urls]` to who installs it."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert not {"urls", "authors", "maintainers"} & set(project)
