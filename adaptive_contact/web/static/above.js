@@ -6,6 +6,7 @@ import { prepared } from "./plots.js";
 import { framesStopped } from "./stream.js";
 import { colour } from "./theme.js";
 
+const SCHEME = "a scheme: mounts or geometry are not described";
 export const feet = new Map(); // where each was drawn last, px
 let extent = 0; // mm, of what has been drawn: the picture does not breathe with the gait
 
@@ -23,11 +24,8 @@ function footOf(leg, time) {
   return last && last[3] ? "withheld" : "free";
 }
 
-/** Places of a leg's joints and its foot, [x, y, x, y, …] in mm, x forward and y to the left. */
-function outlineOf(leg, time) {
-  const found = leg.places.findLast((place) => place[0] <= time);
-  return found && time - found[0] < LATE_MS ? found[1] : null;
-}
+/** When a leg was measured last, and [x, y, x, y, …] of its joints and foot: mm, x forward, y left. */
+const placeOf = (leg, time) => leg.places.findLast((place) => place[0] <= time);
 
 /** Where legs most likely are, by their names (lf, FL, front_left); else in a ring. */
 export function schematic(names) {
@@ -69,9 +67,10 @@ export function drawAbove() {
   if (!drawn) return;
   const { pen, width, height } = drawn;
   const time = state.end === null ? state.now : state.end;
-  let outlines = legs.map((leg) => outlineOf(leg, time));
-  const measured = !outlines.includes(null);
-  if (!measured) outlines = schematic(legs.map((leg) => leg.name));
+  const places = legs.map((leg) => placeOf(leg, time));
+  const measured = !places.includes(undefined);
+  const late = measured && places.some(([since]) => time - since >= LATE_MS);
+  const outlines = measured ? places.map((place) => place[1]) : schematic(legs.map((leg) => leg.name));
   const most = Math.max(...outlines.flat().map(Math.abs), 1);
   extent = most > extent || most < extent / 2 ? most : extent;
   const scale = (Math.min(width, height) / 2 - 26) / extent;
@@ -108,5 +107,5 @@ export function drawAbove() {
     pen.fillStyle = colour.reading;
     pen.fillText(legs[i].name, x + dx * out, y + dy * out);
   });
-  setText($("above-note"), measured ? "by measured angles" : "a scheme: mounts or geometry are not described");
+  setText($("above-note"), late ? "as measured last" : measured ? "by measured angles" : SCHEME);
 }

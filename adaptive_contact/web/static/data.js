@@ -152,7 +152,10 @@ export function takeFrame(frame) {
   if (state.begin === null) state.begin = frame.t;
   state.begin = Math.max(state.begin, frame.t - KEPT_MS);
   for (const [name, rows] of Object.entries(frame.k || {})) legOf(name)?.take(rows);
-  for (const [name, places] of Object.entries(frame.f || {})) legOf(name)?.places.push([frame.t, places]);
+  for (const [name, places] of Object.entries(frame.f || {})) {
+    const measured = frame.k?.[name]?.at(-1)[0] ?? frame.t;
+    legOf(name)?.places.push([measured, places]);
+  }
   for (const [name, t, , contact, score, withheld] of frame.e || []) {
     const leg = legOf(name);
     if (leg) insert(leg.contacts, [t, contact, score, withheld]);
