@@ -37,7 +37,8 @@ WRITTEN: dict[tuple[str, ...], tuple[str, ...]] = {
     ("paper", "docs"): ("--docs", "FILE"),
     ("scenarios", "report", "docs"): ("--docs", "FOLDER/adaptation.md"),
 }
-# What commands read, and folders of the studies, in which the same command goes on.
+# What commands read, folders of the studies, in which the same command goes on, and the one in which
+# the live page makes files of new names.
 OTHERS = {
     *(
         "baseline",
@@ -48,6 +49,7 @@ OTHERS = {
         "urdf",
         "more",
         "device",
+        "record_to",
     ),
     *(("replay", "file"), ("export", "file"), ("score", "events"), ("fit", "recordings")),
     *(("export", "events"), ("score", "recording")),
