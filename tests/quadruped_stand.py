@@ -20,8 +20,19 @@ from adaptive_contact.wire import ContactTruth, Phase, ServoSample
 from adaptive_contact_sim.scene import PARKED_M, robot_xml, set_surface
 from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.truth import TruthTracker
-from adaptive_contact_sim.virtual.quadruped import LEGS, PARTS, STEP_RAD, QuadrupedPlant
 
+LEGS: Final = ("fl", "fr", "rl", "rr")
+SERVOS: Final = tuple((leg, joint) for leg in LEGS for joint in ("hip", "knee"))
+PARTS: Final = ("hip", "knee", "foot")
+# The servo is an XL330 in position mode with its delivered gains (P 400, I and D 0), of torque,
+# friction and speed as its manual and Rhoban/bam have them (docs/simulator.md).
+STEP_RAD: Final = 2 * math.pi / 4096
+_GAIN: Final = 400.0 / 128.0  # of PWM per step
+_PWM: Final = 885.0
+_STALL_NM: Final = 0.52
+_NO_LOAD_RAD_S: Final = 104.0 * 2 * math.pi / 60
+_COULOMB_NM, _VISCOUS_NMS = 0.0128, 0.0037
+_SPREAD: Final = 0.12  # between servos of one kind, as for the hexapod
 _L1, _L2 = 0.07, 0.09
 _BODY_M: Final = 0.3
 _TICKS, _HOLD = 14, 3
@@ -121,8 +132,14 @@ class _Walker:
                 return point
 
 
-class PlatedPlant(QuadrupedPlant):
-    """The quadruped with a plate under each leg that can be moved, and its truth."""
+class PlatedPlant:
+    """The quadruped with a plate under each leg that can be moved, and its truth.
+
+    Attributes:
+        goal: (8,) rad, written by :meth:`write_goal`.
+        steps: physics steps made, of 1 ms.
+        drive_nm: (8,) of full PWM.
+    """
 
     def __init__(self, start_rad: Array) -> None:
         spec = mujoco.MjSpec.from_string(robot_xml("quadruped"))
@@ -138,7 +155,21 @@ class PlatedPlant(QuadrupedPlant):
                 friction=[0.9, 0.005, 0.0001],
                 solref=list(HARD_SOLREF),
             )
-        super().__init__(start_rad, spec.compile())
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        names = [f"{leg}_{joint}" for leg, joint in SERVOS]
+        ids = [self.model.joint(name).id for name in names]
+        self._qpos = np.array([self.model.jnt_qposadr[i] for i in ids])
+        self.dof = np.array([self.model.jnt_dofadr[i] for i in ids])
+        self._ctrl = np.array([self.model.actuator(name).id for name in names])
+        spread = np.random.default_rng([0, 0x330]).uniform(1 - _SPREAD, 1 + _SPREAD, (4, 8))
+        self.drive_nm, no_load = _STALL_NM * spread[0], _NO_LOAD_RAD_S * spread[1]
+        self.model.dof_damping[self.dof] = self.drive_nm / no_load + _VISCOUS_NMS * spread[3]
+        self.model.dof_frictionloss[self.dof] = _COULOMB_NM * spread[2]
+        self.data.qpos[self._qpos] = start_rad
+        mujoco.mj_forward(self.model, self.data)
+        self.write_goal(start_rad)
+        self.steps = 0
         self._touch = np.array(
             [
                 [int(self.model.sensor(f"{leg}_{part}_touch").adr[0]) for part in PARTS]
@@ -147,6 +178,24 @@ class PlatedPlant(QuadrupedPlant):
         )
         self._feet = np.array([self.model.site(f"{leg}_foot").id for leg in LEGS])
         self._plates = np.array([int(self.model.body(f"plate_{leg}").mocapid[0]) for leg in LEGS])
+
+    @property
+    def joint_angles(self) -> Array:
+        """(8,) rad."""
+        return np.asarray(self.data.qpos[self._qpos])
+
+    def write_goal(self, goal_rad: Array) -> Array:
+        """Write the goal registers; returns what they hold, (8,) rad."""
+        self.goal = np.asarray(np.rint(goal_rad / STEP_RAD) * STEP_RAD)
+        return self.goal
+
+    def step(self) -> None:
+        """Make one physics step of 1 ms."""
+        error = np.rint(self.goal / STEP_RAD) - np.rint(self.joint_angles / STEP_RAD)
+        duty = np.clip(_GAIN * error / _PWM, -1.0, 1.0)
+        self.data.ctrl[self._ctrl] = self.drive_nm * duty
+        mujoco.mj_step(self.model, self.data)
+        self.steps += 1
 
     @property
     def forces(self) -> Array:
@@ -172,11 +221,7 @@ class PlatedPlant(QuadrupedPlant):
 
 
 def record(scenario: Scenario) -> Recorded:
-    """Simulate a scenario, as fast as possible.
-
-    Raises:
-        SimulationDivergedError: the physics blew up.
-    """
+    """Simulate a scenario, as fast as possible."""
     seeds = np.random.SeedSequence(scenario.seed).spawn(len(LEGS) + 1)
     rng = np.random.default_rng(seeds[-1])
     walkers = [_Walker(np.random.default_rng(s), scenario.plates) for s in seeds[:-1]]

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
@@ -19,7 +19,7 @@ from adaptive_contact.cli._link import unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
-from adaptive_contact.errors import ConfigurationError, needs
+from adaptive_contact.errors import needs
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service.settings import Finding
 
@@ -139,9 +139,6 @@ def _say_ros(line: str) -> None:
 
 app = opt.Commands(help="Servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True)
 
-# What has virtual servos; the simulator's other robots have none.
-_VIRTUAL: Final = ("hexapod", "quadruped")
-
 
 @app.command()
 @opt.flatten
@@ -254,9 +251,6 @@ class VirtualOptions:
         "bus"
     )
     config: opt.ConfigOption = None
-    robot: Annotated[str, option("--robot", "Which shipped robot is simulated.", "NAME")] = (
-        "hexapod"
-    )
     servos: Annotated[
         str | None, option("--servos", "All servos are of this model, such as STS3215.", "MODEL")
     ] = None
@@ -315,14 +309,9 @@ class VirtualOptions:
         from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_servos
         from adaptive_contact_sim.virtual.session import VirtualPlan
 
-        if self.robot not in _VIRTUAL:
-            raise ConfigurationError(
-                f"no virtual robot '{self.robot}'; expected --robot {' or '.join(_VIRTUAL)}"
-            )
-        robot = opt.described_robot(self.config, self.robot)
+        robot = opt.described_robot(self.config)
         return VirtualPlan(
             robot=robot if self.servos is None else with_servos(robot, self.servos),
-            simulated=self.robot,
             directory=self.directory,
             ports=self.ports,
             bus=VirtualSettings(

@@ -141,8 +141,8 @@ def test_samples_commands_and_status_pass(start: Callable[..., Program], tmp_pat
         start(
             "bridge",
             "virtual",
-            "--robot",
-            "quadruped",
+            "--servos",
+            "XL330-M288",
             "--dir",
             "bus",
             "--write-config",
@@ -155,23 +155,23 @@ def test_samples_commands_and_status_pass(start: Callable[..., Program], tmp_pat
     samples: queue.Queue = queue.Queue()
     statuses: queue.Queue = queue.Queue()
     with Link.open(client_settings([endpoint])) as link:
-        link.subscribe(servo_key("fl"), samples.put)
+        link.subscribe(servo_key("rf"), samples.put)
         link.subscribe("robot/bridge/*/status", statuses.put)
-        commands = link.publisher(command_key("fl"))
+        commands = link.publisher(command_key("rf"))
 
         def arrived(received: Any) -> bool:
             sample = decode(received.payload, ServoSample, received.encoding)
-            commands.put(Command(desired=[-0.9, -0.8]))
-            return sample.measured == pytest.approx([-0.9, -0.8], abs=0.12)
+            commands.put(Command(desired=[0.2, 0.3, -0.8]))
+            return sample.measured == pytest.approx([0.2, 0.3, -0.8], abs=0.12)
 
         wait_for(samples, arrived, 30.0)
         received = wait_for(statuses, lambda _: True, 5.0)
         status = decode(received.payload, BridgeStatus, received.encoding)
-        assert (status.port, status.mode) == ("legs", "drive")
-    # The gait controller's example drives legs of two joints too.
+        assert (status.port, status.mode) == ("port0", "drive")
+    # The gait controller's example drives them as well.
     stepped = subprocess.run(
         [sys.executable, "examples/gait_controller.py", "--config", str(tmp_path / "rig.toml"),
-         "--leg", "fl", "--steps", "1", "--connect", endpoint],
+         "--leg", "rf", "--steps", "1", "--connect", endpoint],
         cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert stepped.returncode == 0, stepped.stderr

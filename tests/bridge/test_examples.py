@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import runpy
 import shutil
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from adaptive_contact.robot import foot, shipped_robot
@@ -52,6 +54,14 @@ def status(state: str = "running", **more: object) -> BridgeStatus:
 def test_the_examples_are_in_the_source_distribution() -> None:
     settings = tomllib.loads((EXAMPLES.parent / "pyproject.toml").read_text(encoding="utf-8"))
     assert "examples" in settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+
+
+@pytest.mark.parametrize(("robot", "leg"), [("hexapod", "rf"), ("quadruped", "fl")])
+def test_the_gait_controller_places_feet_of_three_joints_and_of_two(robot: str, leg: str) -> None:
+    described = shipped_robot(robot).leg(leg)
+    wanted = np.array([0.6 * sum(described.lengths_m), 0.0, -0.05])
+    joints = runpy.run_path(str(EXAMPLES / "gait_controller.py"))["angles"](described, wanted)
+    assert foot(joints, described.lengths_m, described.joint_axes) == pytest.approx(wanted)
 
 
 def ended(program: Program, code: int) -> str:

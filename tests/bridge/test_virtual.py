@@ -26,15 +26,13 @@ from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend
 from adaptive_contact_sim.virtual.physics import GaitedBackend, LocalSource
 from adaptive_contact_sim.virtual.port import VirtualPort
-from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
 from quadruped_stand import SCENARIOS, PlatedPlant, record
 from scoring import play
 
 
-def horns(robot: str = "hexapod") -> Horns:
-    plans = plan_ports(with_ports(shipped_robot(robot), Path("x"), None))
-    return Horns.of(plans, (HEXAPOD if robot == "hexapod" else LAYOUT).servos)
+def horns() -> Horns:
+    return Horns.of(plan_ports(with_ports(shipped_robot(), Path("x"), None)), HEXAPOD.servos)
 
 
 def test_a_robot_with_a_gait_is_the_simulators_own() -> None:
@@ -176,16 +174,6 @@ def test_a_gentler_slope_lets_a_leg_sag_further() -> None:
     assert backend.plant.servos.parameters.slope_steps[1] == pytest.approx(32)
 
 
-def test_a_p_gain_acts_on_the_quadruped() -> None:
-    backend = QuadrupedBackend(horns("quadruped"))
-    gain = backend.plant.gain.copy()
-    servo = VirtualServo(3, models_named("XL330-M288")[0], backend, 2, np.random.default_rng(1))
-    servo.write(servo.model.registers["position_p"].address, (800).to_bytes(2, "little"))
-    assert backend.plant.gain[2] == pytest.approx(2 * gain[2])
-    servo.reboot()
-    assert backend.plant.gain == pytest.approx(gain)
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -230,19 +218,6 @@ def test_the_quadrupeds_description_fits_its_model() -> None:
             assert plant.feet_m[i] == pytest.approx(world, abs=1e-6)
 
 
-def test_the_quadruped_follows_its_bus() -> None:
-    backend = QuadrupedBackend(horns("quadruped"))
-    now = 1.0
-    backend.advance(now)
-    for index in range(8):
-        backend.set_torque(index, True)
-        backend.set_goal(index, -0.8)
-    for _ in range(800):
-        now += 0.001
-        backend.advance(now)
-    assert [backend.angle(i) for i in range(8)] == pytest.approx([-0.8] * 8, abs=0.1)
-
-
 def test_the_shipped_quadruped_baseline_detects() -> None:
     from adaptive_contact.model import shipped_baseline
 
@@ -256,7 +231,7 @@ def test_the_shipped_quadruped_baseline_detects() -> None:
 
 
 def test_two_buses_do_not_share_a_folder(tmp_path: Path) -> None:
-    plan = VirtualPlan(shipped_robot(), "hexapod", tmp_path, 1, VirtualSettings())
+    plan = VirtualPlan(shipped_robot(), tmp_path, 1, VirtualSettings())
 
     def second(_: str) -> None:
         with pytest.raises(ConfigurationError, match="in use by another virtual bus; give another"):

@@ -42,7 +42,7 @@ robot init --device bus/port0 --legs lf,lm,lr,rf,rm,rr --lengths 0.052,0.066,0.1
 robot check --config robot.toml
 robot learn --config robot.toml --drive --yes --pose 0,0.6,-1.8 --seconds 60
 bridge dynamixel --config robot.toml &
-bridge virtual --dir sts --robot quadruped --servos STS3215 --write-config sts.toml &
+bridge virtual --dir sts --servos STS3215 --write-config sts.toml &
 bridge feetech --config sts.toml --namespace sts &
 watch --once
 record live.mcap --seconds 2

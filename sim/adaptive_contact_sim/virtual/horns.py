@@ -1,18 +1,16 @@
-"""Servos of a robot on a stand: their mounting, and physics that only the bus moves."""
+"""How the servos of a robot are mounted."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.virtual.backend import Backend
 
 STEP_S: Final = 0.001
 # Further behind than this, lost time is let go.
@@ -65,57 +63,3 @@ class Horns:
     def joint(self, index: int, horn_rad: float) -> float:
         """Joint angle of a horn angle."""
         return float(self.direction[index] * horn_rad + self.offset_rad[index])
-
-
-class OnStand(Backend):
-    """A backend of virtual servos whose physics goes on step by step as time goes by.
-
-    A goal written at any moment acts from that moment on.
-
-    Args:
-        horns: how the servos are mounted.
-        plant: the robot's physics: its steps, and angles and speeds of its joints.
-        start_rad: (n,) joint angles at first.
-    """
-
-    def __init__(self, horns: Horns, plant: Any, start_rad: Array) -> None:
-        self._horns, self._plant = horns, plant
-        self._goal = start_rad.copy()
-        self._on = np.zeros(len(start_rad), dtype=np.bool_)
-        self._start_s: float | None = None
-
-    @abstractmethod
-    def step(self) -> None:
-        """Make one."""
-
-    def target(self) -> Array:
-        """(n,) rad, goals in force; a servo without torque has its goal where it is."""
-        return np.where(self._on, self._goal, self._plant.joint_angles)
-
-    def advance(self, now_s: float) -> float:
-        """Bring the robot up to a moment."""
-        if self._start_s is None:
-            self._start_s = now_s
-        behind = int((now_s - self._start_s) / STEP_S) - self._plant.steps
-        if behind * STEP_S > LET_GO_S:
-            self._start_s += behind * STEP_S
-            behind = 0
-        for _ in range(min(behind, 5)):  # Steps made at one call: more would keep the bus waiting.
-            self.step()
-        return float(self._start_s + (self._plant.steps + 1) * STEP_S)
-
-    def angle(self, index: int) -> float:
-        """Angle of a servo's horn, rad."""
-        return self._horns.horn(index, float(self._plant.joint_angles[index]))
-
-    def speed(self, index: int) -> float:
-        """Speed of a servo's horn, rad/s."""
-        return float(self._horns.direction[index] * self._plant.joint_speeds[index])
-
-    def set_goal(self, index: int, angle_rad: float) -> None:
-        """Write a servo's goal."""
-        self._goal[index] = self._horns.joint(index, angle_rad)
-
-    def set_torque(self, index: int, on: bool) -> None:
-        """Switch a servo's drive on or off."""
-        self._on[index] = on

@@ -35,7 +35,6 @@ class VirtualPlan:
     """What to run."""
 
     robot: Robot  # its description: ids, models, mounting of the servos
-    simulated: str  # name of the shipped robot that moves
     directory: Path  # where the ports' links go
     ports: int | None  # how many, for a description without any; None for one
     bus: VirtualSettings  # how the bus behaves
@@ -133,16 +132,6 @@ def _backend(
     plan: VirtualPlan, plans: Sequence[PortPlan], stack: ExitStack
 ) -> tuple[Backend, list[tuple[str, str]]]:
     """The physics, and the order of its servos."""
-    if plan.simulated != "hexapod":
-        from adaptive_contact_sim.virtual.quadruped import LAYOUT, QuadrupedBackend
-
-        if plan.simulated != "quadruped" or plan.scenario is not None:
-            raise ConfigurationError(
-                f"no virtual robot '{plan.simulated}' with that scenario; there are hexapod, and "
-                "quadruped on a stand"
-            )
-        pairs = LAYOUT.servos
-        return QuadrupedBackend(Horns.of(plans, pairs)), pairs
     pairs = HEXAPOD.servos
     horns = Horns.of(plans, pairs)
     if plan.scenario is None:
