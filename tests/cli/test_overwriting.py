@@ -37,8 +37,8 @@ WRITTEN: dict[tuple[str, ...], tuple[str, ...]] = {
     ("paper", "docs"): ("--docs", "FILE"),
     ("scenarios", "report", "docs"): ("--docs", "FOLDER/adaptation.md"),
 }
-# What commands read, folders of the studies, in which the same command goes on, and the one in which
-# the live page makes files of new names.
+# What commands read, folders of the studies, in which the same command goes on, and the folder in
+# which the live page makes files of new names.
 OTHERS = {
     *(
         "baseline",
