@@ -94,8 +94,7 @@ def bench(
     speeds.add_row(
         "six-leg tick",
         f"median {tick.median_ms:.3f} ms, p99 {tick.p99_ms:.3f} ms, up to its last event "
-        f"{tick.event_ms:.3f} ms; p99 {tick.refitting_ms:.3f} ms in the {tick.refitting} of "
-        f"{tick.ticks} ticks during which a refit was under way",
+        f"{tick.event_ms:.3f} ms",
     )
     speeds.add_row("learners", f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core")
     shown.print(speeds)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
@@ -17,17 +15,15 @@ from adaptive_contact.cli._options import (
     recorded_robot,
     refuse_to_replace,
 )
-from adaptive_contact.cli._output import overwrite, say
+from adaptive_contact.cli._output import say
 from adaptive_contact.cli.score import read_events
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import load_robot
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.recording import Record
     from adaptive_contact.service.recording.export import ExportFormat
 
 
-_PROGRESS_S: Final = 0.5
 _SHOWN: Final = 8  # reasons
 
 
@@ -81,11 +77,8 @@ def export(
     given = None if events is None else read_events(events)
     recording = read_recording(file, robot)
     started_s = time.perf_counter()
-    live = sys.stderr.isatty()
-    exported = export_recording(recording, out, form, _progress() if live else _quiet, robot, given)
+    exported = export_recording(recording, out, form, robot, given)
     elapsed_s = time.perf_counter() - started_s
-    if live:
-        overwrite("")
     for path, count in exported.files.items():
         say(f"{path}: {count} messages, {path.stat().st_size / 1000:.0f} kB", err=True)
     say(
@@ -117,24 +110,3 @@ def _check(file: Path, out: Path, to: ExportFormat, force: bool) -> None:
         raise ConfigurationError(f"{out} is no folder; {to} takes one, with a table per message")
     else:
         refuse_to_replace(out.glob(f"*.{to}"), "--out", force=force)
-
-
-def _quiet(record: Record) -> None:
-    pass
-
-
-def _progress() -> Callable[[Record], None]:
-    count = 0
-    first_ns: int | None = None
-    due_s = time.perf_counter() + _PROGRESS_S
-
-    def show(record: Record) -> None:
-        nonlocal count, first_ns, due_s
-        count += 1
-        if first_ns is None:
-            first_ns = record.log_time_ns
-        if count % 256 == 0 and time.perf_counter() >= due_s:
-            due_s += _PROGRESS_S
-            overwrite(f"{count} messages, {(record.log_time_ns - first_ns) / 1e9:.0f} s recorded")
-
-    return show

@@ -12,7 +12,7 @@ import contextlib
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
@@ -37,8 +37,6 @@ from adaptive_contact.wire import (
     decode,
     leg_of_key,
 )
-
-OnRecord = Callable[[Record], None]
 
 
 class ExportFormat(StrEnum):
@@ -82,7 +80,6 @@ def export_recording(
     recording: Recording,
     out: Path,
     to: ExportFormat,
-    on_record: OnRecord = lambda record: None,
     robot: Robot | None = None,
     events: Sequence[ContactEvent] | None = None,
 ) -> Exported:
@@ -93,7 +90,6 @@ def export_recording(
         out: an MCAP file, or for tables a folder, which is made where it is missing; of a bag, one
             that is not there.
         to: the format.
-        on_record: called with each message, for progress; tables go through a recording twice.
         robot: whose recording it is: needed for a bag, drawn in an MCAP file.
         events: in a bag, in place of those that were recorded.
 
@@ -106,16 +102,15 @@ def export_recording(
     """
     exported = Exported()
     if to is ExportFormat.CSV:
-        _write_tables(recording, out, exported, on_record)
+        _write_tables(recording, out, exported)
         return exported
     if to is ExportFormat.BAG:
         assert robot is not None
-        _write_bag(recording, out, robot, events, exported, on_record)
+        _write_bag(recording, out, robot, events, exported)
         return exported
     scene = None if robot is None else Scene(robot)
     with RecordingWriter(out, recording.about, scene) as writer:
         for record in recording:
-            on_record(record)
             writer.write(*record)
             exported.count(record)
     exported.files[out] = exported.messages
@@ -147,7 +142,6 @@ def _write_bag(
     robot: Robot,
     events: Sequence[ContactEvent] | None,
     exported: Exported,
-    on_record: OnRecord,
 ) -> None:
     with needs("export --to bag", "ros2", "rosbags"):
         from adaptive_contact.ros2.bag import BagWriter
@@ -156,7 +150,7 @@ def _write_bag(
         due.setdefault((event.leg, event.t_ns), []).append(event)
     try:
         with BagWriter(out, robot) as bag:
-            for record, kind, message in _known(recording, exported, on_record):
+            for record, kind, message in _known(recording, exported):
                 leg, at_ns = leg_of_key(record.key) or "", record.log_time_ns
                 if kind is ContactEvent and events is not None:
                     continue
@@ -273,11 +267,10 @@ class _CsvTable:
 
 
 def _known(
-    recording: Iterable[Record], exported: Exported, on_record: OnRecord
+    recording: Iterable[Record], exported: Exported
 ) -> Iterator[tuple[Record, type[Message], Message]]:
     kinds: dict[str, type[Message] | None] = {}
     for record in recording:
-        on_record(record)
         if record.key not in kinds:
             kinds[record.key] = kind_of_key(record.key)
         kind = kinds[record.key]
@@ -289,10 +282,10 @@ def _known(
             yield record, kind, message
 
 
-def _write_tables(recording: Recording, out: Path, exported: Exported, on_record: OnRecord) -> None:
+def _write_tables(recording: Recording, out: Path, exported: Exported) -> None:
     columns: dict[type[Message], _Columns] = {}
     first = Exported()
-    for record, kind, message in _known(recording, first, on_record):
+    for record, kind, message in _known(recording, first):
         if kind not in columns:
             columns[kind] = _Columns(kind)
         columns[kind].look(message)
@@ -312,7 +305,7 @@ def _write_tables(recording: Recording, out: Path, exported: Exported, on_record
             path = out / f"{kind.__name__}.csv"
             file = stack.enter_context(whole_file(path, error=RecordingError))
             tables[kind] = _CsvTable(described.names, file)
-        for record, kind, message in _known(recording, exported, on_record):
+        for record, kind, message in _known(recording, exported):
             row = columns[kind].row(record, message)
             if row is None:
                 exported.left_out[record.key, Reject.WRONG_JOINTS.value] += 1
