@@ -27,12 +27,10 @@ from adaptive_contact.score.summary import AlarmFigures
 from adaptive_contact_studies.paper.detectors import DETECTORS, MODELS, alarms
 from adaptive_contact_studies.paper.evaluation import (
     AIM,
-    AIMS,
     DEFAULT,
     FACTORS,
     Evaluated,
     Job,
-    aim_name,
 )
 from adaptive_contact_studies.paper.plan import Piece, Plan, Role
 
@@ -60,8 +58,8 @@ class Touched(NamedTuple):
     def outcome(self, name: str, factor: float = 1.0) -> LegOutcome:
         """A detector's events against the truth."""
         of = self.found
-        events = of.events.get(name)
-        if events is None:
+        events = of.events
+        if name != DEFAULT:
             events = alarms(of.truth.t_ns, of.scores[name], of.swing, factor, of.descending)
         return match(of.truth, events)
 
@@ -72,8 +70,7 @@ class Quiet:
     def __init__(self) -> None:
         self.ticks = 0
         self.alarms = {name: np.zeros(len(FACTORS), dtype=np.int64) for name in DETECTORS}
-        self.events: Counter[str] = Counter()  # of the default, by target rate
-        self.event_ticks: Counter[str] = Counter()
+        self.events = 0  # of the default
         self.squares: dict[tuple[str, str], Array] = {}  # by leg-run and model
         self.rows: Counter[tuple[str, str]] = Counter()
 
@@ -81,9 +78,7 @@ class Quiet:
         """Add a stream."""
         ticks = int(np.count_nonzero(found.swing >= 0))
         self.ticks += ticks
-        for name, events in found.events.items():
-            self.events[name] += int(np.count_nonzero(events.contact))
-            self.event_ticks[name] += ticks
+        self.events += int(np.count_nonzero(found.events.contact))
         for name, counts in found.alarms.items():
             both = self.alarms[name]
             # A threshold too low to be counted on one stream is too low on all.
@@ -95,7 +90,7 @@ class Quiet:
 
     def count(self, name: str, at: int = AIM) -> int:
         """A detector's alarms at a factor; -1 where they are not counted."""
-        return int(self.alarms[name][at]) if name in self.alarms else self.events[name]
+        return int(self.alarms[name][at]) if name in self.alarms else self.events
 
     def rms_deg(self, model: str, run: str | None = None) -> list[float]:
         """(3,) one-step residuals on judged free ticks, degrees, of a leg-run or of all."""
@@ -154,7 +149,9 @@ def _figures(name: str, touched: Sequence[Touched], quiet: dict[Role, Quiet]) ->
             ),
             "touch": rate_of(summary.false_alarms, summary.judged_ticks),
         },
-        "roc": _curve(name, [t for t in touched if not t.slow], [*quiet.values()]),
+        "roc": []
+        if name == DEFAULT
+        else _curve(name, [t for t in touched if not t.slow], [*quiet.values()]),
     }
 
 
@@ -170,23 +167,14 @@ def rate_of(count: int, ticks: int) -> Tree:
 
 
 def _curve(name: str, fast: Sequence[Touched], quiet: Sequence[Quiet]) -> list[Tree]:
-    """Headline recall against false alarms per robot-hour.
-
-    Of a compared detector thresholds are swept; the default is played at several target rates.
-    """
+    """Headline recall of a compared detector against false alarms per robot-hour."""
     points = []
-    steps: list[tuple[str, float, int, float | None]] = [
-        (name, float(factor), i, None) for i, factor in enumerate(FACTORS)
-    ]
-    if name == DEFAULT:
-        steps = [(aim_name(aim), 1.0, AIM, aim) for aim in AIMS]
-    for played, factor, at, aim in steps:
-        counts = [of.count(played, at) for of in quiet]
-        ticks = sum(of.event_ticks[played] if aim else of.ticks for of in quiet)
+    ticks = sum(of.ticks for of in quiet)
+    for at, factor in enumerate(FACTORS.tolist()):
+        counts = [of.count(name, at) for of in quiet]
         if min(counts) >= 0:
-            row = summarise([t.outcome(played, factor) for t in fast]).rows[Row.HEADLINE]
-            rate = rate_of(sum(counts), ticks)
-            points.append({"aim": aim, "factor": factor, "recall": row.recall, **rate})
+            row = summarise([t.outcome(name, factor) for t in fast]).rows[Row.HEADLINE]
+            points.append({"factor": factor, "recall": row.recall, **rate_of(sum(counts), ticks)})
     return points
 
 

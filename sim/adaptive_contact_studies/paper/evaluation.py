@@ -4,8 +4,7 @@ Of free streams only counts are kept: alarms at every swept threshold, judged ti
 streams with contacts every score is kept, as the sweep has to be matched against the truth.
 
 The default detector learns from training and tuning streams, as its own cross-validation keeps them
-apart.  A target rate moves more than a threshold of it: what is reported as a contact is not
-learned from.  So every target rate is one more play of the streams.
+apart.  What it reports as a contact it does not learn, so that no threshold of it can be swept.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
@@ -37,8 +35,6 @@ from adaptive_contact_studies.paper.plan import GantrySettings, Piece, Plan, Rol
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
-# False alarms per robot-hour beside the product's own target of one: the default's curve.
-AIMS: Final = (0.1, 10.0, 100.0)
 # Swept thresholds, over those of the aim, 15 to a decade.  Far below it: a heavy tail sets an aim's
 # threshold hundreds of times above what most ticks score.
 FACTORS: Final = np.geomspace(1e-3, 10.0, 61)
@@ -73,7 +69,7 @@ class Evaluated:
     truth: LegStream  # as the score takes it
     swing: Ints  # (n,) number of the swing
     descending: Mask  # (n,) the command in force is past the lift
-    events: dict[str, Events]  # of the default: at the product's target rate, and at others
+    events: Events  # of the default
     # by compared detector: alarms at every factor of free streams, -1 where it is absurdly low;
     # (n,) statistic over the threshold of streams with contacts
     alarms: dict[str, Ints]
@@ -144,15 +140,10 @@ def evaluate(work: Work, job: Job) -> list[Evaluated]:
     baselines = [
         work.one(learned, (job.plan, s.piece.leg_run.robot_seed)).baseline for s in streams
     ]
-    played = {DEFAULT: play(robot, baselines, streams)}
-    # All collisions, so that the curve is of the same touches as every other; of the free motion
-    # that of the first robot: three more plays of everything would take longer than all the rest.
-    first = job.plan.robots[0]
-    if all(p.role == "touch" or p.leg_run.robot_seed == first for p in job.pieces):
-        for per_hour in AIMS:
-            played[aim_name(per_hour)] = play(robot, baselines, streams, per_hour)
+    learners = [ContactLearner(robot, s.leg, b) for s, b in zip(streams, baselines, strict=True)]
+    played = feed(learners, [samples_of(s.run, s.leg) for s in streams])
     found = []
-    for index, stream in enumerate(streams):
+    for stream, events in zip(streams, played, strict=True):
         own = _evidence(work, job.plan, robot, stream)
         scores = {name: bench.score(name, own) for name in DETECTORS}
         quiet = stream.piece.role != "touch"
@@ -163,7 +154,7 @@ def evaluate(work: Work, job: Job) -> list[Evaluated]:
                 truth=leg_stream(stream.run, stream.leg, robot),
                 swing=own.swing_of_tick,
                 descending=own.descending,
-                events={name: events[index] for name, events in played.items()},
+                events=Events.of(events),
                 alarms={n: _sweep(own, score) for n, score in scores.items()} if quiet else {},
                 scores={} if quiet else scores,
                 squares={name: np.square(r).sum(axis=0) for name, r in known.items()},
@@ -171,36 +162,6 @@ def evaluate(work: Work, job: Job) -> list[Evaluated]:
             )
         )
     return found
-
-
-def play(
-    robot: Robot,
-    baselines: Sequence[Baseline],
-    streams: Sequence[Stream],
-    per_hour: float | None = None,
-) -> list[Events]:
-    """Feed every stream to a learner of its own.
-
-    Args:
-        robot: its description.
-        baselines: what the learners start from.
-        streams: of any length.
-        per_hour: false alarms per robot-hour that thresholds are for, the robot's own if None.
-
-    Returns:
-        The events of each.
-    """
-    if per_hour is not None:
-        detector = msgspec.structs.replace(robot.detector, false_alarms_per_hour=per_hour)
-        robot = msgspec.structs.replace(robot, detector=detector)
-    learners = [ContactLearner(robot, s.leg, b) for s, b in zip(streams, baselines, strict=True)]
-    samples = [samples_of(s.run, s.leg) for s in streams]
-    return [Events.of(own) for own in feed(learners, samples)]
-
-
-def aim_name(per_hour: float) -> str:
-    """Such as ``aim 0.1``."""
-    return f"aim {per_hour:g}"
 
 
 def _evidence(work: Work, plan: Plan, robot: Robot, stream: Stream) -> Evidence:
