@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
-import numpy as np
+import msgspec
 
 from adaptive_contact_studies.paper.compression import compare_all
 from adaptive_contact_studies.paper.data import load, record_all
@@ -55,7 +54,9 @@ def run_paper(work: Work, plan: Plan, stages: Sequence[str] = STAGES) -> dict[st
                 (results[stage],) = work.each(stage, compare_all, [plan])
             case _:
                 results[stage] = _detection(work, plan)
-    return dict(plain(results))
+    # Arrays become lists; what is not a number, or infinite, None.
+    text = msgspec.json.encode(results, enc_hook=lambda array: array.tolist())
+    return dict(msgspec.json.decode(text))
 
 
 def _dataset(work: Work, plan: Plan) -> dict[str, Any]:
@@ -80,16 +81,3 @@ def _detection(work: Work, plan: Plan) -> dict[str, Any]:
     what = "every detector on every stream"
     found = work.each(what, evaluate, jobs, lambda job: len(job.pieces))
     return detection(plan, jobs, found)
-
-
-def plain(value: Any) -> Any:
-    """A tree of dicts, lists, numbers and texts; not-a-number and infinities become None."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
