@@ -24,6 +24,7 @@ from adaptive_contact.cli._sim_options import (
     needs_studies,
 )
 from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.files import write_file
 from adaptive_contact.wire import SIM_DRIFT, Drift, DriftReply, Rejected, decode, encode
 
 
@@ -149,6 +150,85 @@ def walk(
         terrain=dataclasses.replace(base.settings.terrain, **given(kind=terrain)),
     )
     execute(run.plan(base, settings, network, json=json), stop)
+
+
+@app.command()
+def compare(
+    scenario: Annotated[
+        str | None,
+        option("--scenario", "Start from a shipped scenario or a file.", "NAME|FILE.toml"),
+    ] = None,
+    robot: Annotated[str | None, option("--robot", "hexapod, quadruped12. [hexapod]")] = None,
+    gait: Annotated[str | None, option("--gait", "As of `sim walk`.", "GAIT")] = None,
+    terrain: Annotated[
+        str | None, option("--terrain", "The ground. [rough]", "flat|steps|rough|soft|holes")
+    ] = None,
+    seconds: Annotated[
+        float, seconds_option("--seconds", "Of each walk", least=10.0, most=3600.0)
+    ] = 120.0,
+    drift: Annotated[
+        list[str] | None,
+        option(
+            "--drift",
+            "As of `sim walk`, without @TIME at half time; repeatable. [friction:value=4]",
+            "SPEC",
+        ),
+    ] = None,
+    seed: Annotated[int, option("--seed", "The first seed.", min=0)] = 1,
+    seeds: Annotated[int, option("--seeds", "How many.", "N", min=1, max=100)] = 1,
+    react_ms: ReactOption = None,
+    picture: Annotated[Path | None, option("--picture", "Draw them.", "FILE.png")] = None,
+    processes: opt.ProcessesOption = 2,
+    out: Annotated[Path, option("--out", "Where walks are kept.", "FOLDER")] = Path("out/compare"),
+    force: opt.ForceOption = False,
+    json: opt.JsonOption = False,
+) -> None:
+    """Walk the same ground with and without contacts, before and after a drift.
+
+    Five ways to end a swing: a trajectory planned to the expected ground; a gait that reaches below
+    it and is never stopped; that gait, stopped by the service's events, by those of a model that
+    never learns, and by a perfect sensor.  After Ctrl-C, the same command goes on.
+    """
+    opt.check_output(picture, "--picture", force=force)
+    with needs_studies():
+        from adaptive_contact.cli import _sim_compare as shown
+        from adaptive_contact_sim import WalkSettings, parse_drift, simulated_robot
+        from adaptive_contact_studies import blind
+        from adaptive_contact_studies.work import Work
+
+    base, motion = RunOptions(scenario=scenario, robot=robot).base(WalkSettings, gait)
+    settings = base.settings
+    layout = simulated_robot(settings.robot).layout
+    given_drift = drift or ([] if settings.drift else ["friction:value=4"])
+    drifts = [
+        parse_drift(text if "@" in text else f"{text}@{seconds / 2:g}s", layout)
+        for text in given_drift
+    ]
+    settings = dataclasses.replace(
+        settings,
+        motion=dataclasses.replace(motion, **given(gait=gait, react_ms=react_ms)),
+        terrain=dataclasses.replace(settings.terrain, **given(kind=terrain)),
+        drift=settings.drift + tuple(drifts),
+    )
+    begins_s = min(injection.at_s for injection in settings.drift)
+    if not 2.0 <= begins_s <= seconds - 2.0:
+        raise ConfigurationError(
+            f"a drift begins at {begins_s:g} s of walks of {seconds:g} s; expected 2 s and more on "
+            "either side of it"
+        )
+    console = table_console(stderr=True)
+    try:
+        work = Work(out, processes, console)
+        found = blind.compare(work, settings, seconds, range(seed, seed + seeds))
+    except KeyboardInterrupt:
+        console.print("interrupted; the same command goes on from here")
+        raise typer.Exit(130) from None
+    if picture is not None:
+        write_file(picture, shown.picture(found), advice="give another --picture")
+    if json:
+        say_json(jsonlib.dumps(shown.tree(found), indent=2))
+    else:
+        table_console().print(shown.table(found))
 
 
 @app.command()

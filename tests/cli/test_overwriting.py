@@ -21,6 +21,7 @@ WRITTEN: dict[tuple[str, ...], tuple[str, ...]] = {
     ("export", "out"): ("in.mcap", "--to", "mcap", "-o", "FILE"),
     ("fit", "out"): ("in.mcap", "-o", "FILE"),
     ("sim", "pose", "record"): ("--offline", "--seconds", "1", "--record", "FILE"),
+    ("sim", "compare", "picture"): ("--picture", "FILE"),
     ("sim", "pose", "render"): ("--offline", "--seconds", "1", "--render", "FILE"),
     ("sim", "walk", "record"): ("--offline", "--seconds", "1", "--record", "FILE"),
     ("sim", "walk", "render"): ("--offline", "--seconds", "1", "--render", "FILE"),
@@ -54,6 +55,7 @@ OTHERS = {
     *(("replay", "file"), ("export", "file"), ("score", "events"), ("fit", "recordings")),
     *(("export", "events"), ("score", "recording")),
     *(("paper", "out"), ("scenarios", "run", "out"), ("scenarios", "report", "out")),
+    ("sim", "compare", "out"),
 }
 
 

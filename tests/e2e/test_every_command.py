@@ -31,6 +31,7 @@ replay walk.mcap --events events.jsonl --plot walk.html
 score walk.mcap --events events.jsonl
 export walk.mcap --to csv
 fit walk.mcap -o legs.json
+sim compare --seconds 10 --out compare --picture compare.png
 paper --quick --stage dataset --out paper
 bench --quick --out bench
 scenarios run step-friction4 --quick --seeds 1 --out scenarios
@@ -94,6 +95,8 @@ REFUSED = {
     "serve --config nosuch.toml": "nosuch.toml: cannot be read",
     "serve --listen tcp/0.0.0.0:0": "or say --insecure",
     "sim baseline --out nosuch/b.json": "give another --out",
+    "sim compare --drift friction:value=4@1s": "a drift begins at 1 s of walks of 120 s; expected",
+    "sim compare --gait nosuch": "no gait 'nosuch'",
     "sim inject friction": "has no value; give a number (factor, 0.1 to 10)",
     "sim inject mass --shape ramp": "above 0 s; give --duration S",
     "sim inject nosuch --value 4": "no drift 'nosuch'; expected one of mass,",

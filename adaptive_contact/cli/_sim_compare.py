@@ -1,0 +1,82 @@
+"""Prints and draws the walks that ``sim compare`` has made."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from rich import box
+from rich.table import Table
+from scipy.stats import t as student
+
+from adaptive_contact.arrays import Array
+from adaptive_contact_studies.blind import PHASES, POLICIES, Comparison
+from adaptive_contact_studies.show.figures import INK, legend_below, new_figure, png
+
+# Tilt is drawn as the RMS of so many seconds.
+_WINDOW_S: Final = 4.0
+
+
+def tree(found: Comparison) -> dict[str, Any]:
+    """Return each seed's figures, for JSON."""
+    policies = {
+        policy: {phase: [of._asdict() for of in found.figures(policy, phase)] for phase in PHASES}
+        for policy in POLICIES
+    }
+    return {"seconds": found.seconds, "drift_s": found.drift_s, "policies": policies}
+
+
+def table(found: Comparison) -> Table:
+    """Return the means over the seeds; of several, with half the 95 % interval of the tilt."""
+    shown = Table(
+        *("a swing ends by", "drift", "tilt, ° RMS", "p95", "touch, N median", "p95"),
+        *("swings", "stopped", "in the air", "m", "J/m"),
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for phase in PHASES:
+        for name, policy in POLICIES.items():
+            rows = np.array(found.figures(name, phase))
+            tilt, *rest = rows.mean(axis=0)
+            cells = [f"{value:.{digits}f}" for value, digits in zip(rest, _DIGITS, strict=True)]
+            shown.add_row(policy.about, phase, f"{tilt:.2f}{_half(rows[:, 0])}", *cells)
+        shown.add_section()
+    return shown
+
+
+_DIGITS: Final = (2, 0, 0, 0, 0, 0, 2, 0)
+
+
+def _half(values: Array) -> str:
+    n = len(values)
+    if n < 2:
+        return ""
+    return f" ± {student.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n):.2f}"
+
+
+def picture(found: Comparison) -> bytes:
+    """Draw tilt over time, and the force of touches before and after the drift; a PNG."""
+    figure = new_figure(9.0, 3.3)
+    left, right = figure.subplots(1, 2, width_ratios=(1.9, 1.0))
+    for place, (name, policy) in enumerate(POLICIES.items()):
+        traces = found.traces[name]
+        window = round(_WINDOW_S / traces[0].period_s)
+        squares = np.mean([trace.tilt_deg**2 for trace in traces], axis=0)
+        parts = squares[: len(squares) // window * window].reshape(-1, window)
+        t_s = (np.arange(len(parts)) + 0.5) * _WINDOW_S
+        left.plot(t_s, np.sqrt(parts.mean(axis=1)), color=policy.colour, label=policy.about)
+        for shift, phase in zip((-0.17, 0.17), PHASES, strict=True):
+            mean = np.mean(np.array(found.figures(name, phase)), axis=0)
+            middle, most = mean[2], mean[3]
+            filled = policy.colour if phase == "after" else "white"
+            right.plot([place + shift] * 2, [middle, most], color=policy.colour, linewidth=1.5)
+            right.plot(place + shift, middle, "o", color=policy.colour, markerfacecolor=filled)
+    left.axvline(found.drift_s, color=INK, linewidth=0.8, linestyle=":")
+    left.set(xlabel="s", ylabel="body tilt, ° RMS", ylim=(0.0, None), xlim=(0.0, found.seconds))
+    left.text(found.drift_s, left.get_ylim()[1] * 0.93, " drift", color=INK)
+    right.set(ylabel="touch force, N", ylim=(0.0, None), xticks=[])
+    right.set_xlabel("median to p95; filled: after the drift")
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+    legend_below(figure, left, len(POLICIES))
+    return png(figure)
