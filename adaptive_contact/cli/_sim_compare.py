@@ -27,12 +27,15 @@ def tree(found: Comparison) -> dict[str, Any]:
 
 
 def table(found: Comparison) -> Table:
-    """Return the means over the seeds; of several, with half the 95 % interval of the tilt."""
+    """Return the means over the seeds."""
     shown = Table(
-        *("a swing ends by", "drift", "tilt, ° RMS", "p95", "touch, N median", "p95"),
+        *("a swing ends by", "drift", "tilt, °", "p95", "touch, N", "p95"),
         *("swings", "stopped", "in the air", "m", "J/m"),
         box=box.SIMPLE_HEAD,
         pad_edge=False,
+        caption="tilt: RMS (± half the 95 % interval of the seeds), p95; touch: the largest force "
+        "in 0.1 s, median, p95",
+        caption_justify="left",
     )
     for phase in PHASES:
         for name, policy in POLICIES.items():
@@ -56,7 +59,7 @@ def _half(values: Array) -> str:
 
 def picture(found: Comparison) -> bytes:
     """Draw tilt over time, and the force of touches before and after the drift; a PNG."""
-    figure = new_figure(9.0, 3.3)
+    figure = new_figure(8.0, 3.4)
     left, right = figure.subplots(1, 2, width_ratios=(1.9, 1.0))
     for place, (name, policy) in enumerate(POLICIES.items()):
         traces = found.traces[name]
@@ -75,8 +78,8 @@ def picture(found: Comparison) -> bytes:
     left.set(xlabel="s", ylabel="body tilt, ° RMS", ylim=(0.0, None), xlim=(0.0, found.seconds))
     left.text(found.drift_s, left.get_ylim()[1] * 0.93, " drift", color=INK)
     right.set(ylabel="touch force, N", ylim=(0.0, None), xticks=[])
-    right.set_xlabel("median to p95; filled: after the drift")
+    right.set_xlabel("median to p95;\nopen before the drift, filled after")
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
-    legend_below(figure, left, len(POLICIES))
+    legend_below(figure, left, 3)
     return png(figure)
