@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any, Final
 
 import numpy as np
@@ -11,7 +12,6 @@ from scipy.stats import t as student
 
 from adaptive_contact.arrays import Array
 from adaptive_contact_studies.blind import PHASES, POLICIES, Comparison
-from adaptive_contact_studies.show.figures import INK, legend_below, new_figure, png
 
 # Tilt is drawn as the RMS of so many seconds.
 _WINDOW_S: Final = 4.0
@@ -59,7 +59,9 @@ def _half(values: Array) -> str:
 
 def picture(found: Comparison) -> bytes:
     """Draw tilt over time, and the force of touches before and after the drift; a PNG."""
-    figure = new_figure(8.0, 3.4)
+    from matplotlib.figure import Figure
+
+    figure = Figure((8.0, 3.4), dpi=100, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.9, 1.0))
     for place, (name, policy) in enumerate(POLICIES.items()):
         traces = found.traces[name]
@@ -74,12 +76,15 @@ def picture(found: Comparison) -> bytes:
             filled = policy.colour if phase == "after" else "white"
             right.plot([place + shift] * 2, [middle, most], color=policy.colour, linewidth=1.5)
             right.plot(place + shift, middle, "o", color=policy.colour, markerfacecolor=filled)
-    left.axvline(found.drift_s, color=INK, linewidth=0.8, linestyle=":")
+    left.axvline(found.drift_s, color="#222222", linewidth=0.8, linestyle=":")
     left.set(xlabel="s", ylabel="body tilt, ° RMS", ylim=(0.0, None), xlim=(0.0, found.seconds))
-    left.text(found.drift_s, left.get_ylim()[1] * 0.93, " drift", color=INK)
+    left.text(found.drift_s, left.get_ylim()[1] * 0.93, " drift", color="#222222")
     right.set(ylabel="touch force, N", ylim=(0.0, None), xticks=[])
     right.set_xlabel("median to p95;\nopen before the drift, filled after")
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
-    legend_below(figure, left, 3)
-    return png(figure)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    file = io.BytesIO()
+    figure.savefig(file, format="png", metadata={"Software": None})
+    return file.getvalue()

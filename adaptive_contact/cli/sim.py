@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json as jsonlib
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -23,7 +24,7 @@ from adaptive_contact.cli._sim_options import (
     needs_simulator,
     needs_studies,
 )
-from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.errors import ConfigurationError, LinkError, needs
 from adaptive_contact.files import write_file
 from adaptive_contact.wire import SIM_DRIFT, Drift, DriftReply, Rejected, decode, encode
 
@@ -195,6 +196,9 @@ def compare(
         from adaptive_contact_sim import WalkSettings, parse_drift, simulated_robot
         from adaptive_contact_studies import blind
         from adaptive_contact_studies.work import Work
+    if picture is not None:  # said before minutes of work, not after
+        with needs("--picture", "studies", "matplotlib"):
+            import_module("matplotlib")
 
     base, motion = RunOptions(scenario=scenario, robot=robot).base(WalkSettings, gait)
     settings = base.settings
