@@ -13,8 +13,15 @@ from mcap.reader import make_reader
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.robot.description import Angles
 from adaptive_contact.service.recording import RecordingWriter, read_recording
-from adaptive_contact.service.recording.scene import BODY, Scene
-from adaptive_contact.wire import ContactEvent, ServoSample, contact_key, servo_key
+from adaptive_contact.service.recording.scene import BODY, WORLD, Scene
+from adaptive_contact.wire import (
+    SIM_BODY,
+    BodyPose,
+    ContactEvent,
+    ServoSample,
+    contact_key,
+    servo_key,
+)
 
 ANGLES = {
     "hexapod": [0.3, -0.5, 1.1],
@@ -157,3 +164,24 @@ def test_a_leg_that_is_silent_holds_nothing_up(tmp_path: Path) -> None:
         writer.write_message(servo_key("lf"), sample(4, [0.0]), 4)  # no sample of this leg
         writer.write_message(servo_key("lf"), sample(4, [0.0, float("nan"), 0.0]), 4)
     assert len(drawn(path)["foxglove.FrameTransforms"]) == 2
+
+
+def test_the_body_is_in_the_world_once_something_says_where(tmp_path: Path) -> None:
+    robot, angles = shipped_robot("hexapod"), ANGLES["hexapod"]
+    places = [None, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6)]
+    with RecordingWriter(tmp_path / "w.mcap", scene=Scene(robot)) as writer:
+        for k, place in enumerate(places):
+            if place is not None:
+                pose = BodyPose(t_ns=k, position_m=place, quaternion_wxyz=(0.6, 0.0, 0.0, 0.8))
+                writer.write_message(SIM_BODY, pose, k)
+            for leg in robot.leg_ids:
+                writer.write_message(servo_key(leg), sample(k, angles), k)
+    for tick, place in zip(
+        drawn(tmp_path / "w.mcap")["foxglove.FrameTransforms"], places, strict=True
+    ):
+        bodies = [one for one in tick.transforms if one.child_frame_id == BODY]
+        assert len(bodies) == (place is not None)
+        for body in bodies:
+            assert body.parent_frame_id == WORLD
+            assert tuple(xyz(body.translation)) == place
+            assert turn(body.rotation)[:, 0] == pytest.approx([-0.28, 0.96, 0.0])
