@@ -23,10 +23,10 @@ OURS = (
 def test_it_installs_our_packages_and_nothing_else(wheel: Path, installed: Any) -> None:
     tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(OURS)
-    page = {path.name for path in (installed.site / "adaptive_contact/web/static").iterdir()}
-    scripts = ("page", "charts", "data", "dom", "look", "panel", "plots", "stream", "table")
-    others = {"index.html", "page.css", "icon.svg", "uPlot.css", "uPlot.LICENSE"}
-    assert page == {*others, *(f"{name}.js" for name in (*scripts, "theme", "uPlot"))}
+    static = "adaptive_contact/web/static"
+    page = {path.name for path in (installed.site / static).iterdir()}
+    assert page == {path.name for path in (Path(__file__).parents[2] / static).iterdir()}
+    assert "uPlot.LICENSE" in page
     found = {path.name for path in installed.site.iterdir() if path.is_dir()}
     assert {name for name in found if not name.endswith(".dist-info")} == set(OURS)
     assert (installed.site.parents[2] / "bin" / "adaptive-contact").is_file()
