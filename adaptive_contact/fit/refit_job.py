@@ -132,8 +132,8 @@ def refit(job: RefitJob) -> RefitResult:
     slopes = [s for s in slopes if s == present or SLOPE_RANGE[0] <= s <= SLOPE_RANGE[1]]
     tried = {slope: _Posterior(job, slope, window, target) for slope in slopes}
     # One noise for all, or a slope would win by what it says of the noise.
-    sigma = np.min([posterior.rms for posterior in tried.values()], axis=0)
-    sigma = np.maximum(sigma, job.quantum_rad / 12**0.5)
+    least: Array = np.stack([posterior.rms for posterior in tried.values()]).min(axis=0)
+    sigma: Array = np.maximum(least, job.quantum_rad / 12**0.5)
     evidence = {slope: posterior.evidence(sigma) for slope, posterior in tried.items()}
     best = max(evidence, key=lambda slope: evidence[slope])
     if best == present:
