@@ -141,13 +141,17 @@ class Publisher(Messages):
         hash_: str | None = None,
         topic: str = STATE,
         lost: int = 0,
+        waits: bool = True,
     ) -> None:
+        """Publish, as what is reliable in ROS 2 does; what does not wait may be dropped here."""
         self._seq += 1 + lost
+        congestion = zenoh.CongestionControl
         address = rmw.Address(topic, name, hash_ or self.store.hash_rihs01(name))
         self._session.put(
             rmw.topic_key(0, address),
             payload,
             attachment=rmw.encode_attachment(rmw.Attachment(self._seq, time.time_ns(), bytes(16))),
+            congestion_control=congestion.BLOCK if waits else congestion.DROP,
         )
 
 
@@ -297,7 +301,7 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(
     def flood() -> None:
         while not over.is_set():
             for _ in range(100):
-                publisher.put(good[:-20])
+                publisher.put(good[:-20], waits=False)
 
     flooding = threading.Thread(target=flood)
     flooding.start()
