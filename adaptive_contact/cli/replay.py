@@ -215,7 +215,9 @@ def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[s
         if status.withheld:
             words.append(f"{status.withheld} contacts withheld while it was ambiguous")
         if status.swings_withheld:
-            words.append(f"in {status.swings_withheld} of {status.swings} swings none is reported")
+            words.append(
+                f"contacts were withheld in {status.swings_withheld} of {status.swings} swings"
+            )
         if speaks_of_angles(status.note or ""):
             signs.append(leg)
         if status.note and (leg in signs or leg not in known):

@@ -191,6 +191,8 @@ def compare(
     never learns, and by a perfect sensor.  After Ctrl-C, the same command goes on.
     """
     opt.check_output(picture, "--picture", force=force)
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise ConfigurationError(f"--picture {picture}: expected a name that ends with .png")
     with needs_studies():
         from adaptive_contact.cli import _sim_compare as shown
         from adaptive_contact_sim import WalkSettings, parse_drift, simulated_robot

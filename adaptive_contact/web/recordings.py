@@ -121,6 +121,8 @@ class Recordings:
                 recorder.run(self._stop, _LONGEST_S, self._check_room)
         except AdaptiveContactError as error:
             self._error = str(error).replace(f"{self._folder}/", "")
+        except OSError as error:  # the folder is gone, or its disk
+            self._error = f"the folder cannot be used any more ({error.strerror})"
         finally:
             self._seconds = time.monotonic() - self._began_s
 

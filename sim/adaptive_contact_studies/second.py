@@ -250,7 +250,7 @@ def _hung(trial: Trial, found: Found | None) -> str:
 def main(arguments: list[str]) -> int:
     """Do what is asked for."""
     robots = arguments[2:] or list(SHAPES)
-    if not arguments or not set(robots) <= set(SHAPES):
+    if not arguments or arguments[0].startswith("-") or not set(robots) <= set(SHAPES):
         known = ", ".join(SHAPES)
         print(f"expected FOLDER [SECONDS [ROBOT ...]], robots of {known}", file=sys.stderr)
         return 2

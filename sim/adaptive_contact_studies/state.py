@@ -253,6 +253,9 @@ def table(legs: Sequence[Leg], hung: Sequence[Leg]) -> str:
 
 def main(arguments: list[str]) -> int:
     """Do what is asked for."""
+    if arguments and not arguments[0].replace(".", "", 1).isdigit():
+        print(f"expected [SECONDS [WALK ...]], found {arguments[0]}", file=sys.stderr)
+        return 2
     seconds = float(arguments[0]) if arguments else _SECONDS
     wanted = [walk for walk in (*_WALKS, *_HUNG) if not arguments[1:] or walk in arguments[1:]]
     legs: list[Leg] = []

@@ -103,6 +103,14 @@ def test_every_option_that_names_a_file_is_looked_at() -> None:
     assert {one for one in found if one not in OTHERS and one[-1] not in OTHERS} == {*WRITTEN}
 
 
+def test_a_picture_is_what_its_name_says(said: Any) -> None:
+    code, line = said("sim", "compare", "--picture", "walks.svg")
+    assert (code, line) == (
+        2,
+        "adaptive-contact: --picture walks.svg: expected a name that ends with .png\n",
+    )
+
+
 def test_force_replaces(said: Any) -> None:
     file = Path("walk.mcap")
     file.write_bytes(KEPT)

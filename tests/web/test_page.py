@@ -246,8 +246,10 @@ def test_what_stands_in_the_way_of_a_recording_is_one_line(
     kept = Recording(folder / state["file"])
     assert not list(kept)
     assert kept.damage is None
-    (folder / state["file"]).unlink()
-    folder.rmdir()
+    recordings.start(router)
+    folder.rename(tmp_path / "elsewhere")
+    error = until(lambda: recordings.state()["error"])
+    assert error == "the folder cannot be used any more (No such file or directory)"
     with pytest.raises(RecordingError, match="cannot be written to"):
         recordings.start(router)
 
