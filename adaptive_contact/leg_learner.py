@@ -463,8 +463,8 @@ class ContactLearner:
             self._learn(self._labels.alarm())
         if flags & BEGAN:
             self.report.begin_swing()
-        if flags & BEGAN and adapter is not None and self.report.source.cause is None:
-            adapter.keep(self.place.leg.at_ns)
+            if adapter is not None and self.report.source.cause is None:
+                adapter.keep(self.place.leg.at_ns)
         if flags & RATE_OFF and adapter is not None:
             adapter.distrust(self.report.rate.since_ns)
         if flags & SOURCE and self.report.source.cause is not None:

@@ -218,7 +218,8 @@ class InformationCheck:
         off = departure(samples, ticks, steps)
         if off is None:
             return None, False
-        before = self.found.joints if self.found is not None and self.found.kind == "copy" else ()
+        kind = None if self.found is None else self.found.kind
+        before = self.found.joints if self.found is not None and kind == "copy" else ()
         copies = np.flatnonzero(off.rms < (COPY_STAYS if before else COPY_STEPS))
         self.suspected = bool(len(copies))
         open_ = known and self.found is None and not self.proved[copies].any()
@@ -239,9 +240,8 @@ class InformationCheck:
         # leave.
         if own is not None and own.rest < 0.5 * off.rest:
             return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
-        was = self.found is not None and self.found.kind == "old"
-        old = was or off.rest > OLD_LOOK
-        if old and is_old(samples, max(ticks, ENOUGH_TICKS), was=was):
+        was = kind == "old"
+        if (was or off.rest > OLD_LOOK) and is_old(samples, max(ticks, ENOUGH_TICKS), was=was):
             return Finding("old", tuple(range(len(steps))), 2 * ticks), True
         self.proved |= off.rms > OWN_STEPS
         return None, bool(np.isfinite(off.rms).any())
@@ -287,7 +287,13 @@ def equal_to_commands(samples: Samples, ticks: int, step_rad: float) -> tuple[tu
 
 
 def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
-    """Select the (n, J) readings off the grid of a joint that its sure ones show, if they do."""
+    """Select readings off the grid that those which are certain show; none where they show none.
+
+    Args:
+        read: (n, J) rad.
+        sure: (n, J) readings that are certainly the encoder's.
+        step_rad: of the grid; where it begins is read off.
+    """
     turns = 2j * np.pi * read / step_rad
     zeros = np.angle((np.exp(turns) * sure).sum(axis=0))
     off: Mask = np.abs(np.angle(np.exp(turns - 1j * zeros))) > 2.0 * np.pi * GRID_PART
@@ -416,7 +422,10 @@ def held_share(samples: Samples, joint: int, step_rad: float) -> float:
 def is_old(samples: Samples, ticks: int, *, was: bool = False) -> bool:
     """Whether earlier commands explain the readings that recent ones do not.
 
-    What was old stays so until recent ones explain it about as well.
+    Args:
+        samples: as many as ticks, and those before them, up to :data:`OLD_TICKS`, that are known.
+        ticks: to judge.
+        was: they have been old, and are so until recent commands explain them about as well.
     """
     u, y = samples.desired, samples.measured[-ticks:]
     joints = np.ptp(u[-ticks:], axis=0) > LEAST_TRAVEL_RAD

@@ -150,6 +150,23 @@ def sized(size, value, count, share):
 
 
 @compiled
+def take_sizes(leg, lever, whiten):
+    """Take the sizes of free motion over from a baseline's noise: medians of normal residuals.
+
+    Args:
+        leg: its scalars.
+        lever: (J,) m/rad, height of the foot over each joint.
+        whiten: (J, J) 1/rad, lower triangular; its diagonal alone, as joints correlate little.
+    """
+    variance = 0.0
+    for j in range(len(lever)):
+        variance += (lever[j] / whiten[j, j]) ** 2
+    # Of a normal variable and of a chi-square with J degrees of freedom, J from 1 to 16.
+    leg.push_size, leg.misfit_size = 0.67 * math.sqrt(variance), math.sqrt(len(lever) - 0.6)
+    leg.high_ticks = GIVEN_TICKS
+
+
+@compiled
 def follow_range(leg):
     """Return where the command is in the leg's own range of heights, from 0 to 1."""
     height = leg.command_m
@@ -175,7 +192,7 @@ def follow_state(leg, sample, swing, past, noise):
     joints = len(sample.measured)
     height_gradient(past.reading, swing.links, swing.axis_kinds, swing.lever)
     context = context_of(leg, sample.command, sample.before)
-    push = square = arm = free = 0.0
+    push = square = arm = 0.0
     for r in range(joints):
         whitened = 0.0
         for c in range(joints):
@@ -184,14 +201,11 @@ def follow_state(leg, sample, swing, past, noise):
             whitened += noise.whiten[context, 0, r, c] * off
             if r == c:
                 push += swing.lever[c] * off
-                free += (swing.lever[c] / noise.whiten[context, 0, r, c]) ** 2
                 arm += abs(swing.lever[c])
         square += whitened * whitened
     share = follow_range(leg)
     if not (leg.high_ticks or leg.from_prior):
-        # A baseline knows the sizes of free motion: medians of what is normally distributed.
-        leg.push_size, leg.misfit_size = 0.67 * math.sqrt(free), math.sqrt(joints - 0.6)
-        leg.high_ticks = GIVEN_TICKS
+        take_sizes(leg, swing.lever, noise.whiten[context, 0])
     if share > 0.5:
         leg.high_ticks += 1
         least = LEAST_QUANTA * leg.quantum * arm

@@ -60,10 +60,10 @@ RELEASE_SWINGS: Final = 3
 # that merely changed overnight is followed instead.  With lifts that fitted by chance it takes
 # longer: nine in ten, for as long as a leg is given to settle.
 UNFIT_LIFTS: Final = 3
+UNFIT_SHARE: Final = 0.9
 # Contacts of so many swings in a row, after which a foot in the air carried nothing, are the
 # model's error.
 REFUTED_SWINGS: Final = 2
-UNFIT_SHARE: Final = 0.9
 # Early contacts: of so many swings, how many are too many, and with how many that ends.  Legs in
 # pose that meet obstacles up to the top of every second swing come to 16, walking ones to 5
 # (decision 17).

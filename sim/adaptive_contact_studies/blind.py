@@ -23,6 +23,7 @@ from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact_sim.learners import InProcess
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkMotion
+from adaptive_contact_studies.show.colours import BLUE, GREEN, GREY, ORANGE, RED
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 # By which a leg lifts higher that struck something, m, in walks that detect it.
@@ -39,18 +40,18 @@ class Policy(NamedTuple):
     """A way to end a swing."""
 
     about: str
-    colour: str  # of Okabe and Ito, which all readers can distinguish
+    colour: str
     motion: dict[str, Any]  # settings of the walk
     mode: LearnerMode | None = None  # of the learners whose events stop it
 
 
 _ON_EVENTS: Final = {"stop_on": "service", "raise_m": RAISE_M}
 POLICIES: Final = {
-    "fixed": Policy("fixed trajectory", "#666666", {"stop_on": "never", "phase": "planned"}),
-    "none": Policy("no detection", "#E69F00", {"stop_on": "never"}),
-    "service": Policy("the service's events", "#0072B2", _ON_EVENTS, LearnerMode.FULL),
-    "frozen": Policy("the frozen model's events", "#D55E00", _ON_EVENTS, LearnerMode.FROZEN),
-    "truth": Policy("a perfect sensor", "#009E73", {"stop_on": "truth", "raise_m": RAISE_M}),
+    "fixed": Policy("fixed trajectory", GREY, {"stop_on": "never", "phase": "planned"}),
+    "none": Policy("no detection", ORANGE, {"stop_on": "never"}),
+    "service": Policy("the service's events", BLUE, _ON_EVENTS, LearnerMode.FULL),
+    "frozen": Policy("the frozen model's events", RED, _ON_EVENTS, LearnerMode.FROZEN),
+    "truth": Policy("a perfect sensor", GREEN, {"stop_on": "truth", "raise_m": RAISE_M}),
 }
 
 

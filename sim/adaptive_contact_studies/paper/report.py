@@ -18,6 +18,15 @@ import numpy as np
 from adaptive_contact.files import write_file
 from adaptive_contact_studies.paper.detection import BOTH, SLOW_FAST
 from adaptive_contact_studies.paper.rows import noise_floor
+from adaptive_contact_studies.show.colours import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+)
 from adaptive_contact_studies.show.pages import (
     number,
     per_joint,
@@ -31,14 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which all readers can distinguish.
-BLUE: Final = "#0072B2"
-ORANGE: Final = "#E69F00"
-GREEN: Final = "#009E73"
-RED: Final = "#D55E00"
-SKY: Final = "#56B4E9"
-PURPLE: Final = "#CC79A7"
-GREY: Final = "#666666"
 JOINTS: Final = ("coxa", "femur", "tibia")
 JOINT_COLOURS: Final = (BLUE, ORANGE, GREEN)
 # Shown at about the size they are drawn at: no smaller than 9 points.
