@@ -134,7 +134,8 @@ def init(*, wishes: Wishes) -> None:
     if not devices and wishes.urdf is None and wishes.joints is None:
         raise ConfigurationError(
             "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on no "
-            "such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
+            "such bus --urdf FILE --legs lf=LINK,..., or --legs lf,rf,... --joints 3, each with "
+            "--rate 50 --resolution 0.00153"
         )
     check_output(out, "--out", [wishes.urdf], force=wishes.force)
     if wishes.lengths is not None and wishes.urdf is not None:
@@ -245,7 +246,7 @@ def _lengths(text: str, joints: int) -> tuple[float, ...]:
         lengths = ()
     if len(lengths) != joints or not all(0.0 < length <= 5.0 for length in lengths):
         raise ConfigurationError(
-            f"--lengths {text}: expected {joints} lengths in m, such as "
+            f"--lengths {text}: expected {joints} lengths in m (not mm), 5 at most, such as "
             f"{','.join(['0.1'] * joints)}"
         )
     return lengths
@@ -385,14 +386,15 @@ def _of_options(
     wishes: Wishes, ids: Sequence[str], names: int | tuple[str, ...], read: UrdfLegs | None
 ) -> Robot:
     """Describe a robot on no known bus."""
-    if read is None and not ids:
-        raise ConfigurationError("which legs? give --legs lf,rf,..., their names")
-    rate = _needed(wishes.rate, "control ticks per second, Hz", "--rate 50")
-    step = _needed(
-        wishes.resolution,
-        "one step of a reading, rad (12 bits over a turn: 0.00153)",
-        "--resolution 0.00153",
-    )
+    rate, step = wishes.rate, wishes.resolution
+    if not ids or rate is None or step is None:
+        needed = {
+            "--legs lf,rf,... (their names)": ids or None,
+            "--rate 50 (control ticks per second)": rate,
+            "--resolution 0.00153 (a step of a reading, rad; this is 12 bits over a turn)": step,
+        }
+        missing = [words for words, given in needed.items() if given is None]
+        raise ConfigurationError(f"give {', '.join(missing)} as well")
     if read is not None:
         legs = read.legs
     else:
@@ -406,9 +408,3 @@ def _name(wishes: Wishes, read: UrdfLegs | None) -> str:
     """Of the robot; a file's own, unless recordings would pass for those of one that ships."""
     own = "" if read is None or recorded_as(read.name) else read.name
     return wishes.name or own or "my-robot"
-
-
-def _needed(given: float | None, what: str, option: str) -> float:
-    if given is None:
-        raise ConfigurationError(f"{what}: not given; give {option}")
-    return given

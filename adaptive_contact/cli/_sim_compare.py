@@ -65,11 +65,19 @@ def picture(found: Comparison) -> bytes:
     left, right = figure.subplots(1, 2, width_ratios=(1.9, 1.0))
     for place, (name, policy) in enumerate(POLICIES.items()):
         traces = found.traces[name]
-        window = round(_WINDOW_S / traces[0].period_s)
+        period_s = traces[0].period_s
         squares = np.mean([trace.tilt_deg**2 for trace in traces], axis=0)
-        parts = squares[: len(squares) // window * window].reshape(-1, window)
-        t_s = (np.arange(len(parts)) + 0.5) * _WINDOW_S
-        left.plot(t_s, np.sqrt(parts.mean(axis=1)), color=policy.colour, label=policy.about)
+        begins = round(found.drift_s / period_s)
+        # A window is of before or of after the drift, never of both.
+        parts = [
+            part
+            for half in (squares[:begins], squares[begins:])
+            for part in np.array_split(half, max(round(len(half) * period_s / _WINDOW_S), 1))
+        ]
+        ends_s = np.cumsum([len(part) for part in parts]) * period_s
+        t_s = ends_s - 0.5 * period_s * np.array([len(part) for part in parts])
+        rms = [np.sqrt(part.mean()) for part in parts]
+        left.plot(t_s, rms, color=policy.colour, label=policy.about)
         for shift, phase in zip((-0.17, 0.17), PHASES, strict=True):
             mean = np.mean(np.array(found.figures(name, phase)), axis=0)
             middle, most = mean[2], mean[3]
@@ -78,7 +86,7 @@ def picture(found: Comparison) -> bytes:
             right.plot(place + shift, middle, "o", color=policy.colour, markerfacecolor=filled)
     left.axvline(found.drift_s, color="#222222", linewidth=0.8, linestyle=":")
     left.set(xlabel="s", ylabel="body tilt, ° RMS", ylim=(0.0, None), xlim=(0.0, found.seconds))
-    left.text(found.drift_s, left.get_ylim()[1] * 0.93, " drift", color="#222222")
+    left.set_title("drift", fontsize="medium", x=found.drift_s / found.seconds)
     right.set(ylabel="touch force, N", ylim=(0.0, None), xticks=[])
     right.set_xlabel("median to p95;\nopen before the drift, filled after")
     for axes in (left, right):

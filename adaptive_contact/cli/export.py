@@ -15,10 +15,11 @@ from adaptive_contact.cli._options import (
     recorded_robot,
     refuse_to_replace,
 )
-from adaptive_contact.cli._output import say
+from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.cli.score import read_events
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import load_robot
+from adaptive_contact.robot.load import recorded_as
 
 if TYPE_CHECKING:
     from adaptive_contact.service.recording.export import ExportFormat
@@ -74,6 +75,11 @@ def export(
     robot = None if config is None else load_robot(config)
     if form is ExportFormat.BAG and robot is None:
         robot = recorded_robot(None, [file])
+    elif form is ExportFormat.MCAP and robot is None:
+        name = read_recording(file).about.get("robot")
+        robot = None if name is None else recorded_as(name)
+        if name is not None and robot is None:
+            say_note(f"{file}: robot '{name}' is not drawn in {out}; --config draws it")
     given = None if events is None else read_events(events)
     recording = read_recording(file, robot)
     started_s = time.perf_counter()

@@ -156,10 +156,6 @@ def _to_events(
         for event in replay_events(traced or robots, traces if traced else bank, counts):
             file.write(encode(event, JSON) + b"\n")
             written += 1
-    if to_stdout:
-        file.flush()
-    elif out is not None:
-        write_file(out, kept.getvalue(), error=RecordingError)
     elapsed_s = time.perf_counter() - started_s
     say(
         f"{written} events from {counts.samples} samples in {counts.ticks} ticks "
@@ -186,6 +182,10 @@ def _to_events(
             f"{recording.path}: its legs are not those of robot '{robot.name}' "
             f"({', '.join(robot.leg_ids)}); give the --config of the robot that was recorded"
         )
+    if to_stdout:
+        file.flush()
+    elif out is not None:
+        write_file(out, kept.getvalue(), error=RecordingError)
     if plot is not None and traced is not None:
         write_plot(plot, traces.traces(traced), f"Replay of {recording.path.name}")
 
@@ -252,6 +252,11 @@ def _to_wire(
         elapsed_s = time.perf_counter() - started_s
     finally:
         closed = link.close()
+    if speed is None:
+        say_note(
+            "a service drops samples that come faster than it can judge them (`overflow` in "
+            "`watch`); to judge a recording at full speed, use --events"
+        )
     behind = f", up to {player.behind_s:.2f} s behind" if player.behind_s > 0.1 else ""
     say(
         f"{player.sent.total()} of {player.counts.messages} messages published on "

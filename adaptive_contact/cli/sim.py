@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from msgspec import to_builtins
 from rich import box
 from rich.table import Table
 
@@ -123,7 +124,10 @@ def walk(
     react_ms: ReactOption = None,
     raise_m: Annotated[
         float | None,
-        option("--raise-m", "Lift a leg that strikes something by so much more, m. [0]"),
+        option(
+            "--raise-m",
+            "Lift a leg that is reported to strike something by so much more, m; up to 0.05. [0]",
+        ),
     ] = None,
     phase: Annotated[
         str | None,
@@ -210,9 +214,10 @@ def compare(
         parse_drift(text if "@" in text else f"{text}@{seconds / 2:g}s", layout)
         for text in given_drift
     ]
+    walks = dataclasses.replace(motion, **given(gait=gait, react_ms=react_ms))
     settings = dataclasses.replace(
         settings,
-        motion=dataclasses.replace(motion, **given(gait=gait, react_ms=react_ms)),
+        motion=walks,
         terrain=dataclasses.replace(settings.terrain, **given(kind=terrain)),
         drift=settings.drift + tuple(drifts),
     )
@@ -232,7 +237,14 @@ def compare(
     if picture is not None:
         write_file(picture, shown.picture(found), advice="give another --picture")
     if json:
-        say_json(jsonlib.dumps(shown.tree(found), indent=2))
+        walked = {
+            "robot": settings.robot,
+            "gait": walks.gait,
+            "terrain": settings.terrain.kind,
+            "seeds": [*range(seed, seed + seeds)],
+            "drift": [{**to_builtins(one.drift), "at_s": one.at_s} for one in settings.drift],
+        }
+        say_json(jsonlib.dumps(walked | shown.tree(found), indent=2))
     else:
         table_console().print(shown.table(found))
 

@@ -92,6 +92,12 @@ class WalkSettings:
             raise ConfigurationError(
                 "a planned descent is stopped by nothing, found stop-on 'service'; leave out one"
             )
+        if self.raise_m and (self.phase == "planned" or self.stop_on == "never"):
+            raise ConfigurationError(
+                f"raise after a strike is {self.raise_m:g} m, and nothing reports strikes with "
+                f"phase '{self.phase}', stop-on '{self.stop_on}'; expected phase 'touch' and "
+                "stop-on 'service' or 'truth'"
+            )
         ranges = (
             ("stride", self.stride_m, 0.0, 0.09, "m"),
             ("swing time", self.swing_s, 0.15, 3.0, "s"),

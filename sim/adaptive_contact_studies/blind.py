@@ -45,10 +45,11 @@ class Policy(NamedTuple):
     mode: LearnerMode | None = None  # of the learners whose events stop it
 
 
+_UNSTOPPED: Final = {"stop_on": "never", "raise_m": 0.0}
 _ON_EVENTS: Final = {"stop_on": "service", "raise_m": RAISE_M}
 POLICIES: Final = {
-    "fixed": Policy("fixed trajectory", GREY, {"stop_on": "never", "phase": "planned"}),
-    "none": Policy("no detection", ORANGE, {"stop_on": "never"}),
+    "fixed": Policy("fixed trajectory", GREY, {**_UNSTOPPED, "phase": "planned"}),
+    "none": Policy("no detection", ORANGE, _UNSTOPPED),
     "service": Policy("the service's events", BLUE, _ON_EVENTS, LearnerMode.FULL),
     "frozen": Policy("the frozen model's events", RED, _ON_EVENTS, LearnerMode.FROZEN),
     "truth": Policy("a perfect sensor", GREEN, {"stop_on": "truth", "raise_m": RAISE_M}),

@@ -12,6 +12,7 @@ import contextlib
 import functools
 import hashlib
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -138,8 +139,10 @@ class Work:
         total = sum(weight(item) for number, item in enumerate(items) if number not in found)
         workers = max(1, min(self.processes, len(jobs)))
         try:
-            # Those of a process that was killed end what they are at, and then go.
+            # Those of a process that was killed end what they are at, and then go.  One that has
+            # gone as there was nothing to do is started again, which needs no word.
             with (
+                warnings.catch_warnings(action="ignore", category=UserWarning),
                 joblib.parallel_config("loky", idle_worker_timeout=_IDLE_S),
                 self._progress(what, total) as advance,
             ):

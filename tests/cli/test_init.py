@@ -78,11 +78,11 @@ def test_without_a_urdf_joints_are_named() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "which port.*for servos on no such bus --urdf FILE, or --legs ID,... and --joints"),
+        ((), "which port.*--urdf FILE --legs .* or --legs lf,rf,... --joints 3, .*--rate 50"),
         (("--urdf", "walker.urdf"), r"which links are the feet\? give --legs lf=LINK,...; .*fl_f"),
         (("--urdf", "walker.urdf", "--legs", "fl"), "'fl' has no link; with --urdf give lf=LINK"),
         (("--urdf", "walker.urdf", "--legs", "a=fl_foot,b=fl_foot"), "'fl_foot' is there twice"),
-        (("--urdf", "walker.urdf", "--legs", FEET), "control ticks per second.*give --rate 50"),
+        (("--urdf", "walker.urdf", "--legs", FEET), "give --rate 50 .*, --resolution .* as well"),
         (("--urdf", "none.urdf", "--legs", FEET), "none.urdf: cannot be read"),
         (("--urdf", "walker.urdf", "--legs", FEET, "--joints", "3"), "both give the joints"),
         (("--urdf", "walker.urdf", "--legs", FEET, "--lengths", "1"), "both give the geometry"),
@@ -90,10 +90,10 @@ def test_without_a_urdf_joints_are_named() -> None:
         (("--urdf", "walker.urdf", "--legs", FEET, "--tip", "0,0,1/0,0,1"), "--tip has 2 points"),
         (("--legs", "a=x", "--joints", "3"), "links go with --urdf FILE"),
         (("--legs", "a", "--joints", "3", "--base", "x"), "--base and --tip go with --urdf"),
-        (("--joints", "3"), r"which legs\? give --legs lf,rf"),
+        (("--joints", "3"), "give --legs lf,rf,... .*, --rate 50 .*, --resolution .* as well"),
         (("--legs", "a", "--joints", "a,a"), "--joints a,a: expected 1 to 16, or as many differ"),
         (("--legs", "a", "--joints", "0"), "--joints 0: expected 1 to 16"),
-        (("--legs", "a", "--joints", "3", "--rate", "50"), "one step of a reading.*--resolution"),
+        (("--legs", "a", "--joints", "3", "--rate", "50"), "give --resolution .* as well"),
     ],
 )
 def test_what_is_missing_is_said_in_one_line(words: tuple[str, ...], message: str) -> None:

@@ -117,6 +117,7 @@ class TestScore:
         for words in ([score, path], [replay, path, "--events", tmp_path / "events.jsonl"]):
             with pytest.raises(RecordingError, match=r"not those of robot 'dog' \(fl\); give the"):
                 run(*words, "--config", other)
+        assert not (tmp_path / "events.jsonl").exists()
 
     def test_events_of_a_file(self, tmp_path: Path) -> None:
         path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"

@@ -15,8 +15,10 @@ from mcap.writer import Writer
 
 from adaptive_contact.cli.export import export
 from adaptive_contact.errors import ConfigurationError, RecordingError
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
 from adaptive_contact.service.recording.export import ExportFormat, export_recording
+from adaptive_contact.service.recording.scene import Scene
 from adaptive_contact.service.recording.schemas import kind_of_key
 from adaptive_contact.wire import (
     JSON,
@@ -36,6 +38,7 @@ from adaptive_contact.wire import (
     ServoCounts,
     ServoSample,
     encode,
+    servo_key,
 )
 
 SECOND = 1_000_000_000
@@ -167,6 +170,26 @@ def test_an_older_recording_becomes_one_that_opens(recorded: Path, tmp_path: Pat
     assert exported.messages == len(MESSAGES) + 2
     assert list(read_recording(out)) == list(read_recording(recorded))
     assert [found[0] for found in decoded(out)] == list(MESSAGES)
+
+
+@pytest.mark.parametrize("name", ["hexapod", "mine"])
+def test_a_robot_that_is_drawn_stays_drawn_or_that_is_said(
+    ours: Any, name: str, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "in.mcap", tmp_path / "out.mcap"
+    sample = ServoSample(t_ns=1, seq=0, measured=[0.0, 0.5, -1.5], desired=[0.0, 0.5, -1.5])
+    with RecordingWriter(path, {"robot": name}, Scene(shipped_robot())) as writer:
+        for leg in shipped_robot().leg_ids:
+            writer.write(servo_key(leg), encode(sample, MSGPACK), MSGPACK, SECOND)
+
+    def drawn(path: Path) -> set[str]:
+        with path.open("rb") as file:
+            return {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+
+    done = ours("export", str(path), "--to", "mcap", "-o", str(out))
+    assert done.code == 0
+    assert ("/tf" in drawn(path), "/tf" in drawn(out)) == (True, name == "hexapod")
+    assert ("robot 'mine' is not drawn" in done.err) == (name == "mine")
 
 
 def table(path: Path) -> list[dict[str, str]]:

@@ -136,6 +136,8 @@ def test_a_stale_word_of_the_service_does_not_stop_the_next_swing() -> None:
         ({"depth_m": (0.005, 0.03)}, "expected 0.01 to 0.06 m"),
         ({"phase": "guessed"}, "expected one of touch, planned"),
         ({"phase": "planned", "stop_on": "service"}, "stopped by nothing"),
+        ({"phase": "planned", "raise_m": 0.03}, "nothing reports strikes"),
+        ({"stop_on": "never", "raise_m": 0.03}, "nothing reports strikes"),
         ({"react_ms": -1.0}, "expected 0 to 1000 ms"),
         ({"variability": float("nan")}, "expected 0 to 0.4"),
     ],
