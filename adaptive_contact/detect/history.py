@@ -127,7 +127,7 @@ def remember_refused(leg, past, measured, refused):
 
 @stage
 def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossible):
-    """Find joints that read what they cannot have reached in a tick.
+    """Find joints that read what they cannot have reached since the last reading.
 
     ``measured`` and ``last`` are (J,) rad, this reading and the one before; ``valid`` says, if
     ``has_valid``, which joints have one.  Where ``has_impossible``, ``some[IMPOSSIBLE]`` holds
@@ -152,6 +152,8 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
         leg.reach_ticks += 1
         learned = leg.reach_ticks >= REACH_TICKS
     allowance = REACH_QUANTA * leg.quantum
+    # A gap was bridged by predictions; what stopped the joint in it, they do not know.
+    ticks = 1 + max(leg.missed, 0)
     known_step = KNOWN_QUANTA * leg.quantum
     for j in range(joints):
         moved = 0.0
@@ -162,7 +164,7 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
             largest = max(abs(increment[j]), moved)
             if largest > reach[j]:
                 reach[j] = min(largest, leg.max_step)
-        limits[j] = min(REACH * reach[j] + allowance, leg.max_step)
+        limits[j] = min(REACH * reach[j] * ticks + allowance, leg.max_step)
         repeats[j] = False
         for k in range(leg.values_n):
             if values[k] == measured[j]:
@@ -184,7 +186,7 @@ def beyond_reach(leg, past, model, measured, last, valid, has_valid, has_impossi
             most = max(abs(increment[j]), recent[j])
             for lag in range(DEPTH):
                 most = max(most, abs(history[1, lag, j]))
-            recent[j] = REACH * most + allowance
+            recent[j] = REACH * most * ticks + allowance
     agreed = False
     for j in range(joints):
         offs[j] = min(abs(measured[j] - window[j] - increment[j]), jumps[j])

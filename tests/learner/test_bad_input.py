@@ -11,7 +11,10 @@ import pytest
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.detect.swing import RECENT_TICKS
 from adaptive_contact.model import Baseline, LegModel, Window, leg_library
-from adaptive_contact.robot import Robot
+from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact_sim import SimulationSettings, record_arrays
+from adaptive_contact_sim.arrays import Run
 
 from .conftest import PERIOD, FakeLeg, outcomes, play, samples
 
@@ -29,6 +32,25 @@ def test_after_a_long_gap_a_foot_on_the_ground_is_not_taken_for_free(
         gone = range(28 * swing + 14, 28 * (swing + 1) + back)
         told = play(learner, [s for s in held[: 28 * (swing + 2)] if s.seq not in gone])
         assert not [event for event in told if event.contact], swing
+
+
+@pytest.fixture(scope="module")
+def walked() -> Run:
+    return record_arrays(SimulationSettings.of("hexapod", "walk"), 30.0)
+
+
+@pytest.mark.parametrize("lost", [1, 2, 3, 4, 8])
+def test_after_a_gap_nothing_that_was_read_is_refused(walked: Run, lost: int) -> None:
+    """A foot that came to the ground in the gap is where no prediction has it."""
+    robot = shipped_robot()
+    for leg, of in walked.legs.items():
+        stream = samples(of.measured, of.desired, of.swing)
+        down = np.flatnonzero(of.contact[1:] & ~of.contact[:-1])[4:] + 1
+        gone = {k for at in down.tolist() for k in range(at - lost // 2, at - lost // 2 + lost)}
+        learner = ContactLearner(robot, leg, shipped_baseline(robot.name))
+        play(learner, [s for s in stream if s.seq not in gone])
+        assert learner.status.missed > 15
+        assert learner.status.rejects == {}
 
 
 def slowed(stream: list[ServoSample], first: int, stop: int, factor: float) -> list[ServoSample]:
