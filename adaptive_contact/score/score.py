@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.robot import Robot
 from adaptive_contact.score.matching import match
-from adaptive_contact.score.outcome import LegOutcome
+from adaptive_contact.score.outcome import LegOutcome, Row
 from adaptive_contact.score.streams import Gatherer, Received
 from adaptive_contact.score.summary import Summary, summarise
 from adaptive_contact.wire import ContactEvent, Reject
@@ -102,11 +102,11 @@ def score_messages(
         to_ns = end_ns if math.isinf(to_s) else start_ns + round(to_s * _NS_PER_S)
         outcomes = tuple(outcome.between(from_ns, to_ns) for outcome in outcomes)
     score = Score.of(outcomes, gathered.rejects)
-    return dataclasses.replace(score, notes=_notes(gathered, outcomes))
+    return dataclasses.replace(score, notes=_notes(gathered, score))
 
 
-def _notes(gathered: Gatherer, outcomes: tuple[LegOutcome, ...]) -> tuple[str, ...]:
-    notes = []
+def _notes(gathered: Gatherer, score: Score) -> tuple[str, ...]:
+    notes, outcomes, rows = [], score.outcomes, score.total.rows
     blind = [leg for leg in gathered.legs if leg not in gathered.legs_with_truth]
     if blind:
         notes.append(f"no truth of {', '.join(blind)}: left out")
@@ -123,4 +123,6 @@ def _notes(gathered: Gatherer, outcomes: tuple[LegOutcome, ...]) -> tuple[str, .
     if refused:
         reasons = ", ".join(f"{r.value} {n}" for r, n in sorted(gathered.rejects.items()) if n)
         notes.append(f"{refused} messages could not be used: {reasons}")
+    if Row.LATE in rows and not rows[score.total.headline].touches:
+        notes.append("no touch of the headline: swings end with theirs, as where events stop them")
     return tuple(notes)

@@ -254,6 +254,13 @@ def test_a_part_of_the_recording() -> None:
     assert (early.total.swings, early.total.counted.found, early.total.false_alarms) == (1, 1, 0)
 
 
+@pytest.mark.parametrize(("at_ms", "told"), [(400, False), (590, True)])
+def test_a_headline_that_is_empty_as_touches_end_the_swings_is_told(at_ms: int, told: bool) -> None:
+    score = score_messages([*walk(), air(), *truth(at_ms, 780), *events(at_ms + 20)], ROBOT)
+    assert score.total.counted.touches == 1
+    assert any("no touch of the headline" in note for note in score.notes) == told
+
+
 def test_legs_that_only_stand_are_told() -> None:
     score = score_messages([*walk(1)[30:], air()], ROBOT, [])
     assert score.notes == ("no swing in the recording: nothing could be judged",)
