@@ -136,6 +136,7 @@ def test_a_run_that_is_stopped_leaves_no_worker_and_keeps_what_was_done(tmp_path
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(tmp_path)},
         stdout=subprocess.PIPE,
+        bufsize=0,  # a reader that takes two lines at once would hide the second from `select`
         start_new_session=True,
     )
     assert process.stdout is not None
