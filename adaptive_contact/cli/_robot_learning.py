@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 # Not every free tick can be used: some are too early in a stretch to have a past.
 _MORE: Final = 1.15
+# A busy computer reads fewer ticks than it was asked for: what is short is read on, all in all for
+# so many times --seconds.
+_LONGEST: Final = 3.0
 
 
 @opt.flatten
@@ -114,8 +117,7 @@ def learn(
     if live:
         from adaptive_contact.cli._robot_check import collect_live
 
-        link = network.client(wait=False)
-        samples = collect_live(robot, link, seconds, stop=stop)
+        source = functools.partial(collect_live, robot, network.client(wait=False), stop=stop)
     else:
         from adaptive_contact.bridge.training import collect
 
@@ -134,27 +136,40 @@ def learn(
         does = "swinging all legs" if drive else "observing"
         own = "" if drive else ": swing every leg in free air meanwhile"
         say_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
-        samples = collect(
-            plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=say_note
+        source = functools.partial(
+            collect, plans, scripts=scripts, realtime=realtime, stop=stop, say=say_note
         )
-    for line in losses(samples):
-        say_note(line)
-    keep(samples, kept, robot)
-    for name, rows in samples.items():
-        for sample in rows:
-            gathered[name].take_sample(sample)
-    check_streams(robot, samples, {}, gathered.limits, refuse=not anyway)
-    check_conventions(robot, gathered, bridge=not live, refuse=not anyway)
-    say_note("fitting the legs' models to what was read")
-    try:
-        training = fit_samples(robot, gathered, f"adaptive-contact robot learn ({out.name})")
-    except TooLittleDataError as error:
-        again = " ".join(f"--more {path}" for path in [*(more or []), kept])
-        raise TooLittleDataError(
-            f"{error}; what was recorded is in {kept}: run this again with {again} to add to it",
-            error.have,
-            error.needed,
-        ) from error
+    everything: dict[str, list[ServoSample]] = {}
+    left_s, next_s = _LONGEST * seconds, seconds
+    while True:
+        samples = source(seconds=next_s)
+        left_s -= next_s
+        for line in losses(samples):
+            say_note(line)
+        for name, rows in samples.items():
+            everything.setdefault(name, []).extend(rows)
+            for sample in rows:
+                gathered[name].take_sample(sample)
+        keep(everything, kept, robot)
+        check_streams(robot, samples, {}, gathered.limits, refuse=not anyway)
+        check_conventions(robot, gathered, bridge=not live, refuse=not anyway)
+        say_note("fitting the legs' models to what was read")
+        try:
+            training = fit_samples(robot, gathered, f"adaptive-contact robot learn ({out.name})")
+            break
+        except TooLittleDataError as error:
+            read_s = robot.period_s * max(one.samples for one in gathered.values())
+            next_s = math.ceil(read_s * (error.needed / max(error.have, 1) - 1.0))
+            if 0 < next_s <= left_s and not stop.is_set():
+                say_note(f"{error}: going on for {next_s} s")
+                continue
+            again = " ".join(f"--more {path}" for path in [*(more or []), kept])
+            raise TooLittleDataError(
+                f"{error}; what was recorded is in {kept}: run this again with {again} to add to "
+                "it",
+                error.have,
+                error.needed,
+            ) from error
     keep_training(training, robot, out, anyway=anyway, json=json, equations=equations)
     say(f"baseline written to {out}, the recording to {kept}", err=True)
 
@@ -211,18 +226,20 @@ def swings_of(
     from adaptive_contact.bridge.training import free_swings
 
     steps = {leg.id: leg.max_step_rad for plan in plans for leg in plan.legs}
+    swings: dict[str, Iterator[list[float]]] = {}  # which go on where they ended
     seeds = np.random.SeedSequence(seed).spawn(len(robot.legs))
 
     def script(
         leg_id: str, seed_of: np.random.SeedSequence, first: ServoSample
     ) -> Iterator[list[float]]:
-        return free_swings(
+        made = free_swings(
             robot.leg(leg_id),
             first.measured if home is None else home,  # the bridge comes there at an easy pace
             np.random.default_rng(seed_of),
             amplitude_rad=amplitude,
             max_step_rad=steps[leg_id],
         )
+        return swings.setdefault(leg_id, made)
 
     return {
         leg.id: functools.partial(script, leg.id, seed_of)

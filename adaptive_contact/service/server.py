@@ -339,7 +339,7 @@ class Service:
         failing = None if error is None else f"state: {error}"
         full = None
         if self._full_ns is not None and now_ns - self._full_ns < _REPORTED_NS:
-            others = len(self._endpoints) - len(self._robot.legs)
+            others = len(self._endpoints) + len(self._making) - len(self._robot.legs)
             full = (
                 f"no room for another leg that is not described ({others} have learners): describe "
                 "it, and give serve --described-only against names that are made up"

@@ -13,6 +13,7 @@ import pytest
 from kinematic import KinematicBackend
 from typer.testing import CliRunner
 
+from adaptive_contact.bridge import training
 from adaptive_contact.bridge.training import free_swings
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import fit_samples, free_file
@@ -111,6 +112,33 @@ def test_too_little_is_told_in_seconds_and_kept(robot: Any, tmp_path: Path) -> N
     with pytest.raises(TooLittleDataError, match=r"--more b.mcap --more b-2.mcap to add"):
         learn(*words, "--more", "b.mcap")
     assert seconds_of(Path("b-2.mcap"), "l0") > 1.0
+
+
+def test_a_busy_computer_reads_on_until_it_has_enough(
+    robot: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the seconds asked for it reads a third of the ticks, and later all of them."""
+    recorded(robot.robot, 8000, tmp_path / "early.mcap")
+    rows = {leg.id: samples_of(tmp_path / "early.mcap", leg.id) for leg in robot.robot.legs}
+    asked: list[float] = []
+
+    def collect(*_: Any, seconds: float, **__: Any) -> dict[str, list[ServoSample]]:
+        begin = round(sum(asked[1:], 25.0 if asked else 0.0) / PERIOD_S)
+        asked.append(seconds)
+        many = round((seconds if asked[1:] else 25.0) / PERIOD_S)
+        return {leg: of_leg[begin : begin + many] for leg, of_leg in rows.items()}
+
+    monkeypatch.setattr(training, "collect", collect)
+    words = ("--config", "robot.toml", "--drive", "--yes", "--out", "b.json")
+    said = learn(*words, "--seconds", "75")
+    assert f"going on for {asked[1]} s" in said.output
+    assert sum(asked) <= 3 * 75
+    assert sorted(load_baseline("b.json").legs) == ["l0", "l1"]
+    assert seconds_of(Path("b.mcap"), "l1") > 25.0 + sum(asked[1:]) - 0.1
+    asked.clear()
+    with pytest.raises(TooLittleDataError, match=r"run this again with --more b-2\.mcap"):
+        learn(*words, "--seconds", "10", "--force")
+    assert asked == [10], "what takes more than three times as long is asked for"
 
 
 @pytest.mark.parametrize("ticks", [280, 340, 400, 460, 520, 1500])
