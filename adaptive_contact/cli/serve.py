@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from adaptive_contact import __version__
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli._compiling import compile_tick
+from adaptive_contact.cli._compiling import compile_in_view, compile_tick, first_start
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._output import make_stdout_optional, say, say_note
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
@@ -90,9 +90,9 @@ def serve(
         robot = opt.described_robot(config)
         learned, origin = opt.learned_of(robot, config, baseline)
         configure(settings)  # what is wrong shows before a minute of compiling
-        compile_tick(stop)
-        if stop.is_set():
-            return
+        slow = first_start()
+        if slow is None:
+            compile_tick(stop)
         refitter = ProcessRefitter(process=process)
         bank = LearnerBank(
             robot,
@@ -105,6 +105,10 @@ def serve(
         if link is None:
             return
         try:
+            if slow is not None:
+                compile_in_view(slow, link, robot, origin, stop)
+            if stop.is_set():
+                return
             keeper = None if no_state else keeper_of(state, robot, learned, network.namespace)
             sweeper = Sweeper()
             service = Service(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import queue
 import re
 import select
 import signal
@@ -18,6 +19,10 @@ import pytest
 from adaptive_contact import compiled
 from adaptive_contact.cli import _compiling
 from adaptive_contact.compiled import CACHE_VARIABLE, compiles
+from adaptive_contact.service.interfaces import Received
+from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.service.status import SERVICE_STATUS
+from waiting import free_address
 
 SOURCES = os.pathsep.join(path for path in sys.path if path)
 WIDE = {**os.environ, "PYTHONPATH": SOURCES, "COLUMNS": "200", "TERM": "xterm"}
@@ -82,14 +87,18 @@ def test_a_stop_leaves_no_part_of_a_file(
 def test_a_stop_while_the_tick_is_compiled_is_clean(
     program: Any, tmp_path: Path, number: signal.Signals
 ) -> None:
-    """To all processes of a terminal or a unit, as Ctrl-C and systemd do it."""
+    """To all processes of a terminal or a unit, as Ctrl-C and systemd do it; it is seen before."""
     if not compiles():
         pytest.skip("nothing is compiled here")
-    cache = tmp_path / "cache"
-    words = ("serve", "--no-state", "--listen", "tcp/127.0.0.1:0")
+    cache, address = tmp_path / "cache", f"tcp/{free_address()}"
+    words = ("serve", "--no-state", "--listen", address)
     where = {"env": {**WIDE, CACHE_VARIABLE: str(cache)}, "start_new_session": True}
     serve = program("-m", "adaptive_contact", *words, **where)
     serve.wait_line("compiling the arithmetic")
+    statuses: queue.SimpleQueue[Received] = queue.SimpleQueue()
+    with Link.open(client_settings([address])) as link:
+        link.subscribe(SERVICE_STATUS, statuses.put)
+        assert b"compiling the arithmetic" in statuses.get(timeout=60.0).payload
     os.killpg(serve.process.pid, number)
     assert serve.wait(600) == 0
     assert len(serve.lines) == 1
