@@ -14,6 +14,7 @@ import os
 import secrets
 import stat
 import sys
+import tempfile
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -175,7 +176,11 @@ def why_not_writable(path: Path) -> str | None:
         return f"there is no folder {target.parent}"
     if path.exists() and not os.access(path, os.W_OK):
         return "it is read-only"
-    return None if os.access(target.parent, os.W_OK) else "no permission in its folder"
+    try:  # permissions do not say it: of root, of a disk that is full, of /proc
+        tempfile.TemporaryFile(dir=target.parent).close()
+    except OSError as error:
+        return f"no file can be made in its folder: {error.strerror}"
+    return None
 
 
 def cannot_write(path: Path, why: OSError, advice: str) -> str:

@@ -142,3 +142,6 @@ def test_what_could_not_be_written_is_known_before(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("no/file")
     assert "no folder" in str(why_not_writable(tmp_path / "link"))
     assert why_not_writable(tmp_path / "file") is None
+    assert list(tmp_path.iterdir()) == [tmp_path / "link"], "it is only tried"
+    # Where permissions allow it, to root.
+    assert "no file can be made in its folder" in str(why_not_writable(Path("/proc/file")))

@@ -196,10 +196,11 @@ def execute(plan: RunPlan, stop: threading.Event) -> None:
     outcome = report.outcome
     factor = outcome.simulated_s / max(outcome.elapsed_s, 1e-9)
     touches = "  ".join(f"{leg} {count}" for leg, count in report.touches.items())
+    raises = "" if report.raises is None else f"; raised swings: {report.raises}"
     late = f", {outcome.late} late" if plan.speed is not None else ""
     say(
         f"simulated {outcome.simulated_s:.1f} s in {outcome.elapsed_s:.1f} s "
-        f"({factor:.1f} x real time), {outcome.ticks} ticks{late}; touches: {touches}"
+        f"({factor:.1f} x real time), {outcome.ticks} ticks{late}; touches: {touches}{raises}"
     )
     for path in (plan.record, plan.render):
         if path is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json as jsonlib
+import time
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -295,7 +296,8 @@ def inject(
     if json:
         say_json(encode(answer, "application/json").decode())
         return
-    say(f"at {answer.t_ns / 1e9:.2f} s:" + ("" if answer.holds else " nothing drifts"))
+    clock = time.strftime("%H:%M:%S", time.localtime(answer.t_ns / 1e9))
+    say(f"in force at {clock}:" + ("" if answer.holds else " nothing drifts"))
     for name, legs in answer.holds.items():
         for one, joints in legs.items():
             values = "  ".join(f"{j} {v:g}" for j, v in joints.items())

@@ -237,7 +237,7 @@ def _p(leg: LegView) -> Text:
 
 def _status(leg: LegView) -> Text:
     if leg.status is None:
-        return Text("?", style="dim")
+        return Text("waiting", style="dim")
     if leg.stale:
         return Text(f"{leg.status}, stale", style="red")
     return Text(leg.status, style=_COLOURS[leg.status])

@@ -35,7 +35,8 @@ class Recordings:
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
-            raise ConfigurationError(f"--record-to {folder}: found no such folder; make it first")
+            found = "a file" if folder.exists() else "no such folder"
+            raise ConfigurationError(f"--record-to {folder}: found {found}; give a folder")
         self._folder = folder
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None

@@ -52,6 +52,7 @@ class Report:
 
     outcome: Outcome  # times and ticks
     touches: dict[str, int]  # contacts begun per leg, standing at the start left out
+    raises: int | None = None  # swings raised on a strike, None where none was to be
 
 
 def run(
@@ -112,7 +113,9 @@ def run(
             sim, link, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick,
             on_event=on_event,
         )  # fmt: skip
-    return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs})
+    wanted = getattr(settings.motion, "raise_m", 0.0)
+    raises = getattr(sim.motion, "raises", None) if wanted else None
+    return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs}, raises)
 
 
 def describe(settings: SimulationSettings) -> str:

@@ -189,6 +189,7 @@ class WalkMotion:
         # (L,) swings that were stopped this tick on the report of a touch, and raised on that of a
         # strike
         self.stopped, self.raised = self._swinging.copy(), self._swinging.copy()
+        self.raises = 0  # so far
         self._lifted_tick = self._descent_tick.copy()  # from then on a report is of a strike
         self._begun_again = np.zeros(self._legs)  # progress at the swing's last strike
         self._planned = settings.phase == "planned"
@@ -387,6 +388,7 @@ class WalkMotion:
         swings.began_step[leg] = world.step
         self._lifted_tick[leg] = world.tick + 1
         self.raised[leg] = True
+        self.raises += 1
 
     def _touched(self, world: World, leg: int, since_tick: int, since_step: int) -> bool:
         """Return whether a touch is reported, in a tick from one on; a true one, after a step.

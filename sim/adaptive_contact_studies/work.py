@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
+from adaptive_contact.durations import duration
 from adaptive_contact.errors import ConfigurationError
 
 T = TypeVar("T")
@@ -183,10 +184,10 @@ class Work:
                 now = time.monotonic()
                 # Between two lines of progress where there is no terminal.
                 if bar.disable and now - last > 20.0:
-                    last, minutes = now, (now - start) / 60
-                    left = minutes * (total / done - 1.0)
-                    share = f"{100 * done / total:.0f} % in {minutes:.0f} min"
-                    console.print(f"{what}: {share}, about {left:.0f} to go", highlight=False)
+                    last, passed_s = now, now - start
+                    left = duration(passed_s * (total / done - 1.0))
+                    share = f"{100 * done / total:.0f} % in {duration(passed_s)}"
+                    console.print(f"{what}: {share}, about {left} to go", highlight=False)
 
             yield advance
         console.print(f"{what}: {time.monotonic() - start:.0f} s", highlight=False)

@@ -47,6 +47,13 @@ def lines(view: View, width: int, height: int | None = None) -> list[str]:
     return out.getvalue().splitlines()
 
 
+def test_a_leg_whose_status_has_not_come_yet_says_so() -> None:
+    watch = Watch()
+    watch.service(service())
+    (row,) = [line for line in lines(watch.view(S), 120) if line.startswith("rf ")]
+    assert row.split()[:3] == ["rf", "unknown", "waiting"]
+
+
 @pytest.mark.parametrize("width", [30, 40, 60, 80, 100, 120, 160])
 def test_a_row_is_a_line_at_any_width(width: int) -> None:
     """Columns that do not fit are left out and named; nothing is cut to pieces."""

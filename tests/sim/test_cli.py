@@ -16,6 +16,7 @@ from adaptive_contact.errors import (
     MissingExtraError,
 )
 from adaptive_contact.service.recording import read_recording
+from adaptive_contact_sim import Simulation, load_scenario
 from adaptive_contact_sim.drift import KINDS
 
 RUN = CliRunner()
@@ -60,6 +61,20 @@ def test_an_offline_walk_is_recorded(tmp_path: Path) -> None:
     keys = {record.key for record in read_recording(file)}
     assert "robot/leg/rf/servo" in keys
     assert "robot/sim/drift" in keys
+
+
+def test_a_walk_that_raises_legs_ends_with_how_often(tmp_path: Path) -> None:
+    file = tmp_path / "high.toml"
+    file.write_text(
+        'about = ""\nmode = "walk"\nseed = 911\nseconds = 8\n[walk]\nraise_m = 0.04\n'
+        '[terrain]\nkind = "steps"\nrelief_m = 0.07\n'
+    )
+    sim = Simulation(load_scenario(str(file)).settings)
+    raises = sum(int(sim.motion.raised.sum()) for _ in sim.run(8.0))
+    assert raises > 0
+    words = ["walk", "--offline", "--scenario", str(file)]
+    assert f"; raised swings: {raises}\n" in RUN.invoke(app, words).output
+    assert "raised" not in RUN.invoke(app, [*words, "--raise-m", "0", "--seconds", "1"]).output
 
 
 def test_an_offline_pose_is_pictured(tmp_path: Path) -> None:

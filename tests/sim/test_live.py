@@ -251,6 +251,7 @@ def test_in_a_process_of_its_own(router: Link, program: Callable, number: int) -
     assert reply.holds == {"friction": {"lm": dict.fromkeys(("coxa", "femur", "tibia"), 3.0)}}
     inject.wait_line("friction    lm  coxa 3")
     inject.wait_line("supply")
+    inject.wait_line(r"in force at \d\d:\d\d:\d\d:")
     assert len(truths) == 6
     # Paced by the wall clock, and stamped with it.
     arrivals = [a for a, _ in samples]

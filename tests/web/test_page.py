@@ -227,6 +227,9 @@ def test_what_stands_in_the_way_of_a_recording_is_one_line(
 ) -> None:
     with pytest.raises(ConfigurationError, match="found no such folder"):
         LivePage(WebSettings(record_to=tmp_path / "none"))
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigurationError, match="found a file; give a folder"):
+        LivePage(WebSettings(record_to=tmp_path / "file"))
     with LivePage(WebSettings()) as live:
         line = "this page records nothing; give `watch --web` a folder by --record-to\n"
         assert act(live, "/record/start") == (403, line)

@@ -21,7 +21,7 @@ export function fillPanel() {
   const leg = state.legs.get(state.opened);
   if (!leg || !leg.row || !$("detail").open) return;
   const row = leg.row;
-  setText($("detail-name"), `leg ${row.leg}: ${row.status || "?"}`);
+  setText($("detail-name"), `leg ${row.leg}: ${row.status || "waiting"}`);
   setText($("detail-note"), row.note || "");
   const facts = [
     ["contacts", `${row.contacts ?? 0}${row.withheld ? `, ${row.withheld} withheld` : ""}`],

@@ -14,7 +14,7 @@ export function addCard(leg) {
   const head = make("div", "leg-head");
   const name = make("span", "name", leg.name);
   const contact = make("span", "chip state dim", "unknown");
-  const status = make("span", "chip", "?");
+  const status = make("span", "chip", "waiting");
   const figures = make("span", "figures");
   head.append(name, contact, status, figures);
   const canvas = make("canvas");
@@ -64,7 +64,7 @@ function fillCard(leg) {
     card.contact,
     `chip state ${unknown ? "dim" : row.contact ? "on" : withheld ? "warn" : ""}`,
   );
-  setText(card.status, row.stale ? `${row.status}, stale` : row.status || "?");
+  setText(card.status, row.stale ? `${row.status}, stale` : row.status || "waiting");
   setClass(card.status, `chip ${row.stale ? "bad" : STATUS_CLASS[row.status] || ""}`);
   const figures = [];
   if (row.drift !== undefined) {
