@@ -88,8 +88,6 @@ def missing_of_the_whole(error: ImportError) -> str | None:
     module = (error.name or "").partition(".")[0]
     if module not in _OF_THE_WHOLE:
         return None
-    if module == "numpy":
-        return "needs numpy, which is not installed; run: pip install numpy"
     return (
         f"needs the whole package, as '{module}' is not installed; run: pip uninstall "
         "adaptive-contact-listen, then in a clone: pip install . (or with the name of the wheel)"

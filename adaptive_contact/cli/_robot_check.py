@@ -26,7 +26,7 @@ from adaptive_contact.cli._bus import (
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_json, say_note
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.settings import LinkSettings
@@ -54,7 +54,9 @@ def check_live(
         NoRouterError: there is no router.
     """
     from adaptive_contact.service.link import Link, listen
-    from adaptive_contact.service.livecheck import LiveCheck
+
+    with needs("robot check --live", "doctor", "numpy"):
+        from adaptive_contact.service.livecheck import LiveCheck
 
     check = LiveCheck(robot)
     console = table_console(pipe_width=120)

@@ -15,6 +15,7 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import seconds_option
 from adaptive_contact.cli._output import say_json
+from adaptive_contact.errors import needs
 from adaptive_contact.printable import printable
 from adaptive_contact.service.findings import Finding, Level
 
@@ -37,8 +38,10 @@ def doctor(
 
     Exit code 0: nothing worse than a note; 1: warnings or errors; 2: no router.
     """
-    from adaptive_contact.service.doctor import Diagnosis, examine
     from adaptive_contact.service.link import Link, NoRouterError
+
+    with needs("doctor", "doctor", "numpy"):
+        from adaptive_contact.service.doctor import Diagnosis, examine
 
     try:
         with Link.open(network.client(wait=False)) as link:
