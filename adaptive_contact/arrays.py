@@ -1,4 +1,4 @@
-"""Defines types of arrays, and imports numpy late for modules that rarely need it."""
+"""Defines types of arrays, and imports numpy and scipy late for modules that rarely need them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
+    import scipy
     from numpy.typing import ArrayLike, NDArray
 
     Array = NDArray[np.float64]
@@ -15,14 +16,17 @@ if TYPE_CHECKING:
 else:
     Array = ArrayLike = Ints = Mask = Any
 
-    class _Numpy:
-        """Loads numpy with the first function that is used: programs that only listen lack it."""
+    class _Late:
+        """Loads a library with the first name that is used: programs that only listen lack some."""
+
+        def __init__(self, library: str) -> None:
+            self._library = library
 
         def __getattr__(self, name: str) -> Any:
-            found = getattr(importlib.import_module("numpy"), name)
+            found = getattr(importlib.import_module(self._library), name)
             setattr(self, name, found)
             return found
 
-    np = _Numpy()
+    np, scipy = _Late("numpy"), _Late("scipy")
 
-__all__ = ["Array", "ArrayLike", "Ints", "Mask", "np"]
+__all__ = ["Array", "ArrayLike", "Ints", "Mask", "np", "scipy"]

@@ -119,6 +119,17 @@ def test_what_listens_works_alone(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize("words", [("doctor",), ("robot", "check", "--live")])
+def test_numpy_is_all_that_what_listens_needs_to_find_faults(words: tuple[str, ...]) -> None:
+    without = WITHOUT.replace("numpy ", "", 1)
+    done = subprocess.run(
+        [sys.executable, "-c", without, *words, "--connect", "127.0.0.1:1"],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert "unreachable" in done.stdout + done.stderr
+
+
 def test_what_listens_is_part_of_the_whole() -> None:
     root = Path(__file__).parents[1]
     whole = tomllib.loads((root / "pyproject.toml").read_text())["project"]

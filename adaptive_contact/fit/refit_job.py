@@ -24,9 +24,8 @@ import dataclasses
 from typing import Final, Protocol
 
 import numpy as np
-import scipy  # its parts load where they are used: 0.2 s
 
-from adaptive_contact.arrays import Array
+from adaptive_contact.arrays import Array, scipy
 from adaptive_contact.fit.prior import fit_prior
 from adaptive_contact.fit.sparse_regression import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model.factor import Factor

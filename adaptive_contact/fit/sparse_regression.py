@@ -12,9 +12,8 @@ import warnings
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import scipy  # its parts load where they are used: 0.2 s
 
-from adaptive_contact.arrays import Array, Mask
+from adaptive_contact.arrays import Array, Mask, scipy
 from adaptive_contact.model.factor import Factor
 
 if TYPE_CHECKING:

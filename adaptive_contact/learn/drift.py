@@ -16,8 +16,8 @@ from collections import deque
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import scipy  # its parts load where they are used
 
+from adaptive_contact.arrays import scipy
 from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
 from adaptive_contact.model.noise import UNFIT_LEVEL
 from adaptive_contact.wire import Doubt, DriftLevel, Status

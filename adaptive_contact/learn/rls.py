@@ -28,9 +28,8 @@ import math
 from typing import Any, Final
 
 import numpy as np
-import scipy  # its parts load where they are used: 0.2 s
 
-from adaptive_contact.arrays import Array, Mask
+from adaptive_contact.arrays import Array, Mask, scipy
 from adaptive_contact.compiled import Handover, compiled
 from adaptive_contact.model.free_motion import Covariance
 

@@ -16,9 +16,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import scipy  # its parts load where they are used: 0.2 s
 
-from adaptive_contact.arrays import Array
+from adaptive_contact.arrays import Array, scipy
 
 
 class Factor:

@@ -22,10 +22,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # its parts load where they are used
 from numpy.typing import ArrayLike
 
-from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.arrays import Array, Ints, scipy
 from adaptive_contact.model.noise import WINDOWS, NoiseModel
 
 

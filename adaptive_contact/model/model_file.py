@@ -16,9 +16,8 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 import msgspec
 import numpy as np
-import scipy  # its parts load where they are used
 
-from adaptive_contact.arrays import Array
+from adaptive_contact.arrays import Array, scipy
 from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
 from adaptive_contact.files import cannot_write, read_file, write_file
 from adaptive_contact.model import bounds

@@ -23,9 +23,8 @@ import math
 from typing import Final
 
 import numpy as np
-import scipy  # its parts load where they are used: 0.2 s
 
-from adaptive_contact.arrays import Array
+from adaptive_contact.arrays import Array, scipy
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.factor import Factor
 

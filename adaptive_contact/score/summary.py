@@ -18,9 +18,9 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-import scipy  # its parts load where they are used
 from numpy.typing import NDArray
 
+from adaptive_contact.arrays import scipy
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score.outcome import ROWS, LegOutcome, Row, SwingTable, TouchTable
 

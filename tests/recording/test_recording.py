@@ -19,6 +19,7 @@ from adaptive_contact.service.recording import Record, RecordingWriter, read_rec
 from adaptive_contact.service.recording.recorder import SplitWriter
 from adaptive_contact.service.recording.scene import Scene
 from adaptive_contact.service.recording.schemas import protobuf_class
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,
@@ -128,6 +129,23 @@ def test_a_file_is_read_by_its_own_descriptors(tmp_path: Path) -> None:
     assert isinstance(read, ServoSample)
     assert (read.t_ns, read.seq) == (3, 3 * TICK)
     assert read.measured == sample(3).measured
+
+
+@pytest.mark.parametrize("error", [None, "no space"])
+def test_a_field_that_is_none_comes_back_as_none(tmp_path: Path, error: str | None) -> None:
+    """Also a struct, and a field without a default: statuses of the service have both."""
+    state = StateFacts(folder="/a", restored=[], refused=[], saved=0, failed=1, error=error)
+    written = [
+        ServiceStatus(
+            version="1", robot="r", period_s=0.02, baseline=None, legs={}, uptime_s=1.0, state=one
+        )
+        for one in (state, None)
+    ]
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        for status in written:
+            writer.write_message(SERVICE_STATUS, status, 1)
+    records = list(read_recording(tmp_path / "a.mcap"))
+    assert [decode(r.payload, ServiceStatus, r.encoding) for r in records] == written
 
 
 def test_what_protobuf_cannot_say_keeps_its_bytes(tmp_path: Path) -> None:

@@ -237,20 +237,22 @@ def _filled(convert: _Convert, optional: bool) -> _Convert:
 def _reverse(struct: type[msgspec.Struct], described: Descriptor) -> _Convert:
     """Turn a protobuf message into the map of a struct."""
     hints = get_type_hints(struct)
-    fields: list[tuple[str, _Convert | None, bool]] = []
+    fields: list[tuple[str, _Convert | None, bool, bool]] = []
     for field in msgspec.structs.fields(struct):
         there = described.fields_by_name.get(field.name)
         if there is not None:
             optional = parts_of(hints[field.name])[2]
-            fields.append((field.name, _reverse_field(hints[field.name], there), optional))
+            change = _reverse_field(hints[field.name], there)
+            fields.append((field.name, change, optional, there.has_presence))
 
     def convert(message: Any) -> dict[str, Any]:
-        made = {}
-        for name, change, optional in fields:
+        made: dict[str, Any] = {}
+        for name, change, optional, presence in fields:
             held = getattr(message, name)
-            if optional and not held and (hasattr(held, "append") or not message.HasField(name)):
-                continue
-            made[name] = change(held) if change else held
+            if optional and not (message.HasField(name) if presence else held):
+                made[name] = None  # also in a field that has no default
+            else:
+                made[name] = change(held) if change else held
         return made
 
     return convert
