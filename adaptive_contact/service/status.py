@@ -111,7 +111,8 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
     events: int = 0  # contact events published
     # payloads that belong to no leg, by reason
     rejects: dict[str, int] = msgspec.field(default_factory=dict)
-    # of this start of the service, random; another one beside it is a second service
+    # of this start of the service, random; another one beside it is a second service; empty while
+    # it compiles, and judges nothing
     instance: str = ""
     # one line for a person when something is wrong with the service, None when all is well
     note: str | None = None

@@ -124,7 +124,7 @@ class _Truth:
     false_alarms: int = 0
     verdicts: deque[Verdict] = field(default_factory=lambda: deque(maxlen=_MOST_TIMES))
 
-    def change(self, truth: ContactTruth, now_ns: int) -> None:
+    def change(self, truth: ContactTruth, now_ns: int, *, judged: bool) -> None:
         if truth.contact:
             if self.loaded_since_ns is not None:
                 return
@@ -133,7 +133,7 @@ class _Truth:
             # It is unknown whether a leg that was first seen loaded has been in the air.
             if self.released_ns is not None and truth.t_ns - self.released_ns >= 60_000_000:
                 if self.began_ns is None:
-                    self.began_ns = truth.t_ns
+                    self.began_ns = truth.t_ns if judged else None
                 else:
                     self.touches.append(_Touch(truth.t_ns, now_ns))
             return
@@ -279,7 +279,8 @@ class Watch:
         if view.truth is None:
             view.truth = _Truth()
         self._judge(view, now_ns)
-        view.truth.change(truth, now_ns)
+        judged = self._service is None or self._service.instance != ""  # else it compiles yet
+        view.truth.change(truth, now_ns, judged=judged)
 
     def service(self, status: ServiceStatus) -> None:
         """Store the service's own status."""

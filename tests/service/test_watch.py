@@ -220,6 +220,20 @@ def test_truth_judges_events(event_ms: float, seen: int, false_alarms: int) -> N
     assert leg.latency_ms == (event_ms - 1000 if seen else None)
 
 
+def test_touches_while_the_service_compiles_are_not_missed() -> None:
+    watch = Watch()
+    watch.service(service(instance="", note="compiling"))
+    for t_ms in (0, 1000, 2000, 3000, 4000):
+        if t_ms == 3000:
+            watch.service(service(instance="ab"))
+        watch.truth("rf", truth(t_ms, False), t_ms * MS)
+        watch.truth("rf", truth(t_ms + 500, True), (t_ms + 500) * MS)
+    leg = watch.view(9 * S).legs[0]
+    assert (leg.leg, leg.touches, leg.seen) == ("rf", 1, 0), (
+        "after the first with a service that judges"
+    )
+
+
 def test_truth_that_comes_after_the_event_still_counts() -> None:
     watch = after_one_swing()
     watch.truth("rf", truth(500, False), 0)

@@ -63,6 +63,7 @@ def service(**fields: Any) -> ServiceStatus:
             "baseline": None,
             "legs": {"rf": LegFacts(joints=["a"]), "lf": LegFacts(joints=["a"])},
             "uptime_s": 75.0,
+            "instance": "ab",
             **fields,
         }
     )
