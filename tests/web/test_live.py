@@ -220,6 +220,13 @@ def _values_can_be_read(tab: Tab) -> None:
     )
     assert len({values[0] for values in shown}) == 1, shown
     assert re.fullmatch(r"-?\d+\.\d\d s", shown[0][0])
+    time_s, p = tab.value(
+        "[0, 2].map((row) => panel.charts[0].data[row][panel.charts[0].cursor.idx])"
+    )
+    assert shown[0][0] == f"{time_s:.2f} s"
+    assert shown[0][2] == ("–" if p is None else f"{p:.2f}")
+    carries = tab.value("panel.charts[0].data[2].filter((p) => p !== null)")
+    assert 0.0 <= min(carries) < 0.3 < 0.7 < max(carries) <= 1.0
     for _, predicted, command, reading in shown[1:]:
         assert re.fullmatch(r"–|-?\d+\.\d\d°", predicted)
         assert abs(float(command[:-1]) - float(reading[:-1])) < 60

@@ -22,6 +22,7 @@ const line = (label, name, more = {}) => ({
   ...more,
 });
 
+const figure = (_, value) => (value === null ? "–" : value.toFixed(2));
 const degrees = (_, value) => (value === null ? "–" : `${value.toFixed(2)}°`);
 
 /** An axis with ticks in the page's colours. */
@@ -92,7 +93,7 @@ function chart(box, height, y, series) {
       height,
       legend: { live: true, markers: { width: 2 } },
       cursor: { sync: { key: "leg", setSeries: false, scales: ["x", null] }, y: false, points: { show: false }, drag: { x: false, y: false } },
-      scales: { x: { time: false, auto: false }, y: y.scale },
+      scales: { x: { time: false, auto: false }, y: y.scale, p: { range: [0, 1] } },
       axes: [times, y.axis],
       series: [
         { label: "time", value: (_, value) => (value === null ? "–" : `${value.toFixed(2)} s`) },
@@ -128,7 +129,7 @@ function build(root, names) {
         values: (_, splits) => splits.map((value) => ([0.1, 1, 10].includes(value) ? String(value) : "")),
       }),
     },
-    [line("test ratio", "ratio", { value: (_, value) => (value === null ? "–" : value.toFixed(2)) })],
+    [line("test ratio", "ratio", { value: figure }), line("p", "carries", { scale: "p", value: figure })],
   );
   const room = (_, least, most) => {
     const around = Math.max((most - least) * 0.08, (2.4 - (most - least)) / 2, 0.1);
@@ -155,7 +156,7 @@ function build(root, names) {
 function columns(ticks, from, to) {
   const width = ticks.joints;
   const gap = Math.max(6 * state.periodMs, 150);
-  const found = Array.from({ length: 2 + 3 * width }, () => []);
+  const found = Array.from({ length: 3 + 3 * width }, () => []);
   let before = null;
   const known = (value) => (Number.isNaN(value) ? null : value);
   for (let i = from; i < to; i += 1) {
@@ -173,6 +174,7 @@ function columns(ticks, from, to) {
       const value = known(ticks.angles[at * width * 3 + k]);
       found[2 + k].push(value === null ? null : value * DEG);
     }
+    found[2 + 3 * width].push(known(ticks.p[at]));
   }
   return found;
 }
@@ -198,9 +200,9 @@ export function drawCharts(root, of) {
       const [rms, noise] = [(row.rms || [])[i - 1], (row.noise || [])[i - 1]];
       const words = `residual ${(rms * DEG).toFixed(2)}°, at the start ${(noise * DEG).toFixed(2)}°`;
       setText(box.firstChild.children[1], noise ? words : "");
-    } else setText(box.firstChild.children[1], "a contact is above 1");
+    } else setText(box.firstChild.children[1], "a contact is above 1; p, that the foot carries: 0 to 1");
     if (box.clientWidth && box.clientWidth !== made.width) made.setSize({ width: box.clientWidth, height: made.height });
-    const lines = i ? [2, 0, 1].map((row) => found[2 + row * width + i - 1]) : [found[1]];
+    const lines = i ? [2, 0, 1].map((row) => found[2 + row * width + i - 1]) : [found[1], found[2 + 3 * width]];
     made.batch(() => {
       made.setData([found[0], ...lines], false);
       made.setScale("x", { min: (end - state.span - state.now) / 1000, max: (end - state.now) / 1000 });
