@@ -93,11 +93,13 @@ GRID_RAD: Final = 1e-5
 
 # Readings that equal a command, rad, in so many ticks in which it moves, off the grid that the
 # others lie on, by so much of its step: no servo stops there.  On the grid, two joints and more
-# have to move, and all that do have to read their command in so many ticks in a row.
+# have to move, and all that do have to read their command in so many ticks in a row; in the last
+# number of them to stay a copy: walking legs in 3 at most, copies in swings only in 6 and more.
 GRID_PART: Final = 0.05
 EQUAL_RAD: Final = 1e-6
 EQUAL_TICKS: Final = 8
 EQUAL_RUN: Final = 12
+EQUAL_STAYS: Final = 5
 
 Kind = Literal["copy", "held", "old", "twin"]
 
@@ -227,7 +229,8 @@ class InformationCheck:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
         if before and np.isnan(off.rms[list(before)]).all():
             return self.found, False  # joints that hardly move clear nothing
-        equal, since = equal_to_commands(samples, ticks, self._step_rad)
+        run = EQUAL_STAYS if before else EQUAL_RUN
+        equal, since = equal_to_commands(samples, ticks, self._step_rad, run)
         if equal:
             return Finding("copy", equal, since), True
         white, moving = self._is_white(off), np.flatnonzero(np.isfinite(off.rms))
@@ -259,13 +262,16 @@ class InformationCheck:
         return bool(white)
 
 
-def equal_to_commands(samples: Samples, ticks: int, step_rad: float) -> tuple[tuple[int, ...], int]:
+def equal_to_commands(
+    samples: Samples, ticks: int, step_rad: float, run: int = EQUAL_RUN
+) -> tuple[tuple[int, ...], int]:
     """Find joints whose newest readings are commands that their encoder could not have read.
 
     Args:
         samples: as many as ticks, and :data:`LAGS` before them.
         ticks: that are judged.
         step_rad: of the encoder, as described.
+        run: ticks in a row in which joints on the grid have to read their commands.
 
     Returns:
         The joints, and how many samples ago the first of these readings was.
@@ -281,7 +287,7 @@ def equal_to_commands(samples: Samples, ticks: int, step_rad: float) -> tuple[tu
         copies |= same & (same.sum(axis=0) >= EQUAL_TICKS)
         moving = moved[at] > 0.5 * step_rad
         whole = (equal | ~moving).all(axis=1) & (moving.sum(axis=1) > 1)
-        copies |= equal & moving & in_runs(whole, EQUAL_RUN)[:, None]
+        copies |= equal & moving & in_runs(whole, run)[:, None]
     first = int(copies.any(axis=1).argmax())
     return tuple(np.flatnonzero(copies.any(axis=0)).tolist()), ticks - first
 

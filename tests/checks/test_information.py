@@ -262,6 +262,18 @@ def test_commands_for_readings_in_swings_alone_are_found(zero: float) -> None:
     assert 110 < since <= 120
 
 
+def test_copies_in_swings_alone_stay_copies_where_fewer_in_a_row_show_it() -> None:
+    u, swing = commands(26)
+    u = np.round(u / STEP) * STEP
+    y = grid(servo(u, swing, gain=0.4))
+    at, begin, end = np.arange(len(u)), 8 * STRIDE, 20 * STRIDE
+    lies = swing & (at >= begin) & (at < end) & ((at < begin + 4 * STRIDE) | (at % 8 > 0))
+    y[lies] = u[lies]
+    _, said = played(y, u, swing)
+    assert [kind for _, kind in said] == ["copy", None]
+    assert end < said[1][0] <= end + 5 * STRIDE
+
+
 def test_a_frozen_joint_is_no_copy() -> None:
     u, swing = commands(12)
     y = grid(servo(u, swing, gain=0.4))
