@@ -293,6 +293,12 @@ def test_a_service_that_says_nothing() -> None:
     assert "warning: a service runs, but has published no status" in whats(diagnosis)
 
 
+def test_a_service_that_compiles_is_one_entry() -> None:
+    compiles = (SERVICE_STATUS, encode(service(note="compiling: wait")))
+    diagnosis = diagnose(receive(compiles, *good()[2:]), 3.0, alive=True)
+    assert whats(diagnosis) == ["error: note of the service: compiling: wait"]
+
+
 def test_nobody_publishes() -> None:
     diagnosis = diagnose(Examination(), 3.0, alive=False)
     assert "error: nobody publishes servo samples" in whats(diagnosis)
