@@ -74,7 +74,7 @@ def fit(
                 f"{known.touched} of {known.swings} swings; {known.outliers} ticks are left out: "
                 "record free swings, or with truth, to learn from all of them"
             )
-        if known.strength is not None:
+        if not known.determined:
             say_note(undetermined(leg_id, known))
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:

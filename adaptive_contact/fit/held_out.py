@@ -193,8 +193,13 @@ def swept(
     return Sweep(manner, chosen, errors, residual, certain, lone)
 
 
-def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> float | None:
+def strength_of(
+    held: HeldOut, plain: Sweep, still: Mask, rounding: float
+) -> tuple[float | None, bool]:
     """Choose how firmly to hold on to what is known of any leg.
+
+    At least as firmly as the family says, whatever the held-out rows prefer: they are of the same
+    motions, and tell nothing of the next one (decision 43).
 
     Args:
         held: the rows.
@@ -203,10 +208,11 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
         rounding: rad, deviation of a reading.
 
     Returns:
-        A strength; None where the data determine the model.
+        A strength, None for terms of which nothing is known; and whether the data determine the
+        model.
     """
     if not in_family(plain.manner.library):
-        return None  # of its terms nothing is known
+        return None, True
     without = held.residual(plain.manner, plain.threshold, still)
     gains: dict[float, float] = {}
     for strength in STRENGTHS:
@@ -217,13 +223,13 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
             gains[strength] = held.gain(without, with_it, rounding)
     best = max(gains.values(), default=0.0)
     beyond = float((np.square(held.spread(plain.manner)) - 1.0).mean())
-    # By what logarithm held-out errors must fall, where the prior is to be held on to: by 0.03 to
+    # By what logarithm held-out errors must fall, where the data leave terms open: by 0.03 to
     # 0.6 on 30 swings of most legs, by less than this on ten minutes of a leg that ships (decision
     # 43).
     # Mean leverage of held-out rows from which on any gain is enough: what the other folds do not
     # determine is then more than the noise.  It is 20 to 800 on most of an arm's motions, 0.05 to
     # 2.7 on those 65 swings, 0.01 to 0.1 on ten minutes of walking.
     if best < (0.0 if beyond > 10.0 else 0.02):
-        return None
+        return 1.0, True
     # Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
-    return max(strength for strength, gain in gains.items() if gain >= 0.9 * best)
+    return max(strength for strength, gain in gains.items() if gain >= 0.9 * best), False

@@ -21,8 +21,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.fit.prior import fit_prior
 from adaptive_contact.fit.sparse_regression import FitSettings, fit_sparse
 from adaptive_contact.model.factor import Factor
+from adaptive_contact.model.leg_prior import in_family
+from adaptive_contact.model.library import Library
 
 # Share that the first fits are made of: three times the touches that a tenth would be may be among
 # the rest.
@@ -41,26 +44,37 @@ DEVIATION_STEPS: Final = 6**-0.5
 MEDIAN_STEPS: Final = 1.0 - 2**-0.5
 
 
-def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
+def inliers(
+    library: Library, theta: Array, target: Array, position: Ints, quantum_rad: float
+) -> Mask:
     """Find the rows that a fit can explain; twice, as the first fit still carries the others.
 
+    It is fitted as a leg is: by least squares alone a few wild rows are explained by coefficients
+    that no leg has.
+
     Args:
+        library: the terms to choose from.
         theta: (n, p) regressors.
         target: (n, J) rad, movements.
+        position: (n,) tick of each.
         quantum_rad: position step of the servos.
     """
     keep: Mask = np.asarray(np.isfinite(theta).all(axis=1) & np.isfinite(target).all(axis=1))
     for _ in range(2):
         factor = Factor(theta.shape[1], target.shape[1])
         factor.add(theta[keep], target[keep])
-        residual = target - theta @ fit_sparse(factor, FitSettings()).coefficients
+        prior = fit_prior(factor, library, quantum_rad, 1.0) if in_family(library) else None
+        fit = fit_sparse(factor, FitSettings(prior=prior))
+        residual = target - theta @ fit.coefficients
         # Median absolute deviation: the outliers must not set the scale they are judged by.
         sigma = MAD_DEVIATION * np.median(np.abs(residual[keep]), axis=0)
         # Rows further out than this many standard deviations, in whitened distance, are no noise: a
         # touch in a recording assumed free, or a bad reading.  Free ticks reach 6 in 10^6.
         near = np.abs(residual) < 10.0 * np.maximum(sigma, DEVIATION_STEPS * quantum_rad)
         keep = np.asarray(keep & near.all(axis=1))
-    return keep
+    # A wild reading is in the windows of the next ticks, too.
+    spoilt = position[~keep, None] + np.arange(1, library.window.length + 1)
+    return np.asarray(keep & ~np.isin(position, spoilt))
 
 
 class Untouched(NamedTuple):

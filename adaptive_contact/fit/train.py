@@ -80,9 +80,9 @@ class LegFigures:
     # ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements summed
     # over so many
     spans: dict[int, tuple[Array, Array]]
-    # how firmly the fit holds on to what is known of any leg; None where the motions determine all
-    # terms (`prior`)
+    # how firmly the fit holds on to what is known of any leg; None where nothing is (`prior`)
     strength: float | None = None
+    determined: bool = True  # by the motions, all terms
     # ticks in which a motion went beyond all others, so that thresholds there are ten times the
     # noise and more
     lone: int = 0
@@ -217,7 +217,7 @@ def gather_rows(
     """
     rows = _rows(leg, library, stretches, quantum_rad)
     _check_enough(leg, library, rows)
-    keep = inliers(rows.theta, rows.target, quantum_rad)
+    keep = inliers(library, rows.theta, rows.target, rows.position, quantum_rad)
     touched = 0
     if not all(stretch.certain for stretch in stretches):
         keep[keep], touched = untouched(
@@ -262,7 +262,7 @@ def learn_leg(
         raise IdentificationError(
             f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
         )
-    strength = strength_of(held, best, still, rounding)
+    strength, determined = strength_of(held, best, still, rounding)
     if strength is not None:
         best = swept(held, manner.holding(held, strength), lambdas, still, rounding) or best
     manner = best.manner
@@ -294,6 +294,7 @@ def learn_leg(
         library_size=library.size,
         condition=fit.condition,
         strength=manner.strength,
+        determined=determined,
         lone=best.lone,
         spans=_spans(best.residual, swinging),
     )

@@ -21,9 +21,11 @@ from numpy.typing import ArrayLike
 
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 
-# The level above which the tail is fitted: the largest 1 % of the ticks, but enough of them.
+# The level above which the tail is fitted: the largest 1 % of the ticks, but enough of them, and at
+# most so many.
 TAIL_FRACTION: Final = 0.01
 MIN_EXCEEDANCES: Final = 50
+MOST_FRACTION: Final = 0.05
 # A heavier shape than this means a few outliers, not a tail; a lighter one promises a hard end.
 SHAPE_RANGE: Final = (-0.2, 0.6)
 CONFIDENCE_DEVIATIONS: Final = 1.645  # 95 %, one-sided
@@ -82,15 +84,15 @@ class Tail:
         return self.level + self.scale / self.shape * (math.pow(ratio, self.shape) - 1.0)
 
 
-def tail_ticks(n: int, fraction: float = TAIL_FRACTION) -> int:
+def tail_ticks(n: int) -> int:
     """Return how many of n free ticks are taken for the tail.
 
     Raises:
-        TooLittleDataError: fewer than :data:`MIN_EXCEEDANCES`.
+        TooLittleDataError: :data:`MIN_EXCEEDANCES` are too large a part of them.
     """
-    count = int(n * fraction)
-    if count < MIN_EXCEEDANCES:
-        needed = math.ceil(MIN_EXCEEDANCES / fraction)
+    count = max(int(n * TAIL_FRACTION), MIN_EXCEEDANCES)
+    needed = math.ceil(MIN_EXCEEDANCES / MOST_FRACTION)
+    if n < needed:
         raise TooLittleDataError(
             f"{n} free swing ticks are too few for a threshold, expected at least {needed}; record "
             "more free swings",
@@ -100,18 +102,17 @@ def tail_ticks(n: int, fraction: float = TAIL_FRACTION) -> int:
     return count
 
 
-def fit_tail(values: ArrayLike, fraction: float = TAIL_FRACTION) -> Tail:
+def fit_tail(values: ArrayLike) -> Tail:
     """Fit the upper tail of a statistic on free ticks.
 
     Args:
         values: (n,) the statistic on ticks known to be free; NaN is left out.
-        fraction: share of the ticks taken for the tail.
 
     Returns:
         The tail.
 
     Raises:
-        TooLittleDataError: fewer ticks than give :data:`MIN_EXCEEDANCES` exceedances.
+        TooLittleDataError: as :func:`tail_ticks`.
 
     Reference:
         Hosking and Wallis, Parameter and quantile estimation for the generalized Pareto
@@ -120,7 +121,7 @@ def fit_tail(values: ArrayLike, fraction: float = TAIL_FRACTION) -> Tail:
     sample = np.asarray(values, dtype=np.float64)
     sample = np.sort(sample[np.isfinite(sample)])
     n = len(sample)
-    count = tail_ticks(n, fraction)
+    count = tail_ticks(n)
     level = float(sample[n - count - 1])
     excess = sample[n - count :] - level
     mean = float(excess.mean())

@@ -118,30 +118,30 @@ def test_a_busy_computer_reads_on_until_it_has_enough(
     robot: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of the seconds asked for it reads a third of the ticks, and later all of them."""
-    recorded(robot.robot, 8000, tmp_path / "early.mcap")
+    recorded(robot.robot, 2600, tmp_path / "early.mcap")
     rows = {leg.id: samples_of(tmp_path / "early.mcap", leg.id) for leg in robot.robot.legs}
     asked: list[float] = []
 
     def collect(*_: Any, seconds: float, **__: Any) -> dict[str, list[ServoSample]]:
-        begin = round(sum(asked[1:], 25.0 if asked else 0.0) / PERIOD_S)
+        begin = round(sum(asked[1:], 6.0 if asked else 0.0) / PERIOD_S)
         asked.append(seconds)
-        many = round((seconds if asked[1:] else 25.0) / PERIOD_S)
+        many = round((seconds if asked[1:] else 6.0) / PERIOD_S)
         return {leg: of_leg[begin : begin + many] for leg, of_leg in rows.items()}
 
     monkeypatch.setattr(training, "collect", collect)
     words = ("--config", "robot.toml", "--drive", "--yes", "--out", "b.json")
-    said = learn(*words, "--seconds", "75")
+    said = learn(*words, "--seconds", "18")
     assert f"going on for {asked[1]} s" in said.output
-    assert sum(asked) <= 3 * 75
+    assert sum(asked) <= 3 * 18
     assert sorted(load_baseline("b.json").legs) == ["l0", "l1"]
-    assert seconds_of(Path("b.mcap"), "l1") > 25.0 + sum(asked[1:]) - 0.1
+    assert seconds_of(Path("b.mcap"), "l1") > 6.0 + sum(asked[1:]) - 0.1
     asked.clear()
     with pytest.raises(TooLittleDataError, match=r"run this again with --more b-2\.mcap"):
-        learn(*words, "--seconds", "10", "--force")
-    assert asked == [10], "what takes more than three times as long is asked for"
+        learn(*words, "--seconds", "1", "--force")
+    assert asked == [1], "what takes more than three times as long is asked for"
 
 
-@pytest.mark.parametrize("ticks", [280, 340, 400, 460, 520, 1500])
+@pytest.mark.parametrize("ticks", [280, 340, 400, 460, 520, 620])
 def test_what_falls_short_of_any_least_is_told_in_seconds_before_a_leg_is_fitted(
     robot: Any, tmp_path: Path, ticks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,7 +155,7 @@ def test_what_falls_short_of_any_least_is_told_in_seconds_before_a_leg_is_fitted
 
 def test_a_recording_that_needs_a_little_more_says_so(robot: Any, tmp_path: Path) -> None:
     """Rows enough for each leg, and too few for a threshold: the tail's own word, in seconds."""
-    recorded(robot.robot, 1500, tmp_path / "early.mcap")
+    recorded(robot.robot, 620, tmp_path / "early.mcap")
     with pytest.raises(TooLittleDataError, match=r"leg l0 \d+ of \d+ free ticks, \d+ s more"):
         learn("--config", "robot.toml", "--seconds", "1", "--more", "early.mcap")
 

@@ -49,9 +49,20 @@ def test_nan_is_left_out_and_order_does_not_matter() -> None:
 
 
 def test_too_few_ticks_are_refused() -> None:
-    with pytest.raises(TooLittleDataError, match="1000 free swing ticks are too few") as told:
-        fit_tail(np.arange(1000.0))
-    assert (told.value.have, told.value.needed) == (1000, 5000)
+    with pytest.raises(TooLittleDataError, match="999 free swing ticks are too few") as told:
+        fit_tail(np.arange(999.0))
+    assert (told.value.have, told.value.needed) == (999, 1000)
+
+
+@pytest.mark.parametrize("ticks", [1000, 3000])
+def test_of_few_ticks_a_threshold_is_cautious(ticks: int) -> None:
+    """It is fitted to more than their largest hundredth, and still seldom too low."""
+    law = stats.chi2(1)
+    found = [
+        fit_tail(law.rvs(ticks, random_state=seed)).cautious().quantile(1e-6) for seed in range(60)
+    ]
+    assert np.mean(np.array(found) < law.isf(1e-6)) <= 0.05
+    assert np.median(found) < 3.0 * law.isf(1e-6)
 
 
 def test_a_constant_statistic_has_a_threshold_above_it() -> None:

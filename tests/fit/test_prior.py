@@ -238,6 +238,12 @@ def trained(stretches: list[Stretch]) -> Training:
     return learn(parse_robot(ARM, source="arm"), {"arm": stretches}, origin="test")
 
 
+def by_least_squares(stretches: list[Stretch]) -> Training:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("adaptive_contact.fit.train.strength_of", lambda *_: (None, True))
+        return trained(stretches)
+
+
 def unseen_rms(training: Training, stretch: Stretch) -> Array:
     model = training.baseline.legs["arm"].model
     cut = stack(stretch.measured, stretch.desired, model.library.window)
@@ -266,14 +272,12 @@ def few() -> Training:
 @pytest.fixture(scope="module")
 def plain() -> Training:
     """The same recording, by least squares alone."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("adaptive_contact.fit.train.strength_of", lambda *_: None)
-        return trained(with_a_leap())
+    return by_least_squares(with_a_leap())
 
 
 def test_few_motions_hold_on_and_a_new_motion_is_predicted(few: Training, plain: Training) -> None:
     rng = np.random.default_rng(12)
-    assert few.figures["arm"].strength is not None
+    assert not few.figures["arm"].determined
     assert plain.figures["arm"].strength is None
     sides = np.sign(np.sin(np.arange(600)[:, None] / 40.0 + np.arange(3)))
     fast = follow(rng, 0.5 + 0.7 * sides)
@@ -307,13 +311,29 @@ def determined() -> Training:
     return trained([follow(rng, waves(rng))])
 
 
-def test_motions_that_determine_all_terms_hold_on_to_nothing(
+def test_motions_that_determine_all_terms_hold_on_as_the_family_does(
     determined: Training, tmp_path: Path
 ) -> None:
-    assert determined.figures["arm"].strength is None
+    assert determined.figures["arm"].determined
+    assert determined.figures["arm"].strength == 1.0
     file = tmp_path / "baseline.json"
     file.write_text(dump_baseline(determined.baseline))
     assert '"doubt"' not in file.read_text()
+
+
+def test_one_gait_for_two_minutes_tells_of_the_next_one() -> None:
+    """Held-out swings of the same gait determine all terms; those of another show it is not so."""
+    rng = np.random.default_rng(17)
+    gait = 0.3 * np.sin(2.0 * np.pi * np.arange(6000)[:, None] / 40.0 + np.arange(3))
+    gait += rng.normal(scale=0.01, size=gait.shape)
+    turn = np.sign(np.sin(np.arange(600)[:, None] / 40.0 + np.arange(3)))
+    fitted = [follow(rng, gait)]
+    own, plain = trained(fitted), by_least_squares(fitted)
+    assert own.figures["arm"].determined
+    other = follow(rng, 0.5 + 0.7 * turn)
+    assert unseen_rms(own, other).mean() < 0.2 * unseen_rms(plain, other).mean()
+    same = follow(rng, gait[:600])
+    assert unseen_rms(own, same).mean() < 1.1 * unseen_rms(plain, same).mean()
 
 
 def test_a_shove_of_two_ticks_is_left_out(determined: Training) -> None:
