@@ -13,7 +13,8 @@ push of the last ticks is added up with a forgetting of one half a tick.  Residu
 ticks are not independent: a longer sum is too sure, and no better.
 
 Averaged over stances, the push is the *load*: it says whether a leg carries or hangs (decision 53).
-By it, a leg that began with a prior is judged after the turn, or learns all of its swing.
+By it, a leg is judged after the turn or not, and one that began with a prior learns all of its
+swing.
 
 The commanded height sets odds and is no evidence: it stays within :data:`MOST_NATS`.  So p is
 unknown until a stance has departed from the free path, as that of a robot that hangs never does.
@@ -63,10 +64,11 @@ IDLE_NS: Final = 20_000_000_000
 # The sum of pushes, averaged over so long after the turn and over the last stances, is the load.
 # Legs that hang are at -6 to 2.8 (eight robots of the second engine, and a real quadruped), those
 # that walk at 5 to 8, with drives that hardly give way at 1 to 5.  So a leg carries above the first
-# level; it hangs below the second, or below the third if it carried.
+# level; it hangs below the second, or below the third if it carried: a model that began with a
+# prior errs by so much.
 STANCE_NS: Final = 240_000_000
 LEAST_STANCES, STANCES = 3, 8
-LOADED, UNLOADED, LIFTED = 3.0, -1.0, -3.0
+LOADED, UNLOADED, LIFTED = 3.0, 0.5, -3.0
 # A leg that hangs may have been put down where one stance is so much above the load.
 PUT_DOWN: Final = 1.0
 # Stances of a leg whose lifts are so far off say nothing.
@@ -90,16 +92,16 @@ def forget_state(leg):
 
 @compiled
 def hangs(leg):
-    """Return whether no stance has shown load, of a leg whose noise after the turn is not known.
+    """Return whether no stance has shown load, so that nothing is reported after the turn.
 
-    What such a leg does after the turn to stance is not known either: a robot that hangs alarmed
-    there swing after swing.  Of a leg with a baseline some push is enough.
+    What such a leg does there is not known: a robot that hangs alarmed swing after swing, in a new
+    gait even where a baseline knows its noise.  Of a leg with a baseline some push is enough.
     """
     if not leg.has_lengths or leg.carried:
         return False
     if leg.from_prior:
         return not (leg.hanging and leg.after_known)
-    return not leg.after_known and leg.load < PUT_DOWN
+    return leg.load < PUT_DOWN and (leg.hanging or not leg.after_known)
 
 
 @compiled
@@ -132,12 +134,16 @@ def follow_load(leg):
         leg.hanging, leg.load_n = False, 0  # what it learns from here on may carry
     leg.load_n = min(leg.load_n + 1, STANCES)
     leg.load += (push - leg.load) / leg.load_n
-    if leg.load_n == STANCES and leg.load < (LIFTED if leg.carried else UNLOADED):
+    enough = STANCES if leg.from_prior else LEAST_STANCES
+    level = LIFTED if leg.from_prior and leg.carried else UNLOADED
+    if leg.load_n >= enough and leg.load < level:
         if leg.from_prior and not learned:
             leg.load_n = 0  # measured again, as its stances are learned from here on
         leg.hanging, leg.carried = True, False
     elif leg.load_n >= LEAST_STANCES and leg.load > LOADED:
         leg.hanging, leg.carried, leg.idle_n = False, True, 0
+    elif leg.load > PUT_DOWN and not leg.from_prior:
+        leg.hanging = False
 
 
 @compiled

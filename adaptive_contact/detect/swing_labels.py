@@ -297,7 +297,11 @@ def close_swing(rows, values, lift, commanded, count, onset_ns, period_ns, hole_
                 rows[kept], values[kept] = rows[k], values[k]
             kept += 1
     free = lift
-    while free < count and rows[free].t_ns <= last_ns:
+    while (
+        free < count
+        and rows[free].t_ns <= last_ns
+        and (rows[free].was_free or rows[free].nis <= limit)
+    ):
         free += 1
     return kept, free, near_ns
 

@@ -11,6 +11,8 @@ import pytest
 from adaptive_contact import ContactLearner
 from adaptive_contact.cli.fit import gather
 from adaptive_contact.conventions.judge import judge_motion
+from adaptive_contact.fit.recordings import LegGatherer
+from adaptive_contact.fit.train import learn
 from adaptive_contact.model import load_baseline
 from adaptive_contact.robot import Robot, load_robot
 from adaptive_contact.service.recording import read_recording
@@ -131,3 +133,33 @@ def test_legs_that_hang_report_little_and_stay_known() -> None:
     assert 0 < sum(status.swings_withheld for status in statuses.values()) < 200
     for found in contacts.values():
         assert all(c - a > 2 for a, c in zip(found, found[2:], strict=False)), contacts
+
+
+def test_a_fit_to_the_first_run_alarms_after_no_turn_of_the_second() -> None:
+    """Another gait, in which what is known of the time after the turn does not hold."""
+    robot = load_robot(DATA / "hung.toml")
+    streams: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
+    for message in read_recording(DATA / "hung.mcap", robot):
+        if message.key.endswith("/servo"):
+            sample = decode(message.payload, ServoSample, message.encoding)
+            streams[message.key.split("/")[2]].append(sample)
+    stretches = {}
+    for leg in robot.legs:
+        runs = [sample.run for sample in streams[leg.id]]
+        second = runs.index(runs[-1])
+        gatherer = LegGatherer(leg, robot.period_s)
+        for sample in streams[leg.id][:second]:
+            gatherer.take_sample(sample)
+        stretches[leg.id] = gatherer.stretches(free=True)
+        del streams[leg.id][:second]
+    baseline = learn(robot, stretches, origin="the first run").baseline
+    learner = ContactLearner(robot, "fr", baseline)
+    swings, found = 0, []
+    for sample in streams["fr"]:
+        event = learner.update(sample)
+        swings += learner.place.leg.ticks == 1
+        if event is not None and event.contact and learner.place.leg.after:
+            found.append(swings)
+    assert swings > 75
+    assert len(found) <= 3, found  # before its stances have shown that it carries nothing
+    assert all(swing <= 6 for swing in found)

@@ -15,17 +15,18 @@ from adaptive_contact.service.worth import STOPS_S, part, split, worth
 from .conftest import FakeLeg
 
 
-def stretch(certain: bool = True, **run: object) -> Stretch:
-    measured, desired, swing, _ = FakeLeg(seed=9).run(90, **run)
+def stretch(certain: bool = True, swings: int = 90, **run: object) -> Stretch:
+    measured, desired, swing, _ = FakeLeg(seed=9).run(swings, **run)
     return Stretch(measured, desired, swing, swing, np.ones(len(swing), bool), certain=certain)
 
 
 def test_stops_are_found_and_free_swings_give_no_contact(robot: Robot, baseline: Baseline) -> None:
-    found = worth(robot, baseline, {"rf": [stretch()]})["rf"]
+    # Of ten such legs 91 % are found: enough swings that a tenth less shows.
+    found = worth(robot, baseline, {"rf": [stretch(swings=360)]})["rf"]
     for reported, total in found.stops.values():
-        assert 15 < total < 45
-        assert reported >= 0.9 * total
-    assert 15 < found.free_swings < 45
+        assert 60 < total < 180
+        assert reported >= 0.87 * total
+    assert 60 < found.free_swings < 180
     assert found.false == 0
     assert found.good
 
