@@ -124,6 +124,9 @@ class SwingLabels:
             records = descent.records
             descent = descent[~records["after"] | records["high"]]
             descent = descent[: len(descent) - low_rows(descent)]
+        loaded = leg.stance_n > 0 and leg.stance_push > PUT_DOWN * leg.stance_n
+        if descent and leg.from_prior and loaded and not self._touched:
+            descent = descent[descent.records["high"]]  # the touch was missed
         return [
             *self._confirmed(descent, lifted=self._swing.had_lifted),
             LabelledSwing(Label.END, early=self._swing.touched_early()),

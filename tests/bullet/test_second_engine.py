@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactLearner
+
 pytest.importorskip(
     "pybullet", reason="pybullet is not installed: it has wheels for Python 3.11 on x86-64 only"
 )
@@ -20,6 +22,7 @@ from adaptive_contact_bullet.plant import Ground, Plant
 from adaptive_contact_bullet.record import Plan, record
 from adaptive_contact_bullet.robots import SHAPES
 from adaptive_contact_bullet.servo import Drives
+from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.second import Trial, table, tried
 from adaptive_contact_studies.work import Work
 
@@ -146,3 +149,20 @@ def test_a_planned_descent_is_not_stopped_by_a_touch() -> None:
     touching, air = np.ones(6, dtype=bool), np.zeros(6, dtype=bool)
     for _ in range(120):
         np.testing.assert_array_equal(walker.tick(touching), free.tick(air))
+
+
+@pytest.mark.slow
+def test_touches_that_a_new_leg_misses_are_not_learned() -> None:
+    """Drives that hardly give way on soft ground: the load of the stance tells of the touch."""
+    made = record(Plan("worm", GAITS["tripod-slow"], Ground("soft"), 80.0, 31))
+    run, robot = made.run, made.shape.description
+    touching = learned = 0
+    for leg in robot.leg_ids:
+        learner = ContactLearner(robot, leg)
+        for sample in samples_of(run, leg):
+            learner.update(sample)
+            ticks = np.searchsorted(run.t_ns, learner.drain_confirmed())
+            learned += len(ticks)
+            touching += int(run.legs[leg].contact[ticks].sum())
+    assert learned > 3000
+    assert touching < 0.012 * learned  # 0.015 where such descents are learned
