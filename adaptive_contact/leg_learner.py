@@ -11,7 +11,7 @@ there is an event, and later :meth:`~ContactLearner.finish`, which learns.  A
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -37,7 +37,6 @@ from adaptive_contact.detect.stream import NEXT, Accepted, StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import ConventionWatch
-from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.adapter import COEFFICIENTS, NOTHING, Adapter
 from adaptive_contact.learn.lifecycle import Lifecycle
@@ -58,6 +57,9 @@ from adaptive_contact.wire import (
     Reject,
     ServoSample,
 )
+
+if TYPE_CHECKING:  # imports the fits
+    from adaptive_contact.diagnose.leg_ids import IdWatch
 
 # Confirmed rows learned per tick, at most (a valid leg learns one): a swing's dozen are spread over
 # the stance that follows.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.detect.touch_point import PUSH_TICKS, TouchPoint, locate
-from adaptive_contact.diagnose.leg_ids import Owner
-from adaptive_contact.diagnose.watch import Track
 from adaptive_contact.learn.adapter import Adapter, EventStatus
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import WhenAmbiguous
@@ -35,6 +33,10 @@ from adaptive_contact.wire import (
     ServoSample,
     Status,
 )
+
+if TYPE_CHECKING:  # imports the fits
+    from adaptive_contact.diagnose.leg_ids import Owner
+    from adaptive_contact.diagnose.watch import Track
 
 
 class Counters:

@@ -153,7 +153,7 @@ def test_a_planned_descent_is_not_stopped_by_a_touch() -> None:
 
 @pytest.mark.slow
 def test_touches_that_a_new_leg_misses_are_not_learned() -> None:
-    """Drives that hardly give way on soft ground: the load of the stance tells of the touch."""
+    """Stiff drives on soft ground: the load of the stance shows that the foot touched."""
     made = record(Plan("worm", GAITS["tripod-slow"], Ground("soft"), 80.0, 31))
     run, robot = made.run, made.shape.description
     touching = learned = 0

@@ -321,8 +321,8 @@ def test_motions_that_determine_all_terms_hold_on_as_the_family_does(
     assert '"doubt"' not in file.read_text()
 
 
-def test_one_gait_for_two_minutes_tells_of_the_next_one() -> None:
-    """Held-out swings of the same gait determine all terms; those of another show it is not so."""
+def test_a_fit_to_two_minutes_of_one_gait_predicts_the_next_one() -> None:
+    """Held-out swings of the same gait determine all terms; those of another show otherwise."""
     rng = np.random.default_rng(17)
     gait = 0.3 * np.sin(2.0 * np.pi * np.arange(6000)[:, None] / 40.0 + np.arange(3))
     gait += rng.normal(scale=0.01, size=gait.shape)
