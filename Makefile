@@ -12,11 +12,9 @@ KILLS ?= 100
 LEGS ?= 64
 DATA ?= recordings
 REV ?= HEAD
-# Of `make same`: AGAINST another revision, a TOLERANCE, recordings to EXPECT differences in, ONLY
-# some recordings, fields to IGNORE, FRESH=1 for replaying what was replayed before.
+# Of `make same`: AGAINST another revision, a TOLERANCE, ONLY some recordings, fields to IGNORE.
 SAME_OPTIONS = $(if $(AGAINST),--against "$(AGAINST)") $(if $(TOLERANCE),--tolerance $(TOLERANCE)) \
-	$(if $(EXPECT),--expect "$(EXPECT)") $(if $(ONLY),--only "$(ONLY)") \
-	$(if $(IGNORE),--ignore "$(IGNORE)") $(if $(FRESH),--fresh)
+	$(if $(ONLY),--only "$(ONLY)") $(if $(IGNORE),--ignore "$(IGNORE)")
 PICO_PATH = $(if $(PICO),PKG_CONFIG_PATH="$(abspath $(PICO))/lib/pkgconfig")
 # Two cores are shared, file by file, in the order of their names: by the number of their tests, the
 # longest would be among the last.  Tests that start processes come by themselves: what they wait
@@ -77,7 +75,7 @@ check: env  ## ruff, types, import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-same: env  ## revision REV against the working tree on recorded runs, bit by bit (or TOLERANCE=1e-9)
+same: env  ## revision REV against the working tree on golden recordings, bit by bit (or TOLERANCE=1e-9)
 	PYTHONPATH=tests $(BIN)/python -m same --rev "$(REV)" $(SAME_OPTIONS)
 
 prior: env  ## what is known of any leg, from drawn legs, as it ships

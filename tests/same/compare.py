@@ -6,65 +6,36 @@ import math
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-__all__ = ["Comparison", "Difference", "Flip", "compare", "flat", "known_fields"]
+__all__ = ["MOST_SHOWN", "Comparison", "compare", "known_fields"]
 
 # Names of fields, by kind of message.
 Fields = dict[str, set[str]]
-Kind = Literal["event", "status", "confirmed", "judged", "report", "snapshot", "fault"]
-KINDS: Final[tuple[Kind, ...]] = (
-    "event", "status", "confirmed", "judged", "report", "snapshot", "fault",
-)  # fmt: skip
-
+# Differences that are shown of a recording.
+MOST_SHOWN: Final = 12
 # Maps of a snapshot whose keys are data, such as the reasons that occurred.
 _DATA_MAPS: Final = frozenset({"counts", "rejects"})
 _ABSENT: Final = "(absent)"
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A value that is not the same.
+class Difference(NamedTuple):
+    """A value that is not the same; of a decision that only one revision made, its score.
 
     Attributes:
-        kind: of what.
+        round: of the recording, at which it was noted; infinite for its end.
         leg: whose.
-        round: of the recording, at which it was noted; -1 for its end.
-        field: path of the value.
+        field: kind of message, and path of the value.
         before, after: in the first and in the second revision.
-        size: relative where values are beyond 1; None where it is no difference of numbers.
     """
 
-    kind: Kind
+    round: float
     leg: str
-    round: int
     field: str
     before: Any
     after: Any
-    size: float | None = None
-
-
-@dataclass(frozen=True)
-class Flip:
-    """A decision that only one revision made.
-
-    Attributes:
-        leg: whose.
-        round: of the recording.
-        seq, contact: of the event.
-        before, after: score of the event in the first and in the second revision; None for none.
-        judged: what either says of the tick: scores and thresholds of every window.
-    """
-
-    leg: str
-    round: int
-    seq: int
-    contact: bool
-    before: float | None
-    after: float | None
-    judged: tuple[Any, Any] = (None, None)
 
 
 @dataclass
@@ -73,42 +44,44 @@ class Comparison:
 
     Attributes:
         events: how many, in the first and the second revision.
-        flips: decisions of one revision only.
+        flips: how many decisions only one revision made.
         differences: beyond the tolerance.
         largest: size of the largest difference of numbers, within the tolerance or beyond.
-        new_fields: that only one revision has, and which (``-`` the first, ``+`` the second).
-        notes: what could not be compared, and why.
+        notes: what only one revision has (``-`` the first, ``+`` the second), or is not compared.
     """
 
     events: tuple[int, int] = (0, 0)
-    flips: list[Flip] = field(default_factory=list)
+    flips: int = 0
     differences: list[Difference] = field(default_factory=list)
     largest: float = 0.0
-    new_fields: set[str] = field(default_factory=set)
     notes: set[str] = field(default_factory=set)
+
+    def __str__(self) -> str:
+        verdict = "same" if self.same else f"DIFFERENT, {len(self.differences)} values"
+        return (
+            f"{verdict}; events {self.events[0]}, {self.events[1]}, {self.flips} in one only; "
+            f"largest {self.largest:.0e}"
+        )
+
+    @property
+    def lines(self) -> list[str]:
+        """A line per difference, in order of time."""
+        ordered = sorted(self.differences, key=lambda of: of[:2])
+        return [
+            f"leg {of.leg}, tick {of.round}, {of.field}: expected {of.before!r:.70}, "
+            f"found {of.after!r:.70}"
+            for of in ordered
+        ]
 
     @property
     def first(self) -> str:
         """The first tick that differs: of which leg, what was expected, what was found."""
-        differing = [
-            (d.round, d.leg, f"{d.kind}.{d.field}", d.before, d.after) for d in self.differences
-        ]
-        differing += [
-            (f.round, f.leg, f"contact {f.contact}, score", f.before, f.after) for f in self.flips
-        ]
-        if not differing:
-            return "none"
-        tick, leg, what, before, after = min(differing, key=lambda of: (of[0] < 0, *of[:2]))
-        return f"leg {leg}, tick {tick}, {what}: expected {before!r}, found {after!r}"
+        return next(iter(self.lines), "none")
 
     @property
     def same(self) -> bool:
         """Whether nothing differs by more than the tolerance."""
-        return not (self.flips or self.differences)
-
-    def count(self, kind: Kind) -> int:
-        """Differences of one kind."""
-        return sum(d.kind == kind for d in self.differences)
+        return not self.differences
 
 
 def compare(
@@ -132,9 +105,7 @@ def compare(
     fields = fields or (known_fields([before]), known_fields([after]))
     of = _Pairs(found, fields, tolerance, ignore)
     if before.get("fault") != after.get("fault"):
-        found.differences.append(
-            Difference("fault", "", -1, "fault", before.get("fault"), after.get("fault"))
-        )
+        of.differ("fault", "", math.inf, "fault", before.get("fault"), after.get("fault"))
     _compare_events(of, before["events"], after["events"])
     looks = [{(n, leg): rest for n, leg, *rest in side["looks"]} for side in (before, after)]
     for at in dict.fromkeys([*looks[0], *looks[1]]):
@@ -145,21 +116,20 @@ def compare(
         of.values("status", leg, number, one[0], other[0])
         if one[1] != other[1]:
             of.differ("confirmed", leg, number, "confirmed", one[1], other[1])
-    judged = [{(n, leg): of for n, leg, of in side.get("probes", ())} for side in (before, after)]
+    judged = [{(n, leg): of for n, leg, of in side["judged"]} for side in (before, after)]
     for number, leg in judged[0].keys() & judged[1].keys():
         of.values("judged", leg, number, *(side[number, leg] for side in judged))
     for leg in before["end"].keys() & after["end"].keys():
         one, other = before["end"][leg], after["end"][leg]
-        of.values("report", leg, -1, one["report"], other["report"])
+        of.values("report", leg, math.inf, one["report"], other["report"])
         formats = [_formats(side["snapshot"]) for side in (one, other)]
         if formats[0] == formats[1]:
-            of.values("snapshot", leg, -1, one["snapshot"], other["snapshot"])
+            of.values("snapshot", leg, math.inf, one["snapshot"], other["snapshot"])
         else:
             found.notes.add(
                 f"snapshots have formats {formats[0] or 'none'} and {formats[1] or 'none'}: "
                 "not compared"
             )
-    found.differences.sort(key=lambda d: math.inf if d.round < 0 else d.round)
     return found
 
 
@@ -211,7 +181,7 @@ class _Pairs:
         self._tolerance = tolerance
         self._ignore = ignore
 
-    def values(self, kind: Kind, leg: str, number: int, before: Any, after: Any) -> None:
+    def values(self, kind: str, leg: str, number: float, before: Any, after: Any) -> None:
         """Compare two trees."""
         sides = (dict(flat(before)), dict(flat(after)))
         for path in dict.fromkeys([*sides[0], *sides[1]]):
@@ -226,19 +196,17 @@ class _Pairs:
                 continue
             if self._tolerance and size is not None and size <= self._tolerance:
                 continue
-            self.differ(kind, leg, number, path, _short(one), _short(other), size)
+            self.differ(kind, leg, number, path, _short(one), _short(other))
 
     def differ(
-        self, kind: Kind, leg: str, number: int, path: str, before: Any, after: Any,
-        size: float | None = None,
-    ) -> None:  # fmt: skip
+        self, kind: str, leg: str, number: float, path: str, before: Any, after: Any
+    ) -> None:
         """Note a difference, unless its field may differ."""
-        if f"{kind}.{path}" in self._ignore or kind in self._ignore:
-            self.found.notes.add(f"{kind}.{path} differs, as it may (IGNORE)")
-            return
-        self.found.differences.append(Difference(kind, leg, number, path, before, after, size))
+        if not {kind, f"{kind}.{path}"} & self._ignore:
+            of = Difference(number, leg, f"{kind}.{path}", before, after)
+            self.found.differences.append(of)
 
-    def _is_new(self, kind: Kind, path: str, in_second: bool) -> bool:
+    def _is_new(self, kind: str, path: str, in_second: bool) -> bool:
         """Whether a value that one side lacks is of a field that its revision does not have."""
         here, there = (self._fields[side].get(kind) for side in (in_second, not in_second))
         names = _names(path)
@@ -247,7 +215,7 @@ class _Pairs:
         for depth in range(1, len(names) + 1):
             stem = ".".join(names[:depth])
             if stem in here and stem not in there:
-                self.found.new_fields.add(f"{'+' if in_second else '-'} {kind}.{stem}")
+                self.found.notes.add(f"{'+' if in_second else '-'} {kind}.{stem}")
                 return True
         return False
 
@@ -262,9 +230,9 @@ def _compare_events(of: _Pairs, before: list[Any], after: list[Any]) -> None:
         if one is not None and other is not None:
             of.values("event", leg, number, one, other)
             continue
-        made = one if one is not None else other
         scores = (None if side is None else side["score"] for side in (one, other))
-        of.found.flips.append(Flip(leg, number, made["seq"], contact, *scores))
+        of.found.flips += 1
+        of.differ("decision", leg, number, f"contact {contact}, score", *scores)
 
 
 def _formats(snapshot: Any) -> str:

@@ -35,7 +35,9 @@ from .recordings import (
     spoilt,
     tripod,
     two_publishers,
+    unfit_baseline,
     with_baseline_of,
+    without_lengths,
     wrong_signs,
 )
 from .simulated import (
@@ -54,9 +56,8 @@ FOLDER: Final = ROOT / "tests" / "golden"
 LOOK_TICKS: Final = 50
 # Absolute to 1 and relative beyond: processors and versions of numba differ by 1e-9.
 TOLERANCE: Final = 1e-6
-# What is kept of every tick, and what of it a learner reports it as; the largest, of several.
-FIGURES: Final = {"score": "scores", "p": "p"}
-_NONE: Final = (float("nan"),)
+# What is kept of every tick.
+FIGURES: Final = ("score", "p")
 _PHASES: Final = (None, "stance", "swing")
 
 
@@ -70,22 +71,18 @@ def _of_robot(name: str, mode: Literal["walk", "pose"], seconds: float) -> list[
     return simulated(settings, seconds, [leg.id for leg in robot.legs])
 
 
-def _pose(seed: int, seconds: float, **settings: Any) -> list[Round]:
-    return hexapod_pose(seed, seconds=seconds, **settings).rounds
-
-
 # Robot, and how the motion was made, once.
 MOTIONS: Final[dict[str, tuple[str, Callable[[], list[Round]]]]] = {
-    "pose": ("hexapod", lambda: _pose(5401, 60.0)),
-    "drift": ("hexapod", lambda: _pose(5402, 30.0, drift=change("friction", 4.0, 8.0))),
-    "caught": ("hexapod", lambda: _pose(5403, 24.0, staging=Staging(caught_s=(6.0, 14.0)))),
-    "post": ("hexapod", lambda: _pose(5404, 20.0, obstacles=0.9, approach="forward")),
+    "pose": ("hexapod", lambda: hexapod_pose(5401, 60.0)),
+    "drift": ("hexapod", lambda: hexapod_pose(5402, 30.0, drift=change("friction", 4.0, 8.0))),
+    "caught": ("hexapod", lambda: hexapod_pose(5403, 24.0, staging=Staging(caught_s=(6.0, 14.0)))),
+    "post": ("hexapod", lambda: hexapod_pose(5404, 20.0, obstacles=0.9, approach="forward")),
     "free": (
         "hexapod",
-        lambda: _pose(5408, 60.0, obstacles=0.06, drift=change("supply", 10.0, 4.0)),
+        lambda: hexapod_pose(5408, 60.0, obstacles=0.06, drift=change("supply", 10.0, 4.0)),
     ),
     "tripod": ("hexapod", lambda: tripod(5405, 20.0, EncoderSettings()).rounds),
-    "walk": ("hexapod", lambda: hexapod_walk(5406, "rough", seconds=20.0).rounds),
+    "walk": ("hexapod", lambda: hexapod_walk(5406, 20.0).rounds),
     "quadruped12": ("quadruped12", lambda: _of_robot("quadruped12", "walk", 10.0)),
     "leg5": ("leg5", lambda: _of_robot("leg5", "pose", 20.0)),
 }
@@ -242,25 +239,31 @@ RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
     "fitted": lambda: _fitted(motion("post"), motion("free")),
     "signs": lambda: wrong_signs(_cut(motion("pose"), 1500)),
 }
+# That ``make same`` compares beside them.
+ALSO: Final[dict[str, Callable[[], Recording]]] = {
+    "unfit-baseline": lambda: unfit_baseline(motion("pose")),
+    "no-lengths": lambda: without_lengths(motion("drift")),
+}
+
+
+def with_looks(recording: Recording, ticks: int = 10) -> dict[str, Any]:
+    """A recording of whose legs the status is noted every so many ticks, as plain values."""
+    legs = sorted({leg for samples in recording.rounds for leg in samples})
+    numbers = range(len(recording.rounds))[ticks - 1 :: ticks]
+    return asdict(replace(recording, looks=[(number, legs) for number in numbers]))
 
 
 def found(name: str) -> dict[str, Any]:
     """What the learners make of a recording."""
-    recording = RECORDINGS[name]()
-    legs = sorted({leg for samples in recording.rounds for leg in samples})
-    numbers = range(len(recording.rounds))
-    recording.looks = [(number, legs) for number in numbers[LOOK_TICKS - 1 :: LOOK_TICKS]]
-    recording.probes = [(number, leg) for number in numbers for leg in legs]
+    recording = with_looks(RECORDINGS[name](), LOOK_TICKS)
+    recording["judged"] = True
     with tempfile.TemporaryDirectory() as folder:
-        outcome = play(asdict(recording), Path(folder))
+        outcome = play(recording, Path(folder))
     outcome["end"] = {}  # its format may change
     for look in outcome["looks"]:
         look[3] = [len(look[3]), *look[3][-1:]]
     for _, _, event in outcome["events"]:
         event["onset_ns"] /= 1.0  # estimated: to the tolerance
-    for probe in outcome["probes"]:
-        judged = probe[2] or {}
-        probe[2] = {figure: max(judged.get(of, _NONE)) for figure, of in FIGURES.items()}
     return outcome
 
 
@@ -292,8 +295,8 @@ def write(name: str, outcome: dict[str, Any]) -> None:
     text = "\n".join(json.dumps(line) for line in lines)
     (FOLDER / f"{name}.jsonl").write_text(text + "\n", encoding="utf-8")
     figures: dict[str, list[list[float]]] = {}
-    for _, leg, judged in outcome["probes"]:
-        figures.setdefault(leg, []).append([judged[figure] for figure in FIGURES])
+    for _, leg, of in outcome["judged"]:
+        figures.setdefault(leg, []).append([of[figure] for figure in FIGURES])
     kept: dict[str, Any] = {leg: np.array(rows, np.float32) for leg, rows in figures.items()}
     np.savez_compressed(FOLDER / f"{name}.scores.npz", **kept)
 
@@ -319,11 +322,11 @@ def expected(name: str) -> dict[str, Any]:
             last[leg] = {**last.get(leg, {}), **values}
             looks.append([number, leg, last[leg], *confirmed])
     with np.load(FOLDER / f"{name}.scores.npz") as figures:
-        probes = [
+        judged = [
             [number, leg, dict(zip(FIGURES, row, strict=True))]
             for leg in figures.files
             for number, row in enumerate(figures[leg].tolist())
         ]
-    return {"events": events, "looks": looks, "probes": probes, "fields": fields, "end": {}} | (
+    return {"events": events, "looks": looks, "judged": judged, "fields": fields, "end": {}} | (
         {} if fault is None else {"fault": fault}
     )

@@ -4,23 +4,22 @@ Runs as a process of its own with ``PYTHONPATH`` on a revision's tree::
 
     python -P play.py TREE RECORDING OUTCOME [RECORDING OUTCOME ...]
 
-and prints a line for each recording that is done.  Only the public interface of a learner is used;
-what differs between revisions is bridged in :class:`Learners` and nowhere else.
+Only the public interface of a learner is used.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
 import adaptive_contact
 from adaptive_contact import ContactLearner, ServoSample, load_baseline, load_robot
+from adaptive_contact.bank import LearnerBank
 
 
 class Learners:
@@ -42,10 +41,6 @@ class Learners:
             self._bank = None
             self._alone = ContactLearner(self._robot, self.legs[0], self._baseline)
             return
-        try:
-            from adaptive_contact.bank import LearnerBank
-        except ImportError:  # of before the redesign
-            from adaptive_contact.adapt.bank import LearnerBank
         self._bank = LearnerBank(self._robot, self._baseline)
         for leg in self.legs:
             self._bank.learner(leg)
@@ -59,28 +54,11 @@ class Learners:
         event = self._alone.update(samples[self.legs[0]])
         return [] if event is None else [event]
 
-    def judged(self, leg: str) -> dict[str, list[float]] | None:
-        """Scores and thresholds of the last tick, shortest window first, for people.
-
-        No decision rests on them; None of a revision that cannot be asked.
-        """
-        if hasattr(self[leg], "judged"):
-            judged = self[leg].judged()
-            if judged is None:
-                return None
-            return {"scores": judged.scores.tolist(), "thresholds": judged.thresholds.tolist()}
-        detector = getattr(self[leg], "detector", None)
-        if detector is None:
-            report = self[leg].model_report
-            threshold = None if report is None else report.threshold
-            return None if threshold is None else {"scores": [], "thresholds": [threshold]}
-        from adaptive_contact.detect import statistic  # only older revisions come here
-
-        tracker, thresholds = detector.tracker, detector.thresholds
-        usable = np.array(tracker.usable)
-        found = statistic(tracker.residuals, tracker.increments, detector.whitening, usable)
-        scores = found.value / thresholds
-        return {"scores": scores.tolist(), "thresholds": thresholds.tolist()}
+    def judged(self, leg: str) -> dict[str, float]:
+        """The largest score of the last tick, and how probably the leg touches; NaN for none."""
+        judged, p = self[leg].judged(), self[leg].state.p
+        score = math.nan if judged is None else max(judged.scores.tolist())
+        return {"score": score, "p": math.nan if p is None else p}
 
     def restart(self) -> None:
         """As when the service ends and starts again."""
@@ -97,13 +75,13 @@ def play(recording: dict[str, Any], folder: Path) -> dict[str, Any]:
     events: list[Any] = []
     looks: list[Any] = []
     fields: dict[str, list[str]] = {}
-    probes: list[Any] = []
+    judged: list[Any] = []
     out: dict[str, Any] = {
         "events": events,
         "looks": looks,
         "end": {},
         "fields": fields,
-        "probes": probes,
+        "judged": judged,
     }
 
     def plain(kind: str, value: Any) -> Any:
@@ -117,17 +95,14 @@ def play(recording: dict[str, Any], folder: Path) -> dict[str, Any]:
         asked: dict[int, set[str]] = {}
         for number, legs in recording["looks"]:
             asked.setdefault(number, set()).update(legs)
-        probed: dict[int, set[str]] = {}
-        for number, leg in recording["probes"]:
-            probed.setdefault(number, set()).add(leg)
         for number, samples in enumerate(recording["rounds"]):
             if number in restarts:
                 learners.restart()
             made = {leg: ServoSample(**sample) for leg, sample in samples.items()}
             for event in learners.update(made):
                 events.append([number, event.leg, plain("event", event)])
-            for leg in sorted(probed.get(number, ())):
-                probes.append([number, leg, learners.judged(leg)])
+            if recording["judged"]:
+                judged += [[number, leg, learners.judged(leg)] for leg in sorted(learners.legs)]
             for leg in sorted(asked.get(number, ())):
                 learner = learners[leg]
                 status = plain("status", learner.status)
@@ -159,14 +134,9 @@ def main(tree: str, *files: str) -> None:
         sys.exit(f"found adaptive_contact in {found}; expected it in {tree}: check PYTHONPATH")
     for source, target in zip(files[::2], files[1::2], strict=True):
         recording = msgspec.msgpack.decode(Path(source).read_bytes())
-        began = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
             outcome = play(recording, Path(folder))
-        outcome["seconds"] = time.perf_counter() - began
-        draft = Path(f"{target}.draft")
-        draft.write_bytes(msgspec.msgpack.encode(outcome))
-        draft.replace(target)
-        print(target, flush=True)
+        Path(target).write_bytes(msgspec.msgpack.encode(outcome))
 
 
 if __name__ == "__main__":

@@ -1,96 +1,34 @@
-"""Recordings on which revisions are compared: made once, from seeds, and kept.
-
-A recording is a row of rounds, each with at most one sample per leg, and with it what the learners
-start from.  Every revision replays the very same files, so that a change of the simulator between
-two revisions does not count.
-"""
+"""What may happen to a recording on its way: other starts, and streams with faults."""
 
 from __future__ import annotations
 
-import concurrent.futures
 import copy
-import hashlib
 import json
 import math
 import re
-import tempfile
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 
-import quadruped_stand
-from adaptive_contact.fit.train import learn
-from adaptive_contact.model import Window, save_baseline
-from adaptive_contact.robot import parse_robot
 from adaptive_contact_sim import (
     EncoderSettings,
     ObstacleSettings,
     PoseGroupSettings,
     PoseSettings,
     SimulationSettings,
-    record_arrays,
 )
-from adaptive_contact_studies.scenarios.spec import Staging
-from adaptive_contact_studies.training import stretch_of
 
 from .simulated import (
-    CHANGE_S,
-    LONG_POSE_S,
     PERIOD_NS,
     TRIPOD,
     Recording,
     Round,
     Sample,
     Spoiler,
-    change,
     hexapod,
-    hexapod_pose,
-    hexapod_walk,
-    looks_of,
-    plain,
-    shipped,
     simulated,
 )
-
-__all__ = ["RECIPES", "Recording", "kept"]
-
-
-def kept(folder: Path, names: Sequence[str], *, processes: int = 2) -> dict[str, Path]:
-    """Files of recordings, by name; those that are not there are simulated.
-
-    Args:
-        folder: where they are kept.
-        names: of :data:`RECIPES`.
-        processes: how many are simulated at a time.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    here = Path(__file__)
-    recipes = here.read_bytes() + here.with_name("simulated.py").read_bytes()
-    digest = hashlib.sha256(recipes).hexdigest()[:12]
-    files = {name: folder / f"{name}-{digest}.msgpack" for name in names}
-    missing = [name for name, path in files.items() if not path.is_file()]
-    for name, path in files.items():  # of an older recipe
-        for old in folder.glob(f"{name}-{'?' * len(digest)}.msgpack"):
-            if old != path:
-                old.unlink()
-    with concurrent.futures.ProcessPoolExecutor(max(1, min(processes, len(missing)))) as pool:
-        list(pool.map(_make, missing, [files[name] for name in missing]))
-    return files
-
-
-def write(recording: Recording, path: Path) -> None:
-    """Write a recording, whole or not at all."""
-    draft = path.with_suffix(".draft")
-    draft.write_bytes(msgspec.msgpack.encode(recording))
-    draft.replace(path)
-
-
-def _make(name: str, path: Path) -> None:
-    write(RECIPES[name](), path)
-
 
 # -- starts ----------------------------------------------------------------------------------------
 
@@ -118,33 +56,8 @@ def unfit_baseline(recording: Recording) -> Recording:
     return recording
 
 
-def _no_lengths() -> Recording:
-    # Without geometry a lift is told by its time, which needs swings of 0.4 s and more.
-    recording = hexapod_pose(5203, segment_ticks=14, drift=change("friction", 4.0, 30.0))
+def without_lengths(recording: Recording) -> Recording:
     recording.robot = re.sub(r"(?m)^lengths_m.*\n", "", recording.robot)
-    return recording
-
-
-def _preview_library() -> Recording:
-    """A baseline whose library looks one command ahead, learned here from free swings."""
-    recording = hexapod_pose(5204, drift=change("supply", 9.5))
-    commands = [samples["rf"]["desired"] for samples in recording.rounds]
-    for number, samples in enumerate(recording.rounds[:-2]):
-        samples["rf"]["preview"] = commands[number + 1 : number + 3]
-    robot = parse_robot(recording.robot, source="hexapod")
-    run = record_arrays(SimulationSettings(seed=5205), 300.0)
-    training = learn(
-        robot,
-        {"rf": [stretch_of(run, "rf")]},
-        origin="tests/same",
-        window=Window(past_measured=2, past_desired=2, preview=1),
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "baseline.json"
-        save_baseline(training.baseline, path)
-        recording.baseline = path.read_bytes()
-    for number in range(2000, 2040):  # the controller does not say what comes next
-        recording.rounds[number]["rf"].pop("preview", None)
     return recording
 
 
@@ -161,30 +74,12 @@ def service_restart(recording: Recording) -> Recording:
     return recording
 
 
-def _quadruped() -> Recording:
-    scenario = quadruped_stand.Scenario("same", "", 5207, 60.0, 0.5, (300.0, 3000.0))
-    rounds: list[Round] = []
-    for leg, sample in quadruped_stand.record(scenario).samples:
-        if not rounds or leg in rounds[-1]:
-            rounds.append({})
-        rounds[-1][leg] = plain(sample)
-    return Recording(
-        shipped("quadruped", "robot.toml").decode(),
-        shipped("quadruped", "baseline.json"),
-        rounds,
-        looks_of(rounds),
-    )
-
-
 # -- streams with faults ---------------------------------------------------------------------------
 
 
 def streams(recording: Recording, rounds: Iterable[Round]) -> Recording:
-    """The recording with other rounds; the status is noted at every tenth."""
+    """The recording with other rounds."""
     recording.rounds = list(rounds)
-    legs = sorted({leg for samples in recording.rounds for leg in samples})
-    numbers = [*range(0, len(recording.rounds), 10), len(recording.rounds) - 1]
-    recording.looks = [(number, legs) for number in numbers]
     return recording
 
 
@@ -205,10 +100,6 @@ def restarted(parts: Sequence[Recording], *, run: bool) -> Recording:
                         sample["run"] = 1_700_000_000_000 + number
                 rounds.append(samples)
     return streams(parts[0], rounds)
-
-
-def _parts() -> list[Recording]:
-    return [hexapod_pose(5301 + i, seconds=s) for i, s in enumerate((21.0, 14.1, 20.0))]
 
 
 def tripod(seed: int, seconds: float, encoder: EncoderSettings) -> Recording:
@@ -235,39 +126,6 @@ def lost_samples(recording: Recording) -> Recording:
         for number, samples in enumerate(recording.rounds)
     ]
     return streams(recording, [samples for samples in rounds if samples])
-
-
-def late_ticks(recording: Recording) -> Recording:
-    """Ticks that come late, their readings as well as their stamps, and pauses of the source."""
-    rng = np.random.default_rng(5313)
-    late_ns = 0
-    for number, samples in enumerate(recording.rounds):
-        if number in (900, 1700):  # that no number shows
-            late_ns += 150_000_000
-        if number > 2000 and rng.random() < 0.05:
-            late_ns += 14_000_000
-        samples["rf"]["t_ns"] += late_ns
-    return streams(recording, recording.rounds)
-
-
-def stamp_jitter(recording: Recording) -> Recording:
-    """Readings on time with stamps that are not: by 3 ms, then by 6 ms (standard deviation)."""
-    rng = np.random.default_rng(5322)
-    for number, samples in enumerate(recording.rounds):
-        deviation_ns = 0.0 if number < 500 else 3e6 if number < 1500 else 6e6
-        jitter_ns = float(np.clip(rng.normal(), -1.5, 1.5)) * deviation_ns
-        samples["rf"]["t_ns"] += 20_000_000 + round(jitter_ns)
-    return streams(recording, recording.rounds)
-
-
-def other_rate(recording: Recording) -> Recording:
-    """Ticks of 25 ms for 8 s, and of 20.6 ms for 8 s."""
-    t_ns = 0
-    for number, samples in enumerate(recording.rounds):
-        t_ns += 25_000_000 if 700 <= number < 1020 else PERIOD_NS
-        t_ns += 600_000 if 1300 <= number < 1700 else 0
-        samples["rf"]["t_ns"] = t_ns
-    return streams(recording, recording.rounds)
 
 
 def two_publishers(first: Recording, second: Recording) -> Recording:
@@ -347,51 +205,3 @@ def wrong_signs(recording: Recording) -> Recording:
                 yaw, *pitches = sample[name]
                 sample[name] = [yaw, *(-angle for angle in pitches)]
     return recording
-
-
-# Seeds are those of no test, benchmark or baseline; names are permanent.
-RECIPES: Final[dict[str, Callable[[], Recording]]] = {
-    "walk-flat": lambda: hexapod_walk(5001, "flat"),
-    "walk-rough": lambda: hexapod_walk(5002, "rough", "ripple"),
-    "walk-soft": lambda: hexapod_walk(5003, "soft"),
-    "walk-no-phase": lambda: hexapod_walk(5004, "rough", phase=False),
-    "pose-obstacles": lambda: hexapod_pose(5101, seconds=LONG_POSE_S),
-    "pose-free": lambda: hexapod_pose(5102, obstacles=0.0),
-    "pose-friction4": lambda: hexapod_pose(5103, drift=change("friction", 4.0)),
-    "pose-joint6": lambda: hexapod_pose(5104, drift=change("friction", 6.0, joint="femur")),
-    "pose-supply": lambda: hexapod_pose(5105, drift=change("supply", 9.0)),
-    "pose-mass": lambda: hexapod_pose(5106, drift=change("mass", 0.1)),
-    "pose-offset": lambda: hexapod_pose(5107, drift=change("offset", 0.05, joint="tibia")),
-    "pose-creeping": lambda: hexapod_pose(
-        5108, drift=change("friction", 3.0, shape="ramp", duration_s=60.0)
-    ),
-    "pose-passing": lambda: hexapod_pose(
-        5109, drift=change("mass", 0.1, shape="pulse", duration_s=25.0)
-    ),
-    "pose-slipped": lambda: hexapod_pose(5111, drift=change("offset", 0.2)),
-    "pose-post": lambda: hexapod_pose(5113, obstacles=0.9, approach="forward"),
-    "trailing-foot": lambda: hexapod_pose(
-        5112, staging=Staging(caught_s=(CHANGE_S, 50.0), trails_n=12.0)
-    ),
-    "caught-foot": lambda: hexapod_pose(5110, staging=Staging(caught_s=(CHANGE_S, 50.0))),
-    "cold-start": lambda: cold(hexapod_pose(5201)),
-    "other-leg": lambda: with_baseline_of(hexapod_pose(5202), "lf"),
-    "unfit-baseline": lambda: unfit_baseline(hexapod_pose(5208)),
-    "no-lengths": _no_lengths,
-    "preview-library": _preview_library,
-    "quadruped": _quadruped,
-    "service-restart": lambda: service_restart(hexapod_pose(5206, drift=change("friction", 4.0))),
-    "restart-with-run": lambda: restarted(_parts(), run=True),
-    "restart-without-run": lambda: restarted(_parts(), run=False),
-    "lost-samples": lambda: lost_samples(tripod(5310, 60.0, EncoderSettings(dropped=0.01))),
-    "failing-readings": lambda: tripod(5312, 60.0, EncoderSettings(repeated=0.01, bogus=0.003)),
-    "late-ticks": lambda: late_ticks(hexapod_pose(5314, seconds=60.0)),
-    "other-rate": lambda: other_rate(hexapod_pose(5320, seconds=50.0)),
-    "stamp-jitter": lambda: stamp_jitter(hexapod_pose(5323, seconds=50.0)),
-    "two-publishers": lambda: two_publishers(
-        hexapod_pose(5331, seconds=40.0), hexapod_pose(5332, seconds=40.0)
-    ),
-    "bad-samples": lambda: spoilt(hexapod_pose(5341, seconds=70.0), UNUSABLE),
-    "bad-readings": lambda: spoilt(hexapod_pose(5342, seconds=60.0), UNREAL),
-    "wrong-signs": lambda: wrong_signs(hexapod_pose(5351, obstacles=0.3)),
-}

@@ -12,7 +12,7 @@ from .mutants import constants, faults
 def test_a_golden_recording_is_replayed_as_expected(name: str) -> None:
     of = compared(name)
     assert of.same, (
-        f"'{name}', {of.first}; {len(of.flips)} decisions and {len(of.differences)} values differ: "
+        f"'{name}', {of.first}; {of.flips} decisions and {len(of.differences)} values differ: "
         "if that is intended, run `make golden` in a commit of its own (docs/architecture.md)"
     )
 
