@@ -26,14 +26,6 @@ from typing import Any, Final
 
 import numpy as np
 
-numba: Any
-_config: Any  # numba's settings are made at import, and have no types
-try:
-    import numba
-    from numba.core import config as _config
-except ImportError:  # there is none for this computer: pyproject.toml names those it is for
-    numba = _config = None
-
 # Names a folder for what is compiled; empty for none.
 CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 # What a change of any of them makes void.
@@ -45,9 +37,19 @@ _WHOLE: Final = "whole"
 _TICK_OVER_SOURCES: Final = 400.0
 
 
+@functools.cache
+def _numba() -> Any:
+    """Import numba, which has no types and takes as long as all else of a learner, when needed."""
+    try:
+        import numba
+    except ImportError:  # there is none for this computer: pyproject.toml names those it is for
+        return None
+    return numba
+
+
 def compiles() -> bool:
     """Return whether anything is compiled: it needs numba, and ``NUMBA_DISABLE_JIT`` unset."""
-    return numba is not None and not _config.DISABLE_JIT
+    return _numba() is not None and not _numba().core.config.DISABLE_JIT
 
 
 @functools.cache
@@ -138,24 +140,49 @@ def records(scalars: Any) -> Any:
     return scalars if compiles() else scalars.view(np.recarray)
 
 
+class Compiled:
+    """A function of arrays: compiled when it is first called, or loaded as compiled before.
+
+    Args:
+        function: to compile.
+        options: of :func:`numba.njit`; IEEE's floating-point rules stay: with others, results
+            would depend on the machine.
+    """
+
+    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self.targetoptions = options  # by this name numba looks for what it is to inline
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function."""
+        return self.made(*args)
+
+    @functools.cached_property
+    def made(self) -> Any:
+        """What numba makes of it; uncompiled, the function, which warns of no division by zero."""
+        if not compiles():
+            return np.errstate(all="ignore")(self.py_func)
+        config = _numba().core.config
+        folder = cache_folder()
+        before, config.CACHE_DIR = config.CACHE_DIR, "" if folder is None else str(folder)
+        try:
+            caches = folder is not None and self.targetoptions["inline"] == "never"
+            return _numba().njit(error_model="numpy", cache=caches, **self.targetoptions)(
+                self.py_func
+            )
+        finally:
+            config.CACHE_DIR = before
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What compiled code that calls it takes it for."""
+        return self.made._numba_type_
+
+
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function of arrays when it is first called, or load what was compiled before."""
-    if not compiles():  # as compiled code, which warns of no division by zero
-        return np.errstate(all="ignore")(function)
-    folder = cache_folder()
-    before = _config.CACHE_DIR
-    _config.CACHE_DIR = "" if folder is None else str(folder)
-    try:
-        # Other floating-point rules than IEEE's would make results depend on the machine.
-        return numba.njit(
-            cache=folder is not None,
-            inline="never",
-            error_model="numpy",
-            nogil=True,
-            no_cfunc_wrapper=True,
-        )(function)
-    finally:
-        _config.CACHE_DIR = before
+    return Compiled(function, inline="never", nogil=True, no_cfunc_wrapper=True)
 
 
 def stage(function: Callable[..., Any]) -> Any:
@@ -163,7 +190,7 @@ def stage(function: Callable[..., Any]) -> Any:
 
     What it receives and returns then costs nothing.
     """
-    return numba.njit(inline="always", error_model="numpy")(function) if compiles() else function
+    return Compiled(function, inline="always")
 
 
 class Handover:
@@ -185,11 +212,9 @@ class Handover:
         self.names = tuple(kinds)
         self._of = _named("Arrays", self.names)
         self._kinds = [(np.dtype(kind), dimensions) for kind, dimensions in kinds.values()]
-        self.receive: Any = _receiving(self._kinds, self._of) if compiles() else self._of._make
+        self.receive: Any = _Written(lambda: _receiving(self._kinds, self._of), self._of._make)
 
-    def part(
-        self, of: Any, slots: Mapping[str, tuple[str, int]], shared: Sequence[str]
-    ) -> Callable[[Any, int], Any]:
+    def part(self, of: Any, slots: Mapping[str, tuple[str, int]], shared: Sequence[str]) -> Any:
         """Make the function that takes, of what was received, the arrays of one row.
 
         Neither the row nor the ends of vectors are checked.
@@ -206,9 +231,6 @@ class Handover:
         for name in of._fields:
             if (slots[name][0] if name in slots else name) not in self.names:
                 raise TypeError(f"{of.__name__}.{name}: found no such array; expected {self.names}")
-        if compiles():
-            made: Callable[[Any, int], Any] = _parting(of, slots, shared)
-            return made
 
         def part(given: Any, row: int) -> Any:
             found = []
@@ -222,9 +244,9 @@ class Handover:
                     found.append(array if name in shared else array[row])
             return of(*found)
 
-        return part
+        return _Written(lambda: _parting(of, slots, shared), part)
 
-    def bind(self, function: Callable[..., Any], arrays: Mapping[str, Any]) -> Any:
+    def bind(self, function: Compiled, arrays: Mapping[str, Any]) -> Any:
         """Bind a compiled function to arrays, its first argument.
 
         Args:
@@ -249,9 +271,33 @@ class Handover:
                     f"of {kind[0]}, contiguous and writable"
                 )
             cells[: 1 + array.ndim] = array.ctypes.data, *array.shape
-        bound: Any = functools.partial(function, table)
+        bound: Any = functools.partial(function.made, table)
         bound.arrays = kept
         return bound
+
+
+class _Written:
+    """A function whose machine code is written by hand; uncompiled, the one that it stands for.
+
+    Args:
+        write: makes it for compiled code.
+        plain: for Python.
+    """
+
+    def __init__(self, write: Callable[[], Any], plain: Callable[..., Any]) -> None:
+        self._write, self._plain = write, plain
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function uncompiled."""
+        return self._plain(*args)
+
+    @functools.cached_property
+    def _numba_type_(self) -> Any:
+        """What compiled code that calls it takes it for."""
+        typing = _code().typing
+        written = self._write()
+        typing.refresh()
+        return typing.resolve_value_type(written)
 
 
 _named: Final[Any] = collections.namedtuple  # of names that are known at run time
@@ -262,7 +308,7 @@ def _code() -> Any:
     """Return the parts of numba that write machine code, which have no types."""
     from llvmlite import ir
     from numba import extending
-    from numba.core import cgutils, types
+    from numba.core import cgutils, registry, types
     from numba.np import arrayobj, numpy_support
 
     return SimpleNamespace(
@@ -272,6 +318,7 @@ def _code() -> Any:
         intrinsic=extending.intrinsic,
         ir=ir,
         types=types,
+        typing=registry.cpu_target.typing_context,
     )
 
 
@@ -403,8 +450,8 @@ def _digest() -> str:
     the same sources in another place nothing has been compiled.
     """
     here = Path(__file__).parent
-    made = [getattr(numba, "__version__", None), sys.version, here]
-    if numba is not None:
+    made = [getattr(_numba(), "__version__", None), sys.version, here]
+    if _numba() is not None:
         from llvmlite import binding
 
         made += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]

@@ -55,3 +55,13 @@ def test_importing_the_package_imports_nothing_heavy(environment: Any, tmp_path:
     done = environment.run("-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert set(done.stdout.split()) & HEAVY == set()
+
+
+def test_importing_a_learner_loads_no_compiler(environment: Any, tmp_path: Path) -> None:
+    """It takes as long as all else; the first learner loads it."""
+    code = "import sys; from adaptive_contact import ContactLearner; print(*sys.modules)"
+    done = environment.run("-c", code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    imported = {name.partition(".")[0] for name in done.stdout.split()}
+    assert "numpy" in imported
+    assert imported & {"numba", "llvmlite", "scipy", "sklearn", "pysindy"} == set()
