@@ -180,12 +180,6 @@ def test_a_leg_whose_servos_do_not_answer_is_silent(
     tokens.wait(3)
 
 
-def test_a_service_that_starts_owes_every_leg_a_release(live: Live) -> None:
-    """Whatever became of the one before, it may have said that a leg touches."""
-    with live() as life:
-        assert life.learner.owes_release
-
-
 def test_a_leg_whose_samples_are_all_refused_is_silent(
     followed: tuple[Life, Any, Any], sample: Sample
 ) -> None:

@@ -110,11 +110,6 @@ def test_history_comes_from_late_publishers_too(router: Link, join: Join, inbox:
     assert got.wait(1)[-1].t_ns == 7
 
 
-def test_nothing_yet_is_no_answer(router: Link, join: Join) -> None:
-    router.publisher(KEY, history=1)
-    assert join(router.endpoints[0]).query(KEY) == []
-
-
 def test_namespaces_keep_robots_apart(router: Link, join: Join, inbox: Any) -> None:
     endpoint = router.endpoints[0]
     one, two, outside = inbox(), inbox(), inbox()
@@ -239,11 +234,6 @@ def test_a_waiting_client_tells_why_once_and_can_be_stopped() -> None:
     with pytest.raises(NoRouterError, match="stopped while waiting"):
         Link.open(client_settings([nobody]), on_wait=on_wait, stop=stop)
     assert [finding.reach for finding in told] == [Reach.UNREACHABLE]
-
-
-def test_an_address_in_use_gets_one_line(router: Link) -> None:
-    with pytest.raises(LinkError, match="in use, probably by another router; join it with"):
-        Link.open(router_settings([router.endpoints[0]]))
 
 
 def test_the_endpoint_that_cannot_be_is_named_with_its_option(router: Link) -> None:

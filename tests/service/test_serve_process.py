@@ -138,26 +138,6 @@ def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:
         assert time.monotonic() - began < 10.0
 
 
-def test_a_killed_service_is_no_longer_alive(serve: Any, join: Join, inbox: Any) -> None:
-    with Link.open(router_settings(["127.0.0.1:0"])) as router:
-        served = serve("--connect", router.endpoints[0])
-        tokens = inbox()
-        router.watch_tokens("robot/service", tokens)
-        assert tokens.wait(1)[0] == ("robot/service", True)
-        served.process.kill()
-        assert tokens.wait(2)[1] == ("robot/service", False)
-        assert router.query(SERVICE_STATUS) == []
-
-
-def test_configuration_errors_are_one_line(serve: Any) -> None:
-    served = serve("--listen", "0.0.0.0:0", wait=False)
-    assert served.wait() != 0
-    text = served.log.read_text()
-    assert "--insecure" in text
-    assert "Traceback" not in text
-    assert len(text.strip().splitlines()) == 1
-
-
 def named(task: Path) -> str:
     with contextlib.suppress(OSError):
         return (task / "comm").read_text().strip()
