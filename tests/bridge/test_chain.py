@@ -103,38 +103,6 @@ def test_a_contact_comes_through_the_whole_chain(start: Callable[..., Program]) 
 
 
 @slow
-@pytest.mark.timeout(240)
-def test_contacts_of_a_virtual_robot_arrive_and_a_fault_is_told(
-    start: Callable[..., Program],
-) -> None:
-    endpoint = router(start)
-    ready(start(
-        "bridge", "virtual", "--dir", "bus", "--ports", "3", "--write-config", "rig.toml",
-        "--scenario", "pose-collisions", "--fault", "silent:id=1@60",
-    ))  # fmt: skip
-    words = ("bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint)
-    contacts: queue.Queue = queue.Queue()
-    statuses: queue.Queue = queue.Queue()
-
-    def silent(received: Any) -> bool:
-        status = decode(received.payload, BridgeStatus, received.encoding)
-        return "1" in status.servos and status.servos["1"].silent
-
-    with Link.open(client_settings([endpoint])) as link:
-        link.subscribe(ALL_CONTACT, contacts.put)
-        link.subscribe("robot/bridge/*/status", statuses.put)
-        bridge = start(*words)
-        ready(bridge)
-        wait_for(contacts, touched, 40.0)
-        wait_for(statuses, silent, 80.0)
-    bridge.stop()
-    assert any("servo 1 (lf coxa): no answer" in line for line in bridge.lines)
-    refused = start(*words)
-    assert refused.wait(60) == 2
-    assert "missing servo 1 (lf coxa)" in "".join(refused.lines)
-
-
-@slow
 def test_samples_commands_and_status_pass(start: Callable[..., Program], tmp_path: Path) -> None:
     endpoint = router(start)
     ready(

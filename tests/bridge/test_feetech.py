@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -125,75 +124,6 @@ def test_a_servo_that_has_shut_itself_down_is_named_before_the_start(rig: Callab
     assert [line.split(": ")[1] for line in advice if "shut down" in line] == ["servo 2"]
 
 
-@pytest.mark.parametrize("kind", [STS, SCS])
-def test_observing_writes_nothing(run: Callable, kind: dict) -> None:
-    r = run("observe", **kind)
-    r.rig.backend.place(1, -0.7)
-    step = r.rig.servo(1).model.step_rad
-    r.catcher.wait(lambda c: c.ticks and c.ticks[-1]["l0"].measured[1] < -0.6)
-    assert r.catcher.ticks[-1]["l0"].measured == pytest.approx([0.0, -0.7, 0.0], abs=step)
-    assert all(servo.writes == 0 for servo in r.rig.ports[0].servos)
-
-
-@pytest.mark.parametrize("kind", [STS, SCS])
-def test_driving_and_a_servo_that_falls_silent(run: Callable, kind: dict) -> None:
-    r = run("drive", **kind)
-    wish = [0.4, -0.4, 0.2]
-    feed = r.commanding(wish)
-    r.catcher.wait(feed(lambda c: c.ticks and c.ticks[-1]["l0"].measured == there(wish)))
-    assert [r.rig.servo(i).torque for i in (1, 2, 3)] == [True] * 3
-    assert not r.rig.servo(4).torque  # of a leg without a command
-    r.rig.fault("silent:id=2")
-    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].valid == [True, False, True]))
-    r.rig.fault()
-    wish[1] = -0.1
-    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == there(wish)))
-
-
-def there(wish: list[float]) -> Any:
-    return pytest.approx(wish, abs=0.02)
-
-
-@pytest.mark.parametrize("kind", [STS, SCS])
-def test_a_servo_that_loses_its_torque_comes_back_at_the_slow_pace(
-    run: Callable, kind: dict
-) -> None:
-    r = run("drive", **kind)
-    wish = [0.4] * 3
-    feed = r.commanding(wish)
-    r.catcher.wait(feed(lambda c: c.ticks and c.ticks[-1]["l0"].measured == there(wish)))
-    r.catcher.wait(lambda c: c.statuses and "l0" in c.statuses[-1].holding)
-    servo = r.rig.servo(2)
-    servo.write(servo.model.registers["torque_enable"].address, b"\0")
-    r.rig.backend.place(1, -0.4)
-    r.catcher.wait(lambda c: c.ticks[-1]["l0"].measured[1] < -0.3)
-    before = len(r.catcher.ticks)
-    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == there(wish)))
-    goals = [tick["l0"].desired[1] for tick in r.catcher.ticks[before:]]
-    back, *steps = [b - a for a, b in itertools.pairwise(goals) if a != b]
-    assert back < -0.7  # first to where it was found
-    assert max(steps) <= 0.2 * 0.15 + 2 * servo.model.step_rad
-
-
-def test_an_overload_shuts_a_servo_down_until_its_torque_is_switched(run: Callable) -> None:
-    r = run("drive", **STS)
-    wish = [0.2] * 3
-    feed = r.commanding(wish)
-    r.catcher.wait(feed(lambda c: c.ticks and c.ticks[-1]["l0"].measured == there(wish)))
-    r.rig.fault("error:id=2,bits=overload")
-    r.catcher.wait(feed(lambda c: any("servo 2 (l0 j1): shut down" in line for line in c.lines)))
-    assert any("write 0 to its torque enable (40)" in line for line in r.catcher.lines)
-    r.rig.fault()
-    servo = r.rig.servo(2)
-    goal = servo.value("goal_position")
-    wish[1] = -0.2
-    seen = len(r.catcher.ticks)
-    r.catcher.wait(feed(lambda c: len(c.ticks) > seen + 60))
-    assert servo.value("goal_position") == goal  # nothing is written meanwhile
-    servo.write(servo.model.registers["torque_enable"].address, b"\0")
-    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == there(wish)))
-
-
 def test_servos_of_the_other_byte_order_are_named(bus: Serve) -> None:
     device, _ = bus("1-2:STS3215", "3:SCS0009")
     mixed = robot(device, ((1, 2, 3), "STS3215"), protocol="sts")
@@ -219,24 +149,6 @@ def test_init_finds_the_series(
     )
     assert check_ports(plan_ports(found), full=False, drive=True).errors == []
     assert all(servo.writes == 0 for servo in servos)
-
-
-WRONG = [
-    ({"control_mode": 1}, "does not follow goal positions (its control mode is 1), expected 0"),
-    ({"control_mode": 3}, "does not follow goal positions (its control mode is 3), expected 0"),
-    ({"resolution_divider": 4}, "has a resolution divider of 4, expected 1"),
-    ({"lower_limit": 3000, "upper_limit": 2000}, "has angle limits 3000 and 2000"),
-]
-
-
-@pytest.mark.parametrize(("registers", "words"), WRONG)
-def test_what_follows_no_goals_is_refused(rig: Callable, registers: dict, words: str) -> None:
-    r = rig(**STS)
-    for name, value in registers.items():
-        r.servo(2).store(name, value)
-    (line,) = check_ports(r.plans, full=False).errors
-    assert f"servo 2 {words}" in line
-    assert "FD software" in line
 
 
 def test_multi_turn_is_driven_within_its_turn_and_an_scs_wheel_is_refused() -> None:

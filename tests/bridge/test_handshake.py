@@ -48,6 +48,7 @@ def test_a_disturbed_line_makes_no_doubles(rig: Callable) -> None:
         (AX, 0x20, "write 1023 to its torque limit (34)"),
         (XL, 0x20, "reboot it"),
         ({"model": "XL-320", "protocol": 2}, 0x01, "write 1023 to its torque limit (35)"),
+        ({"model": "STS3215", "protocol": "sts"}, 0x20, "write 0 to its torque enable (40)"),
     ],
 )
 def test_a_servo_that_has_shut_itself_down(

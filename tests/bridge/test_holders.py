@@ -105,16 +105,3 @@ def test_what_is_no_terminal(tmp_path: Path, holding: Holding) -> None:
     assert not is_pseudo("/dev/null")
     with Path("/dev/full").open("rb") as full:
         assert holding(full.fileno()) in holders("/dev/full")
-
-
-def test_links_are_followed(tmp_path: Path, holding: Holding) -> None:
-    master, slave = os.openpty()
-    try:
-        link = tmp_path / "p0"
-        link.symlink_to(os.ttyname(slave))
-        assert is_pseudo(str(link))
-        user = holding(slave)
-        assert list(holders(str(link))) == [user]
-    finally:
-        os.close(master)
-        os.close(slave)

@@ -12,11 +12,12 @@ from adaptive_contact.wire import MSGPACK, ServoCounts
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
 STS = {"model": "STS3215", "protocol": "sts"}
+SCS = {"model": "SCS0009", "protocol": "scs"}
 FAST = {**XL, "extra": "fast = true"}
 SPEAKS = ServoCounts()
 
 
-@pytest.mark.parametrize("kind", [AX, XL, STS])
+@pytest.mark.parametrize("kind", [AX, XL, STS, SCS])
 def test_observing_never_writes(run: Callable, kind: dict) -> None:
     r = run("observe", **kind)
     r.command("l0", 0.5, 0.5, 0.5)
@@ -48,7 +49,7 @@ def test_samples_are_a_tick_apart_and_numbered(run: Callable, kind: dict) -> Non
     assert status.cycle_ms.p50 > 0
 
 
-@pytest.mark.parametrize("kind", [AX, XL, STS])
+@pytest.mark.parametrize("kind", [AX, XL, STS, SCS])
 def test_driving_moves_what_was_asked_for_and_nothing_else(run: Callable, kind: dict) -> None:
     r = run("drive", **kind)
     r.catcher.wait(lambda c: len(c.ticks) >= 20)

@@ -18,6 +18,7 @@ AX = {"model": "AX-12A", "protocol": 1}
 MX = {"model": "MX-28", "protocol": 1}
 MX64 = {"model": "MX-64", "protocol": 1}
 XM = {"model": "XM430-W350", "protocol": 2}
+STS = {"model": "STS3215", "protocol": "sts"}
 
 WRONG = [
     (AX, {"lower_limit": 0, "upper_limit": 0}, "is in wheel mode (both angle limits are 0)"),
@@ -33,6 +34,10 @@ WRONG = [
     (XM, {"operating_mode": 16}, "is in operating mode 16 (PWM), expected 3"),
     (XM, {"drive_mode": 2}, "has drive mode 2 (slave"),
     (XM, {"lower_limit": 3000, "upper_limit": 2000}, "has position limits 3000 and 2000"),
+    (STS, {"control_mode": 1}, "does not follow goal positions (its control mode is 1), expected"),
+    (STS, {"control_mode": 3}, "does not follow goal positions (its control mode is 3), expected"),
+    (STS, {"resolution_divider": 4}, "has a resolution divider of 4, expected 1"),
+    (STS, {"lower_limit": 3000, "upper_limit": 2000}, "has angle limits 3000 and 2000"),
 ]
 
 
@@ -47,6 +52,7 @@ def test_what_follows_no_goals_is_refused_in_one_line(
     [line] = check_ports(r.plans, full=False, drive=drive).errors
     assert f"servo 2 {words}" in line
     assert "set" in line or "write" in line or "clear it" in line  # what to do
+    assert ("FD software" in line) == (kind is STS)
 
 
 UNDRIVEN = [

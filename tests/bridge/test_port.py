@@ -73,23 +73,6 @@ def test_a_port_that_other_software_uses_without_a_lock(rig: Callable) -> None:
     opened(r).close()
 
 
-def test_a_virtual_bus_in_another_process_is_no_rival(tmp_path: Path) -> None:
-    script = (
-        "import os, pty, sys\n"
-        "master, slave = pty.openpty(); print(os.ttyname(slave), flush=True); sys.stdin.read()"
-    )
-    other = subprocess.Popen(
-        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        device = other.stdout.readline().strip()
-        bus = Bus("p0", Port(device=device))
-        bus.open()
-        bus.close()
-    finally:
-        other.communicate("")
-
-
 def test_an_open_port_is_closed_to_others(rig: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     r = rig(**AX)
     monkeypatch.setattr("adaptive_contact.bridge.port.is_pseudo", lambda _: False)
