@@ -314,7 +314,7 @@ def test_replay_and_score_take_a_bag_as_they_take_a_recording(tmp_path) -> None:
         BagWriter(tmp_path / "bag") as bag,
         RecordingWriter(tmp_path / "own.mcap", {"robot": robot.name}) as own,
     ):
-        for tick in sim.run(12.0):
+        for tick in sim.run(6.0):
             samples = {
                 leg: msgspec.structs.replace(sample, preview=None, t_ns=START + sample.t_ns)
                 for leg, sample in tick.samples.items()
@@ -337,7 +337,7 @@ def test_replay_and_score_take_a_bag_as_they_take_a_recording(tmp_path) -> None:
         events.append(out.read_text().splitlines())
         said = run("score", path, "--config", config, "--events", out, "--json")
         scores.append(said[said.index("{") :].replace(str(path), ""))
-    assert len(events[0]) > 20
+    assert len(events[0]) > 8
     assert events[0] == events[1]
     assert scores[0] == scores[1]
 

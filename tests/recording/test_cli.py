@@ -195,19 +195,6 @@ class TestScore:
 
 
 class TestReplayToEvents:
-    def test_is_deterministic_and_one_event_per_line(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.mcap"
-        write_walk(path)
-        outputs = []
-        for name in ("one", "two"):
-            out = tmp_path / f"{name}.jsonl"
-            run(replay, path, "--events", out)
-            outputs.append(out.read_bytes())
-        assert outputs[0] == outputs[1]
-        for line in outputs[0].splitlines():
-            assert json.loads(line)["leg"] == "rf"
-        assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "one.jsonl", "two.jsonl"]
-
     def test_options_of_the_other_way_are_refused(self, tmp_path: Path) -> None:
         path = tmp_path / "a.mcap"
         write_walk(path)

@@ -106,19 +106,16 @@ def test_keys_and_encodings_that_are_understood(
     assert "800 samples in 400 ticks" in said
 
 
-@pytest.mark.parametrize("command", ["replay", "score", "fit"])
 @pytest.mark.parametrize(
-    ("misspelt", "meant"),
+    ("command", "misspelt"),
     [
-        ("robot/legs/rf/servo", "robot/leg/rf/servo"),
-        ("rf/servo", "robot/leg/rf/servo"),
-        ("/robot/legs/rf/servo", "robot/leg/rf/servo"),
-        ("robot/leg/rf/servos", "robot/leg/rf/servo"),
+        ("replay", "robot/legs/rf/servo"),
+        ("replay", "rf/servo"),
+        ("score", "/robot/legs/rf/servo"),
+        ("fit", "robot/leg/rf/servos"),
     ],
 )
-def test_a_misspelt_key_is_named(
-    command: str, misspelt: str, meant: str, run: Any, tmp_path: Path
-) -> None:
+def test_a_misspelt_key_is_named(command: str, misspelt: str, run: Any, tmp_path: Path) -> None:
     start, end = misspelt.split("rf")
     path = _write(
         tmp_path / "a.mcap",
@@ -126,40 +123,53 @@ def test_a_misspelt_key_is_named(
     )
     code, _, said = run(command, path)
     assert code == 2
-    assert f"400 messages on {misspelt} not used: did you mean {meant}?" in said
+    line = f"400 messages on {misspelt} not used: did you mean robot/leg/rf/servo?"
+    assert line in said
     assert "--key" not in said
 
 
-@pytest.mark.parametrize("command", ["replay", "score", "fit"])
+# What `doctor` would name, and by which commands it is tried: all have one door.
+REASONS: dict[str, tuple[str, Callable[[Fields], Fields], str]] = {
+    "degrees": (
+        "replay score fit",
+        lambda f: f | {n: [math.degrees(q) for q in f[n]] for n in ("measured", "desired")},
+        "angles are not in radians: more than a turn; these look like degrees",
+    ),
+    "seconds": ("replay", lambda f: f | {"t_ns": f["t_ns"] / 1e9}, "t_ns is not an integer"),
+    "microseconds": (
+        "score", lambda f: f | {"t_ns": f["t_ns"] // 1000}, "it seems to be in microseconds",
+    ),
+    "milliseconds": (
+        "fit", lambda f: f | {"t_ns": f["t_ns"] // 1_000_000}, "it seems to be in milliseconds",
+    ),
+    "whole seconds": (
+        "replay", lambda f: f | {"t_ns": f["t_ns"] // 1_000_000_000}, "t_ns does not increase",
+    ),
+    "joints": (
+        "score",
+        lambda f: f | {n: f[n][:2] for n in ("measured", "desired")},
+        "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)",
+    ),
+    "a text": ("fit", lambda f: f | {"measured": "0.1 0.2 0.3"}, "payloads cannot be read"),
+    "no seq": (
+        "replay score fit",
+        lambda f: {n: v for n, v in f.items() if n != "seq"},
+        "missing required field `seq`",
+    ),
+    "NaN": (
+        "replay score fit",
+        lambda f: f | {"desired": [math.nan] * 3},
+        "samples hold NaN or infinity",
+    ),
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("change", "why"),
+    ("command", "change", "why"),
     [
-        (
-            lambda f: f | {n: [math.degrees(q) for q in f[n]] for n in ("measured", "desired")},
-            "angles are not in radians: more than a turn; these look like degrees",
-        ),
-        (lambda f: f | {"t_ns": f["t_ns"] / 1e9}, "t_ns is not an integer"),
-        (lambda f: f | {"t_ns": f["t_ns"] // 1000}, "it seems to be in microseconds"),
-        (lambda f: f | {"t_ns": f["t_ns"] // 1_000_000}, "it seems to be in milliseconds"),
-        (lambda f: f | {"t_ns": f["t_ns"] // 1_000_000_000}, "t_ns does not increase"),
-        (
-            lambda f: f | {n: f[n][:2] for n in ("measured", "desired")},
-            "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)",
-        ),
-        (lambda f: f | {"measured": "0.1 0.2 0.3"}, "payloads cannot be read"),
-        (lambda f: {n: v for n, v in f.items() if n != "seq"}, "missing required field `seq`"),
-        (lambda f: f | {"desired": [math.nan] * 3}, "samples hold NaN or infinity"),
-    ],
-    ids=[
-        "degrees",
-        "seconds",
-        "microseconds",
-        "milliseconds",
-        "whole seconds",
-        "joints",
-        "a text",
-        "no seq",
-        "NaN",
+        pytest.param(command, change, why, id=f"{name}-{command}")
+        for name, (commands, change, why) in REASONS.items()
+        for command in commands.split()
     ],
 )
 def test_the_reason_is_the_one_that_doctor_gives(
@@ -172,15 +182,14 @@ def test_the_reason_is_the_one_that_doctor_gives(
     assert "legs lf rf: " in named[0]
 
 
-@pytest.mark.parametrize("command", ["replay", "fit"])
 @pytest.mark.parametrize(
-    ("count", "why"),
+    ("command", "count", "why"),
     [
-        (lambda k: 6 * k + 3, "seq goes up by 6 from sample to sample: 5 of 6 count as lost"),
-        (lambda k: 20 * k + (k % 4 == 0), "seq goes up by 20 from sample to sample"),
-        (lambda k: 2 * k + (k > 100) + (k > 300), "seq goes up by 2 from sample to sample"),
-        (lambda k: 7, "samples repeat the seq before them: 399 of 399"),
-        (lambda k: k // 2, "samples repeat the seq before them: 200 of 399"),
+        ("replay", lambda k: 6 * k + 3, "seq goes up by 6 from sample to sample: 5 of 6 count as"),
+        ("fit", lambda k: 20 * k + (k % 4 == 0), "seq goes up by 20 from sample to sample"),
+        ("replay", lambda k: 2 * k + (k > 100) + (k > 300), "seq goes up by 2 from sample to"),
+        ("fit", lambda k: 7, "samples repeat the seq before them: 399 of 399"),
+        ("replay", lambda k: k // 2, "samples repeat the seq before them: 200 of 399"),
     ],
     ids=["one of six legs", "milliseconds", "every second", "none", "twice"],
 )

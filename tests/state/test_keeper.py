@@ -8,22 +8,10 @@ from pathlib import Path
 from structlog.testing import capture_logs
 
 from adaptive_contact.robot import parse_robot, shipped_robot
-from adaptive_contact.service.state import StateStore, settings_digest
-from adaptive_contact.service.state.keeper import StateKeeper
+from adaptive_contact.service.state import settings_digest
 from adaptive_contact.service.state.store import NEWEST
 
 from .conftest import Desk, Folder, Learner, S
-
-
-def test_what_was_saved_comes_back(folder: Folder) -> None:
-    folder.save(41)
-    number, refused, lines = folder.restored()
-    assert (number, refused) == (41, [])
-    assert lines == ["state restored: "]
-
-
-def test_nothing_there_is_nothing_to_say(folder: Folder) -> None:
-    assert folder.restored() == (0, [], [])
 
 
 def test_a_flipped_byte_falls_back_to_the_one_before_in_one_line(folder: Folder) -> None:
@@ -64,20 +52,6 @@ def test_of_many_refusals_the_first_are_told_and_how_many_more(folder: Folder) -
     told = keeper.facts.refused
     assert [line.endswith(": of 3 joints") for line in told] == [True] * 4 + [False]
     assert told[-1] == "2 more, as the log says"
-
-
-def test_a_copy_from_another_robot_is_refused_in_one_line(folder: Folder, tmp_path: Path) -> None:
-    folder.save(1)
-    (file,) = folder.files
-    there = tmp_path / "there" / "maxi" / file.name
-    there.parent.mkdir(parents=True)
-    there.write_bytes(file.read_bytes())
-    keeper = StateKeeper(StateStore.open(tmp_path / "there", "maxi"), "maxi", lambda _: "s")
-    learner = Learner()
-    assert keeper.restore("rf", learner, "servo", 0) is None
-    assert learner.number == 0
-    assert keeper.facts.refused == [f"{file.name}: of another robot: 'mini', this is 'maxi'"]
-    keeper.close()
 
 
 def test_other_settings_start_clean_and_keep_the_old(folder: Folder) -> None:

@@ -9,7 +9,6 @@ import stat
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 
 from adaptive_contact.errors import ConfigurationError
@@ -198,14 +197,6 @@ def test_names_stay_inside_the_folder(tmp_path: Path) -> None:
         assert len(folder.name.encode()) < 200
     assert robot_folder(tmp_path, "a/b") != robot_folder(tmp_path, "a_b")
     assert robot_folder(tmp_path, "hexapod-ax12a").name == "hexapod-ax12a"
-
-
-def test_other_settings_are_counted_and_left_alone(opened: StateStore) -> None:
-    opened.save(record(1, msgspec.structs.replace(WHO, settings="other")))
-    assert versions(opened) == []
-    assert opened.others(WHO) == 1
-    (stored,) = list_states(opened.folder.parent)
-    assert isinstance(stored.record, Record)
 
 
 def test_unreadable_and_huge_files_are_refused(
