@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from kinematic import KinematicBackend
@@ -16,6 +16,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact_sim import Simulation, load_scenario
 from adaptive_contact_sim.elements import HEXAPOD
+from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.virtual import (
     FaultSchedule,
     VirtualServo,
@@ -27,7 +28,7 @@ from adaptive_contact_sim.virtual.passive import PassiveBackend
 from adaptive_contact_sim.virtual.physics import GaitedBackend, LocalSource
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
-from quadruped_stand import SCENARIOS, PlatedPlant, record
+from quadruped import LEGS, recorded
 from scoring import play
 
 
@@ -207,15 +208,20 @@ def test_faults_strike_when_and_whom_they_should() -> None:
 def test_the_quadrupeds_description_fits_its_model() -> None:
     robot = shipped_robot("quadruped")
     rng = np.random.default_rng(3)
+    model = mujoco.MjModel.from_xml_string(robot_xml("quadruped"))
     for _ in range(5):
-        angles = rng.uniform(-1.0, 0.2, 8)
-        plant = PlatedPlant(angles)
+        angles, data = rng.uniform(-1.0, 0.2, 8), mujoco.MjData(model)
+        for i, leg in enumerate(LEGS):
+            data.joint(f"{leg}_hip").qpos, data.joint(f"{leg}_knee").qpos = angles[
+                2 * i : 2 * i + 2
+            ]
+        mujoco.mj_forward(model, data)
         for i, leg in enumerate(robot.legs):
             point = foot(angles[2 * i : 2 * i + 2], leg.lengths_m, leg.joint_axes)
             turn = np.cos(leg.mount.yaw_rad)
             out = np.array([turn * point[0], turn * point[1], point[2] + 0.3])
             world = np.array(leg.mount.xyz_m) + out
-            assert plant.feet_m[i] == pytest.approx(world, abs=1e-6)
+            assert data.site(f"{leg.id}_foot").xpos == pytest.approx(world, abs=1e-6)
 
 
 def test_the_shipped_quadruped_baseline_detects() -> None:
@@ -224,8 +230,7 @@ def test_the_shipped_quadruped_baseline_detects() -> None:
     robot = shipped_robot("quadruped")
     baseline = shipped_baseline(robot.name)
     assert baseline is not None
-    recorded = record(dataclasses.replace(SCENARIOS[1], seconds=25.0))
-    counted = play(*recorded, robot, baseline).total.counted
+    counted = play(*recorded("collisions"), robot, baseline).total.counted
     assert counted.touches >= 20
     assert counted.recall >= 0.9
 

@@ -20,7 +20,7 @@ from adaptive_contact.service.legcheck import check_recording
 from adaptive_contact.wire import ServoSample, servo_key
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
-from quadruped_stand import Scenario, record
+from quadruped import recorded
 
 from . import mistakes as m
 from .listening import alone, causes, listen
@@ -43,7 +43,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> list[m.Sent]:
 
 @pytest.fixture(scope="module")
 def trials() -> list[m.Sent]:
-    samples = record(Scenario("free", "", 31, WHOLE_S)).samples
+    samples, _ = recorded("free")
     return [m.Sent(servo_key(leg), s.t_ns, msgspec.to_builtins(s)) for leg, s in samples]
 
 

@@ -30,7 +30,7 @@ from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from quadruped_stand import SCENARIOS, record
+from quadruped import recorded
 
 Turn = Callable[[np.ndarray], np.ndarray]
 DOWN = (1, -1, -1)
@@ -316,9 +316,8 @@ def test_stamps_that_jitter_hide_no_wrong_sign(phase: bool) -> None:
 @functools.cache
 def quadruped(name: str) -> Mapping[str, LegMotion]:
     """The quadruped on its stand: its legs swing, and meet plates."""
-    scenario = next(one for one in SCENARIOS if one.name == name)
     rows: dict[str, list[ServoSample]] = {}
-    for leg, sample in record(dataclasses.replace(scenario, seconds=SECONDS)).samples:
+    for leg, sample in recorded(name)[0]:
         rows.setdefault(leg, []).append(sample)
     return {leg: LegMotion.of_samples(own) for leg, own in rows.items()}
 
@@ -336,7 +335,7 @@ def judge_quadruped(name: str, sign: int, *, phase: bool) -> Verdict:
     return judge_motion(shipped_robot("quadruped"), motions)
 
 
-@pytest.mark.parametrize("name", ["quadruped-free", "quadruped-collisions", "quadruped-soft"])
+@pytest.mark.parametrize("name", ["free", "collisions"])
 def test_a_quadruped_is_told_when_it_is_flipped_and_never_accused_else(name: str) -> None:
     for phase in (True, False):
         assert judge_quadruped(name, 1, phase=phase).findings == ()

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import itertools
+import os
+import re
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import pytest
 from structlog.testing import capture_logs
 
 from adaptive_contact.robot import parse_robot, shipped_robot
-from adaptive_contact.service.state import settings_digest
+from adaptive_contact.service.state import Record, StateStore, settings_digest
+from adaptive_contact.service.state import keeper as keeper_module
+from adaptive_contact.service.state.format import Position
+from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.state.store import NEWEST
+from waiting import until
 
 from .conftest import Desk, Folder, Learner, S
 
@@ -140,3 +152,266 @@ def test_robots_of_one_kind_are_told_apart_by_their_namespaces(tmp_path: Path) -
     assert len({keeper.facts.folder for keeper in keepers}) == 3
     for keeper in keepers:
         keeper.close()
+
+
+# -- A disk that is slow, full or closed, and a state that fits no file: told, and nobody wai
+
+
+@contextlib.contextmanager
+def unprivileged() -> Iterator[None]:
+    """Be nobody, where the tests are run by root, who may do everything."""
+    if os.geteuid() != 0:
+        yield
+        return
+    try:
+        os.seteuid(65534)
+    except OSError:
+        pytest.skip("this root can become nobody else")
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def slowed(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> tuple[threading.Event, threading.Event, list[int]]:
+    """A disk that saves once it may: whether it has begun, that it may, and what it has saved."""
+    writing, go_on, written = threading.Event(), threading.Event(), list[int]()
+    save = folder.store.save
+
+    def slow(record: Record) -> None:
+        writing.set()
+        assert go_on.wait(60)
+        written.append(record.body["number"])
+        save(record)
+
+    monkeypatch.setattr(folder.store, "save", slow)
+    return writing, go_on, written
+
+
+def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = folder.open()
+    desk = Desk(learner=Learner())
+    keeper.restore("rf", desk.learner, "servo", 0)
+    writing, go_on, written = slowed(folder, monkeypatch)
+    for number in range(1, 6):
+        desk.learner.number = number  # type: ignore[attr-defined]
+        desk.hear()
+        keeper.snapshot(desk, 0)  # returns at once
+        assert writing.wait(60)
+    assert not keeper.flush(0.01)
+    go_on.set()
+    assert keeper.flush(5)
+    assert written == [1, 5]
+
+
+def test_a_disk_that_is_too_slow_at_the_end_is_told(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = folder.open()
+    writing, go_on, _ = slowed(folder, monkeypatch)
+    for leg in ("lf", "rm", "lr"):  # the first is being written, the others wait
+        desk = Desk(leg)
+        keeper.restore(leg, desk.learner, "servo", 0)
+        desk.hear()
+        keeper.snapshot(desk, 0)
+        assert writing.wait(60)
+    with capture_logs() as logs:
+        keeper.close(0.01)
+    folder.keeper = None
+    go_on.set()
+    (line,) = logs
+    assert line["event"] == "state not saved in time, the one before it stays"
+    assert line["legs"] == "lf lr rm"
+
+
+def test_the_end_waits_for_a_slow_disk_and_is_over_before_the_service_is_killed(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file synced on a busy disk was seen to take more than a second."""
+    keeper = folder.open()
+    waits: list[float] = []
+    monkeypatch.setattr(keeper, "flush", lambda timeout_s: not waits.append(timeout_s))
+    keeper.close()
+    folder.keeper = None
+    unit = Path(__file__).parents[2] / "packaging" / "adaptive-contact.service"
+    killed = re.search(r"^TimeoutStopSec=(\d+)$", unit.read_text(), re.MULTILINE)
+    assert killed is not None
+    # All else takes two seconds, and a subscriber that hangs one.
+    assert waits[0] > 1.0
+    assert waits[0] + 3.0 < float(killed[1])
+
+
+def test_a_disk_that_does_not_answer_is_told(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A card that dies neither saves nor fails: nobody would ever hear of it."""
+    monkeypatch.setattr(keeper_module, "HANGS_S", 0.01)
+    keeper, desk = folder.open(), Desk()
+    keeper.restore("rf", desk.learner, "servo", 0)
+    writing, go_on, _ = slowed(folder, monkeypatch)
+    with capture_logs() as logs:
+        desk.hear()
+        keeper.snapshot(desk, 0)
+        assert writing.wait(60)
+        error = until(lambda: keeper.facts.error)
+        for _ in range(3):
+            keeper.snapshot(desk, 0)
+        assert error.startswith(f"rf not saved in {folder.store.shown}: the disk has not answered")
+        # Threads of tests before this one may still log.
+        own = [line for line in logs if folder.store.shown in str(line.get("why"))]
+        assert [(line["event"], line["log_level"]) for line in own] == [
+            ("state not saved", "warning")
+        ]
+        go_on.set()
+        assert keeper.flush(5)
+    assert keeper.facts.error is None
+    assert keeper.facts.failed == 0
+
+
+def test_a_full_disk_is_told_once_and_tried_again(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = folder.open()
+    desk = Desk()
+    keeper.restore("rf", desk.learner, "servo", 0)
+    full = OSError(errno.ENOSPC, "No space left on device")
+
+    def fails(record: Record) -> None:
+        raise full
+
+    with capture_logs() as logs:
+        monkeypatch.setattr(folder.store, "save", fails)
+        for _ in range(3):
+            desk.hear()
+            keeper.snapshot(desk, 0)
+            assert keeper.flush(5)
+        facts = keeper.facts
+        monkeypatch.undo()
+        keeper.snapshot(desk, 0)
+        assert keeper.flush(5)
+    assert (facts.saved, facts.failed) == (0, 3)
+    assert facts.error == f"rf not saved in {folder.store.folder}: no space left on device"
+    assert [line["event"] for line in logs] == ["state not saved", "state is saved again"]
+    assert (keeper.facts.saved, keeper.facts.error) == (1, None)
+
+
+@pytest.mark.parametrize("why", [errno.EROFS, errno.EACCES])
+def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, why: int
+) -> None:
+    folder.save(9)
+    folder.close()
+    folder.keeper = None
+
+    opens = os.open
+
+    def refuses(path: Any, flags: int, *rest: Any, **at: Any) -> int:
+        if flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+            raise OSError(why, os.strerror(why))
+        return opens(path, flags, *rest, **at)
+
+    monkeypatch.setattr("os.open", refuses)
+    number, refused, lines = folder.restored()
+    assert (number, refused) == (9, [])
+    line = (
+        f"{folder.store.folder} cannot be written to ({os.strerror(why).lower()}); "
+        "give another --state DIR, or --no-state"
+    )
+    assert lines == [f"state is not saved: {line}", "state restored: "]
+    assert folder.keeper is not None
+    assert folder.keeper.facts.error == line, "what ServiceStatus and watch tell"
+    desk = Desk()
+    desk.hear()
+    assert not folder.keeper.due(desk, 100 * S)
+
+
+def test_a_folder_that_may_not_be_looked_into_is_one_line(folder: Folder) -> None:
+    """Not two more for each leg, of files that may not even be there."""
+    folder.save(9)
+    folder.close()
+    folder.keeper = None
+    folder.path.chmod(0)
+    try:
+        with unprivileged():
+            number, refused, lines = folder.restored()
+    finally:
+        folder.path.chmod(0o700)
+    assert (number, refused) == (0, [])
+    assert lines == [
+        f"state is not saved: {folder.store.folder} cannot be written to (permission denied); "
+        "give another --state DIR, or --no-state"
+    ]
+
+
+def raises() -> dict[str, object]:
+    raise ZeroDivisionError("of nothing")
+
+
+@pytest.mark.parametrize(
+    ("snapshot", "number", "why"),
+    [
+        (raises, 0, "of nothing"),
+        (lambda: {"thing": object()}, 0, "encoding objects of type object is unsupported"),
+        (dict, 2**70, "can't serialize ints"),
+        (dict, -(2**70), "can't serialize ints"),
+    ],
+    ids=["raises", "cannot be written", "fits no file", "nor that"],
+)
+def test_a_state_that_cannot_be_kept_is_counted_told_and_ends_no_other(
+    folder: Folder, snapshot: Callable[[], Any], number: int, why: str
+) -> None:
+    keeper = folder.open()
+    bad, good = Desk("lf", Learner()), Desk("rf", Learner(3))
+    bad.learner.snapshot = snapshot  # type: ignore[attr-defined]
+    for desk in (bad, good):
+        keeper.restore(desk.leg, desk.learner, "servo", 0)
+        desk.hear()
+    bad.position = Position(number, 1)
+    with capture_logs() as logs:
+        for desk in (bad, good):
+            keeper.snapshot(desk, 0)
+            assert keeper.flush(5)
+    assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
+    assert (logs[0]["event"], logs[0]["leg"]) == ("state not saved", "lf")
+    assert why in logs[0]["why"]
+    assert folder.restored()[0] == 3
+
+
+def test_a_folder_that_is_anothers_is_not_written_to_at_the_end(folder: Folder) -> None:
+    """A service that stops has every leg saved, due or not: its own, where it has a folder."""
+    folder.save(5)
+    assert folder.keeper is not None
+    store = StateStore.open(folder.path, "mini")
+    with capture_logs():
+        second = StateKeeper(store, "mini", lambda _: "s")
+        desk = Desk(learner=Learner(6))
+        second.restore("rf", Learner(), "servo", 0)
+        desk.hear()
+        second.snapshot(desk, 0)
+        second.close(5.0)
+    assert second.facts.saved == 0
+    assert folder.restored()[0] == 5
+
+
+def test_a_folder_that_becomes_free_is_used(folder: Folder) -> None:
+    owner = StateStore.open(folder.path, "mini")
+    store = StateStore.open(folder.path, "mini")
+    with capture_logs() as logs:
+        keeper = StateKeeper(store, "mini", lambda _: "s", period_s=0.05)
+        desk = Desk(learner=Learner(5))
+        keeper.restore("rf", desk.learner, "servo", 0)
+        desk.hear()
+        assert not keeper.due(desk, 100 * S)
+        assert "in use by another service" in str(keeper.facts.error)
+        owner.close()
+        until(lambda: keeper.due(desk, 100 * S))
+        keeper.snapshot(desk, 100 * S)
+        assert keeper.flush(5)
+    assert keeper.facts.error is None
+    assert [line["event"] for line in logs] == ["state is not saved", "state is saved again"]
+    keeper.close()
+    assert folder.restored()[0] == 5
