@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.bank import LegGroup
 from adaptive_contact.detect.contact import context_of, statistic
 from adaptive_contact.detect.swing import AFTER_TICKS
 from adaptive_contact.detect.swing_judge import LANDINGS, Landings
-from adaptive_contact.learn.noise_tracker import AWAITED
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.noise import AFTER, DESCENT
@@ -68,25 +64,6 @@ def test_a_turn_in_mid_air_causes_nothing(robot: Robot, baseline: Baseline) -> N
         assert play(ContactLearner(robot, "rf", baseline), samples(measured, desired, phase)) == []
 
 
-def test_a_swing_that_only_the_next_one_ends_is_learned_in_the_second_half(
-    robot: Robot, baseline: Baseline
-) -> None:
-    """Of a tick: an event of another leg would have waited for it."""
-    learner = ContactLearner(robot, "rf", baseline)
-    group = LegGroup([learner])
-    grown = 0
-    # The stance of four ticks is shorter than the wait.
-    for sample in samples(*FakeLeg(seed=33).run(30)[:3]):
-        before = learner.status.buffer.descent_ticks
-        group.judge([sample])
-        if sample.seq % TICKS == 0:
-            assert learner.status.buffer.descent_ticks == before
-            group.finish()
-            grown += learner.status.buffer.descent_ticks > before
-        group.finish()
-    assert grown >= 5
-
-
 @pytest.mark.parametrize("upward", [False, True])
 def test_a_touch_takes_predicted_motion_away_or_pushes_the_foot_up(
     robot: Robot, baseline: Baseline, upward: bool
@@ -121,19 +98,6 @@ def test_a_touch_takes_predicted_motion_away_or_pushes_the_foot_up(
                 assert square == pytest.approx(float(z @ z))
                 assert leg["opposed"] == pytest.approx(-along)
     assert min(told.values()) > 100
-
-
-def test_awaited_touches_have_thresholds_of_their_own_aim(robot: Robot, baseline: Baseline) -> None:
-    """Where the leg's own largest values are not known."""
-    legs = {leg: dataclasses.replace(of, peaks=None) for leg, of in baseline.legs.items()}
-    baseline = dataclasses.replace(baseline, legs=legs)
-    learner = ContactLearner(robot, "rf", baseline)
-    recent = learner.lifecycle.noise_tracker
-    assert recent is not None
-    aim = robot.detector.false_alarms_per_hour
-    assert recent.thresholds[DESCENT] == pytest.approx(baseline.thresholds(aim))
-    assert recent.thresholds[AFTER] == pytest.approx(baseline.thresholds(AWAITED * aim))
-    assert (recent.thresholds[AFTER] < recent.thresholds[DESCENT]).all()
 
 
 class TestLandings:

@@ -181,23 +181,6 @@ def test_a_leg_that_changed_early_keeps_the_baseline_that_it_is_followed_from() 
         assert not monitor.unfit
 
 
-@pytest.mark.parametrize("at", range(UNFIT_LIFTS + 1))
-def test_a_restart_does_not_make_a_wrong_baseline_right(at: int) -> None:
-    monitor = DriftMonitor(3)
-    for k in range(UNFIT_LIFTS):
-        if k == at:
-            before, monitor = monitor, DriftMonitor(3)
-            monitor.resume(
-                before.variance_scale,
-                before.status,
-                obstructed=before.obstructed,
-                lifts_assessed=before.lifts_assessed,
-            )
-        assert not monitor.unfit
-        assess(monitor, 99.0, k)
-    assert monitor.unfit
-
-
 def test_a_foot_on_a_leash_from_the_start_says_nothing_of_the_baseline() -> None:
     """Its lifts are as far off as another leg's: for as long as nobody can tell, none is thrown."""
     monitor = DriftMonitor(3)
@@ -212,16 +195,6 @@ def test_a_foot_on_a_leash_from_the_start_says_nothing_of_the_baseline() -> None
     assert not leashed.unfit
     assess(another, 120.0, PATIENCE_SWINGS)
     assert another.unfit, "no foot is caught in the same way for so long and comes all its way"
-
-
-def test_a_saved_status_goes_on() -> None:
-    monitor = DriftMonitor(3)
-    monitor.resume(9.0, "ambiguous")
-    assess(monitor, 9.0, 0)
-    assert monitor.status == "ambiguous"
-    for k in range(SETTLED_SWINGS):
-        assess(monitor, 1.0, 1 + k)
-    assert monitor.status == "valid"
 
 
 def moved(level: float, way_rad: float) -> Rows:

@@ -229,14 +229,3 @@ def test_ticks_after_the_turn_of_a_leg_that_hangs_have_a_threshold_of_their_own(
         descent.records["after"][6:] = descent.records["high"][6:] = True
         high.count(descent)
     assert not high.after_known, "a foot that is high says nothing of one that is to touch"
-
-
-def test_the_last_lifts_count_by_the_noise_that_they_were_judged_by(noise: NoiseModel) -> None:
-    of, pooled = recent(noise), recent(noise).thresholds
-    for _ in range(LEAST_LIFTS):
-        of.count(rows([1.0] * 10, ratio=0.1), None, 1.0)
-    share = of.thresholds[LIFT] / pooled[LIFT]
-    # The same residuals by a quarter of the variance: thresholds in rad stay as they are.
-    of.count(rows([1.0] * 10, ratio=0.1 / share[0] * 4.0 * share[0]), None, 0.25)
-    assert (of.thresholds[LIFT] * 0.25 >= 0.9 * share * pooled[LIFT] * 0.25).all()
-    assert (of.thresholds[LIFT] > 1.5 * share * pooled[LIFT]).all()

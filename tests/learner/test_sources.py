@@ -167,15 +167,6 @@ def test_swapped_phases_teach_nothing_and_pass(
     assert learner.status.status == "valid", learner.status.note
 
 
-def test_touches_after_a_copy_are_reported(robot: Robot, baseline: Baseline) -> None:
-    stops = [17 if n >= 38 else None for n in range(48)]
-    measured, desired, swing, _ = FakeLeg(seed=5).run(48, touch=lambda n: stops[n])
-    stream = echoed(samples(measured, desired, swing), 30 * PERIOD, 36 * PERIOD, lag=1)
-    events = play(learner_of(robot, baseline), stream)
-    found = {e.seq // PERIOD for e in events if e.contact and not e.withheld}
-    assert found >= set(range(38, 48))
-
-
 # -- what is reported of an ambiguous leg ----------------------------------------------------------
 
 

@@ -6,35 +6,13 @@ import gc
 
 import numpy as np
 
-from adaptive_contact import ContactLearner, ServoSample
+from adaptive_contact import ContactLearner
 from adaptive_contact.bank import LegGroup
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactEvent
 
 from .conftest import FakeLeg, samples
-
-
-def play(learner: ContactLearner, stream: list[ServoSample]) -> list[ContactEvent]:
-    return [event for s in stream if (event := learner.update(s)) is not None]
-
-
-def test_several_at_once_equal_one_by_one(robot: Robot, baseline: Baseline) -> None:
-    streams = [
-        samples(*FakeLeg(seed=10 + i).run(30, touch=lambda n: 16 if n % 2 else None)[:3])
-        for i in range(3)
-    ]
-    alone = [play(ContactLearner(robot, "rf", baseline), stream) for stream in streams]
-    learners = [ContactLearner(robot, "rf", baseline) for _ in streams]
-    together: list[list[ContactEvent]] = [[] for _ in streams]
-    group = LegGroup(learners)
-    for tick in zip(*streams, strict=True):
-        for i, event in enumerate(group.advance(tick)):
-            if event is not None:
-                together[i].append(event)
-    for one, many in zip(alone, together, strict=True):
-        assert [(e.seq, e.contact) for e in one] == [(e.seq, e.contact) for e in many]
-        np.testing.assert_allclose([e.score for e in one], [e.score for e in many], rtol=1e-9)
 
 
 def test_legs_whose_samples_are_lost_do_not_disturb_the_others(
@@ -160,25 +138,6 @@ def test_no_word_waits_for_what_a_touch_or_a_swing_leaves_to_learn(
         group.finish()
     assert grown[True] >= 3
     assert grown[False] >= 3
-
-
-def test_a_first_model_has_its_place_before_the_next_sample(
-    robot: Robot, baseline: Baseline
-) -> None:
-    """To make room for it takes a millisecond, which no event is to wait for."""
-    stream = samples(*FakeLeg(seed=51).run(60, touch=lambda n: None)[:3])
-    cold, known = ContactLearner(robot, "rf", None), ContactLearner(robot, "rf", baseline)
-    group = LegGroup([cold, known])
-    group.finish()
-    batch = known.place.batch
-    assert cold.place.batch is batch, "before the first sample, too"
-    for sample in stream:
-        group.advance([sample, sample])
-        if cold.model is not None:
-            break
-    assert cold.model is not None
-    assert cold.place.batch is batch
-    np.testing.assert_array_equal(batch.coefficients[cold.place.row], cold.model.coefficients)
 
 
 def test_learners_leave_no_garbage_to_collect(robot: Robot, baseline: Baseline) -> None:
