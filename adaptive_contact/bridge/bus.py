@@ -7,13 +7,12 @@ know no sync read: each is read by itself, and all are written with one sync wri
 
 from __future__ import annotations
 
-import enum
 import math
 import termios
 import time
 from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, Literal, NamedTuple, TypeVar
 
 from adaptive_contact.bridge.packets import (
     BROADCAST_ID,
@@ -59,12 +58,8 @@ class _Places(NamedTuple):
 _PLACES: Final = {1: _Places(2, 3, 4, 5), 2: _Places(4, 5, 8, 9)}
 
 
-class Fault(enum.StrEnum):
-    """Names why a servo's reading is missing."""
-
-    NO_ANSWER = "no_answer"
-    CORRUPT = "corrupt"
-    REFUSED = "refused"
+# Why a servo's reading is missing.
+Fault = Literal["no_answer", "corrupt", "refused"]
 
 
 class Reading(NamedTuple):
@@ -193,19 +188,19 @@ class Bus:
                 if first is None:
                     if time.monotonic() > end - _ASK_S:
                         if garbled:
-                            found[servo] = Reading(None, (), Fault.CORRUPT)
+                            found[servo] = Reading(None, (), "corrupt")
                         continue
                     # Missing in the common answer, or there is none: ask it alone.
                     first = found[servo] = self._read_one(servo, wide)
                     if garbled and first.fault is None:
                         # What came for all held more than was understood: this one's, it seems.
-                        found[servo] = first._replace(fault=Fault.CORRUPT)
+                        found[servo] = first._replace(fault="corrupt")
                         continue
-                if first.fault is Fault.CORRUPT and time.monotonic() < until:
+                if first.fault == "corrupt" and time.monotonic() < until:
                     again = self._read_one(servo, wide)
                     if again.fault is None:
                         # The fault is reported, the reading is good.
-                        found[servo] = again._replace(fault=Fault.CORRUPT)
+                        found[servo] = again._replace(fault="corrupt")
             return {servo: _cut(reading, block, wide) for servo, reading in found.items()}
 
         self._port.latest_s = end
@@ -224,7 +219,7 @@ class Bus:
         """
         for _ in range(2):
             faults = [answer.fault for answer in self.ask_often(servo, block)]
-            if faults.count(Fault.CORRUPT) < _GARBLED:
+            if faults.count("corrupt") < _GARBLED:
                 return True
             self.settle()
         return False
@@ -414,8 +409,7 @@ class Bus:
         at_s = time.monotonic()
         answer, result = self._exchange(servo, Instruction.READ, block.size, block)
         if result != _SUCCESS:
-            fault = Fault.NO_ANSWER if result == self._timeout else Fault.CORRUPT
-            return Reading(None, (), fault)
+            return Reading(None, (), "no_answer" if result == self._timeout else "corrupt")
         return self._reading(self._data(answer), answer[self._at.error], block, at_s)
 
     def _is_late(self, servo: int, packet: Sequence[int], wanted: int) -> bool:
@@ -443,8 +437,8 @@ class Bus:
             if data or not error:
                 # No answer to this: another master's packet, in which protocol 1.0's instruction
                 # stands where an answer has its error bits, or what it was answered.
-                return Reading(None, (), Fault.CORRUPT)
-            return Reading(None, alarms, Fault.REFUSED)
+                return Reading(None, (), "corrupt")
+            return Reading(None, alarms, "refused")
         return Reading(bytes(data), alarms, None, at_s, time.monotonic())
 
     def _sync_read(self, servos: Sequence[int], block: Block) -> tuple[dict[int, Reading], bool]:

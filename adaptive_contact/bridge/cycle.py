@@ -16,7 +16,6 @@ from adaptive_contact.bridge.bus import Bus, Reading
 from adaptive_contact.bridge.drive import (
     Driver,
     GoalRegister,
-    Mode,
     Place,
     Standing,
     Waker,
@@ -49,7 +48,7 @@ class _Servo:
     fresh: bool = False  # it has answered in this tick
     stands: Standing | None = None  # how, as far as this tick's readings say
     # what its goal register held against what was written
-    register: GoalRegister = GoalRegister.TAKEN
+    register: GoalRegister = "taken"
     shut_seen: bool = False
     look_at: int = 0  # cycle from which on a servo that has shut itself down is looked at again
     punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
@@ -103,7 +102,7 @@ class Cycle:
     @property
     def holding(self) -> list[str]:
         """Return the legs whose commands have stopped."""
-        return [leg for leg, driver in self.drivers.items() if driver.mode is Mode.HOLDING]
+        return [leg for leg, driver in self.drivers.items() if driver.mode == "holding"]
 
     @property
     def lacking(self) -> dict[str, str]:
@@ -268,7 +267,7 @@ class Cycle:
         servo.goal = block.part(reading.data, registers["goal_position"])
         if self.mode == "drive":
             servo.register = servo.waker.compare(servo.goal)
-            if servo.register is GoalRegister.FOREIGN:
+            if servo.register == "foreign":
                 faults["foreign_goal"] += 1
             if model.compact:
                 self._judge(servo, standing(model, block, reading.data, servo.waker.fatal))
@@ -358,7 +357,7 @@ class Cycle:
             return None
         at = servo.joint.angle(place.steps)
         driver.bounds[j] = servo.waker.bounds()
-        ours = servo.waker.awake and servo.register is not GoalRegister.FOREIGN
+        ours = servo.waker.awake and servo.register != "foreign"
         if not ours:
             driver.found(j, at)
         elif driver.goal is not None and servo.joint.steps(driver.goal[j]) != place.steps:
@@ -391,7 +390,7 @@ class Cycle:
         are looked at in every tick.
         """
         servos = [servo for servo in servos if not servo.joint.model.compact]
-        awake = [s for s in servos if s.waker.awake and s.register is GoalRegister.TAKEN]
+        awake = [s for s in servos if s.waker.awake and s.register == "taken"]
         turn = awake[self._count % len(awake)] if awake else None
         asked = []
         for servo in servos:

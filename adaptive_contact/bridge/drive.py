@@ -13,10 +13,9 @@ Source: ROBOTIS e-manual, AX-12A "Shutdown (18)", XL-320 "Shutdown(18)", XL330-M
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Collection, Sequence
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from adaptive_contact.bridge.modes import Setting, setting
 from adaptive_contact.bridge.plan import JointPlan, LegPlan
@@ -30,13 +29,8 @@ EASY_SHARE: Final = 0.2
 _FATAL: Final = 0x2C
 
 
-class Mode(enum.StrEnum):
-    """Names what a leg does."""
-
-    IDLE = "idle"
-    APPROACHING = "approaching"
-    FOLLOWING = "following"
-    HOLDING = "holding"
+# What a leg does.
+Mode = Literal["idle", "approaching", "following", "holding"]
 
 
 class Driver:
@@ -53,7 +47,7 @@ class Driver:
 
     def __init__(self, leg: LegPlan) -> None:
         self.leg = leg
-        self.mode = Mode.IDLE
+        self.mode: Mode = "idle"
         self.goal: list[float] | None = None
         self.limited = 0
         self.bounds = [(joint.lower_rad, joint.upper_rad) for joint in leg.joints]
@@ -64,7 +58,7 @@ class Driver:
 
     def forget(self) -> None:
         """Start over: the servos may have been moved, or have lost their goals."""
-        self.mode = Mode.IDLE
+        self.mode = "idle"
         self.goal = self.preview = None
         self._command = self._ahead = None
 
@@ -77,8 +71,8 @@ class Driver:
         if self.goal is None:
             return
         self.goal[joint] = angle_rad
-        if self.mode is Mode.FOLLOWING:
-            self.mode = Mode.APPROACHING
+        if self.mode == "following":
+            self.mode = "approaching"
 
     def receive(self, command: Command, arrival_ns: int) -> None:
         """Take in a command that :func:`complaint` has nothing to say of."""
@@ -110,9 +104,9 @@ class Driver:
         if self._command is None:
             return None
         if not self.is_asked(now_ns):
-            self.mode = Mode.HOLDING
+            self.mode = "holding"
             return None
-        if self.mode in (Mode.IDLE, Mode.HOLDING):
+        if self.mode in ("idle", "holding"):
             if self.goal is None:
                 unknown = {j for j, angle in enumerate(start) if angle is None}
                 if len(unknown) == len(start) or not unknown.issubset(absent):
@@ -121,16 +115,16 @@ class Driver:
                     want if angle is None else angle
                     for angle, want in zip(start, self._command, strict=True)
                 ]
-            self.mode = Mode.APPROACHING
-        easy = self.mode is Mode.APPROACHING
+            self.mode = "approaching"
+        easy = self.mode == "approaching"
         largest = self.leg.max_step_rad * (EASY_SHARE if easy else 1.0)
         assert self.goal is not None
         goal, arrived, limited = self._toward(self._command, self.goal, largest)
         self.limited += limited or not (arrived or easy)
         if easy and arrived:
-            self.mode = Mode.FOLLOWING
+            self.mode = "following"
         self.goal = goal
-        if ahead is not None and self.mode is Mode.FOLLOWING and arrived and not limited:
+        if ahead is not None and self.mode == "following" and arrived and not limited:
             rows, last = [], goal
             for wanted in ahead:
                 last, _, _ = self._toward(wanted, last, self.leg.max_step_rad)
@@ -210,12 +204,8 @@ class Place(NamedTuple):
     at_goal: bool  # without torque, the goal register holds where it is
 
 
-class GoalRegister(enum.Enum):
-    """Names what the goal register held, compared with what was written."""
-
-    TAKEN = enum.auto()
-    LOST = enum.auto()
-    FOREIGN = enum.auto()
+# What the goal register held, compared with what was written.
+GoalRegister = Literal["taken", "lost", "foreign"]
 
 
 class Waker:
@@ -329,14 +319,14 @@ class Waker:
         written, self._written, self._lost = self._written, None, None
         if goal == written or (written is None and (goal == before or not self.awake)):
             self._heedless = 0
-            return GoalRegister.TAKEN
+            return "taken"
         if before is None:
-            return GoalRegister.FOREIGN
+            return "foreign"
         self._heedless += 1
         if goal != before:
-            return GoalRegister.FOREIGN
+            return "foreign"
         self._lost = written
-        return GoalRegister.LOST
+        return "lost"
 
     def step(self, place: Place, angle_rad: float) -> int:
         """Compute the goal to write for an angle: at most one step from the goal in force.

@@ -13,7 +13,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from adaptive_contact.bridge.bus import Fault, Reading
+from adaptive_contact.bridge.bus import Reading
 from adaptive_contact.bridge.drive import remedy
 from adaptive_contact.bridge.handshake import BUSY, crowd
 from adaptive_contact.bridge.packets import FEETECH_BITS
@@ -51,10 +51,10 @@ class ServoHealth:
                 self.faults[name] += 1
             self._alarms[name] = 50
         if reading.fault is not None:
-            self.faults[reading.fault.value] += 1
+            self.faults[reading.fault] += 1
         if reading.data is not None:
             self.misses = 0
-        elif reading.fault in (Fault.NO_ANSWER, Fault.CORRUPT):
+        elif reading.fault in ("no_answer", "corrupt"):
             self.misses += 1
 
     def alarm(self, names: Iterable[str]) -> None:

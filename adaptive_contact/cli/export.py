@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import Annotated, Final, Literal
 
 import typer
 
@@ -21,10 +21,8 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import load_robot
 from adaptive_contact.robot.load import recorded_as
 
-if TYPE_CHECKING:
-    from adaptive_contact.service.recording.export import ExportFormat
-
-
+# csv: a folder of tables; bag: a bag of ROS 2; mcap: a recording.
+ExportFormat = Literal["csv", "bag", "mcap"]
 _SHOWN: Final = 8  # reasons
 
 
@@ -33,7 +31,7 @@ def export(
         Path, typer.Argument(metavar="FILE.mcap", help="Recording to read.", show_default=False)
     ],
     to: Annotated[
-        Literal["csv", "bag", "mcap"],
+        ExportFormat,
         option(
             "--to",
             "csv: a folder with a table per message; bag: a bag of ROS 2 with contacts and"
@@ -62,20 +60,19 @@ def export(
 ) -> None:
     """Convert a recording for other programs; nothing is resampled or renamed."""
     from adaptive_contact.service.recording import read_recording
-    from adaptive_contact.service.recording.export import ExportFormat, export_recording
+    from adaptive_contact.service.recording.export import export_recording
 
-    form = ExportFormat(to)
     if out is None:
-        out = file.with_name(f"{file.stem}-{to}{'.mcap' if form is ExportFormat.MCAP else ''}")
-    _check(file, out, form, force)
-    if config is not None and form is ExportFormat.CSV:
+        out = file.with_name(f"{file.stem}-{to}{'.mcap' if to == 'mcap' else ''}")
+    _check(file, out, to, force)
+    if config is not None and to == "csv":
         raise ConfigurationError(f"--config is of a bag or an mcap; leave it out of {to}")
-    if events is not None and form is not ExportFormat.BAG:
+    if events is not None and to != "bag":
         raise ConfigurationError(f"--events is of a bag; leave it out of {to}")
     robot = None if config is None else load_robot(config)
-    if form is ExportFormat.BAG and robot is None:
+    if to == "bag" and robot is None:
         robot = recorded_robot(None, [file])
-    elif form is ExportFormat.MCAP and robot is None:
+    elif to == "mcap" and robot is None:
         name = read_recording(file).about.get("robot")
         robot = None if name is None else recorded_as(name)
         if name is not None and robot is None:
@@ -83,7 +80,7 @@ def export(
     given = None if events is None else read_events(events)
     recording = read_recording(file, robot)
     started_s = time.perf_counter()
-    exported = export_recording(recording, out, form, robot, given)
+    exported = export_recording(recording, out, to, robot, given)
     elapsed_s = time.perf_counter() - started_s
     for path, count in exported.files.items():
         say(f"{path}: {count} messages, {path.stat().st_size / 1000:.0f} kB", err=True)
@@ -107,10 +104,10 @@ def _check(file: Path, out: Path, to: ExportFormat, force: bool) -> None:
     Raises:
         ConfigurationError: it would, or cannot be written.
     """
-    if to.value == "bag":
+    if to == "bag":
         if out.exists():
             raise ConfigurationError(f"{out} exists already; give another --out, or remove it")
-    elif to.value == "mcap":
+    elif to == "mcap":
         check_output(out, "--out", [file], force=force)
     elif out.exists() and not out.is_dir():
         raise ConfigurationError(f"{out} is no folder; {to} takes one, with a table per message")

@@ -15,7 +15,7 @@ from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.findings import REFUSED_FOR, SPOILS, Cause, Finding, of_legs
+from adaptive_contact.service.findings import REFUSED_FOR, SPOILS, Finding, of_legs
 from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
 if TYPE_CHECKING:
@@ -197,12 +197,12 @@ def _tell_unused(
     """Print one line on samples that were left out, except those whose cause was printed."""
     left_out: dict[str, dict[str, int]] = {}
     for name, leg in legs.items():
-        found = {Cause(cause) for cause in causes.get(name, ())}
+        found = causes.get(name, set())
         known = {reason for cause in found for reason in REFUSED_FOR.get(cause, ())}
         for reason, times in leg.rejects.items():
             if reason not in known:
                 left_out.setdefault(str(reason), {})[name] = times
-        if leg.off_rate and not found & {Cause.PERIOD, Cause.TIME_UNIT, Cause.SEQ}:
+        if leg.off_rate and not found & {"period", "time_unit", "seq"}:
             why = f"not {1e3 * period_s:.1f} ms apart (period_s of robot.toml)"
             left_out.setdefault(why, {})[name] = leg.off_rate
     for why, times_of in left_out.items():
@@ -237,7 +237,7 @@ def check_streams(
     spoilt: dict[str, None] = {}
     found = check_recording(robot, samples, refused)
     for finding in found:
-        if finding.cause == Cause.LIMITS:
+        if finding.cause == "limits":
             limits.append(finding)
             continue
         say_finding(finding, of)

@@ -21,7 +21,7 @@ from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.findings import Cause, Fault, explained
+from adaptive_contact.service.findings import Fault, explained
 from adaptive_contact.wire import JSON, encode
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[s
     """
     from adaptive_contact.notes import speaks_of_angles
 
-    known = {leg for leg, fault in faults if Cause.LEG_NOTE in explained(fault)}
+    known = {leg for leg, fault in faults if "leg_note" in explained(fault)}
     signs = []
     for leg in bank.legs:
         learner = bank.learner(leg)

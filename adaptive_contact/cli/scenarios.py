@@ -48,10 +48,10 @@ def list_(json: JsonOption = False) -> None:
                 "name": s.name,
                 "about": s.about,
                 "motion": s.motion,
-                "expect": s.expect.value,
+                "expect": s.expect,
                 "leg_runs": s.leg_runs,
                 "simulated_s": s.seconds,
-                "variants": [v.value for v in s.variants],
+                "variants": list(s.variants),
             }
             for s in known
         ]

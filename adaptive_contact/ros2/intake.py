@@ -18,7 +18,6 @@ from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.ros2.problems import (
     CdrError,
     OnProblem,
-    Reason,
     UnknownHashError,
     some,
 )
@@ -181,7 +180,7 @@ class Intake:
         if type_name not in expected:
             self._refuse(
                 topic,
-                Reason.WRONG_TYPE,
+                "wrong_type",
                 f"carries {type_name}; expected {' or '.join(expected)}: "
                 "correct the topic in robot.toml",
             )
@@ -191,14 +190,12 @@ class Intake:
         except UnknownHashError as error:
             self._refuse(
                 topic,
-                Reason.WRONG_HASH,
+                "wrong_hash",
                 f"{type_name} has the type hash {type_hash[:15]}…, another definition "
                 f"than those known ({error}); not used: publish with the distribution's own",
             )
         except CdrError as error:
-            self._refuse(
-                topic, Reason.UNREADABLE, f"a message is no {type_name} ({error}); not used"
-            )
+            self._refuse(topic, "unreadable", f"a message is no {type_name} ({error}); not used")
         return None
 
     def take(
@@ -244,7 +241,7 @@ class Intake:
             found = min(len(readings), len(readings if commands is None else commands))
             self._refuse(
                 topic,
-                Reason.NO_POSITIONS,
+                "no_positions",
                 f"{which} has {found} positions for {len(names)} joints; "
                 "expected one of each: let the controller have position interfaces",
             )
@@ -314,7 +311,7 @@ class Intake:
             remedy = "a JointState holds readings only: write the command topic into [ros2]"
         self._refuse(
             topic,
-            Reason.NO_COMMAND,
+            "no_command",
             f"leg '{leg.id}' has readings and no command yet for {some(lacking)}; {remedy}",
         )
 
@@ -328,7 +325,7 @@ class Intake:
         if leg.further == _FURTHER:
             self._refuse(
                 topic,
-                Reason.NO_COMMAND,
+                "no_command",
                 f"leg '{leg.id}' goes elsewhere, and its last command is more than "
                 f"{_NO_COMMAND_S:g} s old; no samples meanwhile: look whether the command topic is "
                 "still published",
@@ -339,7 +336,7 @@ class Intake:
         names = [name for name, finite in zip(leg.names, good, strict=True) if not finite]
         self._refuse(
             topic,
-            Reason.NOT_FINITE,
+            "not_finite",
             f"{what} of {some(names)} is NaN or infinite; not used: "
             "look whether the hardware answers and the controller is active",
         )
@@ -377,7 +374,7 @@ class Intake:
         if names:
             self._refuse(
                 topic,
-                Reason.UNMAPPED,
+                "unmapped",
                 f"{some(names)} belong to no leg of robot.toml; ignored: "
                 "write them into [leg.ros2] joints if they should",
             )
@@ -385,7 +382,7 @@ class Intake:
     def _refuse_twice(self, topic: str, names: Sequence[str]) -> None:
         self._refuse(
             topic,
-            Reason.NAMED_TWICE,
+            "named_twice",
             f"a message has {some(names)} more than once; not used: name each joint once",
         )
 
@@ -400,7 +397,7 @@ class Intake:
             if lacking and (whole or len(lacking) < len(leg.names)):
                 self._refuse(
                     topic,
-                    Reason.JOINTS_MISSING,
+                    "joints_missing",
                     f"leg '{leg.id}' lacks {some(lacking)}; there are {some(names)}: "
                     "correct [leg.ros2] joints",
                 )
@@ -418,7 +415,7 @@ class Intake:
         if bad:
             self._refuse(
                 topic,
-                Reason.NOT_FINITE,
+                "not_finite",
                 f"the command of {some(bad)} is NaN or infinite; the last one stays in force",
             )
         for leg in roles.commands:
@@ -436,7 +433,7 @@ class Intake:
             if names is None:
                 self._refuse(
                     topic,
-                    Reason.NO_POSITIONS,
+                    "no_positions",
                     "the values carry no names; write command_joints = [...] into [ros2], in "
                     "the controller's order",
                 )
@@ -445,7 +442,7 @@ class Intake:
             if len(message.points) != 1:
                 self._refuse(
                     topic,
-                    Reason.TRAJECTORY,
+                    "trajectory",
                     f"a trajectory of {len(message.points)} points says no command in force; "
                     "take the controller's state topic as `state` instead",
                 )
@@ -456,7 +453,7 @@ class Intake:
         if len(names) != len(positions):
             self._refuse(
                 topic,
-                Reason.NO_POSITIONS,
+                "no_positions",
                 f"{len(positions)} positions for {len(names)} joints; expected one of each",
             )
             return None

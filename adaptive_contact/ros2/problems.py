@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, Literal
 
 _SHOWN: Final = 4  # names in a line
 
 
-class Reason(enum.StrEnum):
-    """Names why a message, or what one leg has of it, was not used."""
-
-    WRONG_TYPE = "wrong_type"
-    WRONG_HASH = "wrong_hash"
-    UNREADABLE = "unreadable"
-    TOO_LARGE = "too_large"
-    NO_POSITIONS = "no_positions"
-    NOT_FINITE = "not_finite"
-    JOINTS_MISSING = "joints_missing"
-    UNMAPPED = "unmapped"
-    NAMED_TWICE = "named_twice"
-    NO_COMMAND = "no_command"
-    TRAJECTORY = "trajectory"
-    REPEATED = "repeated"
-    OVERFLOW = "overflow"
+# Why a message, or what one leg has of it, was not used.
+Reason = Literal[
+    "wrong_type",
+    "wrong_hash",
+    "unreadable",
+    "too_large",
+    "no_positions",
+    "not_finite",
+    "joints_missing",
+    "unmapped",
+    "named_twice",
+    "no_command",
+    "trajectory",
+    "repeated",
+    "overflow",
+]
 
 
 # Called with the topic, the reason, and a line: what was found, what was expected, what to do.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final, NamedTuple
 
-from adaptive_contact.ros2.problems import OnProblem, Reason
+from adaptive_contact.ros2.problems import OnProblem
 
 # Numbers of a publisher that jump further are no loss: it counts again.
 _MOST_LOST: Final = 10_000_000
@@ -60,7 +60,7 @@ class TickCounter:
             if -50 < ahead <= 0:
                 self._refuse(
                     topic,
-                    Reason.REPEATED,
+                    "repeated",
                     f"message {origin.seq} came after {publisher.seq} of the same publisher; "
                     "not used: look for a topic that is relayed twice",
                 )

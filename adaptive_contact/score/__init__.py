@@ -23,7 +23,6 @@ from adaptive_contact.score.outcome import (
     Events,
     LegOutcome,
     LegStream,
-    Outcome,
     Row,
     SwingTable,
 )
@@ -47,7 +46,6 @@ __all__ = [
     "Gatherer",
     "LegOutcome",
     "LegStream",
-    "Outcome",
     "Row",
     "RowFigures",
     "Score",

@@ -191,19 +191,19 @@ def _touches(
     late = left < 3  # after the turn it is negative
     unknown = np.isnan(speed) & ~soft & ~grazing
     rows: list[tuple[Mask, Row]] = [
-        (late & ~unknown, Row.LATE),
-        (lift[at] & (left >= 0), Row.LIFT),
-        (grazing, Row.GRAZING),
-        (soft, Row.SOFT),
-        (unknown, Row.UNKNOWN),
-        (speed >= HEADLINE_M_S, Row.HEADLINE),
-        (speed > SLOW_M_S, Row.MID),
-        (speed >= CREEP_M_S, Row.SLOW),
+        (late & ~unknown, "late"),
+        (lift[at] & (left >= 0), "lift"),
+        (grazing, "grazing"),
+        (soft, "soft"),
+        (unknown, "unknown"),
+        (speed >= HEADLINE_M_S, "headline"),
+        (speed > SLOW_M_S, "mid"),
+        (speed >= CREEP_M_S, "slow"),
     ]
     row = np.select(
         [flags for flags, _ in rows],
         [ROWS.index(name) for _, name in rows],
-        default=ROWS.index(Row.CREEP),
+        default=ROWS.index("creep"),
     )
     onset_ns = contacts.onset_ns
     until_next = np.append(np.diff(onset_ns), FOREVER_NS)

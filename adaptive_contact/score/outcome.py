@@ -3,47 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-import enum
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.score.contacts import TruthChanges
 from adaptive_contact.wire import ContactEvent
 
-
-class Row(enum.StrEnum):
-    """Names the table row that a touch belongs to; each touch is in exactly one."""
-
-    HEADLINE = "headline"
-    MID = "mid"
-    SLOW = "slow"
-    CREEP = "creep"
-    SOFT = "soft"
-    GRAZING = "grazing"
-    LIFT = "lift"
-    LATE = "late"
-    UNKNOWN = "unknown"
+# The table row that a touch belongs to; each touch is in exactly one.
+Row = Literal["headline", "mid", "slow", "creep", "soft", "grazing", "lift", "late", "unknown"]
 
 
 # Codes in the tables are positions in this tuple.
-ROWS: Final = tuple(Row)
+ROWS: Final[tuple[Row, ...]] = get_args(Row)
 # Rows whose misses are errors of a swing.  The others are separate because they may be beyond
 # any detector: too slow to be felt, along the surface, in the lift.
-COUNTED: Final = frozenset({Row.HEADLINE, Row.MID, Row.SLOW, Row.SOFT, Row.UNKNOWN, Row.LATE})
+COUNTED: Final = frozenset({"headline", "mid", "slow", "soft", "unknown", "late"})
 _COUNTED_CODES: Final = np.array([row in COUNTED for row in ROWS])
-
-
-class Outcome(enum.StrEnum):
-    """Names the worst that happened in a swing."""
-
-    FALSE_ALARM = "false alarm"
-    MISS = "miss"
-    HIT = "hit"
-    CLEAN = "clean"
 
 
 class Events(NamedTuple):
@@ -123,14 +101,6 @@ class SwingTable(NamedTuple):
     def errors(self) -> Ints:
         """Count misses and false alarms of each swing, (s,)."""
         return self.misses + self.false_alarms
-
-    @property
-    def outcome(self) -> NDArray[np.str_]:
-        """Return each swing's value of :class:`Outcome`, (s,)."""
-        kinds = [self.false_alarms > 0, self.misses > 0, self.hits > 0]
-        names: NDArray[np.str_] = np.array([outcome.value for outcome in Outcome])
-        chosen: NDArray[np.str_] = names[np.select(kinds, [0, 1, 2], default=3)]
-        return chosen
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.robot import Robot
 from adaptive_contact.score.matching import match
-from adaptive_contact.score.outcome import LegOutcome, Row
+from adaptive_contact.score.outcome import LegOutcome
 from adaptive_contact.score.streams import Gatherer, Received
 from adaptive_contact.score.summary import Summary, summarise
 from adaptive_contact.wire import ContactEvent, Reject
@@ -123,6 +123,6 @@ def _notes(gathered: Gatherer, score: Score) -> tuple[str, ...]:
     if refused:
         reasons = ", ".join(f"{r.value} {n}" for r, n in sorted(gathered.rejects.items()) if n)
         notes.append(f"{refused} messages could not be used: {reasons}")
-    if Row.LATE in rows and not rows[score.total.headline].touches:
+    if "late" in rows and not rows[score.total.headline].touches:
         notes.append("no touch of the headline: swings end with theirs, as where events stop them")
     return tuple(notes)

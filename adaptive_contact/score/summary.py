@@ -151,8 +151,8 @@ class Summary:
     @property
     def headline(self) -> Row:
         """Return the row to look at first: without speeds in the truth, that of unknown speed."""
-        without = Row.UNKNOWN in self.rows and not self.rows[Row.HEADLINE].touches
-        return Row.UNKNOWN if without else Row.HEADLINE
+        without = "unknown" in self.rows and not self.rows["headline"].touches
+        return "unknown" if without else "headline"
 
 
 def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
@@ -162,7 +162,7 @@ def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
     rows = {
         name: _figures(touches, row == code)
         for code, name in enumerate(ROWS)
-        if name is Row.HEADLINE or np.any(row == code)
+        if name == "headline" or np.any(row == code)
     }
     found = int(np.sum(_column(touches, "found")))
     counted, after_turn, late = (

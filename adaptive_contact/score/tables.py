@@ -9,20 +9,19 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from adaptive_contact.score.outcome import Row
 from adaptive_contact.score.score import Score
 from adaptive_contact.score.summary import Interval, RowFigures, Summary
 
 _MEANING: Final = {
-    Row.HEADLINE: "headline: hard, 0.2 m/s and more",
-    Row.MID: "hard, 0.1 to 0.2 m/s",
-    Row.SLOW: "slow, 0.02 to 0.1 m/s *",
-    Row.CREEP: "slower still *",
-    Row.SOFT: "soft ground *",
-    Row.GRAZING: "grazing",
-    Row.LIFT: "in the lift",
-    Row.LATE: "late: last 2 of a swing, 10 after it",
-    Row.UNKNOWN: "speed unknown",
+    "headline": "headline: hard, 0.2 m/s and more",
+    "mid": "hard, 0.1 to 0.2 m/s",
+    "slow": "slow, 0.02 to 0.1 m/s *",
+    "creep": "slower still *",
+    "soft": "soft ground *",
+    "grazing": "grazing",
+    "lift": "in the lift",
+    "late": "late: last 2 of a swing, 10 after it",
+    "unknown": "speed unknown",
 }
 
 
@@ -54,8 +53,8 @@ def summary_table(summary: Summary) -> RenderableType:
 def summary_json(summary: Summary) -> dict[str, Any]:
     """Convert a summary to a tree of numbers and texts."""
     return {
-        "headline_row": summary.headline.value,
-        "rows": {row.value: _row(figures) for row, figures in summary.rows.items()},
+        "headline_row": summary.headline,
+        "rows": {row: _row(figures) for row, figures in summary.rows.items()},
         "counted": _row(summary.counted),
         "in_time": _row(summary.in_time),
         "late_in_swing": _row(summary.late_in_swing),
@@ -107,7 +106,7 @@ def _rows_table(summary: Summary) -> Table:
     first = summary.headline
     table.add_row(_MEANING[first], *_cells(summary.rows[first]), style="bold")
     for row, figures in summary.rows.items():
-        if row not in (first, Row.HEADLINE):
+        if row not in (first, "headline"):
             table.add_row(_MEANING[row], *_cells(figures))
     if len(summary.rows) > 1:
         table.add_section()
@@ -116,7 +115,7 @@ def _rows_table(summary: Summary) -> Table:
             table.add_row("  of these in time", *_cells(summary.in_time))
             table.add_row("  late, still in the swing", *_cells(summary.late_in_swing))
             table.add_row("  late, after the turn", *_cells(summary.late_after))
-    if {Row.SLOW, Row.CREEP, Row.SOFT} & summary.rows.keys():
+    if {"slow", "creep", "soft"} & summary.rows.keys():
         table.caption = "* found within 500 ms; the others within 120 ms"
         table.caption_justify = "left"
     return table

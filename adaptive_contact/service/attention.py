@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from adaptive_contact.service.findings import Cause, Fault, Finding, entries, said
+from adaptive_contact.service.findings import Fault, Finding, entries, said
 from adaptive_contact.service.learnercheck import about_learner, all_lost
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import View
@@ -71,7 +71,7 @@ class Attention:
 
 
 def _of_all(what: str, remedy: str) -> Finding:
-    return Finding("error", None, what, remedy, Cause.SERVICE.value, [])
+    return Finding("error", None, what, remedy, "service", [])
 
 
 def _faults(
@@ -88,7 +88,7 @@ def _faults(
         else:
             # Older refusals are counted in the leg's row.
             for fault in about_learner(status, status, service, set()):
-                if fault.cause is not Cause.REFUSED:
+                if fault.cause != "refused":
                     silent = status.status == "silent"
                     yield leg.leg, fault._replace(level="error") if silent else fault
     yield from all_lost(statuses.values(), service)
@@ -96,14 +96,14 @@ def _faults(
 
 def _of_service(service: ServiceStatus) -> Iterator[Fault]:
     if service.note is not None:
-        yield Fault("error", Cause.SERVICE, service.note, "As it says.", key="note")
+        yield Fault("error", "service", service.note, "As it says.", key="note")
     for key, question in service.strays.items():
-        yield Fault("error", Cause.KEY, f"nobody reads {key}", question, key=key)
+        yield Fault("error", "key", f"nobody reads {key}", question, key=key)
     if service.state is not None:
         for line in service.state.refused:
             yield Fault.of("state_refused-page", key=line, line=line)
         if service.state.exposed is not None:
-            yield Fault("error", Cause.SERVICE, service.state.exposed, "As it says.", key="exposed")
+            yield Fault("error", "service", service.state.exposed, "As it says.", key="exposed")
 
 
 def _with_remedy(finding: Finding) -> Finding:
@@ -111,7 +111,7 @@ def _with_remedy(finding: Finding) -> Finding:
     # Causes whose own remedy says more than the note's.
     remedy = (
         None
-        if finding.cause in (Cause.SIGNS, Cause.NOT_THIS_ROBOT, Cause.LEG_SWAP)
+        if finding.cause in ("signs", "not_this_robot", "leg_swap")
         else remedy_of(finding.what)
     )
     text = remedy or finding.remedy

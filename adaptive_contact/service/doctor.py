@@ -15,7 +15,6 @@ import msgspec
 
 from adaptive_contact.service.findings import (
     EXPLAINS,
-    Cause,
     Fault,
     Finding,
     Level,
@@ -178,7 +177,7 @@ def _faults(
     strays = list(_about_keys(seen, seconds))
     yield from strays
     published = seen.samples.keys() | seen.refused.keys()
-    if not published and not any(fault.cause is Cause.KEY for _, fault in strays):
+    if not published and not any(fault.cause == "key" for _, fault in strays):
         yield None, Fault.of("nobody_publishes")
         return
     known = [leg for leg, facts in described.items() if facts.described]
@@ -203,7 +202,7 @@ def _faults(
             of_leg.append(twins[leg])
         causes = {fault.cause for fault in of_leg if fault.level != "note"}
         causes |= {fault.cause for of, fault in strays if of == leg}
-        if not any(Cause.NOT_THIS_ROBOT in EXPLAINS.get(cause, ()) for cause in causes):
+        if not any("not_this_robot" in EXPLAINS.get(cause, ()) for cause in causes):
             unexplained.append(leg)
         if leg in seen.learners:
             count = len(seen.samples.get(leg, ())) + len(seen.refused.get(leg, ()))

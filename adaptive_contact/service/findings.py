@@ -1,18 +1,17 @@
 """Merges the faults that ``doctor`` and ``fit`` find: one cause, one entry.
 
-A check reports each :class:`Fault` with its :class:`Cause`.  :func:`entries` then leaves out what
+A check reports each :class:`Fault` with its cause.  :func:`entries` then leaves out what
 another cause of the same leg explains, and puts all legs of a cause into one :class:`Finding`.
 The words of all faults stand in ``faults.toml``, beside this file.
 """
 
 from __future__ import annotations
 
-import enum
 import functools
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from importlib import resources
-from typing import Any, Final, Literal, NamedTuple, Self
+from typing import Any, Final, Literal, NamedTuple, Self, cast
 
 from adaptive_contact.wire import Reject
 
@@ -29,67 +28,67 @@ def many(count: float, total: int) -> bool:
     return count > max(2, 2e-3 * total)
 
 
-class Cause(enum.StrEnum):
-    """Names why a leg, or the whole robot, cannot report reliably; values are for programs."""
-
+# Why a leg, or the whole robot, cannot report reliably; names are those of faults.toml.
+Cause = Literal[
     # The network and the service.
-    NO_SERVICE = "no_service"
-    SERVICE_QUIET = "service_quiet"
-    SERVICE = "service"
-    STATE_REFUSED = "state_refused"
-    STRANGE_LEG = "strange_leg"
-    NOBODY_PUBLISHES = "nobody_publishes"
-    SILENT = "silent"
-    KEY = "key"
-    OTHER_KEY = "other_key"
-    NAMESPACE = "namespace"
-    LEG_IDS = "leg_ids"
-    UNDESCRIBED = "undescribed"
-    TOO_MANY_KEYS = "too_many_keys"
-    ENCODING = "encoding"
+    "no_service",
+    "service_quiet",
+    "service",
+    "state_refused",
+    "strange_leg",
+    "nobody_publishes",
+    "silent",
+    "key",
+    "other_key",
+    "namespace",
+    "leg_ids",
+    "undescribed",
+    "too_many_keys",
+    "encoding",
     # Payloads.
-    UNREADABLE = "unreadable"
-    TIME_TYPE = "time_type"
-    FIELD = "field"
-    JOINTS = "joints"
+    "unreadable",
+    "time_type",
+    "field",
+    "joints",
     # Order and time.
-    TWO_PUBLISHERS = "two_publishers"
-    RUN = "run"
-    TIME_BACKWARDS = "time_backwards"
-    TIME_UNIT = "time_unit"
-    SEQ = "seq"
-    LOSS = "loss"
-    PERIOD = "period"
-    JITTER = "jitter"
+    "two_publishers",
+    "run",
+    "time_backwards",
+    "time_unit",
+    "seq",
+    "loss",
+    "period",
+    "jitter",
     # Readings and commands.
-    INVALID = "invalid"
-    NOT_FINITE = "not_finite"
-    UNITS = "units"
-    ECHO = "echo"
-    NEAR_ECHO = "near_echo"
-    OLD = "old"
-    TWINS = "twins"
-    FROZEN = "frozen"
-    HELD = "held"
-    ORDER = "order"
-    BACKWARDS = "backwards"
-    FAR = "far"
-    GLITCHES = "glitches"
-    TURN = "turn"
-    QUANTUM = "quantum"
-    UNDECLARED = "undeclared"
-    PHASE = "phase"
-    LIMITS = "limits"
-    GOALS = "goals"
+    "invalid",
+    "not_finite",
+    "units",
+    "echo",
+    "near_echo",
+    "old",
+    "twins",
+    "frozen",
+    "held",
+    "order",
+    "backwards",
+    "far",
+    "glitches",
+    "turn",
+    "quantum",
+    "undeclared",
+    "phase",
+    "limits",
+    "goals",
     # What the leg's learner says.
-    SIGNS = "signs"
-    LEG_SWAP = "leg_swap"
-    NOT_THIS_ROBOT = "not_this_robot"
-    REFUSED = "refused"
-    LEARNING = "learning"
-    AMBIGUOUS = "ambiguous"
-    UNREPORTED = "unreported"
-    LEG_NOTE = "leg_note"
+    "signs",
+    "leg_swap",
+    "not_this_robot",
+    "refused",
+    "learning",
+    "ambiguous",
+    "unreported",
+    "leg_note",
+]
 
 
 @functools.cache
@@ -101,20 +100,19 @@ def said() -> dict[str, dict[str, Any]]:
 def _causes(names: Iterable[str]) -> frozenset[Cause]:
     groups = said()["groups"]
     each = (groups[name[1:]] if name.startswith("@") else [name] for name in names)
-    return frozenset(Cause(value) for values in each for value in values)
+    return frozenset(cast(Cause, value) for values in each for value in values)
 
 
 # Causes that a cause explains, in the same leg; one of the whole robot explains them in every leg.
-EXPLAINS: Final = {Cause(cause): _causes(of) for cause, of in said()["explains"].items()}
+EXPLAINS: Final = {cast(Cause, cause): _causes(of) for cause, of in said()["explains"].items()}
 # Reasons for which the service refuses samples of a leg with such a fault.
-REFUSED_FOR: Final = {
-    Cause(cause): frozenset(map(Reject, of)) for cause, of in said()["refused_for"].items()
+REFUSED_FOR: Final[dict[str, frozenset[Reject]]] = {
+    cause: frozenset(map(Reject, of)) for cause, of in said()["refused_for"].items()
 }
 # Causes that spoil every tick: no model of the leg can be learned from such a recording.  Other
 # causes spoil known ticks, which are left out.
 SPOILS: Final = frozenset(
-    {Cause.UNITS, Cause.ECHO, Cause.TWINS, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR}
-    | {Cause.QUANTUM, Cause.HELD}
+    {"units", "echo", "twins", "frozen", "order", "backwards", "far"} | {"quantum", "held"}
 )
 
 
@@ -146,7 +144,7 @@ class Fault(NamedTuple):
         """Make one in the words that ``faults.toml`` has under a name, with figures filled in."""
         words = said()[name]
         what, remedy = (words[part].format(**figures) for part in ("what", "remedy"))
-        cause = Cause(name.partition("-")[0])
+        cause = cast(Cause, name.partition("-")[0])
         return cls(level or words["level"], cause, what, remedy, detail, size, key, total)
 
 
@@ -234,5 +232,5 @@ def _entry(faults: Sequence[tuple[str | None, Fault]]) -> Finding:
         shown.append(f"and {len(details) - _DETAILS} more")
     what = f"{worst.what}: {', '.join(shown)}" if shown else worst.what
     return Finding(
-        level, legs[0] if len(legs) == 1 else None, what, worst.remedy, worst.cause.value, legs
+        level, legs[0] if len(legs) == 1 else None, what, worst.remedy, worst.cause, legs
     )

@@ -12,16 +12,16 @@ from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.wire import LearnerStatus
 
 # Words of notes on what the samples themselves may show.
-_NOTED: Final = {
-    "ms apart, robot.toml says": Cause.PERIOD,
-    "t_ns jitters": Cause.JITTER,
-    "ticks arrive together": Cause.JITTER,
-    "restarts every few samples": Cause.RUN,
-    "seq wraps at": Cause.SEQ,
-    "carry no phase": Cause.PHASE,
-    "goals go beyond": Cause.GOALS,
-    "answered": Cause.INVALID,
-    "payload refused": Cause.UNREADABLE,
+_NOTED: Final[dict[str, Cause]] = {
+    "ms apart, robot.toml says": "period",
+    "t_ns jitters": "jitter",
+    "ticks arrive together": "jitter",
+    "restarts every few samples": "run",
+    "seq wraps at": "seq",
+    "carry no phase": "phase",
+    "goals go beyond": "goals",
+    "answered": "invalid",
+    "payload refused": "unreadable",
 }
 
 
@@ -35,7 +35,7 @@ def about_learner(
     """Yield the faults that a leg's own status shows, without those known of its samples."""
     note = status.note or ""
     if speaks_of_angles(note):
-        causes = causes | {Cause.SIGNS}
+        causes = causes | {"signs"}
     known = {str(reason) for cause in causes for reason in REFUSED_FOR.get(cause, ())}
     refused = {
         reason: times for reason, times in status.rejects.items() if times and reason not in known
@@ -55,24 +55,24 @@ def about_learner(
         cold = service is not None and service.baseline is None
         yield Fault.of("learning-cold" if cold else "learning", status.note)
     elif status.doubt == "echo":
-        if Cause.ECHO not in causes:
+        if "echo" not in causes:
             yield Fault.of("echo", note, key="some")
     elif status.doubt == "unproved":
-        if Cause.NEAR_ECHO not in causes:
+        if "near_echo" not in causes:
             yield Fault.of("near_echo-unproved", key="some")
     elif status.doubt == "stale":
-        stale = Cause.HELD if "held" in note else Cause.TWINS if "of leg" in note else Cause.OLD
+        stale = "held" if "held" in note else "twins" if "of leg" in note else "old"
         if stale not in causes:
             yield Fault.of(str(stale), note, key="some")
     elif status.doubt == "phase":
         yield Fault.of("phase-swapped", key="swapped")
     elif status.doubt == "publishers":
-        if Cause.TWO_PUBLISHERS not in causes:
+        if "two_publishers" not in causes:
             yield Fault.of("two_publishers", note, publishers=2)
     elif status.status == "ambiguous" and status.doubt != "unjudged":
         yield Fault.of("ambiguous", status.note)
     elif status.note is not None:
-        cause = next((c for words, c in _NOTED.items() if words in status.note), Cause.LEG_NOTE)
+        cause: Cause = next((c for words, c in _NOTED.items() if words in status.note), "leg_note")
         if cause not in causes:
             # Of two legs with the same note, figures differ.
             key = re.sub(r"[0-9.]+", "", status.note)

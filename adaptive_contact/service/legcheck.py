@@ -16,7 +16,7 @@ import numpy as np
 from adaptive_contact.detect.source_watch import NOTED_JITTER, RateWatch
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.description import ASSUMED_STEP_RAD
-from adaptive_contact.service.findings import Cause, Fault, Finding, entries, many, of_legs
+from adaptive_contact.service.findings import Fault, Finding, entries, many, of_legs
 from adaptive_contact.service.position_step import position_step
 from adaptive_contact.service.readings import check_fields, check_readings
 from adaptive_contact.service.status import LegFacts
@@ -79,7 +79,7 @@ def check_leg(
         known = facts if facts is not None and len(facts.joints) == joints else None
         names = [f"joint {i + 1}" for i in range(joints)] if known is None else known.joints
         named = {fault.cause for fault in found}
-        if facts is None and not named & {Cause.TIME_UNIT, Cause.SEQ, Cause.TIME_BACKWARDS}:
+        if facts is None and not named & {"time_unit", "seq", "time_backwards"}:
             found += _undeclared(samples, usable)
         elif known is not None and known.described and known.quantum_rad is None:
             step_rad = max(_grids(usable), default=0.0)

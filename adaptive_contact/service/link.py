@@ -321,9 +321,7 @@ class Link:
         reported: Finding | None = None
         while True:
             config, facts = configure(settings)
-            finding = (
-                probe(facts.connect) if settings.mode == "client" else Finding(Reach.UNKNOWN, "")
-            )
+            finding = probe(facts.connect) if settings.mode == "client" else Finding("unknown", "")
             try:
                 if not finding.certain:
                     return cls(zenoh.open(config), settings, facts)
@@ -545,7 +543,7 @@ class Link:
     def diagnose(self) -> Finding:
         """Find out what stands between this session and its router, at this moment."""
         if self.is_connected():
-            return Finding(Reach.CONNECTED, "connected")
+            return Finding("connected", "connected")
         return probe(self.joins)
 
     @property

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.findings import EXPLAINS, Cause, Fault, entries, of_legs
+from adaptive_contact.service.findings import EXPLAINS, Fault, entries, of_legs
 from adaptive_contact.service.legcheck import check_leg
 from adaptive_contact.service.recording import Record
 from adaptive_contact.service.status import LegFacts
@@ -25,14 +25,14 @@ _SHOWN: Final = 3
 # Certain faults of what was sent, not of how the robot moves: those for which samples are refused,
 # and readings that are not those of their joints.
 _NAMED: Final = frozenset(
-    {Cause.UNREADABLE, Cause.TIME_TYPE, Cause.TIME_UNIT, Cause.TIME_BACKWARDS, Cause.JOINTS}
-    | {Cause.NOT_FINITE, Cause.UNITS, Cause.PERIOD, Cause.SEQ, Cause.ORDER, Cause.LIMITS}
-    | {Cause.TURN}
+    {"unreadable", "time_type", "time_unit", "time_backwards", "joints"}
+    | {"not_finite", "units", "period", "seq", "order", "limits"}
+    | {"turn"}
 )
 # Of these, the ones that leave no tick to judge an event by.
-_SPOILS: Final = frozenset({Cause.UNITS, Cause.TIME_UNIT, Cause.TIME_TYPE, Cause.TIME_BACKWARDS})
+_SPOILS: Final = frozenset({"units", "time_unit", "time_type", "time_backwards"})
 # Counted in samples: these spoil a leg where they are in nearly half of them, or more.
-_COUNTED: Final = frozenset({Cause.TIME_TYPE, Cause.TIME_BACKWARDS, Cause.SEQ})
+_COUNTED: Final = frozenset({"time_type", "time_backwards", "seq"})
 
 
 class OneRobot:
@@ -115,7 +115,7 @@ class OneRobot:
         if len(self._strays) > _SHOWN:
             lines.append(f"and {len(self._strays) - _SHOWN} more such keys")
         faults = [] if robot is None else self.faults(robot)
-        explains = EXPLAINS[Cause.SIGNS]
+        explains = EXPLAINS["signs"]
         for finding in entries(
             (leg, fault) for leg, fault in faults if leg not in signs or fault.cause not in explains
         ):
@@ -130,7 +130,7 @@ class OneRobot:
             robot: whose legs were recorded.
             by_rate: nor at another rate than the robot's, as in a learner.
         """
-        causes = _SPOILS | {Cause.PERIOD, Cause.SEQ} if by_rate else _SPOILS
+        causes = _SPOILS | {"period", "seq"} if by_rate else _SPOILS
         legs = [leg for leg in self._samples if leg in robot.leg_ids]
         spoilt = {
             leg
@@ -158,7 +158,7 @@ class OneRobot:
             )
             for fault in faults:
                 # A number that is there twice, once, is not why a recording cannot be used.
-                once = fault.cause is Cause.SEQ and fault.key != "wrap"
+                once = fault.cause == "seq" and fault.key != "wrap"
                 if fault.cause in _NAMED and (not once or self._in_many(leg, fault)):
                     yield leg, fault
 

@@ -444,7 +444,7 @@ def _touches(
     found = []
     table = outcome.touches
     for i, onset in enumerate(table.onset_ns.tolist()):
-        row = ROWS[int(table.row[i])].value
+        row = ROWS[int(table.row[i])]
         speed = table.speed_m_s[i]
         of = row if np.isnan(speed) else f"{row}, {speed:.3f} m/s"
         at_s = (onset - start_ns) / _NS_PER_S

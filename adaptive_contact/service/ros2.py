@@ -273,7 +273,7 @@ class Gateway:
         if len(received.payload) > MAX_BYTES:
             self._complain(
                 topic,
-                Reason.TOO_LARGE,
+                "too_large",
                 f"a message of {len(received.payload)} bytes, at most {MAX_BYTES}; not used",
             )
             return
@@ -376,7 +376,7 @@ class Gateway:
                 for _ in range(times):
                     self._complain(
                         topic,
-                        Reason.OVERFLOW,
+                        "overflow",
                         f"more messages than can be read; the oldest of {WAITING} are dropped: "
                         "publish at the control rate",
                     )

@@ -9,7 +9,6 @@ the two are distinguished from outside: a TCP connection that opens shows a list
 
 from __future__ import annotations
 
-import enum
 import ipaddress
 import os
 import re
@@ -226,13 +225,8 @@ def leg_token(leg: str) -> str:
     return f"robot/leg/{leg}"
 
 
-class Reach(enum.StrEnum):
-    """Names what stands between a client and its router."""
-
-    CONNECTED = "connected"
-    UNREACHABLE = "unreachable"
-    REFUSING = "refusing"
-    UNKNOWN = "unknown"
+# What stands between a client and its router.
+Reach = Literal["connected", "unreachable", "refusing", "unknown"]
 
 
 class Finding(NamedTuple):
@@ -281,7 +275,7 @@ def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
         why = _tcp(address, timeout_s)
         if why is None:
             return Finding(
-                Reach.REFUSING,
+                "refusing",
                 f"refused: {text} accepts connections but opens no Zenoh session; it wants a user "
                 "and password or TLS (--zenoh-config FILE), or has no room for another session, or "
                 "it is not a Zenoh router",
@@ -289,10 +283,10 @@ def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
         lines.append(f"unreachable: {why.format(text)}; {REMEDY}")
         certain = certain and why is _NOBODY
     if not lines:
-        return Finding(Reach.UNKNOWN, "no endpoint to connect to; give one with --connect")
+        return Finding("unknown", "no endpoint to connect to; give one with --connect")
     if unknown:
-        return Finding(Reach.UNKNOWN, lines[0])
-    return Finding(Reach.UNREACHABLE, lines[0], certain)
+        return Finding("unknown", lines[0])
+    return Finding("unreachable", lines[0], certain)
 
 
 def _tcp(address: tuple[str, int], timeout_s: float) -> str | None:

@@ -12,7 +12,7 @@ import pytest
 from described import KNOWS_FAST
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
-from adaptive_contact.bridge.bus import Bus, Fault
+from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.tables import Block
 from adaptive_contact.errors import BusError
 from adaptive_contact_sim.virtual import VirtualServo
@@ -53,7 +53,7 @@ def test_a_silent_servo_hides_no_other(rig: Callable, kind: dict) -> None:
     bus, joints = opened(r), r.plans[0].joints
     r.fault("silent:id=2")
     readings = bus.read([j.servo for j in joints], joints[0].model.motion)
-    assert readings[2].fault is Fault.NO_ANSWER
+    assert readings[2].fault == "no_answer"
     assert all(readings[j.servo].data is not None for j in joints if j.servo != 2)
     bus.close()
 
@@ -110,7 +110,7 @@ def test_every_wrong_checksum_of_a_common_answer_is_counted(
         r.faults.strike = once
         readings = bus.read(ids, joints[0].model.motion, time.monotonic() + 1)
         assert struck
-        corrupt = [i for i, reading in readings.items() if reading.fault is Fault.CORRUPT]
+        corrupt = [i for i, reading in readings.items() if reading.fault == "corrupt"]
         # Where this computer stood still, answers came too late to be seen to be broken.
         broken_ids = ids if kind is FAST else [3]
         assert set(corrupt) <= set(broken_ids)
@@ -128,7 +128,7 @@ def test_silent_servos_take_no_longer_than_there_is_time(rig: Callable, kind: di
     began = time.monotonic()
     readings = bus.read([j.servo for j in joints], joints[0].model.motion, end=began + 0.25)
     assert 1 <= len(readings) < 6  # at 100 ms each there is no time to ask them all
-    assert all(reading.fault is Fault.NO_ANSWER for reading in readings.values())
+    assert all(reading.fault == "no_answer" for reading in readings.values())
     r.fault()
     readings = bus.read([j.servo for j in joints], joints[0].model.motion)
     assert all(reading.data is not None for reading in readings.values())
@@ -139,7 +139,7 @@ def test_an_error_without_data_is_no_index_error(rig: Callable) -> None:
     r = rig(**AX)
     bus = opened(r)
     reading = bus.read([1], Block(48, 40))[1]  # beyond the table: error status without data
-    assert reading.fault is Fault.REFUSED
+    assert reading.fault == "refused"
     assert "range" in reading.alarms
     bus.close()
 

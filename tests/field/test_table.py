@@ -66,62 +66,62 @@ def test_a_good_robot_has_no_findings(
 
 def test_a_robot_that_is_still_learning_is_no_good_one(walk: list[m.Sent]) -> None:
     diagnosis = listen(last(walk, SHORT_S), shipped_robot(), None)
-    assert causes(diagnosis) == [Cause.LEARNING]
+    assert causes(diagnosis) == ["learning"]
     assert diagnosis.exit_code == 1
 
 
 # Each mistake, and the one cause that is named.
 TABLE: dict[str, tuple[m.Mistake, Cause]] = {
-    "stamps with white jitter": (m.white_jitter, Cause.JITTER),
-    "stamps of a loop that takes turns": (m.turns_jitter, Cause.JITTER),
-    "ticks in bursts of five": (m.bursts(5), Cause.JITTER),
-    "stamps in float seconds": (m.float_seconds, Cause.TIME_TYPE),
-    "stamps in milliseconds": (m.milliseconds, Cause.TIME_UNIT),
-    "a slower loop": (m.slower(1.25), Cause.PERIOD),
-    "lost samples": (m.lossy(0.03), Cause.LOSS),
-    "a run for every sample": (m.restarting, Cause.RUN),
-    "two publishers": (m.doubled, Cause.TWO_PUBLISHERS),
-    "raw zeros": (m.raw_zeros(0.02), Cause.GLITCHES),
-    "zeros": (m.raw_zeros(0.02, 0.0), Cause.GLITCHES),
-    "the encoder's seam": (m.encoder_seam, Cause.TURN),
-    "a turn off": (m.one_turn_off, Cause.TURN),
-    "goals as readings": (m.echoed(), Cause.ECHO),
-    "goals of the last tick as readings": (m.echoed(1), Cause.ECHO),
-    "goals of five ticks ago": (m.echoed(5), Cause.ECHO),
-    "goals with noise": (m.noisy_goals(0), Cause.ECHO),
-    "late goals with noise": (m.noisy_goals(5), Cause.ECHO),
-    "late goals, rounded": (m.compose(m.echoed(6), m.rounded(m.AX12_STEP)), Cause.ECHO),
-    "readings held for two ticks": (m.held(2), Cause.HELD),
-    "readings held for four ticks": (m.held(4), Cause.HELD),
-    "legs read by turns": (m.held(6, by_turns=True), Cause.HELD),
-    "one leg for all": (m.one_for_all, Cause.TWINS),
-    "degrees": (m.degrees, Cause.UNITS),
-    "registers": (m.registers, Cause.UNITS),
-    "coarser steps": (m.rounded(0.02), Cause.QUANTUM),
-    "a frozen joint": (m.frozen(1), Cause.FROZEN),
-    "a joint without torque": (m.without_torque(2), Cause.FROZEN),
-    "another order of readings": (m.swapped_readings, Cause.ORDER),
-    "readings turned round": (m.turned_readings, Cause.ORDER),
-    "goals of the other sign": (m.goals_mirrored, Cause.BACKWARDS),
-    "a wrong zero of readings": (m.zero_moved, Cause.FAR),
-    "swing without end": (m.never_stance, Cause.PHASE),
-    "an id in capitals": (m.renamed({"lf": "LF"}), Cause.LEG_IDS),
-    "a misspelt key": (m.misspelt, Cause.KEY),
-    "stamps before 1970": (m.with_fields(t_ns=-5), Cause.FIELD),
-    "numbers below 0": (m.numbered(lambda seq: seq - 10**6), Cause.FIELD),
-    "a run beyond 64 bits": (m.with_fields(run=2**64 - 1), Cause.FIELD),
-    "valid of one joint": (m.with_fields(valid=[True]), Cause.FIELD),
-    "a preview of one joint": (m.with_fields(preview=[[0.1]]), Cause.FIELD),
-    "a preview that is not finite": (m.with_fields(preview=[[math.nan] * 3]), Cause.FIELD),
-    "numbers that count down": (m.numbered(lambda seq: 10**6 - seq), Cause.SEQ),
-    "numbers of 7 bits": (m.numbered(lambda seq: seq % 128), Cause.SEQ),
-    "numbers of 32 bits": (m.numbered(lambda seq: (seq - 1900) % 2**32), Cause.SEQ),
-    "one number for all": (m.numbered(lambda _: 0), Cause.SEQ),
-    "samples sent twice": (m.twice, Cause.SEQ),
-    "samples out of order": (m.out_of_order, Cause.SEQ),
-    "no goals": (m.with_fields(desired=[0.0, 0.0, 0.0]), Cause.FROZEN),
-    "the same goals": (m.with_fields(desired=[0.0, 0.5, -1.9]), Cause.FROZEN),
-    "a phase in capitals": (m.with_fields(phase="SWING"), Cause.UNREADABLE),
+    "stamps with white jitter": (m.white_jitter, "jitter"),
+    "stamps of a loop that takes turns": (m.turns_jitter, "jitter"),
+    "ticks in bursts of five": (m.bursts(5), "jitter"),
+    "stamps in float seconds": (m.float_seconds, "time_type"),
+    "stamps in milliseconds": (m.milliseconds, "time_unit"),
+    "a slower loop": (m.slower(1.25), "period"),
+    "lost samples": (m.lossy(0.03), "loss"),
+    "a run for every sample": (m.restarting, "run"),
+    "two publishers": (m.doubled, "two_publishers"),
+    "raw zeros": (m.raw_zeros(0.02), "glitches"),
+    "zeros": (m.raw_zeros(0.02, 0.0), "glitches"),
+    "the encoder's seam": (m.encoder_seam, "turn"),
+    "a turn off": (m.one_turn_off, "turn"),
+    "goals as readings": (m.echoed(), "echo"),
+    "goals of the last tick as readings": (m.echoed(1), "echo"),
+    "goals of five ticks ago": (m.echoed(5), "echo"),
+    "goals with noise": (m.noisy_goals(0), "echo"),
+    "late goals with noise": (m.noisy_goals(5), "echo"),
+    "late goals, rounded": (m.compose(m.echoed(6), m.rounded(m.AX12_STEP)), "echo"),
+    "readings held for two ticks": (m.held(2), "held"),
+    "readings held for four ticks": (m.held(4), "held"),
+    "legs read by turns": (m.held(6, by_turns=True), "held"),
+    "one leg for all": (m.one_for_all, "twins"),
+    "degrees": (m.degrees, "units"),
+    "registers": (m.registers, "units"),
+    "coarser steps": (m.rounded(0.02), "quantum"),
+    "a frozen joint": (m.frozen(1), "frozen"),
+    "a joint without torque": (m.without_torque(2), "frozen"),
+    "another order of readings": (m.swapped_readings, "order"),
+    "readings turned round": (m.turned_readings, "order"),
+    "goals of the other sign": (m.goals_mirrored, "backwards"),
+    "a wrong zero of readings": (m.zero_moved, "far"),
+    "swing without end": (m.never_stance, "phase"),
+    "an id in capitals": (m.renamed({"lf": "LF"}), "leg_ids"),
+    "a misspelt key": (m.misspelt, "key"),
+    "stamps before 1970": (m.with_fields(t_ns=-5), "field"),
+    "numbers below 0": (m.numbered(lambda seq: seq - 10**6), "field"),
+    "a run beyond 64 bits": (m.with_fields(run=2**64 - 1), "field"),
+    "valid of one joint": (m.with_fields(valid=[True]), "field"),
+    "a preview of one joint": (m.with_fields(preview=[[0.1]]), "field"),
+    "a preview that is not finite": (m.with_fields(preview=[[math.nan] * 3]), "field"),
+    "numbers that count down": (m.numbered(lambda seq: 10**6 - seq), "seq"),
+    "numbers of 7 bits": (m.numbered(lambda seq: seq % 128), "seq"),
+    "numbers of 32 bits": (m.numbered(lambda seq: (seq - 1900) % 2**32), "seq"),
+    "one number for all": (m.numbered(lambda _: 0), "seq"),
+    "samples sent twice": (m.twice, "seq"),
+    "samples out of order": (m.out_of_order, "seq"),
+    "no goals": (m.with_fields(desired=[0.0, 0.0, 0.0]), "frozen"),
+    "the same goals": (m.with_fields(desired=[0.0, 0.5, -1.9]), "frozen"),
+    "a phase in capitals": (m.with_fields(phase="SWING"), "unreadable"),
     "NaN": (
         m.each_sample(
             lambda sent, rng: (
@@ -130,7 +130,7 @@ TABLE: dict[str, tuple[m.Mistake, Cause]] = {
                 else sent
             )
         ),
-        Cause.NOT_FINITE,
+        "not_finite",
     ),
 }
 
@@ -160,7 +160,7 @@ def test_pitch_that_grows_downwards_is_named(walk: list[m.Sent], phase: bool, gi
         made = [m.Sent(s.key, s.at_ns, {**s.body, "phase": None}) for s in made]
     baseline = shipped_baseline(shipped_robot().name) if given else None
     diagnosis = listen(made, shipped_robot(), baseline)
-    assert causes(diagnosis) == [Cause.SIGNS], diagnosis.findings
+    assert causes(diagnosis) == ["signs"], diagnosis.findings
     (finding,) = diagnosis.findings
     assert finding.legs == ["lf", "lm", "lr", "rf", "rm", "rr"]
     assert "directions = [1, -1, -1]" in finding.what
@@ -171,7 +171,7 @@ def test_a_leg_that_a_cable_holds_while_it_walks(walk: list[m.Sent]) -> None:
     robot = shipped_robot()
     made = list(m.caught("rm", 4.0, 0.7)(walk, np.random.default_rng(1)))
     diagnosis = listen(made, robot, BASELINE)
-    assert causes(diagnosis) == [Cause.AMBIGUOUS], diagnosis.findings
+    assert causes(diagnosis) == ["ambiguous"], diagnosis.findings
     assert [finding.legs for finding in diagnosis.findings if finding.level == "error"] == [["rm"]]
     assert diagnosis.exit_code == 1
 
@@ -179,10 +179,10 @@ def test_a_leg_that_a_cable_holds_while_it_walks(walk: list[m.Sent]) -> None:
 def test_all_legs_lost_at_once_point_to_the_description_first(walk: list[m.Sent]) -> None:
     made = list(m.late_goals(5)(walk, np.random.default_rng(1)))
     diagnosis = listen(made, shipped_robot(), BASELINE)
-    assert causes(diagnosis)[0] == Cause.NOT_THIS_ROBOT, diagnosis.findings
+    assert causes(diagnosis)[0] == "not_this_robot", diagnosis.findings
     first = diagnosis.findings[0]
     # A leg of which more is known, by heights that are wrong as well, is named for itself.
-    itself = {leg for one in diagnosis.findings[1:] if one.cause == Cause.PHASE for leg in one.legs}
+    itself = {leg for one in diagnosis.findings[1:] if one.cause == "phase" for leg in one.legs}
     assert len(itself) <= 1
     assert sorted({*first.legs, *itself}) == sorted(shipped_robot().leg_ids)
     places = [first.remedy.find(word) for word in ("signs", "zeros", "order of joints", "baseline")]
@@ -195,7 +195,7 @@ def test_a_leg_that_its_baseline_lacks(walk: list[m.Sent]) -> None:
     given = dataclasses.replace(BASELINE, legs=legs)
     diagnosis = listen(last(walk, SHORT_S), shipped_robot(), given)
     (finding,) = diagnosis.findings
-    assert (finding.level, finding.cause, finding.legs) == ("error", Cause.LEARNING, ["lf"])
+    assert (finding.level, finding.cause, finding.legs) == ("error", "learning", ["lf"])
     assert "of 10 swings" in finding.what
 
 
@@ -211,10 +211,10 @@ def test_a_good_robot_at_another_rate_has_no_findings(period_s: float) -> None:
     assert check_recording(robot, of_legs(sent), {}) == []
     # After so short a walk a leg is not known yet, and nothing else is wrong.
     diagnosis = listen(last(sent, 4.0), robot, None)
-    assert causes(diagnosis, notes=True) == [Cause.LEARNING], diagnosis.findings
+    assert causes(diagnosis, notes=True) == ["learning"], diagnosis.findings
     # By a robot.toml of another rate, it is named.
     wrong = listen(last(sent, 4.0), shipped_robot(), BASELINE)
-    assert causes(wrong) == [Cause.PERIOD], wrong.findings
+    assert causes(wrong) == ["period"], wrong.findings
 
 
 def test_two_joints_have_no_findings(walk: list[m.Sent]) -> None:
@@ -242,12 +242,12 @@ def test_jitter_of_a_loop_on_a_timer_is_none(
     robot = shipped_robot()
     made = of_legs(list(m.jitter(periods)(last(walk, SHORT_S), np.random.default_rng(1))))
     found = [finding.cause for finding in check_recording(robot, made, {})]
-    assert found == ([Cause.JITTER] if named else [])
+    assert found == (["jitter"] if named else [])
 
 
 def test_without_a_service_the_samples_tell_rate_and_steps(walk: list[m.Sent]) -> None:
     diagnosis = alone(last(walk, 4.0))
-    assert causes(diagnosis, notes=True) == [Cause.NO_SERVICE, Cause.UNDECLARED]
+    assert causes(diagnosis, notes=True) == ["no_service", "undeclared"]
     note = diagnosis.findings[-1]
     assert note.what.endswith("samples come every 20.0 ms (50.0 Hz), readings step by 0.00512 rad")
 
@@ -255,12 +255,12 @@ def test_without_a_service_the_samples_tell_rate_and_steps(walk: list[m.Sent]) -
 @pytest.mark.parametrize(
     ("mistake", "cause"),
     [
-        (m.white_jitter, Cause.JITTER),
-        (m.milliseconds, Cause.TIME_UNIT),
-        (m.rounded(0.03), Cause.QUANTUM),
-        (m.degrees, Cause.UNITS),
-        (m.echoed(), Cause.ECHO),
-        (m.one_for_all, Cause.TWINS),
+        (m.white_jitter, "jitter"),
+        (m.milliseconds, "time_unit"),
+        (m.rounded(0.03), "quantum"),
+        (m.degrees, "units"),
+        (m.echoed(), "echo"),
+        (m.one_for_all, "twins"),
     ],
     ids=["jitter", "milliseconds", "steps", "degrees", "echo", "twins"],
 )
@@ -268,7 +268,7 @@ def test_without_a_service_mistakes_are_named_all_the_same(
     walk: list[m.Sent], mistake: m.Mistake, cause: Cause
 ) -> None:
     diagnosis = alone(list(mistake(last(walk, 4.0), np.random.default_rng(1))))
-    assert sorted(causes(diagnosis)) == sorted([Cause.NO_SERVICE, cause]), diagnosis.findings
+    assert sorted(causes(diagnosis)) == sorted(["no_service", cause]), diagnosis.findings
 
 
 SWAPS: dict[str, dict[str, str]] = {
@@ -283,7 +283,7 @@ SWAPS: dict[str, dict[str, str]] = {
 def test_legs_under_each_others_ids_are_named(walk: list[m.Sent], swap: dict[str, str]) -> None:
     robot = shipped_robot()
     diagnosis = listen(list(m.renamed(swap)(walk, np.random.default_rng(1))), robot, BASELINE)
-    assert causes(diagnosis) == [Cause.LEG_SWAP], diagnosis.findings
+    assert causes(diagnosis) == ["leg_swap"], diagnosis.findings
     assert diagnosis.exit_code == 1
     (finding,) = diagnosis.findings
     assert sorted(finding.legs) == sorted(swap)
@@ -320,7 +320,7 @@ def yaw_turned(messages: list[m.Sent]) -> list[m.Sent]:
 
 def test_a_yaw_of_the_wrong_sign_is_no_swap_where_models_tell(walk: list[m.Sent]) -> None:
     diagnosis = listen(yaw_turned(walk), shipped_robot(), BASELINE)
-    assert causes(diagnosis) == [Cause.SIGNS], diagnosis.findings
+    assert causes(diagnosis) == ["signs"], diagnosis.findings
     lines = judge_recorded_ids(shipped_robot(), of_legs(yaw_turned(last(walk, 20.0))))
     assert sorted(lines) == ["lf", "rf"]
     assert all("as likely, the yaw angles grow the wrong way" in line for line in lines.values())
@@ -330,4 +330,4 @@ def test_a_joint_too_few(walk: list[m.Sent]) -> None:
     two = m.angles(lambda row: row[:2])
     made = list(two(last(walk, SHORT_S), np.random.default_rng(1)))
     diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
-    assert causes(diagnosis) == [Cause.JOINTS], diagnosis.findings
+    assert causes(diagnosis) == ["joints"], diagnosis.findings

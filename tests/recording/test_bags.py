@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot, inverse, parse_robot, shipped_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
-from adaptive_contact.service.recording.export import ExportFormat, export_recording
+from adaptive_contact.service.recording.export import export_recording
 from adaptive_contact.wire import (
     JSON,
     ContactEvent,
@@ -441,7 +441,7 @@ def test_events_of_another_recording_are_counted(tmp_path: Path, robot: Robot) -
         residual=[], model_version=1,
     )  # fmt: skip
     exported = export_recording(
-        read_recording(source), tmp_path / "bag", ExportFormat.BAG, robot=robot, events=[other]
+        read_recording(source), tmp_path / "bag", "bag", robot=robot, events=[other]
     )
     assert list(exported.left_out) == [
         ("robot/leg/lf/contact", "an event of a sample that is not there")

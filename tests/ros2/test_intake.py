@@ -106,7 +106,7 @@ def test_a_message_twice_is_used_once(rig, made, joints) -> None:
     state(used, made, joints, 5)
     assert state(used, made, joints, 5) == {}
     assert state(used, made, joints, 4) == {}
-    assert used.reasons == [Reason.REPEATED] * 2
+    assert used.reasons == ["repeated"] * 2
 
 
 def test_another_publisher_is_a_new_run(rig, made, joints) -> None:
@@ -149,7 +149,7 @@ def test_a_reading_that_is_nan_is_the_last_one_and_not_valid(rig, made, joints) 
     assert got["lf"].measured == pytest.approx([0.5, 0.1, 0.5])
     assert got["lf"].valid == [True, False, True]
     assert got["rf"].valid is None
-    assert used.reasons == [Reason.NOT_FINITE]
+    assert used.reasons == ["not_finite"]
     assert "lf_f" in used.problems[0][2]
 
 
@@ -161,7 +161,7 @@ def test_a_reference_that_is_nan_takes_its_leg_only(rig, made, joints) -> None:
         "/legs/controller_state", RosType.CONTROLLER_STATE, made.state(joints, [0.0] * 6, told), 2
     )
     assert set(got) == {"rf"}
-    assert used.reasons == [Reason.NOT_FINITE]
+    assert used.reasons == ["not_finite"]
     assert state(used, made, joints, 3)["lf"].seq - 2 == state(used, made, joints, 4)["lf"].seq - 3
 
 
@@ -170,7 +170,7 @@ def test_missing_and_strange_joints_are_named(rig, made, joints) -> None:
     names = [*joints[:5], "gripper"]
     assert set(state(used, made, names, 1)) == {"lf"}
     state(used, made, names, 2)
-    assert used.reasons == [Reason.UNMAPPED, Reason.JOINTS_MISSING, Reason.JOINTS_MISSING]
+    assert used.reasons == ["unmapped", "joints_missing", "joints_missing"]
     assert "gripper" in used.problems[0][2]
     assert "leg 'rf' lacks rf_t" in used.problems[1][2]
 
@@ -179,14 +179,14 @@ def test_a_joint_named_twice_takes_its_leg_only(rig, made, joints) -> None:
     used = rig()
     for seq in (1, 2):
         assert set(state(used, made, [*joints, "lf_f", "tail", "tail"], seq)) == {"rf"}
-    assert used.reasons == [Reason.UNMAPPED, Reason.NAMED_TWICE, Reason.NAMED_TWICE]
+    assert used.reasons == ["unmapped", "named_twice", "named_twice"]
     assert "lf_f more than once" in used.problems[1][2]
 
     commanded = rig(BOTH)
     twice = made.joints([*joints, "rf_t"], [1.0] * 6 + [2.0])
     commanded.take("/commands", RosType.JOINT_STATE, twice)
     assert set(read(commanded, made, joints, 1)) == {"lf"}
-    assert commanded.reasons == [Reason.NAMED_TWICE, Reason.NO_COMMAND]
+    assert commanded.reasons == ["named_twice", "no_command"]
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_whatever_joints_are_called_a_line_is_short(rig, made, names, shown) -> 
     used = rig()
     assert state(used, made, names, 1) == {}
     _, reason, line = used.problems[-1]
-    assert (reason, shown in line, len(line) < 400) == (Reason.JOINTS_MISSING, True, True)
+    assert (reason, shown in line, len(line) < 400) == ("joints_missing", True, True)
 
 
 def test_names_that_change_their_order_with_each_message_are_followed(rig, made, joints) -> None:
@@ -218,7 +218,7 @@ def test_positions_that_are_not_there_are_told(rig, made, joints) -> None:
     used = rig()
     message = made.state(joints, [], [0.0] * 6)
     assert used.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, 1) == {}
-    assert used.reasons == [Reason.NO_POSITIONS]
+    assert used.reasons == ["no_positions"]
 
 
 def read(rig: Rig, made: Any, joints: list[str], seq: int) -> dict[str, Any]:
@@ -229,7 +229,7 @@ def read(rig: Rig, made: Any, joints: list[str], seq: int) -> dict[str, Any]:
 def test_joint_states_take_the_command_in_force(rig, made, joints) -> None:
     used = rig(BOTH)
     assert read(used, made, joints, 1) == {}
-    assert used.reasons == [Reason.NO_COMMAND] * 2
+    assert used.reasons == ["no_command"] * 2
     used.take("/commands", RosType.JOINT_STATE, made.joints(joints[:4], [1.0, 2.0, 3.0, 4.0]))
     got = read(used, made, joints, 2)
     assert set(got) == {"lf"}
@@ -261,7 +261,7 @@ def test_a_leg_that_moves_without_commands_gives_no_samples(rig, made, joints) -
         assert reads(seq, 0.02 + 0.5 * (seq % 4 < 2)) == {"lf", "rf"}
     assert [len(reads(seq, 0.5)) for seq in range(220, 224)] == [2, 2, 1, 1]
     assert reads(224, 0.02) == {"rf"}  # passing where it was says nothing
-    assert used.reasons == [Reason.NO_COMMAND] * 3
+    assert used.reasons == ["no_command"] * 3
     assert (
         "leg 'lf' goes elsewhere, and its last command is more than 1 s old" in used.problems[0][2]
     )
@@ -272,7 +272,7 @@ def test_a_leg_that_moves_without_commands_gives_no_samples(rig, made, joints) -
 def test_a_command_of_strange_joints_is_named(rig, made, joints) -> None:
     used = rig(BOTH)
     used.take("/commands", RosType.JOINT_STATE, made.joints(["q1", "q2"], [0.0, 0.0]))
-    assert used.reasons == [Reason.UNMAPPED]
+    assert used.reasons == ["unmapped"]
     assert "q1, q2 belong to no leg" in used.problems[0][2]
 
 
@@ -280,18 +280,18 @@ def test_an_array_needs_its_order(rig, made, joints) -> None:
     values = made.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     used = rig(BOTH)
     used.take("/commands", RosType.ARRAY, values)
-    assert used.reasons == [Reason.NO_POSITIONS]
+    assert used.reasons == ["no_positions"]
     ordered = rig(f"{BOTH}\ncommand_joints = {joints[::-1]}".replace("'", '"'))
     ordered.take("/commands", RosType.ARRAY, values)
     assert read(ordered, made, joints, 1)["lf"].desired == [6.0, 5.0, 4.0]
     ordered.take("/commands", RosType.ARRAY, made.array([1.0]))
-    assert ordered.reasons == [Reason.NO_POSITIONS]
+    assert ordered.reasons == ["no_positions"]
 
 
 def test_a_trajectory_of_many_points_is_no_command(rig, made, joints) -> None:
     used = rig(BOTH)
     used.take("/commands", RosType.TRAJECTORY, made.trajectory(joints, [[0.0] * 6, [1.0] * 6]))
-    assert used.reasons == [Reason.TRAJECTORY]
+    assert used.reasons == ["trajectory"]
 
 
 def test_a_command_that_is_nan_leaves_the_last_one(rig, made, joints) -> None:
@@ -299,7 +299,7 @@ def test_a_command_that_is_nan_leaves_the_last_one(rig, made, joints) -> None:
     used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [0.5] * 6))
     used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [math.nan] + [0.6] * 5))
     assert read(used, made, joints, 1)["lf"].desired == [0.5, 0.6, 0.6]
-    assert used.reasons == [Reason.NOT_FINITE]
+    assert used.reasons == ["not_finite"]
 
 
 def test_phase_and_foot_switches_are_of_their_leg(rig, made, joints) -> None:
@@ -329,10 +329,10 @@ def test_phase_and_foot_switches_are_of_their_leg(rig, made, joints) -> None:
 
 def test_complaints_are_counted_and_said_now_and_then() -> None:
     complaints = Complaints(every_s=10.0)
-    problem = ("/x", Reason.UNREADABLE, "no message")
+    problem = ("/x", "unreadable", "no message")
     said = [complaints.count(*problem, now_s) for now_s in (0.0, 1.0, 9.0, 10.0)]
     assert said == ["/x: no message", None, None, "/x: no message (3 times)"]
-    assert complaints.counts["/x", Reason.UNREADABLE] == 4
+    assert complaints.counts["/x", "unreadable"] == 4
     assert complaints.lines() == ["/x: no message (4 times)"]
 
 

@@ -284,7 +284,7 @@ def test_equals_the_slow_reference(case: Case) -> None:
     assert list(got.swings.end_ns) == [case.t[b] for _, b in expected.swings]
     assert list(got.swings.ticks) == [b - a + 1 for a, b in expected.swings]
     touches = [
-        (int(onset), ROWS[row].value, bool(found), int(latency), int(too_late))
+        (int(onset), ROWS[row], bool(found), int(latency), int(too_late))
         for onset, row, found, latency, too_late in zip(
             got.touches.onset_ns,
             got.touches.row,

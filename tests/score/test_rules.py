@@ -69,7 +69,7 @@ def judge(
 
 
 def rows(outcome: LegOutcome) -> list[str]:
-    return [ROWS[row].value for row in outcome.touches.row]
+    return [ROWS[row] for row in outcome.touches.row]
 
 
 # Ten ticks of stance (0-180 ms), then forty of swing (200-980 ms), then ten of stance.
@@ -107,7 +107,7 @@ class TestAfterTheTurn:
         assert len(outcome.outside_ns) == 0
         assert outcome.swings.judged_after.tolist() == [16, 0]
         assert outcome.swings.errors.tolist() == [4, 0]
-        assert [str(kind) for kind in outcome.swings.outcome] == ["false alarm", "clean"]
+        assert outcome.swings.misses.tolist() == [0, 0]
         summary = summarise([outcome])
         assert (summary.false_alarms, summary.judged_ticks) == (4, 76)
         assert (summary.after.false_alarms, summary.after.judged_ticks) == (4, 16)
@@ -162,7 +162,7 @@ class TestRows:
 
 
 class TestSwings:
-    def test_outcome_is_the_worst_that_happened(self) -> None:
+    def test_hits_misses_and_false_alarms_are_of_their_swing(self) -> None:
         phases = "s" * 30 + "." * 5  # 600 ms of swing, 100 ms of stance
         at = 700  # swing k begins at 700 k ms
         truth = [
@@ -172,9 +172,10 @@ class TestSwings:
             *touch(2 * at + 300, 2 * at + 310),
         ]
         outcome = judge(phases * 4, truth, 320, at + 100, at + 320, 2 * at + 100)
-        assert outcome.swings.outcome.tolist() == ["hit", "false alarm", "false alarm", "clean"]
+        assert outcome.swings.hits.tolist() == [1, 0, 0, 0]
+        assert outcome.swings.false_alarms.tolist() == [0, 1, 1, 0]
         assert outcome.swings.errors.tolist() == [0, 1, 2, 0]
-        assert judge(phases, truth).swings.outcome.tolist() == ["miss"]
+        assert judge(phases, truth).swings.misses.tolist() == [1]
 
 
 class TestFigures:
@@ -228,9 +229,7 @@ class TestFigures:
         late = 700 * len(kinds) + 570
         outcome = judge(phases * (len(kinds) + 1), truth + touch(late))
         summary = summarise([outcome])
-        assert {
-            row.value: figures.touches for row, figures in summary.rows.items()
-        } == dict.fromkeys(
+        assert {row: figures.touches for row, figures in summary.rows.items()} == dict.fromkeys(
             ["headline", "mid", "slow", "soft", "unknown", "creep", "grazing", "late"], 1
         )
         assert summary.counted.touches == 6

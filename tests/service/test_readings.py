@@ -133,7 +133,7 @@ def test_a_copy_is_one_by_any_delay_and_rounding(rounds: object, step: float | N
         copy = late(told, delay)
         if rounds is not None:
             copy = rounds(copy / grid) * grid  # type: ignore[operator]
-        assert causes(copy, told, step) == [Cause.ECHO], delay
+        assert causes(copy, told, step) == ["echo"], delay
 
 
 @pytest.mark.parametrize("commanded", [True, False], ids=["command too", "reading only"])
@@ -147,7 +147,7 @@ def test_a_sample_that_is_a_turn_off_puts_no_other_beyond_its_limits(
     read[first::37, 0] += math.tau
     if commanded:
         told[first::37, 0] += math.tau
-    assert causes(read, told, None) == [Cause.TURN]
+    assert causes(read, told, None) == ["turn"]
 
 
 @pytest.mark.parametrize("turns", [1, -2])
@@ -158,9 +158,9 @@ def test_turns_that_come_and_go_are_no_degrees(turns: int, from_the_start: bool)
     read = followed(rng, told, 1, 40.0)
     away = (np.arange(len(told)) // 90 % 2 == 0) == from_the_start
     read[away, 0] += turns * math.tau
-    assert Cause.TURN in causes(read, told, None)
-    assert not {Cause.UNITS, Cause.LIMITS} & set(causes(read, told, None))
-    assert causes(np.degrees(read), np.degrees(told), None) == [Cause.UNITS]
+    assert "turn" in causes(read, told, None)
+    assert not {"units", "limits"} & set(causes(read, told, None))
+    assert causes(np.degrees(read), np.degrees(told), None) == ["units"]
 
 
 @pytest.mark.parametrize(("share", "named"), [(0.1, False), (0.6, True)])
@@ -170,7 +170,7 @@ def test_joints_beyond_their_limits_are_named_where_they_are_so_for_long(
     rng = np.random.default_rng(6)
     told = swings(rng) + np.where(np.arange(600) < share * 600, 3.9, 0.0)[:, None]
     read = followed(rng, told, 1, 40.0)
-    found = [fault for fault in faults(read, told, None) if fault.cause is Cause.LIMITS]
+    found = [fault for fault in faults(read, told, None) if fault.cause == "limits"]
     assert len(found) == (2 if named else 0)
     assert all(f"in {share:.0%} of the samples" in (fault.detail or "") for fault in found)
 
@@ -194,9 +194,9 @@ def commanded(still: int, moving: int) -> Array:
 @pytest.mark.parametrize(
     ("of", "cause"),
     [
-        (lambda told: np.full_like(told, 0.1), Cause.FROZEN),
-        (lambda told: np.roll(told, 4, axis=0) + 0.8, Cause.FAR),
-        (lambda told: -np.roll(told, 4, axis=0), Cause.BACKWARDS),
+        (lambda told: np.full_like(told, 0.1), "frozen"),
+        (lambda told: np.roll(told, 4, axis=0) + 0.8, "far"),
+        (lambda told: -np.roll(told, 4, axis=0), "backwards"),
     ],
     ids=["frozen", "far", "backwards"],
 )
@@ -207,14 +207,14 @@ def test_what_a_joint_makes_of_its_command_takes_fifty_ticks_of_it(
     for still, moving, judged in ((200, 40, False), (5, 40, False), (5, 90, True)):
         told = commanded(still, moving)
         read = np.round((of(told) + 0.0) / AX) * AX  # type: ignore[operator]
-        if cause is not Cause.FROZEN:
+        if cause != "frozen":
             read += AX * rng.integers(-1, 2, read.shape)
         assert (cause in causes(read, told)) is judged, (still, moving)
 
 
 def test_a_joint_that_is_sent_elsewhere_once_and_does_not_go_is_frozen() -> None:
     told = np.concatenate([np.zeros(20), np.full(60, 0.2)])[:, None]
-    assert causes(np.zeros_like(told), told) == [Cause.FROZEN]
+    assert causes(np.zeros_like(told), told) == ["frozen"]
     assert causes(np.zeros((40, 1)), told[:40]) == []
 
 
@@ -231,6 +231,6 @@ def test_goals_beyond_what_a_servo_does_are_named(described: bool) -> None:
     ]
     limits = [(-3.0, 3.0), (-0.3, 0.3) if described else (-3.0, 3.0)]
     said = check_readings(samples, ["a", "b"], AX, limits)
-    (fault,) = [one for one in said if one.cause == Cause.GOALS]
+    (fault,) = [one for one in said if one.cause == "goals"]
     assert (fault.detail or "").count("b stops at") == 2
-    assert Cause.GOALS not in causes(np.round(followed(rng, goals, 1, 25.0) / AX) * AX, goals)
+    assert "goals" not in causes(np.round(followed(rng, goals, 1, 25.0) / AX) * AX, goals)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.settings import (
     LinkSettings,
-    Reach,
     client_settings,
     endpoint,
     is_loopback,
@@ -116,7 +115,7 @@ def test_only_protocols_over_tcp_can_be_probed() -> None:
 @pytest.mark.parametrize("host", ["192.168..7", f"{'a' * 64}.local"])
 def test_a_name_that_none_can_be_is_one_line(host: str) -> None:
     finding = probe((f"tcp/{host}:7447",))
-    assert finding.reach is Reach.UNREACHABLE
+    assert finding.reach == "unreachable"
     assert f"the host name '{host}' of tcp/{host}:7447 is not known" in finding.line
     with pytest.raises(ConfigurationError, match="cannot listen on tcp/"):
         configure(router_settings([f"tcp/{host}:0"], insecure=True))

@@ -13,7 +13,6 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
 from typing import IO, Any, Literal, get_type_hints
@@ -38,13 +37,8 @@ from adaptive_contact.wire import (
     leg_of_key,
 )
 
-
-class ExportFormat(StrEnum):
-    """Names what a recording is converted to."""
-
-    CSV = "csv"
-    BAG = "bag"
-    MCAP = "mcap"
+# csv: a folder of tables; bag: a bag of ROS 2; mcap: a recording.
+ExportFormat = Literal["csv", "bag", "mcap"]
 
 
 class Exported:
@@ -101,10 +95,10 @@ def export_recording(
         MissingExtraError: a library for the format is not installed.
     """
     exported = Exported()
-    if to is ExportFormat.CSV:
+    if to == "csv":
         _write_tables(recording, out, exported)
         return exported
-    if to is ExportFormat.BAG:
+    if to == "bag":
         assert robot is not None
         _write_bag(recording, out, robot, events, exported)
         return exported

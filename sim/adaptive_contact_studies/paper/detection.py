@@ -18,7 +18,6 @@ from adaptive_contact.arrays import Array
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, shipped_robot
 from adaptive_contact.score import (
     LegOutcome,
-    Row,
     RowFigures,
     match,
     summarise,
@@ -133,7 +132,7 @@ def _figures(name: str, touched: Sequence[Touched], quiet: dict[Role, Quiet]) ->
     kinds = {}
     for kind in dict.fromkeys(t.piece.kind for t in touched):
         own = summarise([o for o, t in zip(outcomes, touched, strict=True) if t.piece.kind == kind])
-        grazing = own.rows.get(Row.GRAZING) if kind == "graze" else None
+        grazing = own.rows.get("grazing") if kind == "graze" else None
         kinds[kind] = row_figures(grazing or own.counted) | {
             "alarms": rate_of(own.false_alarms, own.judged_ticks)
         }
@@ -173,7 +172,7 @@ def _curve(name: str, fast: Sequence[Touched], quiet: Sequence[Quiet]) -> list[T
     for at, factor in enumerate(FACTORS.tolist()):
         counts = [of.count(name, at) for of in quiet]
         if min(counts) >= 0:
-            row = summarise([t.outcome(name, factor) for t in fast]).rows[Row.HEADLINE]
+            row = summarise([t.outcome(name, factor) for t in fast]).rows["headline"]
             points.append({"factor": factor, "recall": row.recall, **rate_of(sum(counts), ticks)})
     return points
 
@@ -183,14 +182,14 @@ def rows_of(touched: Sequence[Touched], outcomes: Sequence[LegOutcome]) -> Tree:
     whole = summarise(outcomes).rows
     headline, fast = (
         summarise([o for o, t in zip(outcomes, touched, strict=True) if t.slow is slow]).rows[
-            Row.HEADLINE
+            "headline"
         ]
         for slow in (False, True)
     )
-    rows = {Row.HEADLINE.value: headline}
+    rows = {"headline": headline}
     if fast.touches:
-        rows |= {SLOW_FAST: fast, BOTH: whole[Row.HEADLINE]}
-    rows |= {row.value: own for row, own in whole.items() if row is not Row.HEADLINE}
+        rows |= {SLOW_FAST: fast, BOTH: whole["headline"]}
+    rows |= {row: own for row, own in whole.items() if row != "headline"}
     return {name: row_figures(own) for name, own in rows.items()}
 
 

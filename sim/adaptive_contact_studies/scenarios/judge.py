@@ -23,7 +23,7 @@ from adaptive_contact.score import (
     swings_to_recovery,
 )
 from adaptive_contact_studies.scenarios.replay import STATUSES, LegReplay, Replayed, SwingLog
-from adaptive_contact_studies.scenarios.spec import Expect, Mark, Scenario, Variant
+from adaptive_contact_studies.scenarios.spec import Mark, Scenario, Variant
 
 Tree = dict[str, Any]
 
@@ -91,11 +91,9 @@ def judge_scenario(
         for leg, stream in run.streams.items():
             learners = twin.learners[leg]
             found.recordings.append(number)
-            for kept, variant in (
-                (found.reference, Variant.FROZEN),
-                (found.full_reference, Variant.FULL),
-            ):
-                kept.append(match(twin.streams[leg], learners[variant].events))
+            stream_of_twin = twin.streams[leg]
+            found.reference.append(match(stream_of_twin, learners["frozen"].events))
+            found.full_reference.append(match(stream_of_twin, learners["full"].events))
             for variant, replayed in run.learners[leg].items():
                 found.variants[variant].append(judge(scenario, stream, replayed))
     return found
@@ -167,11 +165,11 @@ def swings_until_valid(log: SwingLog) -> tuple[int | None, int | None]:
 def figures(judgement: Judgement) -> Tree:
     """All figures of a scenario."""
     scenario, variants = judgement.scenario, judgement.variants
-    frozen = [judged.outcome for judged in variants[Variant.FROZEN]]
+    frozen = [judged.outcome for judged in variants["frozen"]]
     from_s = scenario.marks[0].at_s if scenario.marks else 0.0
     until_s = scenario.phases[-1].to_s
     harmful: bool | None = None
-    if scenario.expect in (Expect.RECOVER, Expect.FOLLOW) and frozen:
+    if scenario.expect in ("recover", "follow") and frozen:
         harmful = is_harmful(
             [within(o, from_s, until_s) for o in frozen],
             [within(o, from_s, until_s) for o in judgement.reference],
@@ -183,7 +181,7 @@ def figures(judgement: Judgement) -> Tree:
         "recordings": len(set(judgement.recordings)),
         "simulated_s": scenario.seconds,
         "counts_as_one_to_recover_from": harmful,
-        "variants": {name.value: _variant(judgement, judged) for name, judged in variants.items()},
+        "variants": {name: _variant(judgement, judged) for name, judged in variants.items()},
     }
 
 
@@ -255,7 +253,7 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
         "caught_swings": sum(one.caught for one in judged),
         "caught_told": sum(one.caught_told for one in judged),
     }
-    if scenario.expect is Expect.START:
+    if scenario.expect == "start":
         tree["start"] = _start(judgement, judged)
     return tree
 

@@ -42,7 +42,6 @@ from adaptive_contact_studies.scenarios.runs import (
 from adaptive_contact_studies.scenarios.spec import (
     ALL_VARIANTS,
     BaselineChoice,
-    Expect,
     Mark,
     Phase,
     RecordingSpec,
@@ -103,7 +102,7 @@ def _change(
     return Scenario(
         name=name,
         about=about,
-        expect=Expect.RECOVER,
+        expect="recover",
         recordings=recordings,
         phases=around(at_s, end_s, swing_s),
         judged=("after",),
@@ -124,7 +123,7 @@ def _still(
     return Scenario(
         name=name,
         about=about,
-        expect=Expect.QUIET,
+        expect="quiet",
         recordings=recordings,
         phases=(Phase("all", 0.0, seconds),),
         judged=("all",),
@@ -159,7 +158,7 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
         Scenario(
             name=name,
             about=about,
-            expect=Expect.FOLLOW,
+            expect="follow",
             recordings=tuple(
                 drifting(spec, run, at_s, what, duration_s=sizes.slow_s)
                 for run, spec in enumerate(pose_runs(sizes, end_s))
@@ -177,7 +176,7 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
     pulse = Scenario(
         name="pulse-mud",
         about=f"100 g of mud for {minutes(sizes.pulse_s)}, then it is washed off",
-        expect=Expect.RECOVER,
+        expect="recover",
         recordings=tuple(
             drifting(spec, run, at_s, mud, duration_s=sizes.pulse_s)
             for run, spec in enumerate(pose_runs(sizes, washed_s))
@@ -235,7 +234,7 @@ def contacts(sizes: Sizes) -> list[Scenario]:
         Scenario(
             name=name,
             about=about,
-            expect=Expect.UNPOISONED,
+            expect="unpoisoned",
             recordings=all_touch(sizes, end_s, Staging(schedule, level_m), soft),
             phases=(
                 Phase("before", 0.0, at_s),
@@ -264,7 +263,7 @@ def walking_contacts(sizes: Sizes) -> list[Scenario]:
         Scenario(
             name=name,
             about=about,
-            expect=Expect.UNPOISONED,
+            expect="unpoisoned",
             recordings=walk_runs(sizes, seconds, ground),
             # No swing ends without a contact here: there is nothing before, only early and late.
             phases=(Phase("early", 0.0, seconds / 2), Phase("late", seconds / 2, seconds)),
@@ -282,7 +281,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     stand = Scenario(
         name="stand-10min",
         about=f"a leg swings, stands for {round_s * 5 / 6 / 60:.0f} min, and swings again",
-        expect=Expect.UNHARMED,
+        expect="unharmed",
         recordings=turns,
         phases=(Phase("before", 0.0, round_s), Phase("after", round_s, 2 * round_s)),
         judged=("after",),
@@ -294,7 +293,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     caught = Scenario(
         name="caught-30s",
         about=f"a foot hangs in a root for {sizes.caught_s:g} s, through all its swings",
-        expect=Expect.RECOVER,
+        expect="recover",
         recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s))),
         phases=(Phase("before", 0.0, at_s), Phase("caught", at_s, free_s), *after_it),
         judged=("after",),
@@ -316,7 +315,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     readings = Scenario(
         name="readings-3pct",
         about="of every joint's readings 3 % do not come, and 3 % are old ones",
-        expect=Expect.UNHARMED,
+        expect="unharmed",
         recordings=tuple(spec.with_settings(encoder=faults) for spec in pose_runs(sizes, end_s)),
         phases=(Phase("all", 0.0, end_s),),
         judged=("all",),
@@ -339,7 +338,7 @@ def starts(sizes: Sizes) -> list[Scenario]:
         return Scenario(
             name=name,
             about=about,
-            expect=Expect.START,
+            expect="start",
             recordings=recordings,
             phases=phases,
             judged=("after",),
@@ -364,7 +363,7 @@ def steady(sizes: Sizes) -> list[Scenario]:
     return [
         _still("steady-pose", "nothing changes", pose_runs(sizes, pose_s), pose_s),
         # Hours of walking; the one in between has the contact runs.
-        _still("steady-walk", about, walks, walk_s, (Variant.FROZEN, Variant.FULL)),
+        _still("steady-walk", about, walks, walk_s, ("frozen", "full")),
     ]
 
 

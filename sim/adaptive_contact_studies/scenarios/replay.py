@@ -165,8 +165,8 @@ class _Watch:
             simulated_robot(name).description,
             leg,
             baseline,
-            mode=LearnerMode.FROZEN if variant is Variant.FROZEN else LearnerMode.FULL,
-            refitter=NoRefits() if variant is Variant.RLS else None,
+            mode=LearnerMode.FROZEN if variant == "frozen" else LearnerMode.FULL,
+            refitter=NoRefits() if variant == "rls" else None,
         )
         self._confirmed: list[int] = []
         self._rows: list[tuple[Any, ...]] = []

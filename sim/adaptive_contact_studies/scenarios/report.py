@@ -11,7 +11,7 @@ from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact_studies.scenarios.judge import NOTHING
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.runs import FULL_SIZES
-from adaptive_contact_studies.scenarios.spec import Variant
+from adaptive_contact_studies.scenarios.spec import ALL_VARIANTS
 from adaptive_contact_studies.show.pages import NONE, interval, number, percent, render, write_page
 
 Tree = dict[str, Any]
@@ -59,7 +59,7 @@ def write_report(results: Tree, docs: Path) -> Path:
         missed=missed,
         kinds=KINDS,
         kinds_rows=_kinds_rows(results["scenarios"]),
-        learners=[variant.value for variant in Variant],
+        learners=list(ALL_VARIANTS),
     )
     write_page(path, text)
     return path
@@ -99,7 +99,7 @@ def _kinds_rows(table: Tree) -> list[tuple[str, str, list[int]]]:
     return [
         (name, mark, [recovery["taken_for"].get(kind, 0) for kind in (*KINDS, NOTHING)])
         for name, tree in table.items()
-        for mark, recovery in tree["variants"][Variant.FULL.value]["recovery"].items()
+        for mark, recovery in tree["variants"]["full"]["recovery"].items()
         if not set(recovery["taken_for"]) <= {NOTHING}
     ]
 

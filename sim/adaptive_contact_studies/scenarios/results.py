@@ -17,7 +17,7 @@ from adaptive_contact_studies.scenarios.judge import figures, judge_scenario
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.replay import HEXAPOD, Replayed, replayed
 from adaptive_contact_studies.scenarios.runs import Sizes
-from adaptive_contact_studies.scenarios.spec import Expect, ReplaySpec, Scenario, Variant
+from adaptive_contact_studies.scenarios.spec import ReplaySpec, Scenario
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 
 Tree = dict[str, Any]
@@ -46,22 +46,22 @@ class Goal(NamedTuple):
 
 def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
     """The goals of a scenario, from its figures."""
-    full = tree["variants"][Variant.FULL.value]
+    full = tree["variants"]["full"]
     recall = Goal("recall lost, points", RECALL_POINTS, full["recall_lost_points"])
     harm = Goal("harm", 0.0, float(full["harmful"]))
     match scenario.expect:
-        case Expect.RECOVER if tree["counts_as_one_to_recover_from"]:
+        case "recover" if tree["counts_as_one_to_recover_from"]:
             made = [*_recover(full), recall, harm]
-        case Expect.RECOVER | Expect.UNHARMED:
+        case "recover" | "unharmed":
             made = [recall, harm]
-        case Expect.FOLLOW:
+        case "follow":
             lock_out = float(full["longest_lock_out"])
             made = [recall, Goal("longest lock-out, swings", 5, lock_out), harm]
-        case Expect.UNPOISONED:
+        case "unpoisoned":
             made = [recall]
-        case Expect.START:
+        case "start":
             made = _start(full["start"])
-        case Expect.QUIET:
+        case "quiet":
             rate = full["judged"]["per_robot_hour"]
             made = [Goal("false alarms per robot-hour", ALARMS_PER_HOUR, rate), recall]
     if scenario.poisonous:
@@ -79,12 +79,10 @@ def pooled(table: Mapping[str, Tree]) -> Tree:
         ``steady``: the false alarms of the full learner over all that is quiet of the hexapod;
         nothing while one of these scenarios is not in the table.
     """
-    names = [
-        s.name for s in scenarios().values() if s.expect is Expect.QUIET and s.robot == HEXAPOD
-    ]
+    names = [s.name for s in scenarios().values() if s.expect == "quiet" and s.robot == HEXAPOD]
     if not set(names) <= table.keys():
         return {}
-    judged = [table[name]["variants"][Variant.FULL.value]["judged"] for name in names]
+    judged = [table[name]["variants"]["full"]["judged"] for name in names]
     alarms = AlarmFigures.of(
         sum(one["false_alarms"] for one in judged), sum(one["judged_ticks"] for one in judged)
     )

@@ -7,38 +7,36 @@ know nothing of single scenarios.
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal, NamedTuple, Self
+from typing import Any, Final, Literal, NamedTuple, Self, get_args
 
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
 
+# Learners that are compared.
+Variant = Literal[
+    "frozen",  # the baseline, never updated
+    "rls",  # the product without sparse refits
+    "full",  # the product
+]
 
-class Variant(enum.StrEnum):
-    """Learners that are compared."""
 
-    FROZEN = "frozen"  # the baseline, never updated
-    RLS = "rls"  # the product without sparse refits
-    FULL = "full"  # the product
-
-
-ALL_VARIANTS: Final = tuple(Variant)
+ALL_VARIANTS: Final[tuple[Variant, ...]] = get_args(Variant)
 
 # What the learners start from: the shipped baseline, none, or that of the leg diagonally opposite.
 BaselineChoice = Literal["shipped", "none", "other_leg"]
 
 
-class Expect(enum.StrEnum):
-    """What the full learner is held to; ``docs/adaptation.md`` says how each is measured."""
-
-    RECOVER = "recover"  # a step that counts: soon as good as before; one that does not: no harm
-    FOLLOW = "follow"  # a slow change: nothing is lost on the way
-    UNPOISONED = "unpoisoned"  # contacts only: nothing is lost, none is learned
-    UNHARMED = "unharmed"  # nothing changed: as good as the frozen learner
-    START = "start"  # nothing, or the wrong thing, known: valid soon, then as with a baseline
-    QUIET = "quiet"  # free of change, for hours: few false alarms
+# What the full learner is held to; ``docs/adaptation.md`` says how each is measured.
+Expect = Literal[
+    "recover",  # a step that counts: soon as good as before; one that does not: no harm
+    "follow",  # a slow change: nothing is lost on the way
+    "unpoisoned",  # contacts only: nothing is lost, none is learned
+    "unharmed",  # nothing changed: as good as the frozen learner
+    "start",  # nothing, or the wrong thing, known: valid soon, then as with a baseline
+    "quiet",  # free of change, for hours: few false alarms
+]
 
 
 class Mark(NamedTuple):

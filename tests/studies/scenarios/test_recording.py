@@ -16,7 +16,7 @@ from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.scenarios.replay import Replayed, recorded, replayed, touching
-from adaptive_contact_studies.scenarios.spec import RecordingSpec, ReplaySpec, Staging, Variant
+from adaptive_contact_studies.scenarios.spec import RecordingSpec, ReplaySpec, Staging
 from adaptive_contact_studies.work import Work
 
 POSE = SimulationSettings(
@@ -31,7 +31,7 @@ def record(spec: RecordingSpec) -> tuple[Run, LegArrays]:
 
 
 def stream_of(spec: RecordingSpec) -> LegStream:
-    found = replayed(Work(None), ReplaySpec(spec, variants=(Variant.FROZEN,)))
+    found = replayed(Work(None), ReplaySpec(spec, variants=("frozen",)))
     assert isinstance(found, Replayed)
     return found.streams["lm"]
 

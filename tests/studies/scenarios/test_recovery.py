@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.score import Row, match, summarise
+from adaptive_contact.score import match, summarise
 from adaptive_contact_studies.scenarios.judge import (
     NOTHING,
     Judgement,
@@ -23,14 +23,14 @@ from adaptive_contact_studies.scenarios.judge import (
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.replay import STATUSES, Replayed, replayed
 from adaptive_contact_studies.scenarios.runs import POSE_SWING_S, QUICK_SIZES, Sizes, lone_runs
-from adaptive_contact_studies.scenarios.spec import ReplaySpec, Staging, Variant
+from adaptive_contact_studies.scenarios.spec import ReplaySpec, Staging
 from adaptive_contact_studies.work import Work
 
 # Seeds of tests, apart from those that are tuned on or reported.
 SIZES = replace(
     QUICK_SIZES, leg_runs=4, before_s=12.0, after_s=28.0, contact_swings=60, first_seed=9500
 )
-PAIR = (Variant.FROZEN, Variant.FULL)
+PAIR = ("frozen", "full")
 STEPS = ("step-friction4", "step-supply94", "step-compliance2", "step-joint6")
 
 
@@ -46,7 +46,7 @@ def judged(name: str, folder: Path, sizes: Sizes = SIZES) -> Judgement:
 
 def recoveries_of(judgement: Judgement) -> list[Recovery]:
     """The full learner's, of every leg."""
-    return [full.recovery["step"] for full in judgement.variants[Variant.FULL]]
+    return [full.recovery["step"] for full in judgement.variants["full"]]
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_contacts_only_neither_blind_it_nor_are_learned(folder: Path) -> None:
         assert figures.counted.touches >= 100
         # Of edges that are only grazed, the model that does not learn misses some, too.
         assert figures.counted.found >= without.counted.found - 1
-        headline = figures.rows[Row.HEADLINE]
+        headline = figures.rows["headline"]
         assert headline.found >= headline.touches - 1 > 80
         assert figures.false_alarms <= 1
         assert full.confirmed > 1000
