@@ -54,8 +54,6 @@ _NAMES: Final = {
     "upper_margin": "CCW compliance margin",
     "pwm_limit": "PWM limit",
 }
-# 214.577 rev/min², in rad/s².
-_ACCELERATION_RAD_S2: Final = 214.577 * 2 * math.pi / 3600
 
 
 class Servo(NamedTuple):
@@ -158,7 +156,8 @@ def _acceleration(servo: Servo, register: str) -> str:
     value = servo.values[register]
     if register == "profile_acceleration" and _time_based(servo):
         return f"is {value} ms: so long a servo gathers speed for each goal; 0 sets no limit"
-    unit = _ACCELERATION_RAD_S2
+    # 214.577 rev/min², in rad/s².
+    unit = 214.577 * 2 * math.pi / 3600
     if register == "acceleration":
         unit = 100 * servo.model.step_rad
     most = "" if register == "goal_acceleration" else f" ({value * unit:.3g} rad/s²)"

@@ -29,8 +29,6 @@ from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
 from adaptive_contact.robot.description import Protocol
 
-# Feetech's answer the pings of protocol 1, and say what they are; protocol 1's answer theirs.
-_PROTOCOLS: Final[tuple[Protocol, ...]] = (1, 2)
 # Servos are numbered one after the other: so far beyond the last found, all are asked again.
 BEYOND: Final = 8
 
@@ -118,7 +116,8 @@ def find_servos(
         BusError: the port cannot be opened, no servo answers, or one answers too late only.
     """
     feetech_only = find_spec("scservo_sdk") and not find_spec("dynamixel_sdk")
-    protocols = ("sts",) if feetech_only else _PROTOCOLS
+    # Feetech's answer the pings of protocol 1, and say what they are; protocol 1's answer theirs.
+    protocols = ("sts",) if feetech_only else (1, 2)
     places: list[Place] = [(baud, protocol) for baud in bauds for protocol in protocols]
     found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
     if found is None:

@@ -50,7 +50,6 @@ BUSY: Final = (
 
 # A tenth of what servos are delivered with; 18 of these cost 2 ms a cycle at the most.
 _MOST_DELAY_US: Final = 100
-_US_PER_DELAY: Final = 2
 _PATIENT_MS: Final = 25.0
 
 
@@ -465,7 +464,8 @@ class _Handshake:
         for joint in joints:
             register = joint.model.registers["return_delay"]
             data = self._bus.confirmed(joint.servo, register.block)
-            delay_us = 0 if data is None else register.value(data) * _US_PER_DELAY
+            # A step of the register is 2 us.
+            delay_us = 0 if data is None else register.value(data) * 2
             if delay_us > _MOST_DELAY_US:
                 slow[joint.servo] = delay_us
                 if self._configure:

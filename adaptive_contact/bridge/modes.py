@@ -46,11 +46,7 @@ _MODES: Final = {
 }
 _POSITION: Final = 3
 _MULTI_TURN: Final = (4, 5)
-# Beyond this, position mode ignores a homing offset.
-_MOST_HOMING: Final = 1024
 _WIZARD: Final = "with DYNAMIXEL Wizard"
-# Of an STS servo's phase: positions are not those of one turn.
-_FULL_ANGLE: Final = 0x10
 
 
 class DriveMode:
@@ -89,11 +85,12 @@ def followed(bus: Bus, servo: int, model: ServoModel | None) -> int | None:
 
 def setting(model: ServoModel, data: Sequence[bytes]) -> Setting:
     """Judge a servo's registers."""
+    # Gains may be changed while a servo drives, wherever they are kept.
     values = {
         name: block.part(part, register)
         for block, part in zip(model.settings, data, strict=True)
         for name, register in model.registers.items()
-        if block.holds(register) and name not in _TUNED
+        if block.holds(register) and name not in ("position_p", "position_i", "position_d")
     }
     return _by_limits(model, values) if model.compact else _by_mode(model, values)
 
@@ -102,7 +99,8 @@ def _by_limits(model: ServoModel, values: dict[str, int]) -> Setting:
     lower, upper = values["lower_limit"], values["upper_limit"]
     tool = f"with {tool_of(model.protocol)}"
     usual = f"{model.lowest} and {model.highest}, {tool}"
-    ends = None if values.get("phase", 0) & _FULL_ANGLE else (model.lowest, model.highest)
+    # Of an STS servo's phase: positions are not those of one turn.
+    ends = None if values.get("phase", 0) & 0x10 else (model.lowest, model.highest)
     full = Setting(model.lowest, model.highest, values, ends=ends)
     if values.get("torque_control"):
         return full._replace(
@@ -166,7 +164,7 @@ def _by_mode(model: ServoModel, values: dict[str, int]) -> Setting:
         return full
     lower, upper = values["lower_limit"], values["upper_limit"]
     homing = values["homing_offset"]
-    if abs(homing) > _MOST_HOMING:
+    if abs(homing) > 1024:  # ignored in position mode
         homing = 0
     lowest = max(lower, model.lowest, model.lowest + homing)
     highest = min(upper, model.highest, model.highest + homing)
@@ -200,8 +198,6 @@ LAW_REGISTERS: Final = (
     ("position_p", "pwm_limit"),
     ("position_p",),
 )
-# Gains may be changed while a servo drives, wherever they are kept.
-_TUNED: Final = ("position_p", "position_i", "position_d")
 
 
 def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:

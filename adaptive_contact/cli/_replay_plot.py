@@ -20,8 +20,6 @@ from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
 from adaptive_contact.service.replay import LegTrace, Spans
 
-# Ratios are drawn up to this many times the threshold.
-_TOP_RATIO: Final = 3.0
 # Marks, the gravest first, and what is said of how many there are.
 _KINDS: Final = {
     "miss": "missed",
@@ -29,7 +27,6 @@ _KINDS: Final = {
     "beyond": "maybe beyond any detector",
     "hit": "hit",
 }
-_CURVES: Final = ("measured", "desired", "predicted")
 
 
 def check_plot(path: Path) -> None:
@@ -79,7 +76,7 @@ def _html(traces: Sequence[LegTrace], title: str, mark_s: float | None) -> bytes
     kept = sorted(touches[:20_000], key=lambda pair: pair[1].at_s)
     data = {
         "title": title,
-        "top": _TOP_RATIO,
+        "top": 3.0,  # times the threshold
         "mark_ms": None if mark_s is None else round(mark_s * 1000),
         "left_out": len(touches) - len(kept),
         "legs": [
@@ -127,13 +124,17 @@ def _joints(trace: LegTrace, room: int) -> dict[str, Any]:
     angles = curves.angles
     step = max(1, math.ceil(angles.size / room))
     t_s = trace.t_s[0] + (np.array(curves.t_ns[::step]) - curves.t_ns[0]) / 1e9
-    lists = np.where(np.isfinite(angles), np.round(angles * 1e4), -(2**31)).astype(int)[::step]
+    none = -(2**31)
+    lists = np.where(np.isfinite(angles), np.round(angles * 1e4), none).astype(int)[::step]
     named = [
-        {"name": name, **{what: lists[:, k, j].tolist() for k, what in enumerate(_CURVES)}}
+        {
+            "name": name,
+            "measured": lists[:, 0, j].tolist(),
+            "desired": lists[:, 1, j].tolist(),
+            "predicted": [None if x == none else x for x in lists[:, 2, j].tolist()],
+        }
         for j, name in enumerate(curves.joints)
     ]
-    for joint in named:
-        joint["predicted"] = [None if value == -(2**31) else value for value in joint["predicted"]]
     return {"joints": named, "curve_ms": np.round(t_s * 1000).astype(int).tolist()}
 
 

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 # Not every free tick can be used: some are too early in a stretch to have a past.
 _MORE: Final = 1.15
-# A busy computer reads fewer ticks than it was asked for: what is short is read on, all in all for
-# so many times --seconds.
-_LONGEST: Final = 3.0
 
 
 @opt.flatten
@@ -140,7 +137,8 @@ def learn(
             collect, plans, scripts=scripts, realtime=realtime, stop=stop, say=say_note
         )
     everything: dict[str, list[ServoSample]] = {}
-    left_s, next_s = _LONGEST * seconds, seconds
+    # A busy computer reads fewer ticks than it was asked for: what is short is read on.
+    left_s, next_s = 3.0 * seconds, seconds
     while True:
         samples = source(seconds=next_s)
         left_s -= next_s

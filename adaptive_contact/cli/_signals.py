@@ -5,10 +5,6 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Iterable
-from typing import Final
-
-# For so long after a Ctrl-C another one is not heeded: what is half written is being removed.
-CLEANING_S: Final = 2.0
 
 
 def on_signals(
@@ -37,7 +33,7 @@ def interrupt_once() -> None:
     def interrupt(_: int, __: object) -> None:
         nonlocal before_s
         now_s = time.monotonic()
-        if now_s - before_s < CLEANING_S:
+        if now_s - before_s < 2.0:  # what is half written is being removed
             return
         before_s = now_s
         raise KeyboardInterrupt

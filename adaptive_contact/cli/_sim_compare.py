@@ -13,9 +13,6 @@ from scipy.stats import t as student
 from adaptive_contact.arrays import Array
 from adaptive_contact_studies.blind import PHASES, POLICIES, Comparison
 
-# Tilt is drawn as the RMS of so many seconds.
-_WINDOW_S: Final = 4.0
-
 
 def tree(found: Comparison) -> dict[str, Any]:
     """Return each seed's figures, for JSON."""
@@ -68,11 +65,11 @@ def picture(found: Comparison) -> bytes:
         period_s = traces[0].period_s
         squares = np.mean([trace.tilt_deg**2 for trace in traces], axis=0)
         begins = round(found.drift_s / period_s)
-        # A window is of before or of after the drift, never of both.
+        # RMS of windows of 4 s, of before or of after the drift, never of both.
         parts = [
             part
             for half in (squares[:begins], squares[begins:])
-            for part in np.array_split(half, max(round(len(half) * period_s / _WINDOW_S), 1))
+            for part in np.array_split(half, max(round(len(half) * period_s / 4.0), 1))
         ]
         ends_s = np.cumsum([len(part) for part in parts]) * period_s
         t_s = ends_s - 0.5 * period_s * np.array([len(part) for part in parts])

@@ -28,7 +28,6 @@ from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import Types, typestore
 from adaptive_contact.wire import ContactEvent, ContactTruth, Message, ServoSample
 
-_VERSION: Final = 9  # of metadata.yaml, since Jazzy
 _FOREVER: Final = QosTime(2**31 - 1, 2**32 - 1)
 _LATCHED: Final = Qos(
     QosHistory.KEEP_LAST,
@@ -67,7 +66,8 @@ class BagWriter:
         self._newest_ns: dict[str, int] = {}
         self._connections: dict[str, Any] = {}
         try:
-            self._writer = Writer(path, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+            # Version 9 of metadata.yaml: since Jazzy.
+            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
         except (WriterError, OSError) as error:
             raise RecordingError(

@@ -29,7 +29,6 @@ _NS: Final = 1_000_000_000
 # A leg that moves _MOVED_RAD away from its last command, this long after it, follows commands that
 # do not arrive.  One that holds its pose, or is still on its way, needs none.
 _NO_COMMAND_S: Final = 1.0
-_MOVED_RAD: Final = 0.2
 _FURTHER: Final = 3  # one reading may be wrong
 
 # Reads a message of a type and a hash of its definition.
@@ -321,7 +320,7 @@ class Intake:
         if leg.waited >= self._no_command_ticks and leg.further < _FURTHER:
             off = math.dist(measured, leg.desired)
             leg.nearest = min(leg.nearest, off)
-            leg.further = leg.further + 1 if off > leg.nearest + _MOVED_RAD else 0
+            leg.further = leg.further + 1 if off > leg.nearest + 0.2 else 0
         if leg.further == _FURTHER:
             self._refuse(
                 topic,

@@ -28,11 +28,7 @@ from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
 
 # Samples kept of a leg: two minutes at 50 Hz.
 _KEPT: Final = 6000
-# A leg rests when no joint has moved by two steps of an AX-12A for this long, s.
-_REST_S: Final = 0.3
-# A move by hand is reported from this on, rad (7 degrees); a joint that moved by less than this
-# share of the one that moved most has only given way.
-_MOVED_RAD: Final = 0.12
+# A joint that moved by less than this share of the one that moved most has only given way.
 _GAVE_WAY: Final = 0.3
 # Least number of feet that show a plane.
 _LEAST_FEET: Final = 4
@@ -188,7 +184,8 @@ class _LegCheck:
         self._period_s = robot.period_s
         self._facts = LegFacts.of(robot, leg.id)
         self._count = 0
-        self._recent: deque[Array] = deque(maxlen=max(round(_REST_S / robot.period_s), 2))
+        # A leg rests when no joint has moved by two steps of an AX-12A for this long, s.
+        self._recent: deque[Array] = deque(maxlen=max(round(0.3 / robot.period_s), 2))
         self._rested: Array | None = None
 
     def take(self, sample: ServoSample) -> str | None:
@@ -207,7 +204,7 @@ class _LegCheck:
             return None
         now = self.last
         before, self._rested = self._rested, now
-        if before is None or np.abs(now - before).max() < _MOVED_RAD:
+        if before is None or np.abs(now - before).max() < 0.12:  # 7 degrees: no move by hand
             # A joint at rest creeps: a move is measured from where the rest began.
             self._rested = now if before is None else before
             return None

@@ -31,8 +31,6 @@ _NAMED: Final = frozenset(
 )
 # Of these, the ones that leave no tick to judge an event by.
 _SPOILS: Final = frozenset({"units", "time_unit", "time_type", "time_backwards"})
-# Counted in samples: these spoil a leg where they are in nearly half of them, or more.
-_COUNTED: Final = frozenset({"time_type", "time_backwards", "seq"})
 
 
 class OneRobot:
@@ -132,10 +130,12 @@ class OneRobot:
         """
         causes = _SPOILS | {"period", "seq"} if by_rate else _SPOILS
         legs = [leg for leg in self._samples if leg in robot.leg_ids]
+        # Counted in samples: these spoil a leg where they are in nearly half of them, or more.
+        counted = {"time_type", "time_backwards", "seq"}
         spoilt = {
             leg
             for leg, fault in self.faults(robot)
-            if fault.cause in causes and (fault.cause not in _COUNTED or self._in_many(leg, fault))
+            if fault.cause in causes and (fault.cause not in counted or self._in_many(leg, fault))
         }
         return bool(legs) and spoilt.issuperset(legs)
 

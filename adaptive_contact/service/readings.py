@@ -25,7 +25,6 @@ from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
 
 Ticks = Ints  # seq
 
-_FEWEST: Final = 10
 # A joint counts as commanded to move when its command travels this far, rad (3 degrees, 10 steps of
 # an AX-12A), and as frozen when its reading then keeps one value.
 _COMMANDED_RAD: Final = 0.05
@@ -99,7 +98,7 @@ def check_readings(
     kept = finite & answered
     seq = np.array([s.seq for s in samples])[kept]
     measured, desired = measured[kept], desired[kept]
-    if len(measured) < _FEWEST:
+    if len(measured) < 10:
         return
     whole = bool((measured == np.round(measured)).all()) and float(np.ptp(measured)) > 2.0
     measured, jumps = _without_turns(measured)

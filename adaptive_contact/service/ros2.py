@@ -54,7 +54,6 @@ MAX_BYTES: Final = 256 * 1024
 WAITING: Final = 64
 _MOST_LINES: Final = 256  # that wait to be said
 _LOOK_S: Final = 0.1
-_EVERY_S: Final = 1.0
 _SERVICE_GONE_S: Final = 3.0
 # After this long without a sample of a leg it is said, and again after ten times as long.
 _SILENT_S: Final = 5.0
@@ -371,7 +370,7 @@ class Gateway:
         begun_s = self._now_s()
         silent_s = begun_s + _SILENT_S
         reported: str | None = None
-        while not self._say_for(_EVERY_S, stop):
+        while not self._say_for(1.0, stop):
             for topic, times in self._inbox.take_dropped().items():
                 for _ in range(times):
                     self._complain(

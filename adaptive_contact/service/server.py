@@ -93,9 +93,6 @@ _LOOK_NS: Final = 100_000_000
 _LATENCY_LOG_NS: Final = 60_000_000_000
 # How long the status's note shows a dropped link, or a leg without room.
 _REPORTED_NS: Final = 30_000_000_000
-# The worker waits this long for other legs' samples before it learns: they come one right after
-# the other, and sending events needs the core more than learning does.
-_REST_S: Final = 0.001
 # End of a key that asks for a leg's ticks rather than for its model.
 _TRACE: Final = "/trace"
 
@@ -201,7 +198,9 @@ class Service:
                     # already, the worker is behind: then statuses and saves must not wait longer.
                     legs = set(batch.samples)
                     for _ in range(max(1, len(self._endpoints) - 1)):
-                        more = self._queue.take(_REST_S, query=False)
+                        # They come one right after the other, and sending events needs the core
+                        # more than learning does.
+                        more = self._queue.take(0.001, query=False)
                         if not more:
                             break
                         self.work(more, time.monotonic_ns())

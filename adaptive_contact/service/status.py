@@ -16,7 +16,6 @@ from adaptive_contact.robot import AngleFrame, Robot
 from adaptive_contact.wire import Message
 
 _NS_PER_MS: Final = 1e6
-_KEPT: Final = 4096  # p99 of as many is good to about 40 values beyond it
 
 
 class LatencyMs(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,7 +30,8 @@ class LatencyMs(msgspec.Struct, frozen=True, kw_only=True):
 class Latency:
     """Keeps the newest latencies and gives their quantiles."""
 
-    def __init__(self, kept: int = _KEPT) -> None:
+    # p99 of as many is good to about 40 values beyond it.
+    def __init__(self, kept: int = 4096) -> None:
         self._values: deque[int] = deque(maxlen=kept)
         self._count = 0
 

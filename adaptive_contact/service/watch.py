@@ -48,8 +48,6 @@ _DETECTION_NS: Final = 120_000_000
 _JUDGE_AFTER_NS: Final = 250_000_000
 # Times of contacts that are kept, of a leg.
 _MOST_TIMES: Final = 256
-# A p that is older says nothing of now.
-_P_NS: Final = 1_000_000_000
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
@@ -322,7 +320,8 @@ class Watch:
         row = LegView(
             leg=name,
             contact=leg.contact if known else None,
-            p=leg.p if known and now_ns - leg.p_ns < _P_NS else None,
+            # A p that is older says nothing of now.
+            p=leg.p if known and now_ns - leg.p_ns < 1_000_000_000 else None,
             age_s=self.known.age_s(name, now_ns),
             contact_age_s=None if leg.contact_ns is None else (now_ns - leg.contact_ns) / 1e9,
         )
@@ -386,8 +385,6 @@ def _rate(ticks: list[tuple[int, int]]) -> float | None:
 _OF_SERVICE: Final[dict[str, type[Message]]] = {SERVICE_STATUS: ServiceStatus, HEARTBEAT: Heartbeat}
 OnContact = Callable[[str, ContactEvent | ContactTruth], None]
 
-_KEPT: Final = 20_000
-
 
 class Feed:
     """Subscribes to what a :class:`Watch` shows; call :meth:`view` as often as it is shown.
@@ -406,7 +403,7 @@ class Feed:
         self._on_contact = on_contact
         self.watch = Watch()  # that is fed
         # Zenoh's thread appends, the reader pops; without a reader the oldest go.
-        self._waiting: deque[Received] = deque(maxlen=_KEPT)
+        self._waiting: deque[Received] = deque(maxlen=20_000)
         self._alive = False
         link.watch_tokens(SERVICE_TOKEN, self._token)
         link.subscribe(SERVICE_STATUS, self._receive, history=True)

@@ -18,13 +18,8 @@ from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ServoSample
 
-# How long feet are stopped, s, and how much later than its end a stop may be reported.
+# How long feet are stopped, s.
 STOPS_S: Final = (0.06, 0.2)
-LATE_S: Final = 0.06
-# The share of a recording that is held out, its last part.
-HELD_OUT: Final = 1.0 / 3.0
-# Numbers that are left out between two stretches, so that the learner sees a pause.
-_GAP_TICKS: Final = 100
 
 
 class Worth(NamedTuple):
@@ -54,7 +49,7 @@ def split(stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
 
     A stretch on the border is cut in two.
     """
-    left = round((1.0 - HELD_OUT) * sum(len(stretch.swing) for stretch in stretches))
+    left = round(2.0 / 3.0 * sum(len(stretch.swing) for stretch in stretches))
     first, last = [], []
     for stretch in stretches:
         n = len(stretch.swing)
@@ -99,7 +94,7 @@ def _of_leg(robot: Robot, leg: Leg, baseline: Baseline, stretches: Sequence[Stre
     learner = ContactLearner(robot, leg.id, baseline)
     draw = np.random.default_rng(len(stretches))
     stops = {length: [0, 0] for length in STOPS_S}
-    late = round(LATE_S / robot.period_s)
+    late = round(0.06 / robot.period_s)  # ticks after its end in which a stop may be reported
     false = free_swings = tick = 0
     for stretch in stretches:
         measured, until = stretch.measured.copy(), np.zeros(len(stretch.swing), dtype=np.int64)
@@ -133,7 +128,7 @@ def _of_leg(robot: Robot, leg: Leg, baseline: Baseline, stretches: Sequence[Stre
                 stops[pending.pop(int(until[k]))][0] += 1
             else:
                 false += bool(touched_nothing[k])
-        tick += len(measured) + _GAP_TICKS
+        tick += len(measured) + 100  # a pause, for the learner
     return Worth({s: (found, total) for s, (found, total) in stops.items()}, false, free_swings)
 
 

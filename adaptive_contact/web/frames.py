@@ -35,9 +35,6 @@ from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, Leg
 _MOST_WAITING: Final = 1024
 # Text of the wire that is shown: notes are a line, and nothing stops a stranger's from being long.
 _MOST_TEXT: Final = 600
-# Of an outline: what is more, or further off, is no leg.
-_MOST_PLACES: Final = 32
-_MOST_M: Final = 100.0
 
 
 class Frames:
@@ -74,9 +71,9 @@ class Frames:
         if not rows:
             return
         self._follow(trace.leg, rows[-1][0], now_ns)
-        outline = trace.places_m[:_MOST_PLACES]
+        outline = trace.places_m[:32]  # what is more, or 100 m off, is no leg
         places = [value for place in outline for value in place[:2]]
-        if len(places) == 2 * len(outline) and all(abs(value) < _MOST_M for value in places):
+        if len(places) == 2 * len(outline) and all(abs(value) < 100.0 for value in places):
             self._places[trace.leg] = [round(value * 1e3) for value in places]
         ticks = self._ticks.setdefault(trace.leg, [])
         # A tick further ahead of its arrival, or longer ago, is none: nothing after it could be

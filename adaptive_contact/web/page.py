@@ -30,15 +30,9 @@ from adaptive_contact.web.server import Site, WebSettings
 from adaptive_contact.wire import LegTrace, ModelReport, Rejected, decode, model_key
 
 FRAME_S: Final = 0.1
-# The table of legs is looked at every so many frames, as its figures come once a second, and at
-# once where a leg is not known any more.
-_TABLE_FRAMES: Final = 3
-_ASK_S: Final = 0.5
 # Legs whose samples come, and no answer for so many questions: the service knows no such question.
 _UNANSWERED: Final = 30
 _END_S: Final = 2.0
-# How often a page that is served looks whether it is to end.
-_LOOK_S: Final = 0.2
 
 
 class LivePage:
@@ -99,7 +93,7 @@ class LivePage:
 
     def wait(self, until: threading.Event | None = None) -> None:
         """Wait for an event or the end of the page; what failed in one of its threads is raised."""
-        while not self._stop.wait(_LOOK_S) and not (until and until.is_set()):
+        while not self._stop.wait(0.2) and not (until and until.is_set()):
             pass
         if self._fault is not None:
             raise self._fault
@@ -197,7 +191,7 @@ class LivePage:
         if self._link is None:
             return None
         try:
-            replies = self._link.query(model_key(leg), timeout_s=_ASK_S)
+            replies = self._link.query(model_key(leg), timeout_s=0.5)
         except LinkError:
             return None
         for reply in replies:
@@ -225,7 +219,8 @@ class LivePage:
                 self._frames.trace(*self._traces.popleft())
             table, before = None, unknown
             unknown = [] if view is None else [leg.leg for leg in view.legs if leg.contact is None]
-            if count % _TABLE_FRAMES == 0 or unknown != before:
+            # Figures of the table come once a second; that a leg is not known is shown at once.
+            if count % 3 == 0 or unknown != before:
                 statuses = {} if feed is None else feed.watch.statuses()
                 table = self._table.encode(
                     view,

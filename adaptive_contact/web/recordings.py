@@ -22,8 +22,6 @@ from adaptive_contact.wire import MARK, MSGPACK, Mark, encode
 _KEY: Final = "robot/**"
 # A page that is left alone fills no disk: six legs at 50 Hz write some 100 MB in this time.
 _LONGEST_S: Final = 3600.0
-_LEAST_FREE_BYTES: Final = 500_000_000
-_MOST_LABEL: Final = 80
 
 
 class Recordings:
@@ -90,7 +88,7 @@ class Recordings:
         recorder = self._recorder
         if recorder is None or not self._running:
             raise RecordingError("nothing is being recorded")
-        mark = Mark(t_ns=t_ns, label=printable(label[:_MOST_LABEL]))
+        mark = Mark(t_ns=t_ns, label=printable(label[:80]))
         recorder.put(MARK, encode(mark), MSGPACK)
 
     def state(self) -> dict[str, Any]:
@@ -113,7 +111,7 @@ class Recordings:
 
     def _check_room(self) -> None:
         """Raise RecordingError where the disk is nearly full."""
-        if shutil.disk_usage(self._folder).free < _LEAST_FREE_BYTES:
+        if shutil.disk_usage(self._folder).free < 500_000_000:
             raise RecordingError("less than 0.5 GB is free in the folder; make room first")
 
     def _run(self, writer: RecordingWriter, recorder: Recorder) -> None:

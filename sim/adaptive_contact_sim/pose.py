@@ -79,10 +79,6 @@ PERIOD_S: Final = 0.02
 _TURN_TICKS: Final = 40
 
 
-# How near to its points a leg whose posture varies comes, or another trial is drawn.
-_NEAR_M: Final = 1e-3
-
-
 @dataclass(frozen=True)
 class PoseSettings:
     """What the moving leg does."""
@@ -352,7 +348,8 @@ class PoseMotion:
             points, joints = np.concatenate([up_points, down_points]), np.concatenate([up, fall])
             if rest is None and self._geometry.reachable(points).all():
                 break
-            if rest is not None and np.abs(self._geometry.feet(joints) - points).max() < _NEAR_M:
+            # How near to its points a leg whose posture varies comes, or another trial is drawn.
+            if rest is not None and np.abs(self._geometry.feet(joints) - points).max() < 1e-3:
                 break
         self._rest = below
         hold = self.settings.hold_ticks

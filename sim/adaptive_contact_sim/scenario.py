@@ -157,8 +157,19 @@ def _time(when: str, text: str) -> float:
 
 T = TypeVar("T")
 
-_TABLES = ("pose", "walk", "terrain", "encoder")
-_TOP = ("about", "mode", "robot", "seconds", "seed", "robot_seed", "drift", *_TABLES)
+_TOP = (
+    "about",
+    "mode",
+    "robot",
+    "seconds",
+    "seed",
+    "robot_seed",
+    "drift",
+    "pose",
+    "walk",
+    "terrain",
+    "encoder",
+)
 
 
 @dataclass(frozen=True)

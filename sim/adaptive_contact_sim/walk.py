@@ -39,7 +39,6 @@ _HEIGHT_GAIN: Final = 3.0
 _LEVEL_GAIN: Final = 4.0
 _SHARE_GAIN: Final = 2.0  # of the difference between a foot's load and the mean
 _FOOT_RANGE_M: Final = 0.05  # how far stance feet may leave the nominal height
-_LETS_GO_S: Final = 0.1  # from a swing's begin; until then a foot may still leave the ground
 
 
 @dataclass(frozen=True)
@@ -298,7 +297,8 @@ class WalkMotion:
             swings.target_m[leg, 2] = floor - rng.uniform(*settings.depth_m)
             swings.began_step[leg] = world.step
             self._begun_again[leg] = 0.0
-            self._lifted_tick[leg] = world.tick + round(_LETS_GO_S / self._period_s)
+            # Until then a foot may still leave the ground.
+            self._lifted_tick[leg] = world.tick + round(0.1 / self._period_s)
 
     def _expected_ground(self, world: World, measured: Array) -> _Ground:
         """The level plane through the middle of the feet that stand; of a plan, where it has it."""

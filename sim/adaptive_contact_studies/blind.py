@@ -28,11 +28,6 @@ from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 # By which a leg lifts higher that struck something, m, in walks that detect it.
 RAISE_M: Final = 0.04
-# A touch's force is the largest within this time from its onset.
-_IMPACT_S: Final = 0.1
-# A swing was stopped in the air if nothing pressed on the leg for this long before.
-_AIR_S: Final = 0.1
-_AIR_N: Final = 0.5
 PHASES: Final = ("before", "after")
 
 
@@ -116,9 +111,10 @@ def walked(_: Work, walk: Walk) -> Trace:
             if change.contact:
                 onset[max(change.step - 1, 0) // plant.substeps, change.leg] = True
     began = swing & ~np.vstack([swing[:1], swing[:-1]])
-    air = round(_AIR_S / settings.period_s)
+    # A swing was stopped in the air if nothing pressed on the leg for 0.1 s before.
+    air = round(0.1 / settings.period_s)
     stops = np.argwhere(stopped)
-    in_air = [k for k, leg in stops if force[max(k - air, 0) : k, leg].max() <= _AIR_N]
+    in_air = [k for k, leg in stops if force[max(k - air, 0) : k, leg].max() <= 0.5]
     return Trace(
         settings.period_s, tilt, place, work, force,
         swings=np.argwhere(began)[:, 0], stops=stops[:, 0], in_air=np.array(in_air, dtype=np.int64),
@@ -154,7 +150,8 @@ def figures(trace: Trace, begin_s: float, end_s: float) -> Figures:
     """Figures of a stretch of a walk."""
     begin, end = (round(at / trace.period_s) for at in (begin_s, end_s))
     tilt = trace.tilt_deg[begin:end]
-    impact = round(_IMPACT_S / trace.period_s)
+    # A touch's force is the largest within this time from its onset.
+    impact = round(0.1 / trace.period_s)
     inside = (trace.touches[:, 0] >= begin) & (trace.touches[:, 0] < end)
     peaks = [trace.force_n[k : k + impact, leg].max() for k, leg in trace.touches[inside]]
     swings, stopped, in_air = (

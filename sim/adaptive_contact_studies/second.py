@@ -50,7 +50,6 @@ _WALKS: Final[tuple[tuple[str, str, Kind], ...]] = (
     ("quadruped", "trot-planned", "rough"),
     ("arm", "steps", "none"),
 )
-_PLATES: Final = 0.6
 _DRIFTS: Final[tuple[Drift, ...]] = ("friction", "joint", "supply", "play", "mass")
 _FREE_SEED: Final = 1000  # further on: baselines are fitted to other runs
 _HUNG_SWINGS: Final = 60  # after which a leg that hangs has to be silent
@@ -79,7 +78,7 @@ class Trial:
         return Plan(
             self.robot, GAITS[self.gait], Ground(self.ground), self.seconds, self.seed,
             self.seed % _FREE_SEED,
-            plates=_PLATES if self.robot == "arm" else 0.0,
+            plates=0.6 if self.robot == "arm" else 0.0,
             drift=None if self.drift is None else (self.drift, self.seconds / 3.0),
             twins=not self.hangs,
         )  # fmt: skip

@@ -35,7 +35,6 @@ from adaptive_contact_sim.arrays import Run
 from adaptive_contact_sim.scenario import parse_drift
 from adaptive_contact_studies.evaluate import samples_of
 
-_SECONDS: Final = 60.0
 # robot, gait, ground; those of the second engine begin with its name
 _WALKS: Final = (
     "hexapod tripod rough", "hexapod ripple flat", "hexapod tripod soft", "hexapod wave steps",
@@ -256,7 +255,7 @@ def main(arguments: list[str]) -> int:
     if arguments and not arguments[0].replace(".", "", 1).isdigit():
         print(f"expected [SECONDS [WALK ...]], found {arguments[0]}", file=sys.stderr)
         return 2
-    seconds = float(arguments[0]) if arguments else _SECONDS
+    seconds = float(arguments[0]) if arguments else 60.0
     wanted = [walk for walk in (*_WALKS, *_HUNG) if not arguments[1:] or walk in arguments[1:]]
     legs: list[Leg] = []
     for seed, walk in enumerate(wanted, start=21):

@@ -29,9 +29,6 @@ _log = structlog.get_logger()
 SAVE_PERIOD_S: Final = 10.0
 # A write that takes this long is not slow, the disk does not answer.
 HANGS_S: Final = 10.0
-# A memory card or a busy disk takes seconds for one file, now and then; one that hangs must not
-# hold the end up until the service is killed (TimeoutStopSec, 10 s).
-_END_S: Final = 4.0
 # Refusals listed in ServiceStatus; more than a robot has legs would not fit its 4 kB.
 _MOST: Final = 4
 _ERROR_LINE: Final = 320
@@ -196,7 +193,9 @@ class StateKeeper:
                 lambda: not self._waiting and self._under_way is None, timeout_s
             )
 
-    def close(self, timeout_s: float = _END_S) -> None:
+    # A memory card takes seconds for one file, now and then; a disk that hangs must not hold the end
+    # up until the service is killed (TimeoutStopSec, 10 s).
+    def close(self, timeout_s: float = 4.0) -> None:
         """Write what waits, as far as time allows, and unlock the folder."""
         if not self.flush(timeout_s):
             with self._changed:

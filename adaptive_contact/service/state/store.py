@@ -31,7 +31,6 @@ NEWEST: Final = ".state"
 BEFORE: Final = ".before"
 REFUSED: Final = ".refused"
 _NEW: Final = ".new"
-_OLD: Final = ".old"
 _LOCK: Final = "lock"
 _SAFE: Final = os.O_NOFOLLOW | os.O_CLOEXEC
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z")
@@ -194,7 +193,7 @@ def is_of_leg(path: Path, leg: str) -> bool:
 
 def list_rest(root: Path) -> list[Path]:
     """List what killed saves have left; ``.old``, of earlier versions, is a whole state."""
-    return sorted(path for path in root.glob("*/*") if path.suffix in (_NEW, _OLD))
+    return sorted(path for path in root.glob("*/*") if path.suffix in (_NEW, ".old"))
 
 
 def robot_folder(root: Path, robot: str) -> Path:

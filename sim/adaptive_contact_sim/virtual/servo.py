@@ -41,9 +41,7 @@ _READ_ONLY: Final = (
 )
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
-_MOST_HOMING: Final = 1024  # of position mode; more is ignored
 _MOST_STEPS: Final = 1_048_575  # of a goal in the extended modes
-_MULTI_TURN_STEPS: Final = 28_672  # of an MX servo's goal
 _BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 _BAUDS320: Final = _BAUDS2[:4]
 _BAUDS_FEETECH: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
@@ -247,7 +245,7 @@ class VirtualServo:
     def goals(self) -> tuple[int, int]:
         """Goals that are taken."""
         if self._multi_turn:
-            most = _MULTI_TURN_STEPS if self.model.compact else _MOST_STEPS
+            most = 28_672 if self.model.compact else _MOST_STEPS
             return -most, most
         if not self._follows:  # the register is kept, and means nothing
             return -_MOST_STEPS, _MOST_STEPS
@@ -361,8 +359,8 @@ class VirtualServo:
                 return 0, 1, sign
             return self.value("multi_turn_offset"), max(self.value("resolution_divider"), 1), sign
         homing = self.value("homing_offset")
-        if self.value("operating_mode") == _POSITION and abs(homing) > _MOST_HOMING:
-            homing = 0
+        if self.value("operating_mode") == _POSITION and abs(homing) > 1024:
+            homing = 0  # ignored there
         return homing, 1, sign
 
     def _settle_turns(self, *, fresh: bool = False) -> None:

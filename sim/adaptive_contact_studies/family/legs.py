@@ -52,11 +52,9 @@ _QUANTA_RAD: Final = (
 _HEIGHT_M: Final = 1.0
 _SOLE_M: Final = 0.008
 _PARKED_M: Final = (0.0, 0.0, -5.0)
-_NEAR_M: Final = 2e-3
 _ABSURD_RAD_S: Final = 200.0
 # Physics steps of about so long.
 _STEP_S: Final = 0.001
-_SETTLE_S: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +288,7 @@ class _Plan:
             up, far = self._reach(top, self._q)
             down, further = self._reach(low, up)
             most = max(np.abs(up - self._q).max(), np.abs(down - up).max())
-            if max(far, further) < _NEAR_M * 10 and most < 0.75 * fastest:
+            if max(far, further) < 0.02 and most < 0.75 * fastest:
                 return up, down
         return leg.rest_rad + rng.uniform(-0.2, 0.2, len(leg.rest_rad)), leg.rest_rad.copy()
 
@@ -370,7 +368,7 @@ def _play(leg: DrawnLeg, plan: _Plan, rng: np.random.Generator) -> Run:
     onsets: list[Onset] = []
     releases: list[int] = []
     bank.write_goal(desired[0])
-    for _ in range(round(_SETTLE_S / model.opt.timestep)):
+    for _ in range(round(0.5 / model.opt.timestep)):
         drive()
         mujoco.mj_step(model, data)
         bank.rub()

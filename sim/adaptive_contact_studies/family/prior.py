@@ -32,7 +32,6 @@ from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 _SWINGS: Final = 60
-_ROUNDS: Final = 40
 
 
 @dataclass(eq=False)
@@ -83,7 +82,7 @@ def maximise(joints: Sequence[JointRows]) -> FamilyFile:
     mean, covariance = np.zeros((own, len(joints[0].z))), 0.3 * np.eye(own)
     common, others = np.array([0.1, 0.1]), np.full(2 * len(OTHERS), 0.05)  # deviations
     z = np.array([joint.z for joint in joints])
-    for _ in range(_ROUNDS):
+    for _ in range(40):
         at = np.zeros((len(joints), own))
         spread = np.zeros((own, own))
         of_common, of_others = np.zeros((2, 2)), np.zeros((len(others), 2))

@@ -37,8 +37,6 @@ from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.work import SIMULATOR, Work, rests_on
 
 TICK_NS: Final = 20_000_000
-# Ways drawn in vain before one is bent: the acceptance elsewhere is above a tenth.
-_TRIES: Final = 500
 
 
 class PatientGeometry(LegGeometry):
@@ -50,7 +48,8 @@ class PatientGeometry(LegGeometry):
         """Return which points are in reach; after :data:`_TRIES` refusals in a row, all are."""
         inside = super().reachable(points_m)
         self._refused = 0 if inside.all() else self._refused + 1
-        if self._refused > _TRIES:
+        # Ways drawn in vain before one is bent: the acceptance elsewhere is above a tenth.
+        if self._refused > 500:
             self._refused = 0
             return np.ones_like(inside)
         return inside

@@ -40,8 +40,6 @@ from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 FACTORS: Final = np.geomspace(1e-3, 10.0, 61)
 AIM: Final = 45  # where the factor is 1
 DEFAULT: Final = "default"
-# Runs of a hung-up robot, of six streams each, that are evaluated side by side.
-_RUNS_TOGETHER: Final = 3
 _SOURCES: Final = (
     *(*SIMULATOR, *LEARNER, "adaptive_contact_studies.paper.data"),
     *("adaptive_contact_studies.paper.detectors", "adaptive_contact_studies.paper.rows"),
@@ -127,7 +125,7 @@ def jobs_of(plan: Plan, pieces: Sequence[Piece]) -> list[Job]:
         if isinstance(piece.settings, GantrySettings):
             known = runs.setdefault(piece.leg_run.robot_seed, {})
             run = known.setdefault(repr(piece.settings), len(known))
-            name = f"{piece.role} {piece.leg_run.robot_seed} {run // _RUNS_TOGETHER}"
+            name = f"{piece.role} {piece.leg_run.robot_seed} {run // 3}"  # three runs of six streams side by side
         groups.setdefault(name, []).append(piece)
     return [Job(plan, tuple(group)) for group in groups.values()]
 

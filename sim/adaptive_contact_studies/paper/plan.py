@@ -20,8 +20,6 @@ from adaptive_contact_sim.simulation import SimulationSettings
 # `stand` as in the paper), collisions.
 Role = Literal["train", "tune", "free", "stand", "touch"]
 
-# Ticks of a trial in pose: ascent, descent, hold.
-_TRIAL_TICKS: Final = 23
 # Soft ground: foam, turf, packed soil under a foot of 8 mm radius (assumed range of the simulator).
 STIFFNESS_N_M: Final = (300.0, 1000.0, 3000.0)
 # Seeds by role: ranges that cannot meet.
@@ -34,10 +32,6 @@ _SEEDS: Final = {
 }
 # Those of the paper's dataset, below all others.
 _PAPER_SEEDS: Final = {"train": 100_000, "tune": 200_000}
-# The paper's segments simulated at a time, and the ticks before the first of them: the leg rises
-# from standing.
-_PART_SEGMENTS: Final = 500
-_STANDING_TICKS: Final = 50
 
 
 @dataclass(frozen=True)
@@ -141,7 +135,7 @@ class Plan:
         leg_run = LegRun(self.robots[0], "rf")
         motion = PoseSettings(legs=(leg_run.leg,), workspace="paper")
         trials = segments // 2
-        parts = max(1, round(segments / _PART_SEGMENTS))
+        parts = max(1, round(segments / 500))  # simulated at a time
         found = []
         for part in range(parts):
             own = trials * (part + 1) // parts - trials * part // parts
@@ -150,7 +144,8 @@ class Plan:
                 seed=_PAPER_SEEDS[role] + 1000 * self.seed + part,
                 robot_seed=leg_run.robot_seed,
             )
-            ticks = own * _TRIAL_TICKS + _STANDING_TICKS
+            # A trial in pose is ascent, descent and hold; before the first, the leg rises.
+            ticks = own * 23 + 50
             found.append(Piece(leg_run, role, "paper", ticks * PERIOD_S, settings))
         return found
 

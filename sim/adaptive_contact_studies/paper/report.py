@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 JOINTS: Final = ("coxa", "femur", "tibia")
-JOINT_COLOURS: Final = (BLUE, ORANGE, GREEN)
 # Shown at about the size they are drawn at: no smaller than 9 points.
 _STYLE: Final[Any] = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
 _LOOKS: Final = {
@@ -193,7 +192,7 @@ def _sweep(figure: Figure, data: Any) -> None:
             above.semilogx(lam, values, color=colour, ls=style, marker=mark, ms=3.5, label=name)
         window, norm = sweep["window"], ", normalised" if sweep["normalised"] else ""
         above.set(ylim=(0.7, 1.02), title=f"{sweep['unit']}{norm}\nN={window['past_measured']}")
-        for joint, colour in enumerate(JOINT_COLOURS):
+        for joint, colour in enumerate((BLUE, ORANGE, GREEN)):
             errors = [p["test"]["over_floor"][joint] for p in points]
             middle.loglog(lam, errors, color=colour, label=JOINTS[joint])
             below.loglog(lam, [p["terms"][joint] for p in points], color=colour)

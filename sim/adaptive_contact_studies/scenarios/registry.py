@@ -369,8 +369,6 @@ def steady(sizes: Sizes) -> list[Scenario]:
 
 QUADRUPED: Final = "quadruped12"
 LEG: Final = "leg5"
-# Share of descents under which a plate is to come; it does under about half of them.
-_PLATES: Final = 0.65
 _RUBS: Final = What("friction", 4.0)
 
 
@@ -404,7 +402,7 @@ def _runs(
     else:
         assert isinstance(motion, PoseSettings)
         cycle_s = (2 * motion.segment_ticks + motion.hold_ticks) * settings.period_s
-        plates = replace(motion.obstacles, probability=_PLATES)
+        plates = replace(motion.obstacles, probability=0.65)  # one comes under half of the descents
         settings = replace(settings, motion=replace(motion, obstacles=plates))
     legs = simulated_robot(name).layout.legs
     first = sizes.first_seed + {QUADRUPED: 600, LEG: 700}[name] + (50 if gait == "walk" else 0)
