@@ -117,7 +117,7 @@ def find_servos(
     """
     feetech_only = find_spec("scservo_sdk") and not find_spec("dynamixel_sdk")
     # Feetech's answer the pings of protocol 1, and say what they are; protocol 1's answer theirs.
-    protocols = ("sts",) if feetech_only else (1, 2)
+    protocols: tuple[Protocol, ...] = ("sts",) if feetech_only else (1, 2)
     places: list[Place] = [(baud, protocol) for baud in bauds for protocol in protocols]
     found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
     if found is None:

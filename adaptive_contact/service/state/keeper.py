@@ -193,7 +193,7 @@ class StateKeeper:
                 lambda: not self._waiting and self._under_way is None, timeout_s
             )
 
-    # A memory card takes seconds for one file, now and then; a disk that hangs must not hold the end
+    # A memory card takes seconds for a file, now and then; a disk that hangs must not hold the end
     # up until the service is killed (TimeoutStopSec, 10 s).
     def close(self, timeout_s: float = 4.0) -> None:
         """Write what waits, as far as time allows, and unlock the folder."""

@@ -125,7 +125,8 @@ def jobs_of(plan: Plan, pieces: Sequence[Piece]) -> list[Job]:
         if isinstance(piece.settings, GantrySettings):
             known = runs.setdefault(piece.leg_run.robot_seed, {})
             run = known.setdefault(repr(piece.settings), len(known))
-            name = f"{piece.role} {piece.leg_run.robot_seed} {run // 3}"  # three runs of six streams side by side
+            # Three runs of six streams are evaluated side by side.
+            name = f"{piece.role} {piece.leg_run.robot_seed} {run // 3}"
         groups.setdefault(name, []).append(piece)
     return [Job(plan, tuple(group)) for group in groups.values()]
 
