@@ -24,7 +24,7 @@ import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
@@ -211,9 +211,6 @@ def _explain(name: str, device: str, error: OSError) -> str:
     return f"port {name}: {device} cannot be opened ({error}); check the adapter"
 
 
-_PROCESSES: Final = Path("/proc")
-
-
 class _Device(NamedTuple):
     number: int
     # File system of a pseudo-terminal.  A node of any other device is the same device in every one.
@@ -232,12 +229,11 @@ def holders(device: str) -> dict[int, str]:
     if wanted is None:
         return {}
     found = {}
-    for process in _PROCESSES.iterdir():
+    for process in Path("/proc").iterdir():
         if not process.name.isdigit() or int(process.name) == os.getpid():
             continue
         if any(_device(file) == wanted for file in _files(process)) and not (
-            wanted.within is not None
-            and _has_other_end(process, os.path.realpath(device), wanted.within)
+            wanted.within is not None and _has_other_end(process, os.path.realpath(device))
         ):
             found[int(process.name)] = _name(process)
     return dict(sorted(found.items()))
@@ -270,34 +266,10 @@ def _files(process: Path) -> Iterator[Path]:
         return  # it has ended, or is another user's
 
 
-def _has_other_end(process: Path, device: str, within: int) -> bool:
-    """Return whether a process has the other end of a pseudo-terminal open.
-
-    Linux gives the number of the pair, and the path by which the other end was opened: ``ptmx`` of
-    the ``devpts`` itself, or one beside which that is mounted as ``pts``.
-    """
+def _has_other_end(process: Path, device: str) -> bool:
+    """Return whether a process has the other end of a pseudo-terminal of this number open."""
     index = f"tty-index:\t{PurePosixPath(device).name}"
-    for file in _files(process):
-        if index not in _text(process / "fdinfo" / file.name).splitlines():
-            continue
-        try:
-            opened = PurePosixPath(file.readlink())
-            folders = (opened.parent, opened.parent / "pts")
-            if within in [_file_system(process, folder) for folder in folders]:
-                return True
-        except OSError:  # closed meanwhile
-            continue
-    return False
-
-
-def _file_system(process: Path, folder: PurePosixPath) -> int | None:
-    """Return a folder's file system as that process sees it: containers have their own mounts."""
-    try:
-        here = (process / "ns/mnt").samefile(_PROCESSES / "self/ns/mnt")
-        root = Path("/") if here else process / "root"
-        return (root / folder.relative_to("/")).stat().st_dev
-    except (OSError, ValueError):
-        return None
+    return any(index in _text(process / "fdinfo" / file.name) for file in _files(process))
 
 
 def _text(file: Path) -> str:

@@ -168,9 +168,9 @@ def _insert(config: zenoh.Config, key: str, value: object) -> None:
 def _from_file(path: Path) -> zenoh.Config:
     advice = "give a Zenoh configuration with --zenoh-config (docs/security.md has some)"
     marks = [(mark in b"[{") - (mark in b"]}") for mark in read_file(path, advice)]
-    if max(itertools.accumulate(marks), default=0) > _DEEPEST:
+    if max(itertools.accumulate(marks), default=0) > 64:
         # Zenoh's parser would end the process.
-        raise ConfigurationError(f"{path}: nested more than {_DEEPEST} deep; {advice}")
+        raise ConfigurationError(f"{path}: nested more than 64 deep; {advice}")
     try:
         return zenoh.Config.from_file(path)
     except zenoh.ZError as error:
@@ -306,60 +306,20 @@ def _with_free_port(text: str) -> str:
     return f"{head}:{port}{tail}"
 
 
-# https://spec.json5.org: comments, texts in quotes of either kind, and whatever stands without.
-_TOKEN = re.compile(
-    r"(?P<skipped>(?:\s|\ufeff|//[^\n\r\u2028\u2029]*|/\*.*?\*/)+)"
-    r"|(?P<text>\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*')"
-    r"|(?P<mark>[{}\[\],:])|(?P<word>[^\s\"'{}\[\],:/]+)",
-    re.DOTALL,
-)
-_ESCAPE = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|x([0-9A-Fa-f]{2})|(.))", re.DOTALL)
-# A line that ends in a backslash goes on in the next.
-_SHORT: Final = dict(zip("bfnrtv0\n", ("\b", "\f", "\n", "\r", "\t", "\v", "\0", ""), strict=True))
-_DEEPEST: Final = 64
-
-
 def keys_of(text: str) -> frozenset[str]:
-    """Return the paths of all settings in a JSON5 text, read as JSON with its words as texts.
-
-    Zenoh has checked the file before: what cannot be read has no keys and is not reported.
-
-    Returns:
-        Paths as ``scouting/multicast/enabled``, those of objects included; empty for what is no
-        JSON5 object.
-    """
-    tokens: list[str] = []
-    at = 0
-    while at < len(text):
-        match = _TOKEN.match(text, at)
-        if match is None:
-            return frozenset()
-        at, kind, found = match.end(), match.lastgroup, match.group()
-        if kind == "mark":
-            if found in "}]" and tokens[-1:] == [","]:
-                tokens.pop()
-            tokens.append(found)
-        elif kind != "skipped":
-            plain = _ESCAPE.sub(_unescape, found[1:-1]) if kind == "text" else found
-            tokens.append(json.dumps(plain))
-    try:
-        return frozenset(_paths(json.loads("".join(tokens))))
-    except (ValueError, RecursionError):
+    """Return the keys that a text in JSON5 sets, each as a path: ``transport/link/tx/lease``."""
+    held = zenoh.Config()
+    try:  # any map may stand there, so that Zenoh's own parser reads it
+        held.insert_json5("metadata", text)
+    except zenoh.ZError:
         return frozenset()
+    return frozenset(_paths(json.loads(held.get_json("metadata"))))
 
 
-def _paths(tree: object, at: tuple[str, ...] = ()) -> Iterator[str]:
-    if len(at) > _DEEPEST:
-        raise ValueError("too deep")
-    if isinstance(tree, dict):
-        for key, value in tree.items():
-            yield "/".join((*at, key))
-            yield from _paths(value, (*at, key))
-
-
-def _unescape(match: re.Match[str]) -> str:
-    code = match[1] or match[2]
-    return chr(int(code, 16)) if code else _SHORT.get(match[3], match[3])
+def _paths(tree: object, before: str = "") -> Iterator[str]:
+    for key, value in tree.items() if isinstance(tree, dict) else ():
+        yield before + key
+        yield from _paths(value, f"{before}{key}/")
 
 
 class _CallbackFaults(logging.Handler):

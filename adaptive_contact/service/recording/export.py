@@ -8,14 +8,13 @@ finds how many joints the widest leg has.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
-import io
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from operator import attrgetter
 from pathlib import Path
-from typing import IO, Any, Literal, get_type_hints
+from typing import Literal
 
 import msgspec
 
@@ -25,12 +24,11 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import Recording
 from adaptive_contact.service.recording.scene import Scene
-from adaptive_contact.service.recording.schemas import kind_of_key, parts_of
+from adaptive_contact.service.recording.schemas import kind_of_key
 from adaptive_contact.service.recording.writer import RecordingWriter
 from adaptive_contact.wire import (
     ContactEvent,
     Message,
-    Reject,
     Rejected,
     contact_key,
     decode,
@@ -167,97 +165,30 @@ def _write_bag(
 
 # -- tables ----------------------------------------------------------------------------------------
 
-Row = list[Any]
+# Names of a message's columns, by the path of their value.
+Columns = dict[str, dict[str, None]]
 
 
-class _Columns:
-    """Lays out the table of one message: ``measured_0``, ``drift.level``.
+def _cells(held: object, path: str = "") -> Iterator[tuple[str, str, object]]:
+    """Yield path, column and content of each value: ``drift.level``, ``measured_0``.
 
-    A list of numbers has a column for each place, a struct one for each field; text, maps and lists
-    of those are one column of JSON.
+    A list of numbers has a column for each place, a struct one for each field; text, maps, lists of
+    those, and lists that are longer than any robot's, are one of JSON.
     """
-
-    def __init__(self, kind: type[Message]) -> None:
-        self.width: Counter[str] = Counter()
-        self._fields = [
-            (name, attrgetter(name), form) for name, form in _flat(kind, "") if name != "leg"
-        ]  # the leg is known by the key
-        self._lists = [(name, get) for name, get, form in self._fields if form == "wide"]
-
-    def look(self, message: Message) -> None:
-        """Make room for a message's lists, up to the widest of a robot."""
-        for name, get in self._lists:
-            held = get(message)
-            # Columns of one list; a robot's legs have at most 16 joints.
-            if held is not None and self.width[name] < len(held) <= 64:
-                self.width[name] = len(held)
-
-    @property
-    def names(self) -> Row:
-        names: Row = ["log_time_ns", "key", "leg"]
-        for name, _, form in self._fields:
-            wide = form == "wide"
-            names += [f"{name}_{at}" for at in range(self.width[name])] if wide else [name]
-        return names
-
-    def row(self, record: Record, message: Message) -> Row | None:
-        """Return the values in the order of the columns; None where a list is too long."""
-        row: Row = [
-            record.log_time_ns,
-            record.key,
-            leg_of_key(record.key) or getattr(message, "leg", None),
-        ]
-        for name, get, form in self._fields:
-            try:
-                held = get(message)
-            except AttributeError:  # of a struct that is None
-                held = None
-            if form == "wide":
-                held = held or ()
-                room = self.width[name] - len(held)
-                if room < 0:
-                    return None
-                row.extend(held)
-                row.extend([None] * room)
-            elif form == "json" and held is not None:
-                row.append(msgspec.json.encode(held).decode())
-            else:
-                row.append(held)
-        return row
-
-
-def _flat(
-    struct: type[msgspec.Struct], before: str
-) -> Iterator[tuple[str, Literal["plain", "wide", "json"]]]:
-    """Yield each value's path, and whether it has a column, one for each place, or one of JSON."""
-    hints = get_type_hints(struct)
-    for field in msgspec.structs.fields(struct):
-        name = f"{before}{field.name}"
-        origin, arguments, _ = parts_of(hints[field.name])
-        inner = parts_of(arguments[0])[0] if origin is list else origin
-        if origin is list and inner in (float, int, bool):
-            yield name, "wide"
-        elif origin in (list, dict):
-            yield name, "json"
-        elif isinstance(inner, type) and issubclass(inner, msgspec.Struct):
-            yield from _flat(inner, f"{name}.")
-        else:
-            yield name, "plain"
-
-
-class _CsvTable:
-    def __init__(self, names: Row, file: IO[bytes]) -> None:
-        self._text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-        self._rows = csv.writer(self._text, lineterminator="\n")
-        self._rows.writerow(names)
-
-    def add(self, row: Row) -> None:
-        # A flag is 1 or 0: programs that plot columns do not take words.
-        self._rows.writerow([int(held) if held is True or held is False else held for held in row])
-
-    def close(self) -> None:
-        self._text.flush()
-        self._text.detach()
+    if isinstance(held, msgspec.Struct):
+        for name in held.__struct_fields__:
+            yield from _cells(getattr(held, name), f"{path}.{name}" if path else name)
+    elif not isinstance(held, list | tuple | dict):
+        yield path, path, held
+    elif (
+        not isinstance(held, dict)
+        and len(held) <= 64
+        and all(isinstance(part, int | float) for part in held)
+    ):
+        for at, part in enumerate(held):
+            yield path, f"{path}_{at}", part
+    else:
+        yield path, path, msgspec.json.encode(held).decode()
 
 
 def _known(
@@ -277,12 +208,14 @@ def _known(
 
 
 def _write_tables(recording: Recording, out: Path, exported: Exported) -> None:
-    columns: dict[type[Message], _Columns] = {}
+    columns: dict[type[Message], Columns] = {}
     first = Exported()
     for record, kind, message in _known(recording, first):
-        if kind not in columns:
-            columns[kind] = _Columns(kind)
-        columns[kind].look(message)
+        own = columns.setdefault(kind, {})
+        for place, name, held in _cells(message):
+            of_place = own.setdefault(place, {})
+            if held is not None:
+                of_place[name] = None
         first.count(record)
     if not first.messages:
         raise RecordingError(_nothing(recording, first))
@@ -293,20 +226,28 @@ def _write_tables(recording: Recording, out: Path, exported: Exported) -> None:
             f"{out}: cannot be made ({error.strerror}); give a folder in one that exists"
         ) from error
     with contextlib.ExitStack() as stack:
-        tables: dict[type[Message], _CsvTable] = {}
-        counts: dict[type[Message], int] = dict.fromkeys(columns, 0)
-        for kind, described in columns.items():
+        tables: dict[type[Message], csv.DictWriter[str]] = {}
+        for kind, own in columns.items():
             path = out / f"{kind.__name__}.csv"
-            file = stack.enter_context(whole_file(path, error=RecordingError))
-            tables[kind] = _CsvTable(described.names, file)
+            file = codecs.getwriter("utf-8")(
+                stack.enter_context(whole_file(path, error=RecordingError))
+            )
+            # What was None all the time has a column, too; the leg is known by the key.
+            own["leg"] = {}
+            names = [name for place, of_place in own.items() for name in of_place or (place,)]
+            names = ["log_time_ns", "key", "leg", *(name for name in names if name != "leg")]
+            tables[kind] = csv.DictWriter(file, names, lineterminator="\n")
+            tables[kind].writeheader()
+            exported.files[path] = 0
         for record, kind, message in _known(recording, exported):
-            row = columns[kind].row(record, message)
-            if row is None:
-                exported.left_out[record.key, Reject.WRONG_JOINTS.value] += 1
-                continue
-            tables[kind].add(row)
-            counts[kind] += 1
+            # A flag is 1 or 0: programs that plot columns do not take words.
+            cells = {
+                name: int(held) if isinstance(held, bool) else held
+                for _, name, held in _cells(message)
+                if held is not None
+            }
+            leg = leg_of_key(record.key) or cells.get("leg")
+            where = {"log_time_ns": record.log_time_ns, "key": record.key, "leg": leg}
+            tables[kind].writerow(cells | where)
+            exported.files[out / f"{kind.__name__}.csv"] += 1
             exported.count(record)
-        for kind, table in tables.items():
-            table.close()
-            exported.files[out / f"{kind.__name__}.csv"] = counts[kind]
