@@ -143,7 +143,7 @@ def _refitting() -> Iterator[subprocess.Popen[bytes] | None]:
     process = None
     if cores() > 1:
         with contextlib.suppress(OSError):  # no room for it now; the first job tries again
-            process = start_process(hurry=True)
+            process = start_process()
     try:
         yield process
     finally:

@@ -23,9 +23,7 @@ from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult
 from adaptive_contact.service.refit_process import (
     end_process,
-    read_frame,
     start_process,
-    write_frame,
 )
 
 _log = structlog.get_logger()
@@ -116,26 +114,25 @@ class ProcessRefitter:
         self._end_process()
 
     def _do(self, job: Job) -> object:
-        frame = pickle.dumps(job)
         for _ in range(_TRIES):
             if self._ending:
                 break
-            answer = self._exchange(frame)
-            if answer is not None:
-                return pickle.loads(answer)
-            self._end_process()
+            try:
+                return self._exchange(job)
+            except (EOFError, BrokenPipeError, pickle.UnpicklingError):  # it died, or was killed
+                self._end_process()
         self.failures += 1
         if not self._ending:
             _log.warning("refit given up", leg=job.leg, job=job.number)
         return result_of_lost(job)
 
-    def _exchange(self, frame: bytes) -> bytes | None:
-        """Send a job and read its result; None where the process died or took too long."""
+    def _exchange(self, job: Job) -> object:
+        """Send a job and read its result."""
         process = self._process
         if process is None:
             process = self._process = start_process()
         if self._ending:  # `close` may have looked for a process before there was this one
-            return None
+            raise EOFError
         assert process.stdin is not None
         assert process.stdout is not None
         # A process that hangs takes no more of a job than the pipe holds (64 kB, a job may have
@@ -144,18 +141,16 @@ class ProcessRefitter:
         deadline.daemon = True
         deadline.start()
         try:
-            write_frame(process.stdin, frame)
-            return read_frame(process.stdout)
-        except OSError:  # it died before it had the whole job
-            return None
+            pickle.dump(job, process.stdin)
+            process.stdin.flush()
+            return pickle.load(process.stdout)
         finally:
             deadline.cancel()
 
     def _end_process(self) -> None:
         process, self._process = self._process, None
-        if process is None:
-            return
-        end_process(process)
+        if process is not None:
+            end_process(process)
 
 
 class WaitingRefitter(ProcessRefitter):
@@ -167,7 +162,7 @@ class WaitingRefitter(ProcessRefitter):
     """
 
     def __init__(self, timeout_s: float = JOB_TIMEOUT_S) -> None:
-        super().__init__(timeout_s, process=start_process(hurry=True, prepared=False))
+        super().__init__(timeout_s, process=start_process(prepared=False))
 
     def collect(self, leg: str, number: int) -> object | None:
         """Return the result of a submitted job, as soon as it is there."""
