@@ -16,10 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
-from rich.console import Group
-from rich.live import Live
 
-from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import (
     ForceOption,
     flatten,
@@ -44,8 +41,6 @@ __all__ = ["demo"]
 
 _OUT: Final = Path("out/demo")
 _MADE: Final = ("demo.mcap", "summary.json", "report.html")
-# Swings take 1.3 s a leg: fewer seconds leave too few of them on either side of the drift.
-_SHORTEST_S: Final = 8.0
 _DRIFTS: Final = (("friction", 4.0), ("mass", 0.06))
 _DRIFT_WORDS: Final = "friction × 4 and 60 g of mud"
 # A start imports numpy, scipy and the models: a second and a half here, more on a small board.
@@ -56,11 +51,10 @@ _START_S: Final = 60.0
 def demo(
     *,
     out: Annotated[Path, option("--out", "Where report and figures go.", "FOLDER")] = _OUT,
+    # Swings take 1.3 s a leg: fewer leave too few of them on either side of the drift.
     seconds: Annotated[
         float,
-        seconds_option(
-            "--seconds", "How long to walk, in real time.", least=_SHORTEST_S, most=3600.0
-        ),
+        seconds_option("--seconds", "How long to walk, in real time.", least=8.0, most=3600.0),
     ] = 60.0,
     seed: Annotated[int, option("--seed", "Seed of the walk.", min=0)] = 0,
     robot: Annotated[
@@ -181,7 +175,7 @@ class _Demo:
             say(f"simulator   process {simulator.pid}, seed {self._seed}")
             simulator.wait_line(re.compile("publishing"), _START_S)
             began_s = time.monotonic()
-            show = stack.enter_context(_Table(self._words))
+            next_s = 0.0
             while simulator.running:
                 if self._stop.wait(0.25):
                     break
@@ -189,7 +183,11 @@ class _Demo:
                     if not other.running:
                         raise other.failure()
                 walked_s = time.monotonic() - began_s
-                show.look(feed.view(time.monotonic_ns()), walked_s)
+                legs = feed.view(time.monotonic_ns()).legs
+                if walked_s >= next_s:
+                    next_s += 5.0
+                    found_of = (f"{leg.leg} {leg.seen or 0}/{leg.touches or 0}" for leg in legs)
+                    say("  ".join((self._words(walked_s), *found_of)))
                 if walked_s > _START_S + 3.0 * self._seconds:
                     raise AdaptiveContactError("this machine is too slow for a walk in real time")
             # What is on its way when the walk ends is worked off and written by then
@@ -271,40 +269,6 @@ class _Demo:
         records = TracedRecords(read_recording(self._recording), robot)
         events = list(replay_events(records, bank, Counts()))
         return bank.traces(records), events
-
-
-class _Table:
-    """Shows what goes on: the table of ``watch``; without a terminal a line every few seconds."""
-
-    _EVERY_S: Final = 5.0
-
-    def __init__(self, words: Any) -> None:
-
-        self._words, self._console, self._next_s = words, table_console(), 0.0
-        self._live = Live(console=self._console, auto_refresh=False)
-
-    def __enter__(self) -> _Table:
-        if self._console.is_terminal:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
-
-    def look(self, view: Any, walked_s: float) -> None:
-        """Redraw the table, or print a line if one is due."""
-        from adaptive_contact.service.watch_table import table
-
-        words = self._words(walked_s)
-        if self._live.is_started:
-            below = table(view, self._console.width, self._console.height - 2)
-            self._live.update(Group(words, below), refresh=True)
-        elif walked_s >= self._next_s:
-            self._next_s += self._EVERY_S
-            say(
-                words
-                + "".join(f"  {leg.leg} {leg.seen or 0}/{leg.touches or 0}" for leg in view.legs)
-            )
 
 
 def _tally(summary: Summary) -> str:

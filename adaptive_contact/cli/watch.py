@@ -102,7 +102,7 @@ def _live(look: Look, stop: threading.Event) -> None:
     console = table_console()
 
     def drawn() -> Group:  # the terminal may change its size
-        return table(look(), console.width, console.height)
+        return table(look(), console.width)
 
     with Live(drawn(), console=console, auto_refresh=False) as live:
         while not stop.wait(_REFRESH_S):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from rich import box
 from rich.cells import cell_len
-from rich.console import Console, Group
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
@@ -28,7 +26,6 @@ _COLOURS: Final[dict[Status, str]] = {
 }
 # Residuals this far above the model's own level are worth a glance, and a look.
 _HIGH, _VERY_HIGH = 1.5, 2.5
-_GAP: Final = "  "  # between columns: padding and the box's own
 
 
 def headline(view: View) -> Text:
@@ -88,62 +85,23 @@ class _Column(NamedTuple):
     right: bool = True
 
 
-def table(view: View, width: int = 160, height: int | None = None) -> Group:
+def table(view: View, width: int = 160) -> Group:
     """Format the service in a line, a row per leg, and the legs' notes under them.
 
     Args:
         view: what is known.
         width: columns of the terminal; columns of the table that do not fit are left out, the least
             important first, and named.
-        height: lines of the terminal, None for any number; legs that do not fit are counted, those
-            that are well before those that are not.
     """
-    head = headline(view)
-    remarks = {leg.leg: _remarks(leg) for leg in view.legs}
-    if height is None:
-        return _drawn(head, view.legs, [], remarks, width)
-    shown = list(view.legs)
-    by_need = sorted(
-        view.legs, key=lambda leg: leg.status == "valid" and not leg.stale and leg.note is None
-    )
-    while True:
-        hidden = [leg for leg in view.legs if leg not in shown]
-        drawn = _drawn(head, shown, hidden, remarks, width)
-        over = _lines(drawn, width) - height
-        if over <= 0 or (not remarks and len(shown) <= 1):
-            return drawn
-        if len(shown) > 1:
-            # Each leg that goes frees a row and its remarks, and the first costs a line.
-            kept = by_need[: max(len(shown) - max(over // 4, 1), 1)]
-            shown = [leg for leg in view.legs if leg in kept]
-        else:
-            remarks = {}
-
-
-def _lines(drawn: Group, width: int) -> int:
-    console = Console(width=width, file=io.StringIO(), legacy_windows=False)
-    return len(console.render_lines(drawn, pad=False))
-
-
-def _drawn(
-    head: Text,
-    legs: Sequence[LegView],
-    hidden: Sequence[LegView],
-    remarks: Mapping[str, Sequence[Text]],
-    width: int,
-) -> Group:
-    columns = _columns(legs)
+    legs, columns = view.legs, _columns(view.legs)
     cells = {column: [column.cell(leg) for leg in legs] for column in columns}
-    widths = {
-        column: max([cell_len(column.name), *(cell_len(cell.plain) for cell in of)])
-        for column, of in cells.items()
-    }
-    room = width + len(_GAP)
+    room = width + 2  # a gap between columns is padding and the box's own
     kept: list[_Column] = []
     for column in sorted(columns, key=lambda column: column.rank):
-        if not kept or widths[column] + len(_GAP) <= room:
+        takes = 2 + max([cell_len(column.name), *(cell.cell_len for cell in cells[column])])
+        if not kept or takes <= room:
             kept.append(column)
-            room -= widths[column] + len(_GAP)
+            room -= takes
     fits = [column for column in columns if column in kept]
     grid = Table(
         box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), expand=False
@@ -154,17 +112,11 @@ def _drawn(
         )
     for i, leg in enumerate(legs):
         grid.add_row(*(cells[column][i] for column in fits), style="dim" if leg.stale else "")
-    below = [line for leg in legs for line in remarks.get(leg.leg, ())]
-    if hidden:
-        counts: Counter[str] = Counter(
-            "silent" if leg.stale else leg.status or "unknown" for leg in hidden
-        )
-        names = "leg" if len(hidden) == 1 else "legs"
-        below.append(Text(f"{len(hidden)} more {names}: {counts_of(counts)}", style="bold yellow"))
+    below = [line for leg in legs for line in _remarks(leg)]
     if len(fits) < len(columns):
         left = ", ".join(column.name for column in columns if column not in fits)
         below.append(Text(f"not shown at {width} columns: {left}", style="dim"))
-    return Group(head, Text(), grid, *([Text(), *below] if below else []))
+    return Group(headline(view), Text(), grid, *([Text(), *below] if below else []))
 
 
 def _columns(legs: Sequence[LegView]) -> list[_Column]:
@@ -175,25 +127,36 @@ def _columns(legs: Sequence[LegView]) -> list[_Column]:
         _Column("status", 2, _status, right=False),
     ]
     if any(leg.p is not None for leg in legs):
-        columns.append(_Column("p", 6, _p))
+        columns.append(_Column("p", 6, lambda leg: _number("{:.2f}", leg.p)))
     if any(leg.changed_s is not None or leg.kind is not None for leg in legs):
         columns.append(_Column("changed", 10, _change, right=False))
-    columns.append(_Column("last contact", 3, lambda leg: _age(leg.contact_age_s)))
+    columns.append(_Column("last contact", 3, lambda leg: _ago(leg.contact_age_s)))
     if any(leg.touches is not None for leg in legs):
         columns += [
-            _Column("latency", 11, _latency),
-            _Column("seen", 4, _seen),
+            _Column(
+                "latency",
+                11,
+                lambda leg: _number("{:.0f} ms ({:.0f})", leg.latency_ms, leg.median_latency_ms),
+            ),
+            _Column("seen", 4, lambda leg: _number("{}/{}", leg.seen, leg.touches or None)),
             _Column("false", 5, _false),
         ]
     return [
         *columns,
-        _Column("residual", 14, _residual),
+        # There is no floor before there is a model.
+        _Column("residual", 14, lambda leg: _number("{:.2f}°", _residual_deg(leg))),
         _Column("× floor", 12, _ratio),
-        _Column("model", 13, _version),
-        _Column("Hz", 9, lambda leg: Text("-" if leg.rate_hz is None else f"{leg.rate_hz:.1f}")),
+        _Column("model", 13, lambda leg: _number("v{}", leg.model_version)),
+        _Column("Hz", 9, lambda leg: _number("{:.1f}", leg.rate_hz)),
         _Column("missed", 7, _lost),
         _Column("rejects", 8, _rejects),
     ]
+
+
+def _number(form: str, *values: float | None) -> Text:
+    """Format numbers; a dash where one of them is not known."""
+    known = None not in values
+    return Text(form.format(*values) if known else "-", style="" if known else "dim")
 
 
 def _remarks(leg: LegView) -> list[Text]:
@@ -231,10 +194,6 @@ def _state(leg: LegView) -> Text:
     return Text("free")
 
 
-def _p(leg: LegView) -> Text:
-    return Text("-", style="dim") if leg.p is None else Text(f"{leg.p:.2f}")
-
-
 def _status(leg: LegView) -> Text:
     if leg.status is None:
         return Text("waiting", style="dim")
@@ -250,31 +209,9 @@ def _change(leg: LegView) -> Text:
     return Text(printable(words)) if words else Text("-", style="dim")
 
 
-def _age(age_s: float | None) -> Text:
-    return Text("-", style="dim") if age_s is None else Text(f"{duration(max(age_s, 0.0))} ago")
-
-
-def _latency(leg: LegView) -> Text:
-    if leg.latency_ms is None or leg.median_latency_ms is None:
-        return Text("-", style="dim")
-    return Text(f"{leg.latency_ms:.0f} ms ({leg.median_latency_ms:.0f})")
-
-
-def _seen(leg: LegView) -> Text:
-    return Text("-", style="dim") if not leg.touches else Text(f"{leg.seen}/{leg.touches}")
-
-
 def _false(leg: LegView) -> Text:
-    if leg.touches is None:
-        return Text("-", style="dim")
-    alarms = leg.false_alarms or 0
-    return Text(str(alarms), style="bold red" if alarms else "green")
-
-
-def _residual(leg: LegView) -> Text:
-    if not any(leg.noise_floor):  # no model yet
-        return Text("-", style="dim")
-    return Text(f"{math.degrees(max(leg.residual_rms)):.2f}°")
+    alarms = leg.false_alarms
+    return Text("-" if alarms is None else str(alarms), style="bold red" if alarms else "green")
 
 
 def _ratio(leg: LegView) -> Text:
@@ -290,8 +227,12 @@ def _ratio(leg: LegView) -> Text:
     return Text(f"{ratio:.1f}", style=style)
 
 
-def _version(leg: LegView) -> Text:
-    return Text("-" if leg.model_version is None else f"v{leg.model_version}")
+def _residual_deg(leg: LegView) -> float | None:
+    return math.degrees(max(leg.residual_rms)) if any(leg.noise_floor) else None
+
+
+def _ago(age_s: float | None) -> Text:
+    return Text("-", style="dim") if age_s is None else Text(f"{duration(max(age_s, 0.0))} ago")
 
 
 def counts_of(counts: Mapping[str, int]) -> str:

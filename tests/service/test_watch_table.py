@@ -41,9 +41,9 @@ LEGS = [
 ]
 
 
-def lines(view: View, width: int, height: int | None = None) -> list[str]:
+def lines(view: View, width: int) -> list[str]:
     out = io.StringIO()
-    Console(width=width, file=out).print(table(view, width, height))
+    Console(width=width, file=out).print(table(view, width))
     return out.getvalue().splitlines()
 
 
@@ -72,18 +72,6 @@ def test_a_row_is_a_line_at_any_width(width: int) -> None:
     if width >= 80:
         for column in ("state", "status", "last contact", "seen", "false", "missed", "rejects"):
             assert column in head
-
-
-@pytest.mark.parametrize("height", [8, 12, 16, 20, 24, 40])
-def test_legs_that_find_no_room_are_counted(height: int) -> None:
-    """Those that are well, before those that are not."""
-    drawn = lines(View(legs=LEGS, alive=True), 80, height)
-    assert len(drawn) <= height
-    rows = [line for line in drawn if re.match(r"leg\d+ ", line)]
-    assert any(line.startswith("leg11 ") for line in rows)
-    hidden = len(LEGS) - len(rows)
-    more = [line for line in drawn if re.match(r"\d+ more legs?: ", line)]
-    assert more == ([f"{hidden} more leg{'s' * (hidden > 1)}: valid {hidden}"] if hidden else [])
 
 
 def test_rows_come_in_the_order_of_the_robot() -> None:
