@@ -31,14 +31,6 @@ from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import MotionSettings, SimulationSettings
 
 _EXAMPLE: Final = "friction:leg=rf,joint=femur,value=4@20s"
-_KEYS: Final = {
-    "leg": str,
-    "joint": str,
-    "value": float,
-    "shape": str,
-    "duration": float,
-    "seed": int,
-}
 
 
 def parse_drift(text: str, layout: Layout = HEXAPOD) -> Injection:
@@ -50,25 +42,29 @@ def parse_drift(text: str, layout: Layout = HEXAPOD) -> Injection:
     Raises:
         ConfigurationError: in one line, what was found and what is expected.
     """
+    where = f"drift '{text}'"
     spec, at, when = text.partition("@")
     kind, colon, rest = spec.partition(":")
-    kind = kind.strip()
-    _known(kind, KINDS, "drift", f"drift '{text}'")
-    fields: dict[str, Any] = {"kind": kind}
+    fields: dict[str, Any] = {"kind": kind.strip()}
     for item in rest.split(",") if colon else []:
         key, equals, value = (part.strip() for part in item.partition("="))
         if not equals or not value:
             raise ConfigurationError(
-                f"drift '{text}': '{item.strip()}' is not KEY=VALUE; expected such as {_EXAMPLE}"
+                f"{where}: '{item.strip()}' is not KEY=VALUE; expected such as {_EXAMPLE}"
             )
-        _known(key, _KEYS, "setting", f"drift '{text}'")
         if key in fields:
-            raise ConfigurationError(f"drift '{text}': {key} is given twice; give it once")
-        fields[key] = _number(key, value, text) if _KEYS[key] is not str else value
+            raise ConfigurationError(f"{where}: {key} is given twice; give it once")
+        fields[key] = value
+    begins_s = seconds_of(when) if at else 0.0
+    if begins_s is None or begins_s < 0.0:
+        raise ConfigurationError(
+            f"{where}: begins at '{when}'; expected a time such as 20s, 500ms or 2min"
+        )
     if "duration" in fields:
-        fields["duration_s"] = fields.pop("duration")
-    begins_s = _time(when, text) if at else 0.0
-    return drift_from(fields, at_s=begins_s, where=f"drift '{text}'", layout=layout)
+        fields["duration_s"] = seconds_of(fields.pop("duration"))
+        if fields["duration_s"] is None:
+            raise ConfigurationError(f"{where}: has no duration that can be read; give {DURATIONS}")
+    return drift_from(fields, at_s=begins_s, where=where, layout=layout, strict=False)
 
 
 def drift_from(
@@ -77,6 +73,7 @@ def drift_from(
     at_s: float | None = None,
     where: str,
     layout: Layout | None = HEXAPOD,
+    strict: bool = True,
 ) -> Injection:
     """Make a drift from named fields, as a table of a scenario file has them.
 
@@ -85,6 +82,7 @@ def drift_from(
         at_s: when it begins.
         where: what to name in errors.
         layout: of the robot; None where only the simulator knows it.
+        strict: numbers are numbers, no text of one.
 
     Raises:
         ConfigurationError: in one line, what was found and what is expected.
@@ -93,7 +91,7 @@ def drift_from(
     start = table.pop("at_s", 0.0) if at_s is None else at_s
     _refuse_unknown(table, (*Drift.__struct_fields__, "at_s"), where)
     if isinstance(table.get("kind"), str):
-        _known(table["kind"], KINDS, "drift", where)
+        _refuse_unknown([table["kind"]], KINDS, where, "no drift")
     if "value" not in table:
         kind = next((k for name, k in KINDS.items() if name == table.get("kind")), None)
         unit = "" if kind is None else f" ({kind.unit}, {kind.low:g} to {kind.high:g})"
@@ -101,7 +99,7 @@ def drift_from(
     if isinstance(start, bool) or not isinstance(start, int | float) or not math.isfinite(start):
         raise ConfigurationError(f"{where}: begins at {start!r}; expected seconds, 0 or later")
     try:
-        drift = msgspec.convert({"v": 1, **table}, Drift, strict=True)
+        drift = msgspec.convert({"v": 1, **table}, Drift, strict=strict)
         check(drift, layout)
     except msgspec.ValidationError as error:
         raise ConfigurationError(f"{where}: {error}; expected such as {_EXAMPLE}") from error
@@ -110,49 +108,14 @@ def drift_from(
     return Injection(drift, float(start))
 
 
-def _known(name: str, known: Iterable[str], what: str, where: str) -> None:
-    names = list(known)
-    if name in names:
-        return
-    hint = did_you_mean(name, names, f"expected one of {', '.join(names)}")
-    raise ConfigurationError(f"{where}: no {what} '{name}'; {hint}")
-
-
 def _refuse_unknown(
-    table: Mapping[str, Any], known: Iterable[str], where: str, what: str = "no setting"
+    given: Iterable[str], known: Iterable[str], where: str, what: str = "no setting"
 ) -> None:
     names = list(known)
-    for name in table:
+    for name in given:
         if name not in names:
             hint = did_you_mean(name, names, f"expected {', '.join(names)}")
             raise ConfigurationError(f"{where}: {what} '{name}'; {hint}")
-
-
-def _number(key: str, value: str, text: str) -> float | int:
-    number: float | int | None
-    if key == "duration":
-        number = seconds_of(value)
-        if number is None:
-            raise ConfigurationError(f"drift '{text}': duration is '{value}'; expected {DURATIONS}")
-        return number
-    whole = _KEYS[key] is int
-    try:
-        number = int(value) if whole else float(value)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        expected = "a whole number" if whole else "a number"
-        raise ConfigurationError(f"drift '{text}': {key} is '{value}'; expected {expected}")
-    return number
-
-
-def _time(when: str, text: str) -> float:
-    seconds = seconds_of(when)
-    if seconds is None or seconds < 0.0:
-        raise ConfigurationError(
-            f"drift '{text}': begins at '{when}'; expected a time such as 20s, 500ms or 2min"
-        )
-    return seconds
 
 
 T = TypeVar("T")
