@@ -172,7 +172,7 @@ class TestSwings:
             *touch(2 * at + 300, 2 * at + 310),
         ]
         outcome = judge(phases * 4, truth, 320, at + 100, at + 320, 2 * at + 100)
-        assert outcome.swings.hits.tolist() == [1, 0, 0, 0]
+        assert outcome.swings.hits.tolist() == [1, 1, 0, 0]
         assert outcome.swings.false_alarms.tolist() == [0, 1, 1, 0]
         assert outcome.swings.errors.tolist() == [0, 1, 2, 0]
         assert judge(phases, truth).swings.misses.tolist() == [1]
