@@ -293,7 +293,9 @@ def test_the_command_over_zenoh(
 ) -> None:
     served = serve()
     client = join(served.endpoint)
-    servo, real = matched(client.publisher(servo_key("rf"))), client.publisher(truth_key("rf"))
+    # A publisher that does not wait drops messages beside other work.
+    servo, real = (client.publisher(key("rf"), reliable=True) for key in (servo_key, truth_key))
+    matched(servo)
     arguments = ("watch", "--connect", served.endpoint, "--once")
     watching = cli(*arguments, "--json", "--seconds", "3", stderr=subprocess.DEVNULL)
     # Until it subscribes there is nobody for the truth; from then on it sees the touches.

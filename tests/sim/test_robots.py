@@ -35,24 +35,6 @@ def quadruped(gait: str, seconds: float) -> Run:
     return record_arrays(settings, seconds)
 
 
-@pytest.mark.parametrize(("gait", "swings", "pace"), [("trot", 50, 0.05), ("walk", 20, 0.02)])
-def test_the_quadruped_walks_and_touches(gait: str, swings: int, pace: float) -> None:
-    seconds = {"trot": 12.0, "walk": 20.0}[gait]
-    run = quadruped(gait, seconds)
-    way = np.linalg.norm(np.diff(run.position_m[::50, :2], axis=0), axis=1).sum()
-    assert way > pace * seconds
-    assert run.position_m[:, 2].min() > 0.12
-    assert np.degrees(np.arccos(run.rotation[:, 2, 2].clip(-1, 1))).max() < 20.0
-    begun = found = touches = 0
-    for stream in run.legs.values():
-        begun += int((np.diff(stream.swing.astype(int)) == 1).sum())
-        found += sum(stream.swing[o.tick] and o.part == "foot" for o in stream.onsets)
-        touches += len([o for o in stream.onsets if o.tick > 100])
-    assert begun > swings
-    assert found > 0.6 * begun
-    assert touches < 1.6 * begun  # few legs come off the ground in their stance
-
-
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.6, 8, 20)])
 def test_the_leg_on_a_stand_meets_plates_only(share: float, least: int, most: int) -> None:
     base = SimulationSettings.of("leg5", "pose")
