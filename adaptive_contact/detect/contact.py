@@ -75,6 +75,14 @@ STRIKE_WAY_M: Final = 0.003
 STRIKE_TICKS: Final = 3
 
 
+# Less than this share of the leg's usual test ratio at a contact is no touch before it has lasted.
+# A trotting quadruped's touches are at 30 times the threshold, jolts by its other feet at up to 3.
+USUAL_SHARE: Final = 0.125
+USUAL_CONTACTS: Final = 8
+USUAL_STEP: Final = 0.1  # of the logarithm of their median, a contact
+LASTING_NS: Final = 60_000_000
+
+
 @compiled
 def context_of(leg, command, before):
     """Compute the context of a tick, from its command and the one before."""
@@ -229,10 +237,32 @@ def swing_tick(leg, score, distance, onset_ns, past_top):
             release(leg, leg.at_ns, score)
         return
     if score <= 1.0:
+        leg.doubtful_n = 0
+        return
+    if leg.doubtful_n == 0:
+        leg.doubtful_ns = onset_ns
+    leg.doubtful_n += 1
+    if past_top and is_doubtful(leg, score):
         return
     leg.contact, leg.calm = True, 0
     leg.found |= DECIDED | TOUCHED
-    leg.onset_ns, leg.score = onset_ns, score
+    leg.onset_ns, leg.score = max(leg.doubtful_ns, onset_ns - LASTING_NS), score
+    leg.doubtful_n = 0
+    leg.usual_n += 1
+    step = max(leg.usual_n**-0.7, USUAL_STEP)
+    first = leg.usual_n == 1
+    leg.usual = score if first else leg.usual * math.exp(step if score > leg.usual else -step)
+
+
+@compiled
+def is_doubtful(leg, score):
+    """Return whether a test ratio is too small for a touch of this leg, and may not last.
+
+    The threshold says how rare free motion is there, and nothing of what a touch is like.  A body
+    that another foot's touch shakes passes it, too.
+    """
+    short = leg.doubtful_n * leg.period_ns < LASTING_NS
+    return leg.usual_n >= USUAL_CONTACTS and score < USUAL_SHARE * leg.usual and short
 
 
 @compiled
@@ -240,6 +270,7 @@ def let_go(leg):
     """Reset the contact state to unknown."""
     leg.release_pending |= leg.reported
     leg.contact, leg.loaded, leg.calm = False, True, 0
+    leg.doubtful_n = 0
 
 
 @compiled
@@ -250,6 +281,7 @@ def begin_labels(leg):
     leg.topped = leg.closed = leg.broken = leg.top_seen = False
     leg.fit_n = leg.fit_before = 0
     leg.push = 0.0
+    leg.doubtful_n = 0
 
 
 @compiled
@@ -295,14 +327,14 @@ def note_hole(leg, rows):
 def note_push(leg, rows):
     """Drop the held rows from the onset of a lasting push.
 
-    A push that no window shows adds up (Page's cumulative sum).  What is not learned of a descent
-    is cheap; a touch that is learned hides the next one.
+    A push that no window shows adds up (Page's cumulative sum), and one that is doubtful may last.
+    What is not learned of a descent is cheap; a touch that is learned hides the next one.
     """
     before = leg.push
     leg.push = max(before + min(leg.opposed, MOST_PUSH) - FREE_PUSH, 0.0)
     if before == 0.0:
         leg.push_ns = leg.at_ns
-    if leg.push <= SURE_PUSH:
+    if leg.push <= SURE_PUSH and not leg.doubtful_n:
         return
     last_ns = leg.push_ns - GUARD_TICKS * leg.period_ns
     while leg.row_n > leg.lift_n and rows[leg.row_n - 1].t_ns > last_ns:

@@ -223,6 +223,10 @@ LEG: Final = np.dtype(
         ("loaded", b1),  # not yet free since the swing began
         ("calm", i4),  # ticks in a row close to free motion
         ("calm_since", i8),  # ns, first of them
+        ("usual", f8),  # median test ratio of contacts, and how many it is of
+        ("usual_n", i4),
+        ("doubtful_n", i4),  # ticks in a row that show less than a touch of this leg does
+        ("doubtful_ns", i8),  # and when that began
         # Labels of the swing in hand.
         ("unresolved", b1),  # the swing is not resolved
         ("lift_n", i4),  # rows of the lift
