@@ -39,7 +39,7 @@ def source(seed: int, swings: int, first: int) -> tuple[np.ndarray, np.ndarray, 
         pytest.param(None, 10**17, 40 * SWING + BROKEN_OFF, 0, id="ahead-counting-on"),
     ],
 )
-@pytest.mark.parametrize("begins", [0, 5, 15, 26])  # stance is from 24 on
+@pytest.mark.parametrize("begins", [5, 26])  # stance is from 24 on
 def test_no_segment_spans_a_restart(
     robot: Robot,
     baseline: Baseline,
