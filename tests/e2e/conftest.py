@@ -7,6 +7,7 @@ tests of the wheel itself are skipped.
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import importlib.util
 import os
 import re
@@ -76,70 +77,88 @@ def _bare_variables() -> dict[str, str]:
     return kept | {"COLUMNS": "200", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def _install(
-    wheel: Path, folder: Path, *, without: tuple[str, ...] = (), compiled: bool = True
-) -> Environment:
-    """A new environment that holds the wheel and this environment's packages, but not its own.
+def _linked(folder: Path, without: tuple[str, ...] = ()) -> str:
+    """A folder with links to this environment's packages, but not to its own.
 
-    The packages are linked, not copied, and their ``.pth`` files left out: through those an
-    editable install of this project would come along.
+    Their ``.pth`` files are left out: through those an editable install of this project would come
+    along.
     """
-    packages = folder / "packages"
-    packages.mkdir(parents=True)
+    folder.mkdir()
     ours = ("adaptive_contact", "__editable__", "_editable")
     for entry in Path(sysconfig.get_paths()["purelib"]).iterdir():
         name = entry.name
         if name.endswith(".pth") or name.startswith(ours):
             continue
         if re.split(r"[.-]", name)[0] not in without:
-            (packages / name).symlink_to(entry)
-    venv = folder / "venv"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", venv], check=True, timeout=600)
-    python = venv / "bin" / "python"
-    pip = [sys.executable, "-m", "pip", "--python", python, "--disable-pip-version-check"]
-    install = [*pip, "install", "--quiet", "--no-deps", "--no-index", wheel]
-    subprocess.run(install, check=True, timeout=600, env=_bare_variables())
-    (site,) = (venv / "lib").glob("python*/site-packages")
-    (site / "linked.pth").write_text(f"{packages}\n", encoding="utf-8")
-    # What it compiles is of no use to any other installation, so none of it stays.
-    cache = {"ADAPTIVE_CONTACT_CACHE": str(folder / "cache")}
-    made = Environment(str(python), _bare_variables() | cache, site)
-    if compiled:  # before a command's time is limited
-        ahead = "from adaptive_contact.bank import compile_ahead; compile_ahead()"
-        assert made.run("-c", ahead, cwd=folder, timeout_s=BUILD_S).returncode == 0
-    return made
+            (folder / name).symlink_to(entry)
+    return str(folder)
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of this source tree."""
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the wheel of this source tree, and an environment that holds it.
+
+    Made and compiled once: the first process of several makes it, and the others wait.
+    """
     if importlib.util.find_spec("hatchling") is None:
         pytest.skip("hatchling is not installed; it comes with the extra 'dev'")
-    out = tmp_path_factory.mktemp("dist")
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", out, ROOT]
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "built"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as one:
+        fcntl.flock(one, fcntl.LOCK_EX)
+        if not (folder / "whole").exists():
+            _build(folder)
+            (folder / "whole").touch()
+    return folder
+
+
+def _build(folder: Path) -> None:
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT]
     done = subprocess.run(build, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    (built,) = out.glob("*.whl")
-    return built
+    venv = [sys.executable, "-m", "venv", "--without-pip", folder / "venv"]
+    subprocess.run(venv, check=True, timeout=600)
+    made = _environment(folder, _linked(folder / "full"))
+    pip = [sys.executable, "-m", "pip", "--python", made.python, "--disable-pip-version-check"]
+    install = [*pip, "install", "--quiet", "--no-deps", "--no-index", *folder.glob("*.whl")]
+    subprocess.run(install, check=True, timeout=600, env=_bare_variables())
+    # Before a command's time is limited.
+    ahead = "from adaptive_contact.bank import compile_ahead; compile_ahead()"
+    assert made.run("-c", ahead, cwd=folder, timeout_s=BUILD_S).returncode == 0
+
+
+def _environment(folder: Path, packages: str) -> Environment:
+    (site,) = (folder / "venv" / "lib").glob("python*/site-packages")
+    # What it compiles is of no use to any other installation, so none of it stays.
+    own = {"ADAPTIVE_CONTACT_CACHE": str(folder / "cache"), "PYTHONPATH": packages}
+    return Environment(str(folder / "venv" / "bin" / "python"), _bare_variables() | own, site)
 
 
 @pytest.fixture(scope="session")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+def wheel(built: Path) -> Path:
+    """The wheel of this source tree."""
+    (found,) = built.glob("*.whl")
+    return found
+
+
+@pytest.fixture(scope="session")
+def installed(built: Path) -> Environment:
     """The wheel with all extras."""
-    return _install(wheel, tmp_path_factory.mktemp("full"))
+    return _environment(built, str(built / "full"))
 
 
 @pytest.fixture(scope="session")
-def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+def bare(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
     """The wheel with its core dependencies only."""
-    return _install(wheel, tmp_path_factory.mktemp("bare"), without=EXTRAS)
+    return _environment(built, _linked(tmp_path_factory.mktemp("bare") / "packages", EXTRAS))
 
 
 @pytest.fixture(scope="session")
-def without_plot(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+def without_plot(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
     """The wheel with every extra but ``plot``."""
     plot = ("matplotlib", "mpl_toolkits", "pylab", "PIL")
-    return _install(wheel, tmp_path_factory.mktemp("without_plot"), without=plot, compiled=False)
+    return _environment(built, _linked(tmp_path_factory.mktemp("plain") / "packages", plot))
 
 
 @pytest.fixture(scope="session")

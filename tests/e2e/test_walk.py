@@ -63,3 +63,67 @@ def test_a_walk_over_rough_ground_is_told_as_it_happens(
     assert set(score["legs"]) == {"lf", "lm", "lr", "rf", "rm", "rr"}
     for leg, figures in score["legs"].items():
         assert figures["counted"]["recall"] >= 0.9, leg
+
+
+# -- A gait that turns to stance as planned, seconds of it, through the real command line
+
+
+def test_feet_that_come_late_are_found(command: Callable[..., str], tmp_path: Path) -> None:
+    """Most of them after the turn, by servos that lag: of what can be seen nearly all."""
+    walk = ["sim", "walk", "--phase", "planned", "--terrain", "rough", "--gait", "ripple"]
+    command(*walk, "--seconds", "40", "--seed", "53", "--offline", "--record", "walk.mcap")
+    command("replay", "walk.mcap", "--events", "events.jsonl")
+    score = json.loads(command("score", "walk.mcap", "--events", "events.jsonl", "--json"))
+    late, after = score["rows"]["late"], score["late_after_turn"]
+    assert after["touches"] >= 50
+    assert late["found"] >= 0.8 * late["touches"]
+    assert after["found"] >= 0.75 * after["touches"]
+    assert after["latency_median_ms"] <= 30.0
+    assert score["false_alarms_after_turn"] <= 1
+    assert score["false_alarms"] <= 2
+    # A controller that acts on them is told what it does.
+    lines = (tmp_path / "events.jsonl").read_text().splitlines()
+    assert any(json.loads(line)["contact"] for line in lines)
+
+
+# -- Files instead of a network: simulate, replay, score, fit, through the real command line
+
+
+SIX = ("lf", "lm", "lr", "rf", "rm", "rr")
+
+
+@pytest.fixture
+def pose(command: Callable[..., str], tmp_path: Path) -> Path:
+    """The paper's set-up for two minutes, half of the descents onto obstacles."""
+    obstacles = ["--leg", "rf", "--obstacles", "0.5", "--workspace", "whole"]
+    run = ["--seconds", "120", "--seed", "11", "--offline", "--record", "pose.mcap"]
+    command("sim", "pose", *obstacles, *run)
+    return tmp_path / "pose.mcap"
+
+
+def test_pose_replay_and_score(command: Callable[..., str], pose: Path, tmp_path: Path) -> None:
+    command("replay", pose, "--events", "one.jsonl")
+    events = (tmp_path / "one.jsonl").read_bytes()
+    assert {json.loads(line)["leg"] for line in events.splitlines()} == {"rf"}
+
+    score = json.loads(command("score", pose, "--events", "one.jsonl", "--json"))
+    assert score["counted"]["touches"] > 60
+    assert score["counted"]["recall"] >= 0.95
+    assert score["rows"]["headline"]["latency_median_ms"] <= 20
+    assert score["false_alarms"] <= 1
+
+
+@pytest.mark.slow
+def test_fit_a_baseline_and_use_it(command: Callable[..., str], tmp_path: Path) -> None:
+    walk = ["sim", "walk", "--offline"]
+    command(*walk, "--seconds", "240", "--seed", "21", "--record", "learn.mcap")
+    told = json.loads(command("fit", "learn.mcap", "-o", "legs.json", "--json"))
+    assert set(told["equations"]) == set(SIX)
+    assert (tmp_path / "legs.json").stat().st_size > 10_000
+
+    command(*walk, "--seconds", "30", "--seed", "22", "--record", "walk.mcap")
+    command("replay", "walk.mcap", "--events", "own.jsonl", "--baseline", "legs.json")
+    score = json.loads(command("score", "walk.mcap", "--events", "own.jsonl", "--json"))
+    # Four minutes do not hold every motion: where they did not, the model must not cry wolf.
+    assert score["counted"]["recall"] >= 0.9
+    assert score["false_alarms"] == 0

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 
-from adaptive_contact import ServoSample
-from adaptive_contact.bank import LearnerBank
+import numpy as np
+
+from adaptive_contact import ContactLearner, ServoSample
+from adaptive_contact.bank import LearnerBank, LegGroup
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.wire import ContactEvent
 
 from .conftest import FakeLeg, samples
 
@@ -47,3 +51,150 @@ def test_every_leg_that_is_described_gets_a_learner_however_many_strangers_came(
     assert all(bank.learner(f"l{n}") is not None for n in range(64))
     assert bank.learner("one-more", 2) is None
     assert len(bank.legs) == 32 + 64
+
+
+# -- Legs that go through time together, against the same legs one by one
+
+
+def test_legs_whose_samples_are_lost_do_not_disturb_the_others(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Gaps, a leg that starts cold beside known ones, one that is taken further on its own."""
+    rng = np.random.default_rng(3)
+    streams = [
+        samples(*FakeLeg(seed=20 + n).run(60, touch=lambda k: 16 if k % 2 else None)[:3])
+        for n in range(4)
+    ]
+    length = min(len(stream) for stream in streams)
+    ticks = [
+        [None if rng.random() < 0.03 else sample for sample in tick]
+        for tick in zip(*(stream[:length] for stream in streams), strict=True)
+    ]
+
+    def learners() -> list[ContactLearner]:
+        known = [ContactLearner(robot, "rf", baseline) for _ in streams[1:]]
+        return [*known, ContactLearner(robot, "rf", None)]
+
+    one_by_one = learners()
+    alone = [
+        [learner.update(sample) for sample in own if sample is not None]
+        for learner, own in zip(one_by_one, zip(*ticks, strict=True), strict=True)
+    ]
+    members = learners()
+    group = LegGroup(members)
+    together: list[list[ContactEvent | None]] = [[] for _ in members]
+    for k, tick in enumerate(ticks):
+        given = list(tick)
+        if k % 100 == 0 and given[0] is not None:  # a service asks one leg by itself
+            together[0].append(members[0].update(given[0]))
+            given[0] = None
+        for own, sample, event in zip(together, given, group.advance(given), strict=True):
+            if sample is not None:
+                own.append(event)
+    for one, many in zip(alone, together, strict=True):
+        assert [e and (e.seq, e.contact) for e in one] == [e and (e.seq, e.contact) for e in many]
+    assert any(event is not None for event in together[0])
+    for a, b in zip(one_by_one, members, strict=True):
+        assert a.model is not None
+        assert b.model is not None
+        np.testing.assert_allclose(a.model.coefficients, b.model.coefficients, rtol=1e-6, atol=1e-9)
+
+
+def test_events_before_learning_change_nothing(robot: Robot, baseline: Baseline) -> None:
+    """A tick's samples in several rounds, learned from when somebody finds the time."""
+    rng = np.random.default_rng(4)
+    streams = [
+        samples(*FakeLeg(seed=30 + n).run(60, touch=lambda k: 16 if k % 2 else None)[:3])
+        for n in range(4)
+    ]
+
+    def learners() -> list[ContactLearner]:
+        # One starts cold: it gets its place in the block while others are judged.
+        return [ContactLearner(robot, "rf", baseline if n else None) for n in range(4)]
+
+    whole, members = learners(), learners()
+    at_once, in_halves = LegGroup(whole), LegGroup(members)
+    heard = 0
+    for tick in zip(*streams, strict=True):
+        expected = at_once.advance(tick)
+        order = rng.permutation(4)
+        cut = int(rng.integers(5))
+        found: list[ContactEvent | None] = [None] * 4
+        for part in (order[:cut], order[cut:]):
+            given = [sample if i in part else None for i, sample in enumerate(tick)]
+            for i, event in enumerate(in_halves.judge(given)):
+                found[i] = event or found[i]
+            if rng.random() < 0.3:
+                in_halves.finish()
+        assert found == expected
+        heard += sum(event is not None for event in found)
+    in_halves.finish()
+    assert heard > 100
+    for a, b in zip(whole, members, strict=True):
+        assert a.status == b.status
+        assert a.model is not None
+        assert b.model is not None
+        np.testing.assert_array_equal(a.model.coefficients, b.model.coefficients)
+
+
+def test_a_leg_that_begins_anew_in_mid_tick_goes_no_further(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """What is left of the tick is of the past that it has given up."""
+    stream = samples(*FakeLeg(seed=40).run(4, touch=lambda n: None)[:3])
+    learner, other = (ContactLearner(robot, "rf", baseline) for _ in range(2))
+    group = LegGroup([learner, other])
+    for sample in stream[:40]:
+        group.advance([sample, sample])
+    group.judge([stream[40], stream[40]])
+    learner.reset_after_fault(RuntimeError("on purpose"))
+    group.finish()
+    begun, known = learner.place, other.place
+    assert (begun.leg.filled, begun.leg.predicted) == (0, False)
+    assert known.leg.filled == known.leg.length
+    for sample in stream[41:80]:
+        group.advance([sample, sample])
+    assert begun.leg.filled == begun.leg.length
+    np.testing.assert_array_equal(begun.window, known.window)
+
+
+def test_no_word_waits_for_what_a_touch_or_a_swing_leaves_to_learn(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Both are found in the first half of a tick, and learned in the second."""
+    stream = samples(*FakeLeg(seed=50).run(16, touch=lambda n: 20 if n % 2 else None)[:3])
+    learner = ContactLearner(robot, "rf", baseline)
+    group = LegGroup([learner])
+    grown = {True: 0, False: 0}  # at touches, and in stance
+    for sample in stream:
+        # Lifts are heard with their tops: what they say of the leg is part of the word on it.
+        before = learner.status.buffer.descent_ticks
+        (event,) = group.judge([sample])
+        # A free foot is awaited in stance, until the next swing of 28 ticks begins.
+        stands = sample.phase == "stance" or sample.seq % 28 == 0
+        if stands or (event is not None and event.contact):
+            assert learner.status.buffer.descent_ticks == before
+            group.finish()
+            grown[not stands] += learner.status.buffer.descent_ticks > before
+        group.finish()
+    assert grown[True] >= 3
+    assert grown[False] >= 3
+
+
+def test_learners_leave_no_garbage_to_collect(robot: Robot, baseline: Baseline) -> None:
+    """The service collects it once a minute only."""
+    streams = [
+        samples(*FakeLeg(seed=60 + n).run(15, touch=lambda k: 20 if k % 2 else None)[:3])
+        for n in range(2)
+    ]
+    group = LegGroup([ContactLearner(robot, "rf", baseline) for _ in streams])
+    ticks = list(zip(*streams, strict=True))
+    group.advance(ticks[0])
+    gc.collect()
+    gc.disable()
+    try:
+        heard = [event for tick in ticks[1:] for event in group.advance(tick) if event is not None]
+        assert len(heard) > 10
+        assert gc.collect() == 0
+    finally:
+        gc.enable()

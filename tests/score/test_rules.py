@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
 
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score import (
@@ -13,10 +16,13 @@ from adaptive_contact.score import (
     Events,
     LegOutcome,
     LegStream,
+    clopper_pearson,
     find_swings,
+    is_harmful,
     lift_by_halves,
     lift_by_height,
     match,
+    poisson_mean,
     summarise,
     truth_changes,
 )
@@ -246,3 +252,82 @@ class TestFigures:
         assert summary.per_hour is None
         assert math.isinf(summary.per_hour_interval.high)
         assert summarise([]).swings == 0
+
+
+# -- Exact intervals against scipy's own tests, and against what they must mean
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 3000), st.integers(0, 3000), st.sampled_from([0.9, 0.95, 0.99]))
+def test_clopper_pearson_equals_scipy(a: int, b: int, confidence: float) -> None:
+    successes, trials = min(a, b), max(a, b, 1)
+    expected = stats.binomtest(successes, trials).proportion_ci(confidence, method="exact")
+    assert clopper_pearson(successes, trials, confidence) == pytest.approx(
+        (expected.low, expected.high), abs=1e-9
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2000))
+def test_poisson_ends_leave_half_of_5_percent_outside(count: int) -> None:
+    low, high = poisson_mean(count)
+    assert stats.poisson.cdf(count, high) == pytest.approx(0.025, rel=1e-6)
+    if count:
+        assert stats.poisson.sf(count - 1, low) == pytest.approx(0.025, rel=1e-6)
+    else:
+        assert low == 0.0
+
+
+def test_ends_of_the_range() -> None:
+    assert clopper_pearson(0, 0) == (0.0, 1.0)
+    assert clopper_pearson(0, 10) == pytest.approx((0.0, 0.30849711))
+    assert clopper_pearson(10, 10) == pytest.approx((0.69150289, 1.0))
+    assert poisson_mean(0) == pytest.approx((0.0, 3.68887945))
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(-1, 3), (4, 3)])
+def test_impossible_counts_raise(successes: int, trials: int) -> None:
+    with pytest.raises(ValueError, match="no share"):
+        clopper_pearson(successes, trials)
+
+
+def test_negative_count_raises() -> None:
+    with pytest.raises(ValueError, match="cannot be -1"):
+        poisson_mean(-1)
+
+
+# -- Recovery after a drift, and which drifts count
+
+SWING_MS = 700  # 30 ticks of swing, 5 of stance
+
+
+def outcome(found: list[bool], alarms: int) -> LegOutcome:
+    """Swings with a touch each, found or not, and false alarms in the first ones."""
+    n = len(found)
+    truth = [ContactTruth(t_ns=0, contact=False, force=0.0)]
+    for k in range(n):
+        at = (SWING_MS * k + 300) * MS
+        truth.append(ContactTruth(t_ns=at, contact=True, force=2.0, speed_m_s=0.4, surface="hard"))
+        truth.append(ContactTruth(t_ns=at + 100 * MS, contact=False, force=0.0))
+    stream = LegStream(
+        "rf",
+        np.arange(35 * n, dtype=np.int64) * 20 * MS,
+        np.tile(np.arange(35) < 30, n),
+        truth_changes(truth),
+        np.zeros(35 * n, dtype=bool),
+    )
+    times = [(SWING_MS * k + 320) * MS for k in range(n) if found[k]]
+    times += [(SWING_MS * k + 100) * MS for k in range(alarms)]
+    event_ns = np.array(times, dtype=np.int64)
+    return match(stream, Events(event_ns, np.ones(len(times), dtype=bool), event_ns))
+
+
+def test_a_drift_counts_when_recall_is_lost_or_alarms_rise_tenfold() -> None:
+    twin = outcome([True] * 100, 2)
+    assert not is_harmful([outcome([True] * 96 + [False] * 4, 2)], [twin])
+    assert is_harmful([outcome([True] * 95 + [False] * 5, 2)], [twin])
+    assert not is_harmful([outcome([True] * 100, 19)], [twin])
+    assert is_harmful([outcome([True] * 100, 20)], [twin])
+    silent = outcome([True] * 100, 0)
+    assert not is_harmful([outcome([True] * 100, 9)], [silent])
+    assert is_harmful([outcome([True] * 100, 10)], [silent])

@@ -1,6 +1,9 @@
+"""docs/simulator.md says what the code does."""
+
 from __future__ import annotations
 
 import json
+import re
 import signal
 import sys
 from collections.abc import Iterator
@@ -10,14 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.cli.sim import app
-from adaptive_contact.errors import (
-    AdaptiveContactError,
-    ConfigurationError,
-    MissingExtraError,
-)
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, MissingExtraError
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact_sim import Simulation, load_scenario
 from adaptive_contact_sim.drift import KINDS
+from adaptive_contact_sim.scenario import parse_scenario
 
 RUN = CliRunner()
 
@@ -132,3 +132,26 @@ def test_without_mujoco_it_says_which_extra(monkeypatch: pytest.MonkeyPatch) -> 
     result = RUN.invoke(app, ["list"])
     assert isinstance(result.exception, MissingExtraError)
     assert "[sim]'" in str(result.exception)
+
+
+# -- docs/simulator.md says what the code does
+
+TEXT = (Path(__file__).parents[2] / "docs/simulator.md").read_text(encoding="utf-8")
+
+
+def row(start: str) -> list[str]:
+    (line,) = (line for line in TEXT.splitlines() if line.startswith(f"| {start}"))
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_the_scenario_in_it_can_be_run() -> None:
+    blocks = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
+    assert len(blocks) == 1
+    assert parse_scenario(blocks[0], name="doc").settings.drift[0].at_s == 60.0
+
+
+def test_the_python_in_it_runs() -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+    names: dict[str, object] = {}
+    exec(block.replace("seconds=300", "seconds=3"), names)
+    assert names["leg"].measured.shape == (150, 3)  # type: ignore[attr-defined]
