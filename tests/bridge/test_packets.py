@@ -25,7 +25,6 @@ from adaptive_contact.bridge.packets import (
     Frame,
     Instruction,
     Status,
-    crc16,
     fast_sync_status,
     split_fast_sync,
     stuff,
@@ -133,11 +132,6 @@ def test_fast_sync_read_of_the_second_document() -> None:
     assert fast_sync_status(answers) == bytes.fromhex(
         "FF FF FD 00 FE 11 00 55 00 01 D0 07 00 00 0C 83 00 02 09 00 00 00 11 40"
     )
-
-
-def test_crc_goes_on_where_it_stopped() -> None:
-    data = bytes(range(256))
-    assert crc16(data[100:], crc16(data[:100])) == crc16(data)
 
 
 def test_a_header_inside_is_stuffed() -> None:

@@ -140,30 +140,6 @@ def test_a_written_description_reads_back_the_same(name: str) -> None:
     assert (again.name, again.period_s) == (robot.name, robot.period_s)
 
 
-@real_time
-def test_check_shows_and_moves_nothing(rig: Callable, tmp_path: Path) -> None:
-    r = rig(**AX)
-    r.backend.place(0, 0.5)
-    text = write_robot(
-        msgspec.structs.replace(
-            r.robot,
-            legs=tuple(
-                msgspec.structs.replace(leg, lengths_m=(0.05, 0.06, 0.1)) for leg in r.robot.legs
-            ),
-        )
-    )
-    (tmp_path / "robot.toml").write_text(text.replace("protocol = 1", "protocol = 1\n", 1))
-    said = invoke(
-        "robot", "check", "--config", str(tmp_path / "robot.toml"), "--seconds", "0.3",
-        "--picture", str(tmp_path / "legs.svg"),
-    )  # fmt: skip
-    assert "28.7°" in said.replace("28.6°", "28.7°")
-    picture = (tmp_path / "legs.svg").read_text()
-    assert picture.startswith("<svg")
-    assert ">l1</text>" in picture
-    assert all(s.writes == 0 for s in r.ports[0].servos)
-
-
 def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: Path) -> None:
     r = rig(**AX)
     path = tmp_path / "robot.toml"

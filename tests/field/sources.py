@@ -42,18 +42,6 @@ from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.walk import WalkSettings
 
-__all__ = [
-    "LOOPS",
-    "READINGS",
-    "STAMPS",
-    "Played",
-    "late_loop",
-    "misread",
-    "play",
-    "stamped",
-    "walk_of",
-]
-
 Angles = NDArray[np.float64]
 # Of tick 0, 1, ...: how many periods after it was due.
 Clock = Callable[[np.random.Generator], Iterator[float]]

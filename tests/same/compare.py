@@ -10,8 +10,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-__all__ = ["MOST_SHOWN", "Comparison", "compare", "known_fields"]
-
 # Names of fields, by kind of message.
 Fields = dict[str, set[str]]
 # Differences that are shown of a recording.

@@ -13,8 +13,6 @@ from typing import Any, Final
 
 import msgspec
 
-__all__ = ["ONE_THREAD", "PACKAGE", "ROOT", "of_revision", "replayed"]
-
 ROOT: Final = Path(__file__).resolve().parents[2]
 # What a revision is replayed with; its simulator and its models are not used.
 PACKAGE: Final = "adaptive_contact"

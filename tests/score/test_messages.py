@@ -129,15 +129,6 @@ def test_the_order_of_messages_does_not_matter_between_keys() -> None:
     assert as_json(score_messages([*late, *streams[1], *streams[0]], ROBOT)) == expected
 
 
-def test_events_from_elsewhere_replace_the_recorded_ones() -> None:
-    messages = [*walk(), air(), *truth(400, 780), *events(100, 420)]
-    given = [event(440), event(500, contact=False)]
-    score = score_messages(messages, ROBOT, given)
-    assert score.total.false_alarms == 0
-    assert score.outcomes[0].touches.latency_ns.tolist() == [40 * MS]
-    assert score_messages(messages, ROBOT, []).total.counted.found == 0  # a silent detector
-
-
 def test_swings_are_inferred_where_samples_do_not_tell() -> None:
     told = score_messages([*walk(), air(), *truth(400, 780)], ROBOT, [event(420)])
     inferred = score_messages([*walk(phase=False), air(), *truth(400, 780)], ROBOT, [event(420)])

@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import socket
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,9 +18,11 @@ from typing import Any
 import pytest
 
 import adaptive_contact_models
+from adaptive_contact.cli import _compiling
 from adaptive_contact.cli._options import learned_of
-from adaptive_contact.robot import shipped_robot
+from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.service.link import Link, router_settings
+from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.service.watch_table import headline
@@ -34,12 +37,11 @@ from adaptive_contact.wire import (
 )
 from waiting import free_address, matched, until
 
-pytestmark = pytest.mark.e2e
-
 Join = Callable[..., Link]
 Sample = Callable[..., ServoSample]
 
 
+@pytest.mark.e2e
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_says_when_it_is_ready_and_ends_cleanly_and_soon(
     serve: Any, join: Join, sample: Sample, number: int
@@ -56,6 +58,7 @@ def test_it_says_when_it_is_ready_and_ends_cleanly_and_soon(
     assert "Traceback" not in served.log.read_text()
 
 
+@pytest.mark.e2e
 def test_json_in_json_out_and_structured_logs(
     serve: Any, join: Join, inbox: Any, sample: Sample
 ) -> None:
@@ -77,6 +80,7 @@ def test_json_in_json_out_and_structured_logs(
     assert {"leg status", "figures"} <= {line["message"] for line in lines}
 
 
+@pytest.mark.e2e
 def test_a_router_that_joins_another_says_only_what_it_knows(
     serve: Any, join: Join, rig: ModuleType
 ) -> None:
@@ -107,6 +111,7 @@ def test_a_router_that_joins_another_says_only_what_it_knows(
     assert served.stop() == 0
 
 
+@pytest.mark.e2e
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_for_its_lines_ends_nothing(
     router: Link, inbox: Any, program: Any, config: Path, fake: ModuleType
@@ -127,6 +132,7 @@ def test_a_full_disk_for_its_lines_ends_nothing(
     assert served.stop() == 0
 
 
+@pytest.mark.e2e
 def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:
     with socket.socket() as mute:  # accepts, says nothing
         mute.bind(("127.0.0.1", 0))
@@ -148,6 +154,7 @@ def named(task: Path) -> str:
     return "ended"
 
 
+@pytest.mark.e2e
 def test_in_a_hurry_where_that_is_allowed(
     serve: Any, join: Join, inbox: Any, sample: Sample
 ) -> None:
@@ -175,6 +182,7 @@ def test_in_a_hurry_where_that_is_allowed(
         assert line.startswith("adaptive-contact: no right to real-time priority; give it with:")
 
 
+@pytest.mark.e2e
 def test_a_misspelt_key_is_named_until_every_leg_has_samples(
     serve: Any, join: Join, inbox: Any, sample: Sample
 ) -> None:
@@ -228,6 +236,7 @@ def feed(link: Link, leg: str, sample: Sample, first: int, last: int, **fields: 
         publisher.put(sample(seq, contact=seq % 2 == 1, **fields))
 
 
+@pytest.mark.e2e
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_what_was_learned_survives_and_what_passed_meanwhile_is_counted(
     serve: Any, join: Join, inbox: Any, sample: Sample, tmp_path: Path, number: int
@@ -252,6 +261,7 @@ def test_what_was_learned_survives_and_what_passed_meanwhile_is_counted(
     assert second.stop() == 0
 
 
+@pytest.mark.e2e
 def test_a_second_service_says_so_and_does_not_save(
     serve: Any, join: Join, inbox: Any, tmp_path: Path
 ) -> None:
@@ -275,6 +285,7 @@ def test_a_second_service_says_so_and_does_not_save(
     assert first.stop() == 0
 
 
+@pytest.mark.e2e
 def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(
     serve: Any, join: Join, sample: Sample, inbox: Any, state: Any, tmp_path: Path
 ) -> None:
@@ -301,11 +312,13 @@ def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(
     assert origin == str(tmp_path / "base\N{REPLACEMENT CHARACTER}.json")
 
 
+@pytest.mark.e2e
 def test_contradictory_options_get_one_line(ours: Any, tmp_path: Path) -> None:
     done = ours("serve", "--state", tmp_path, "--no-state")
     assert (done.code, "--state and --no-state contradict each other" in done.err) == (2, True)
 
 
+@pytest.mark.e2e
 def test_show_and_reset(
     serve: Any, join: Join, inbox: Any, sample: Sample, state: Any, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -373,3 +386,41 @@ def test_show_and_reset(
     assert {path.suffix for path in folder.glob("*/lf-*")} >= {".new", ".old"}
     left = json.loads(state("show", "--state", str(folder), "--json")[1])
     assert {Path(row["file"]).name.partition("-")[0] for row in left} == {"lf"}
+
+
+# -- What a service that still compiles says on the wire, and what becomes of samples meanwhi
+
+
+def test_who_looks_sees_that_it_compiles_and_how_many_samples_came(
+    router: Link,
+    join: Callable[..., Link],
+    inbox: Any,
+    robot: Robot,
+    sample: Callable[..., ServoSample],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stop, compiled = threading.Event(), threading.Event()
+    monkeypatch.setattr(_compiling, "compile_tick", lambda _: compiled.wait())
+    line = "compiling: about 40 s"
+    given = (line, router, robot, "x", stop)
+    compiles = threading.Thread(target=_compiling.compile_in_view, args=given)
+    compiles.start()
+    try:
+        client = join(router.endpoints[0])
+        statuses = inbox(ServiceStatus)
+        client.subscribe(SERVICE_STATUS, statuses)
+        servo = matched(client.publisher(servo_key("rf"), reliable=True))
+        for seq in range(3):
+            servo.put(sample(seq))
+        last = statuses.wait(lambda said: said[-1].samples == 3)[-1]
+        assert last.note.startswith(f"{line}; wait: ")
+        assert last.note.endswith(" 3 samples not judged")
+        assert list(last.legs) == ["lf", "rf"]
+        assert client.alive(SERVICE_TOKEN)
+        assert compiles.is_alive()
+    finally:
+        compiled.set()
+        compiles.join(60.0)
+    monkeypatch.setattr(_compiling, "compile_tick", lambda _: 1 // 0)
+    with pytest.raises(ZeroDivisionError):  # what goes wrong in it ends the service
+        _compiling.compile_in_view(*given)

@@ -4,11 +4,3 @@
 the simulator as processes of their own, kills and restarts them on schedule while the legs drift,
 and judges what came of it against the simulator's own recording.
 """
-
-from __future__ import annotations
-
-from .conduct import conduct
-from .plan import SoakPlan
-from .verdict import judge
-
-__all__ = ["SoakPlan", "conduct", "judge"]

@@ -15,8 +15,8 @@ import typer
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import shipped_robot
 
-from . import SoakPlan, conduct, judge
-from .conduct import Take
+from .conduct import SoakPlan, Take, conduct
+from .verdict import judge
 
 
 def soak(

@@ -12,10 +12,7 @@ from typing import Any, Final
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.status import ServiceStatus
 
-from .conduct import Broken, Take
-from .plan import RECOVERY_S
-
-__all__ = ["cut_off", "forgotten_s", "inconsistent", "last_words", "state_of", "uncounted"]
+from .conduct import RECOVERY_S, Broken, Take
 
 _NS: Final = 1_000_000_000
 

@@ -13,8 +13,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-__all__ = ["LATE_NS", "Arrivals", "SourceClock", "judge_arrivals"]
-
 # An honest event takes some ms; a busy machine's scheduler some tens.
 LATE_NS: Final = 250_000_000
 _NS: Final = 1_000_000_000

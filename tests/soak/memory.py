@@ -12,8 +12,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-__all__ = ["Grown", "Resident", "grown", "slope_of"]
-
 _BLOCK_S: Final = 10.0
 # The last half of a life must be so long to have a slope: in less, one buffer is a leak.
 _SLOPE_S: Final = 300.0

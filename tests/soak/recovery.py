@@ -5,21 +5,23 @@ An event that comes after the fault is no recovery by itself: it has to be true.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.score import LegOutcome
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import shipped_baseline
+from adaptive_contact.robot import Robot
+from adaptive_contact.score import Events, LegOutcome, LegStream, match
 from adaptive_contact.score.contacts import TruthChanges
-from adaptive_contact.wire import ContactEvent
+from adaptive_contact.service.recording import read_recording
+from adaptive_contact.wire import ContactEvent, ServoSample, decode, servo_key
 
 from .arrival import SourceClock
-from .conduct import Broken, Take
-from .plan import RECOVERY_S
-
-__all__ = ["first_right_ns", "heard_by_ns", "recovery_of", "right_events", "whole_touches"]
+from .conduct import RECOVERY_S, Broken, Take
 
 Flags = NDArray[np.bool_]
 
@@ -114,3 +116,69 @@ def heard_by_ns(outcome: LegOutcome, asked: Flags, clock: SourceClock) -> int | 
         return None
     latest = int(touches.onset_ns[which[0]] + touches.window_ns[which[0]])
     return latest + clock.lag_ns(latest) + _TRAVEL_NS
+
+
+# -- What a service that nobody broke would have told of a leg: the same learner, the same sa
+
+
+def unbroken(recording: Path, stream: LegStream, robot: Robot, until_ns: int) -> LegOutcome:
+    """Take a new learner through a leg's samples.
+
+    As the simulator sent them: what a service lost on the way is not lost here.  Its refits take
+    effect where the service's do, unless the service's process was late.
+
+    Args:
+        recording: of the samples.
+        stream: the leg, with its truth.
+        robot: its description.
+        until_ns: time of the last sample that is asked for.
+
+    Returns:
+        The touches, all that the stream holds; later ones are not found.
+    """
+    learner = ContactLearner(robot, stream.leg, shipped_baseline(robot.name))
+    key = servo_key(stream.leg)
+    told: list[ContactEvent] = []
+    for record in read_recording(recording):
+        if record.key != key:
+            continue
+        sample = decode(record.payload, ServoSample, record.encoding)
+        if not isinstance(sample, ServoSample):
+            continue
+        if sample.t_ns > until_ns:
+            break
+        event = learner.update(sample)
+        if event is not None:
+            told.append(event)
+    return match(stream, Events.of(told))
+
+
+def missed_anyway(
+    outcome: LegOutcome,
+    without_fault: Callable[[int], LegOutcome],
+    fault: Broken,
+    first_right_ns: int | None,
+    clock: SourceClock,
+) -> bool:
+    """Whether a leg that was late after a fault would have been as late without it.
+
+    It has until the first touch that a learner without the fault finds, and no longer: what comes
+    late, or never, is the fault's doing all the same.
+
+    Args:
+        outcome: of the leg's events, as they were heard.
+        without_fault: the same stream, by a learner that was not broken, up to a samples' time.
+        fault: which.
+        first_right_ns: when the leg's first right event was heard, ns of the wall.
+        clock: of the samples.
+    """
+    from_ns = clock.of_wall(fault.to_ns)
+    asked = whole_touches(outcome, from_ns)
+    found = np.flatnonzero(asked & outcome.touches.found)
+    if first_right_ns is None or not len(found):
+        return False  # never right again
+    touches = outcome.touches
+    until_ns = int(touches.onset_ns[found[0]] + touches.window_ns[found[0]])
+    other = without_fault(until_ns)
+    limit_ns = heard_by_ns(other, asked & other.touches.found, clock)
+    return limit_ns is not None and first_right_ns <= limit_ns

@@ -24,18 +24,7 @@ from adaptive_contact.score import LegOutcome, LegStream
 from adaptive_contact.score.contacts import contacts_of
 from adaptive_contact.score.outcome import Events
 
-from .plan import RECOVERY_S, Drifting
-
-__all__ = [
-    "Section",
-    "Span",
-    "Window",
-    "judge_releases",
-    "judge_sections",
-    "spans_between",
-    "summed",
-    "windows_of",
-]
+from .conduct import RECOVERY_S, Drifting
 
 _NS: Final = 1_000_000_000
 _AFTER_NS: Final = int(RECOVERY_S * _NS)

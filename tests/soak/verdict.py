@@ -25,10 +25,9 @@ from .accounts import (
     uncounted,
 )
 from .arrival import Arrivals, SourceClock, judge_arrivals
-from .conduct import Take
+from .conduct import SoakPlan, Take
 from .memory import Grown, Resident, grown
-from .plan import SoakPlan
-from .recovery import first_right_ns, recovery_of, right_events
+from .recovery import first_right_ns, missed_anyway, recovery_of, right_events, unbroken
 from .sections import (
     Section,
     judge_releases,
@@ -37,9 +36,6 @@ from .sections import (
     summed,
     windows_of,
 )
-from .unbroken import missed_anyway, unbroken
-
-__all__ = ["Verdict", "judge"]
 
 MEMORY_MB: Final = 5.0
 # The same over half an hour, as a slope: what goes on like that is a leak.

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import os
 import select
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest, rests_on
@@ -94,23 +91,6 @@ def test_another_source_voids_results_and_another_word_does_not(
         assert Work(tmp_path).one(marked, 3) == 9.0
         assert len(calls) == made
     digest.cache_clear()
-
-
-def test_an_interrupted_run_goes_on(tmp_path: Path, calls: list[int]) -> None:
-    with pytest.raises(ValueError, match="no root"):
-        Work(tmp_path).each("squares", square, [1, 2, -1, 3])
-    assert Work(tmp_path).each("squares", square, [1, 2, 3]) == [1.0, 4.0, 9.0]
-    assert calls == [1, 2, 3]
-
-
-def test_a_line_of_progress_has_seconds_where_there_are_no_minutes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    clock, out = SimpleNamespace(monotonic=iter([0.0, 24.0, 30.0]).__next__), io.StringIO()
-    monkeypatch.setattr("adaptive_contact_studies.work.time", clock)
-    with Work(None, 1, Console(file=out, width=80))._progress("walks", 10.0) as advance:
-        advance(8.0)
-    assert out.getvalue().splitlines()[0] == "walks: 80 % in 24.0 s, about 6.0 s to go"
 
 
 def test_processes_give_the_same_in_one_thread_each() -> None:
