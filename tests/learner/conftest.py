@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -90,6 +91,11 @@ class FakeLeg:
             start = end
         measured, desired, swing, touching = (np.array(column) for column in zip(*out, strict=True))
         return measured, desired, swing, touching
+
+    def stream(self, *args: Any, **kwargs: Any) -> list[ServoSample]:
+        """The samples of :meth:`run`."""
+        measured, desired, swing, _ = self.run(*args, **kwargs)
+        return samples(measured, desired, swing)
 
 
 @pytest.fixture(scope="session")

@@ -25,7 +25,7 @@ def test_after_a_long_gap_a_foot_on_the_ground_is_not_taken_for_free(
     robot: Robot, baseline: Baseline, back: int
 ) -> None:
     """From one swing into the next one's lift, with a foot that lets go in its seventh tick."""
-    held = samples(*FakeLeg(seed=13).run(42, pressed=7)[:3])
+    held = FakeLeg(seed=13).stream(42, pressed=7)
     learner = ContactLearner(robot, "rf", baseline)
     told = play(learner, held[: 28 * 20])
     for swing in range(20, 40):
@@ -71,10 +71,14 @@ def test_a_rate_off_by_a_fifth_is_said_and_not_learned(
     first, stop = 100, 160  # swings
     stops = [16 if n % 2 else None for n in range(260)]
     # Slower ticks are longer ones: the leg moves further in each.
-    measured, desired, swing, _ = FakeLeg(seed=21).run(
-        260, touch=lambda n: stops[n], change=lambda n: factor if first <= n < stop else 1.0
+    stream = slowed(
+        FakeLeg(seed=21).stream(
+            260, touch=lambda n: stops[n], change=lambda n: factor if first <= n < stop else 1.0
+        ),
+        28 * first,
+        28 * stop,
+        factor,
     )
-    stream = slowed(samples(measured, desired, swing), 28 * first, 28 * stop, factor)
     learner = ContactLearner(robot, "rf", baseline)
     assert "alarm" not in outcomes(play(learner, stream[: 28 * first]), range(first), stops)
     before, confirmed = learner.status, learner.drain_confirmed()
@@ -100,7 +104,7 @@ def test_a_stream_that_stops_in_a_swing_teaches_nothing_of_it(
     robot: Robot, baseline: Baseline, *, counted: bool
 ) -> None:
     """For a minute, and then goes on in another swing, whether its numbers tell of it or not."""
-    stream = samples(*FakeLeg(seed=22).run(80)[:3])
+    stream = FakeLeg(seed=22).stream(80)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, stream[: 28 * 40 + 15])
     learner.drain_confirmed()
@@ -130,7 +134,7 @@ def test_a_preview_that_lacks_is_told_of_while_it_does(robot: Robot, baseline: B
         baseline.legs["rf"], model=model, scale=np.ones(library.size), domain=None
     )
     ahead = dataclasses.replace(baseline, legs={"rf": known})
-    stream = samples(*FakeLeg(seed=3).run(8)[:3])
+    stream = FakeLeg(seed=3).stream(8)
     learner = ContactLearner(robot, "rf", ahead)
     first, count = 20, RECENT_TICKS + 1
     for k, sample in enumerate(stream[: first + count]):

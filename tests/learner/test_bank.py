@@ -13,7 +13,7 @@ from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import ContactEvent
 
-from .conftest import FakeLeg, samples
+from .conftest import FakeLeg
 
 
 def test_a_leg_that_the_baseline_has_and_the_description_lacks_is_a_stranger(
@@ -21,7 +21,7 @@ def test_a_leg_that_the_baseline_has_and_the_description_lacks_is_a_stranger(
 ) -> None:
     both = dataclasses.replace(baseline, legs={**baseline.legs, "rr": baseline.legs["rf"]})
     bank = LearnerBank(robot, both)
-    (sample,) = samples(*FakeLeg(seed=1).run(1)[:3])[:1]
+    (sample,) = FakeLeg(seed=1).stream(1)[:1]
     assert bank.update({"rf": sample, "rr": sample}) == []
     stranger = bank.learner("rr")
     assert stranger is not None
@@ -62,8 +62,7 @@ def test_legs_whose_samples_are_lost_do_not_disturb_the_others(
     """Gaps, a leg that starts cold beside known ones, one that is taken further on its own."""
     rng = np.random.default_rng(3)
     streams = [
-        samples(*FakeLeg(seed=20 + n).run(60, touch=lambda k: 16 if k % 2 else None)[:3])
-        for n in range(4)
+        FakeLeg(seed=20 + n).stream(60, touch=lambda k: 16 if k % 2 else None) for n in range(4)
     ]
     length = min(len(stream) for stream in streams)
     ticks = [
@@ -104,8 +103,7 @@ def test_events_before_learning_change_nothing(robot: Robot, baseline: Baseline)
     """A tick's samples in several rounds, learned from when somebody finds the time."""
     rng = np.random.default_rng(4)
     streams = [
-        samples(*FakeLeg(seed=30 + n).run(60, touch=lambda k: 16 if k % 2 else None)[:3])
-        for n in range(4)
+        FakeLeg(seed=30 + n).stream(60, touch=lambda k: 16 if k % 2 else None) for n in range(4)
     ]
 
     def learners() -> list[ContactLearner]:
@@ -141,7 +139,7 @@ def test_a_leg_that_begins_anew_in_mid_tick_goes_no_further(
     robot: Robot, baseline: Baseline
 ) -> None:
     """What is left of the tick is of the past that it has given up."""
-    stream = samples(*FakeLeg(seed=40).run(4, touch=lambda n: None)[:3])
+    stream = FakeLeg(seed=40).stream(4, touch=lambda n: None)
     learner, other = (ContactLearner(robot, "rf", baseline) for _ in range(2))
     group = LegGroup([learner, other])
     for sample in stream[:40]:
@@ -162,7 +160,7 @@ def test_no_word_waits_for_what_a_touch_or_a_swing_leaves_to_learn(
     robot: Robot, baseline: Baseline
 ) -> None:
     """Both are found in the first half of a tick, and learned in the second."""
-    stream = samples(*FakeLeg(seed=50).run(16, touch=lambda n: 20 if n % 2 else None)[:3])
+    stream = FakeLeg(seed=50).stream(16, touch=lambda n: 20 if n % 2 else None)
     learner = ContactLearner(robot, "rf", baseline)
     group = LegGroup([learner])
     grown = {True: 0, False: 0}  # at touches, and in stance
@@ -184,8 +182,7 @@ def test_no_word_waits_for_what_a_touch_or_a_swing_leaves_to_learn(
 def test_learners_leave_no_garbage_to_collect(robot: Robot, baseline: Baseline) -> None:
     """The service collects it once a minute only."""
     streams = [
-        samples(*FakeLeg(seed=60 + n).run(15, touch=lambda k: 20 if k % 2 else None)[:3])
-        for n in range(2)
+        FakeLeg(seed=60 + n).stream(15, touch=lambda k: 20 if k % 2 else None) for n in range(2)
     ]
     group = LegGroup([ContactLearner(robot, "rf", baseline) for _ in streams])
     ticks = list(zip(*streams, strict=True))

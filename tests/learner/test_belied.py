@@ -16,7 +16,7 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.robot.kinematics import inverse
 from adaptive_contact.wire import ServoSample
 
-from .conftest import LENGTHS, FakeLeg, samples
+from .conftest import LENGTHS, FakeLeg, play, samples
 
 TOP, GROUND = -0.04, -0.10
 STANCE = 4
@@ -117,8 +117,7 @@ def test_what_was_heard_outlives_a_restart_and_asks_for_no_refits(
 ) -> None:
     run = FakeLeg(seed=5).run(120, falling=lambda n: 0.4 if n >= 60 else 1.0)
     stream, learner = samples(*run[:3]), ContactLearner(robot, "rf", baseline)
-    for sample in stream[: 28 * 100]:
-        learner.update(sample)
+    play(learner, stream[: 28 * 100])
     assert learner.status.status == "ambiguous"
     adapter = learner.lifecycle.adapter
     assert adapter is not None
@@ -126,8 +125,7 @@ def test_what_was_heard_outlives_a_restart_and_asks_for_no_refits(
     again = ContactLearner(robot, "rf", baseline)
     assert again.restore(learner.snapshot()) is None
     assert (again.status.status, again.status.note) == ("ambiguous", learner.status.note)
-    for sample in stream[28 * 100 :]:
-        again.update(sample)
+    play(again, stream[28 * 100 :])
     assert again.status.status == "ambiguous"
     assert again.status.refits == before
 

@@ -247,8 +247,10 @@ def test_a_learner_reports_what_to_write_and_is_silent_until_then() -> None:
     )
 
 
-def play(source: list[dict[str, ServoSample]]) -> tuple[LearnerBank, list[ContactEvent]]:
-    bank = LearnerBank(shipped_robot(), shipped_baseline(shipped_robot().name))
+def play(
+    source: list[dict[str, ServoSample]], described: Robot | None = None
+) -> tuple[LearnerBank, list[ContactEvent]]:
+    bank = LearnerBank(described or shipped_robot(), shipped_baseline(shipped_robot().name))
     events = []
     for tick in source:
         events += bank.judge(tick)
@@ -282,11 +284,7 @@ def test_with_what_it_advises_every_event_is_that_of_the_right_source() -> None:
     run = walk("tripod", "rough", 901)
     told = []
     for robot_, signs in ((right, (1, 1, 1)), (turned, DOWN)):
-        bank = LearnerBank(robot_, shipped_baseline(robot_.name))
-        events = []
-        for tick in samples(run, signs):
-            events += bank.judge(tick)
-            bank.finish()
+        bank, events = play(samples(run, signs), robot_)
         told.append(events)
         assert all(bank.learner(leg).status.note is None for leg in LEGS)
     assert len(told[0]) > 100

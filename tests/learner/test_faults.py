@@ -26,7 +26,7 @@ from adaptive_contact.model.noise import UNFIT_LEVEL
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
 
-from .conftest import PERIOD, FakeLeg, samples
+from .conftest import PERIOD, FakeLeg, play, samples
 
 TICKS = 28  # of a swing and its stance
 
@@ -63,10 +63,9 @@ def test_a_foot_held_fast_is_told_and_not_learned(
     """Without noise not one tick of a held lift seems to rise: it has to be judged all the same."""
     start, swings = 60, 100
     leg = FakeLeg(seed=2, noise=noise)
-    measured, desired, swing, _ = leg.run(swings, touch=lambda k: 0 if k >= start else None)
     learner = ContactLearner(robot, "rf", baseline)
     told = []
-    for k, sample in enumerate(samples(measured, desired, swing)):
+    for k, sample in enumerate(leg.stream(swings, touch=lambda k: 0 if k >= start else None)):
         event = learner.update(sample)
         if noise == 0.003 and k >= TICKS * (start + 4):
             assert event is None or not event.contact, "what does not move cannot fit"
@@ -86,12 +85,9 @@ def test_what_stops_a_lift_again_and_again_is_reported(
 ) -> None:
     """As a strike, or where the foot counts as held: it has moved as the model says until then."""
     start, swings = 60, 100
-    measured, desired, swing, _ = FakeLeg(seed=2).run(
-        swings, touch=lambda k: stop if k >= start else None
-    )
     learner = ContactLearner(robot, "rf", baseline)
     told = 0
-    for sample in samples(measured, desired, swing):
+    for sample in FakeLeg(seed=2).stream(swings, touch=lambda k: stop if k >= start else None):
         event = learner.update(sample)
         if event is not None and event.contact:
             assert sample.seq > TICKS * start + stop
@@ -119,11 +115,10 @@ def test_ticks_in_a_row_that_fit_are_counted(levels: list[float]) -> None:
 def test_a_reading_that_is_none_says_nothing_of_the_foots_height(
     robot: Robot, baseline: Baseline
 ) -> None:
-    measured, desired, swing, _ = FakeLeg(seed=3).run(24)
     seen = []
     for junk in (lambda s: s, without_femur):
         learner, cleared = ContactLearner(robot, "rf", baseline), []
-        for k, sample in enumerate(samples(measured, desired, swing)):
+        for k, sample in enumerate(FakeLeg(seed=3).stream(24)):
             learner.update(junk(sample) if k == TICKS * 20 + 2 else sample)
             if TICKS * 20 <= k < TICKS * 20 + 20:
                 cleared.append(bool(learner.place.record["cleared"]))
@@ -147,14 +142,12 @@ def test_a_rate_that_changes_in_mid_swing_leaves_nothing_in_the_buffer(
     robot: Robot, baseline: Baseline, at: int
 ) -> None:
     first = TICKS * 30 + at
-    measured, desired, swing, _ = FakeLeg(seed=4).run(40)
     late_ns, stream = 0, []
-    for sample in samples(measured, desired, swing):
+    for sample in FakeLeg(seed=4).stream(40):
         late_ns += PERIOD // 5 if sample.seq >= first else 0
         stream.append(msgspec.structs.replace(sample, t_ns=sample.t_ns + late_ns))
     learner = ContactLearner(robot, "rf", baseline)
-    for sample in stream:
-        learner.update(sample)
+    play(learner, stream)
     adapter = learner.lifecycle.adapter
     assert adapter is not None
     assert adapter.buffer.segments
@@ -167,13 +160,11 @@ def test_a_leg_that_changes_over_a_restart_keeps_its_model(
 ) -> None:
     """Held when it was saved, weaker when it went on: not a baseline that never fitted."""
     change = 60
-    measured, desired, swing, _ = FakeLeg(seed=7).run(
+    stream = FakeLeg(seed=7).stream(
         90, touch=lambda n: 16 if n % 2 else None, change=lambda n: 0.7 if n >= change else 1.0
     )
-    stream = samples(measured, desired, swing)
     learner = ContactLearner(robot, "rf", baseline)
-    for sample in stream[: TICKS * change]:
-        learner.update(sample)
+    play(learner, stream[: TICKS * change])
     tree: dict[str, Any] = learner.snapshot() or {}
     tree["follower"] |= {"status": "ambiguous", "held": True}
     again = ContactLearner(robot, "rf", baseline)
@@ -207,10 +198,8 @@ def _no_map(tree: dict[str, Any]) -> None:
 def test_a_snapshot_that_is_none_is_refused_whole(
     robot: Robot, baseline: Baseline, spoil: Callable[[dict[str, Any]], None]
 ) -> None:
-    measured, desired, swing, _ = FakeLeg(seed=5).run(40)
     learner = ContactLearner(robot, "rf", baseline)
-    for sample in samples(measured, desired, swing):
-        learner.update(sample)
+    play(learner, FakeLeg(seed=5).stream(40))
     tree = copy.deepcopy(learner.snapshot() or {})
     spoil(tree)
     fresh = ContactLearner(robot, "rf", baseline)
@@ -241,8 +230,7 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
     two_legs: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     """Two legs with models of one library; what the sound one tells is what it tells alone."""
-    measured, desired, swing, _ = FakeLeg(seed=6).run(12, touch=lambda k: 16 if k % 2 else None)
-    stream = samples(measured, desired, swing)
+    stream = FakeLeg(seed=6).stream(12, touch=lambda k: 16 if k % 2 else None)
     both = dataclasses.replace(baseline, legs=dict.fromkeys(("rf", "lf"), baseline.legs["rf"]))
     alone = ContactLearner(two_legs, "lf", both)
     wanted = [(e.seq, e.contact) for sample in stream if (e := alone.update(sample)) is not None]
@@ -282,7 +270,7 @@ def test_where_nobody_is_told_of_faults_they_are_raised(
     bank = LearnerBank(two_legs)
     monkeypatch.setattr("adaptive_contact.leg_learner.ContactLearner.finish", None)
     with pytest.raises(TypeError):
-        bank.update({"rf": samples(*FakeLeg(seed=6).run(1)[:3])[0]})
+        bank.update({"rf": FakeLeg(seed=6).stream(1)[0]})
 
 
 @pytest.fixture
@@ -295,10 +283,8 @@ def two_legs(robot: Robot) -> Robot:
 def test_a_fault_costs_what_was_learned_since_the_last_save_and_the_next_one_the_rest(
     robot: Robot, baseline: Baseline, restarted: bool
 ) -> None:
-    measured, desired, swing, _ = FakeLeg(seed=6).run(12)
     learner = ContactLearner(robot, "rf", baseline)
-    for sample in samples(measured, desired, swing):
-        learner.update(sample)
+    play(learner, FakeLeg(seed=6).stream(12))
     assert learner.status.buffer.lift_ticks > 0
     held, saved = learner.status.buffer, learner.snapshot()
     if restarted:
@@ -320,8 +306,7 @@ def test_a_fault_is_one_line_however_long_its_words(robot: Robot) -> None:
 
 def test_whoever_may_have_heard_of_a_touch_is_told_that_it_is_over(robot: Robot) -> None:
     """With the first sample, once; also without a model."""
-    measured, desired, swing, _ = FakeLeg(seed=6).run(1)
-    stream = samples(measured, desired, swing)
+    stream = FakeLeg(seed=6).stream(1)
     learner = ContactLearner(robot, "rf")
     learner.request_release()
     event = learner.update(stream[0])
@@ -333,8 +318,7 @@ def test_whoever_may_have_heard_of_a_touch_is_told_that_it_is_over(robot: Robot)
 def test_a_contact_whose_samples_have_stopped_is_withdrawn_until_the_next_touch(
     robot: Robot, baseline: Baseline
 ) -> None:
-    measured, desired, swing, _ = FakeLeg(seed=6).run(12, touch=lambda _: 16)
-    stream = samples(measured, desired, swing)
+    stream = FakeLeg(seed=6).stream(12, touch=lambda _: 16)
     learner = ContactLearner(robot, "rf", baseline)
     assert learner.withdraw() is None, "there was no sample"
     last = next(k for k, s in enumerate(stream) if (e := learner.update(s)) and e.contact)

@@ -136,10 +136,8 @@ def test_a_leg_of_unknown_lengths_is_followed_by_its_phase(baseline: Baseline) -
     """A drive that has lost three tenths of its strength; half of the swings end in contact."""
     robot = without_lengths()
     stops = [18 if n % 2 else None for n in range(240)]
-    stream = samples(
-        *FakeLeg(seed=5).run(
-            240, touch=lambda n: stops[n], change=lambda n: 0.7 if n >= 100 else 1.0
-        )[:3]
+    stream = FakeLeg(seed=5).stream(
+        240, touch=lambda n: stops[n], change=lambda n: 0.7 if n >= 100 else 1.0
     )
     learner = ContactLearner(robot, "rf", baseline)
     assert isinstance(learner.leg, Leg)
@@ -190,8 +188,7 @@ def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
 def test_a_swing_that_began_before_the_source_says_nothing_of_how_long_swings_are(
     baseline: Baseline,
 ) -> None:
-    measured, desired, swing, _ = FakeLeg(seed=6).run(30)
-    stream = samples(measured, desired, swing)
+    stream = FakeLeg(seed=6).stream(30)
     learner = ContactLearner(without_lengths(), "rf", baseline)
     play(learner, stream[: 28 * 20])
     for part, run in ((stream[28 * 20 + 18 : 28 * 22], 1), (stream[28 * 23 + 18 :], 1)):

@@ -13,17 +13,16 @@ from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
 
-from .conftest import PERIOD, FakeLeg, samples
+from .conftest import PERIOD, FakeLeg
 
 EACH, TURN = 28, 24  # ticks from swing to swing, and to the turn
 
 
 def test_what_is_shown_is_what_was_judged(robot: Robot) -> None:
     """Thresholds of a leg from a prior are as wide as its coefficients are uncertain."""
-    measured, desired, swing, _ = FakeLeg(seed=5).run(4)
     learner = ContactLearner(robot, "rf", None)
     compared = 0
-    for k, sample in enumerate(samples(measured, desired, swing)):
+    for k, sample in enumerate(FakeLeg(seed=5).stream(4)):
         learner.update(sample)
         judged, place = learner.judged(), learner.place
         if judged is None or place.record["after"] or not 12 < k % EACH < TURN:
@@ -41,8 +40,7 @@ def test_what_is_learned_ends_well_before_a_touch(
     robot: Robot, baseline: Baseline, stop: int
 ) -> None:
     """A leg that is known from a prior alone learns as much of a swing as any other."""
-    measured, desired, swing, _ = FakeLeg(seed=5).run(6, touch=lambda n: stop if n > 3 else None)
-    stream = samples(measured, desired, swing)
+    stream = FakeLeg(seed=5).stream(6, touch=lambda n: stop if n > 3 else None)
     for known in (None, baseline):
         found = gaps(ContactLearner(robot, "rf", known), stream)
         assert len(found) == 2  # both touches are found

@@ -72,7 +72,7 @@ def test_a_touch_takes_predicted_motion_away_or_pushes_the_foot_up(
     into the swing has the thresholds of swings."""
     rng = np.random.default_rng(34)
     learner = ContactLearner(robot, "rf", baseline)
-    play(learner, samples(*FakeLeg(seed=34).run(4)[:3]))
+    play(learner, FakeLeg(seed=34).stream(4))
     leg, recent = learner.place.record, learner.lifecycle.noise_tracker
     assert recent is not None
     told = {True: 0, False: 0}
@@ -119,8 +119,7 @@ class TestLandings:
 
 def test_a_swing_without_ground_is_told_in_the_status(robot: Robot, baseline: Baseline) -> None:
     """A long stance in the air, under a command that goes on slowly down."""
-    measured, desired, swing, _ = FakeLeg(seed=35, noise=0.0).run(3)
-    stream = samples(measured, desired, swing)
+    stream = FakeLeg(seed=35, noise=0.0).stream(3)
     last = stream[-1]
     # What the model of free motion foretells, so that nothing pushes.
     learner = ContactLearner(robot, "rf", baseline)

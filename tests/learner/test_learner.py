@@ -24,8 +24,9 @@ from .conftest import PERIOD, FakeLeg, outcomes, play, samples
 
 def test_contacts_are_found_and_nothing_else(robot: Robot, baseline: Baseline) -> None:
     stops = [16 if n % 2 else None for n in range(200)]
-    measured, desired, swing, _ = FakeLeg(seed=2).run(200, touch=lambda n: stops[n])
-    events = play(ContactLearner(robot, "rf", baseline), samples(measured, desired, swing))
+    events = play(
+        ContactLearner(robot, "rf", baseline), FakeLeg(seed=2).stream(200, touch=lambda n: stops[n])
+    )
     told = outcomes(events, range(200), stops)
     assert told.count("alarm") == 0
     assert told.count("miss") <= 1
@@ -37,8 +38,7 @@ def test_contacts_are_found_and_nothing_else(robot: Robot, baseline: Baseline) -
 
 
 def test_a_command_that_freezes_is_no_contact(robot: Robot, baseline: Baseline) -> None:
-    measured, desired, swing, _ = FakeLeg(seed=5).run(30)
-    stream = samples(measured, desired, swing)
+    stream = FakeLeg(seed=5).stream(30)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, stream[: 28 * 20 + 13])
     held = stream[28 * 20 + 12]
@@ -63,7 +63,7 @@ def test_a_leg_whose_lifts_are_never_heard_says_so(robot: Robot, baseline: Basel
     assert "no lift could be used in" in str(told[-1])
     assert "changes of the leg are not followed" in str(told[-1])
     heard = ContactLearner(robot, "rf", baseline)
-    play(heard, samples(*FakeLeg(seed=5).run(40)[:3]))
+    play(heard, FakeLeg(seed=5).stream(40))
     assert heard.status.note is None
 
 
@@ -149,7 +149,7 @@ def test_a_stream_of_contacts_does_not_blind_it(robot: Robot, baseline: Baseline
 
 
 def test_standing_changes_nothing(robot: Robot, baseline: Baseline) -> None:
-    stream = samples(*FakeLeg(seed=9).run(30)[:3])
+    stream = FakeLeg(seed=9).stream(30)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, stream)
     model = learner.model
@@ -176,7 +176,7 @@ def test_the_report_says_what_its_terms_of_changes_speak_of(
     fresh = learner.model_report
     assert fresh is not None
     assert fresh.first == []
-    play(learner, samples(*FakeLeg(seed=12).run(12)[:3]))
+    play(learner, FakeLeg(seed=12).stream(12))
     report = learner.model_report
     assert report is not None
     assert report.model_version >= 1
@@ -191,13 +191,12 @@ def test_the_report_says_what_its_terms_of_changes_speak_of(
 
 def test_without_a_baseline_it_learns(robot: Robot) -> None:
     stops = [16 if n % 2 and n > 70 else None for n in range(160)]
-    measured, desired, swing, _ = FakeLeg(seed=11).run(160, touch=lambda n: stops[n])
     learner = ContactLearner(robot, "rf")
     assert learner.status.status == "learning"
     report = learner.model_report
     assert report is not None
     assert report.origin == "what is known of any leg"
-    stream = samples(measured, desired, swing)
+    stream = FakeLeg(seed=11).stream(160, touch=lambda n: stops[n])
     play(learner, stream[: 28 * 5])
     assert learner.status.status == "learning"
     assert "of 10 swings" in str(learner.status.note)
@@ -215,7 +214,7 @@ def test_a_baseline_of_another_leg_is_thrown_and_stays_so_over_a_restart(
     known = baseline.legs["rf"]
     model = known.model.moved(0.0 * known.model.coefficients, 0)  # of one that never moves
     of_another = dataclasses.replace(baseline, legs={"rf": dataclasses.replace(known, model=model)})
-    stream = samples(*FakeLeg(seed=11).run(100)[:3])
+    stream = FakeLeg(seed=11).stream(100)
     whole = ContactLearner(robot, "rf", of_another)
     play(whole, stream[: 28 * 10])
     assert whole.status.status == "learning"
@@ -237,7 +236,7 @@ def test_a_baseline_of_another_leg_is_thrown_and_stays_so_over_a_restart(
 
 
 def test_a_frozen_learner_without_a_baseline_stays_silent(robot: Robot) -> None:
-    stream = samples(*FakeLeg(seed=12).run(60)[:3])
+    stream = FakeLeg(seed=12).stream(60)
     learner = ContactLearner(robot, "rf", mode=LearnerMode.FROZEN)
     assert play(learner, stream) == []
     assert learner.status.status == "learning"

@@ -14,7 +14,7 @@ from adaptive_contact.detect.layout import VALUES
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 
-from .conftest import FakeLeg, outcomes, play, samples
+from .conftest import FakeLeg, outcomes, play
 
 SWINGS = 160
 STOPS = [16 if n % 2 else None for n in range(SWINGS)]
@@ -24,7 +24,7 @@ TURN = 2.0 * math.pi
 
 @pytest.fixture(scope="module")
 def walk() -> list[ServoSample]:
-    return samples(*FakeLeg(seed=31).run(SWINGS, touch=lambda n: STOPS[n])[:3])
+    return FakeLeg(seed=31).stream(SWINGS, touch=lambda n: STOPS[n])
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def test_a_seam_in_the_travel_is_no_movement(
 @pytest.mark.parametrize("joint", [0, 1, 2])
 def test_no_value_is_refused_for_being_itself(robot: Robot, baseline: Baseline, joint: int) -> None:
     """After each value of a sweep has been refused twice, it is still believed in passing."""
-    stream = samples(*FakeLeg(seed=32).run(60)[:3])
+    stream = FakeLeg(seed=32).stream(60)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, stream)
     assert not learner.status.rejects, "and stops, and lifts, of a clean leg are none, too"

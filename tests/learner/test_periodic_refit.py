@@ -27,7 +27,7 @@ from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot import Robot
 
-from .conftest import FakeLeg, outcomes, play, samples
+from .conftest import FakeLeg, outcomes, play
 from .ticks import Tick, rows_of
 
 SLOPE = 0.164  # of the fake leg
@@ -280,7 +280,7 @@ def test_a_slope_described_off_by_four_is_corrected_reported_and_outlives_a_rest
     misdescribed: Robot,
 ) -> None:
     stops: list[int | None] = [16 if n % 2 else None for n in range(200)]
-    stream = samples(*FakeLeg(seed=3).run(200, touch=lambda n: stops[n])[:3])
+    stream = FakeLeg(seed=3).stream(200, touch=lambda n: stops[n])
     learner = ContactLearner(misdescribed, "rf")
     events = play(learner, stream[: 28 * 150])
     assert learner.status.refits.promoted >= 1
@@ -308,7 +308,7 @@ def test_a_slope_described_off_by_four_is_corrected_reported_and_outlives_a_rest
 @pytest.mark.parametrize("slope", [None, "0.1", float("nan"), 1e-6, 40.0])
 def test_a_saved_slope_that_no_servo_has_is_refused(misdescribed: Robot, slope: object) -> None:
     learner = ContactLearner(misdescribed, "rf")
-    play(learner, samples(*FakeLeg(seed=3).run(12)[:3]))
+    play(learner, FakeLeg(seed=3).stream(12))
     saved = {**learner.snapshot(), "found": {"slope_rad": slope, "first": None}}
     again = ContactLearner(misdescribed, "rf")
     assert "its slope is" in (again.restore(saved) or "")

@@ -16,7 +16,7 @@ from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.wire import Reject, ServoSample
 
-from .conftest import FakeLeg, play, samples
+from .conftest import FakeLeg, play
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_a_leg_of_an_older_version_without_a_baseline_begins_anew(robot: Any) ->
 def test_no_baseline_is_begun_with_where_there_was_none(robot: Any) -> None:
     """What was learned from a prior says nothing of a leg that has a baseline now."""
     bare = ContactLearner(robot, "rf", None)
-    play(bare, samples(*FakeLeg(seed=3).run(8)[:3]))
+    play(bare, FakeLeg(seed=3).stream(8))
     line = learner(robot).restore(bare.snapshot())
     assert line is not None
     assert "another baseline" in line
@@ -138,7 +138,7 @@ def places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 def test_no_number_of_a_file_is_counted_or_learned_on_from(robot: Any, value: Any) -> None:
     """Refused in a line, or left out; arrays are refused, with their names."""
     lived = learner(robot)
-    play(lived, samples(*FakeLeg(seed=3).run(4)[:3]))
+    play(lived, FakeLeg(seed=3).stream(4))
     tree = msgpack.unpackb(msgpack.packb(lived.snapshot()))
     fresh = learner(robot)
     for path in places(tree):

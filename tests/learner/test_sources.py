@@ -66,8 +66,7 @@ def swapped(stream: list[ServoSample], begin: int, end: int) -> list[ServoSample
 
 
 def swings(count: int, *, seed: int = 5, **of: float) -> list[ServoSample]:
-    measured, desired, swing, _ = FakeLeg(seed=seed, **of).run(count)  # type: ignore[arg-type]
-    return samples(measured, desired, swing)
+    return FakeLeg(seed=seed, **of).stream(count)
 
 
 # -- the learner -----------------------------------------------------------------------------------
@@ -171,10 +170,7 @@ def test_swapped_phases_teach_nothing_and_pass(
 
 
 def touching(count: int, touches: range) -> list[ServoSample]:
-    measured, desired, swing, _ = FakeLeg(seed=5).run(
-        count, touch=lambda n: 17 if n in touches else None
-    )
-    return samples(measured, desired, swing)
+    return FakeLeg(seed=5).stream(count, touch=lambda n: 17 if n in touches else None)
 
 
 def ambiguous_from(

@@ -44,13 +44,13 @@ def known(request: pytest.FixtureRequest) -> Known:
     kind: str = request.param
     if kind == "fake":
         robot, baseline = (request.getfixturevalue(name) for name in ("robot", "baseline"))
-        return Known(robot, "rf", baseline, samples(*FakeLeg(seed=2).run(6)[:3]))
+        return Known(robot, "rf", baseline, FakeLeg(seed=2).stream(6))
     if kind == "bare":  # without geometry the joints show it
         robot = parse_robot(TOML.replace("lengths_m", "# "), source="bare")
         measured, desired, swing, _ = FakeLeg(seed=1).run(320)
         free = Stretch(measured, desired, swing, swing, np.ones(len(swing), dtype=bool))
         baseline = learn(robot, {"rf": [free]}, origin="test").baseline
-        return Known(robot, "rf", baseline, samples(*FakeLeg(seed=2).run(6)[:3]))
+        return Known(robot, "rf", baseline, FakeLeg(seed=2).stream(6))
     sim = pytest.importorskip("adaptive_contact_sim")
     robot = sim.simulated_robot(kind).description
     settings = sim.SimulationSettings.of(kind, "pose" if kind == "leg5" else "walk")
