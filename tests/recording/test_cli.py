@@ -94,134 +94,132 @@ def write_walk(path: Path, *, swings: int = 4, with_truth: bool = True) -> None:
                 writer.write_message(contact_key("rf"), event(k * TICK), k * TICK)
 
 
-class TestScore:
-    def test_table_and_json(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.mcap"
-        write_walk(path)
-        assert "100.0 %" in run(score, path)
-        text = json.loads(run(score, path, "--json"))
-        assert text["recording"] == str(path)
-        assert text["truncated"] is False
-        assert text["rows"]["headline"]["found"] == 4
-        assert text["rows"]["headline"]["latency_median_ms"] == 20.0
-        assert text["false_alarms"] == 0
-        assert json.loads(run(score, path, "--json", "--from", "0.8"))["swings"] == 3
+@pytest.fixture
+def walk(tmp_path: Path) -> Path:
+    path = tmp_path / "a.mcap"
+    write_walk(path)
+    return path
 
-    def test_the_description_of_another_robot_is_refused(self, tmp_path: Path) -> None:
-        path, other = tmp_path / "a.mcap", tmp_path / "robot.toml"
-        write_walk(path)
-        other.write_text(
-            '[robot]\nname = "dog"\nperiod_s = 0.02\nquantum_rad = 0.001\n'
-            '[[leg]]\nid = "fl"\njoints = ["hip", "thigh", "calf"]\n'
-        )
-        for words in ([score, path], [replay, path, "--events", tmp_path / "events.jsonl"]):
-            with pytest.raises(RecordingError, match=r"not those of robot 'dog' \(fl\); give the"):
-                run(*words, "--config", other)
-        assert not (tmp_path / "events.jsonl").exists()
 
-    def test_events_of_a_file(self, tmp_path: Path) -> None:
-        path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
-        write_walk(path)
-        lines = [encode(event(at_ms * MS), JSON).decode() for at_ms in (540, 900)]
-        events.write_text("\n".join(lines) + "\n\n")
-        text = json.loads(run(score, path, "--events", events, "--json"))
-        assert text["rows"]["headline"]["found"] == 1
-        assert text["false_alarms"] == 1
-        events.write_text("")
-        assert json.loads(run(score, path, "--events", events, "--json"))["detections"] == 0
+def test_a_score_is_a_table_or_json(walk: Path) -> None:
+    assert "100.0 %" in run(score, walk)
+    text = json.loads(run(score, walk, "--json"))
+    assert text["recording"] == str(walk)
+    assert text["truncated"] is False
+    assert text["rows"]["headline"]["found"] == 4
+    assert text["rows"]["headline"]["latency_median_ms"] == 20.0
+    assert text["false_alarms"] == 0
+    assert json.loads(run(score, walk, "--json", "--from", "0.8"))["swings"] == 3
 
-    def test_a_cut_recording_is_scored_up_to_the_cut(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        path = tmp_path / "a.mcap"
-        write_walk(path, swings=20)
-        whole = path.read_bytes()
-        path.write_bytes(whole[: len(whole) * 3 // 5])
-        text = json.loads(run(score, path, "--json"))
-        assert text["truncated"] is True
-        assert 3 < text["swings"] < 20
 
-    @pytest.mark.parametrize(
-        ("make", "arguments", "word"),
-        [
-            (lambda p: write_walk(p, with_truth=False), [], "no truth"),
-            (lambda p: p.write_bytes(b"hello, world"), [], "is not a recording"),
-            (lambda p: None, [], "cannot be read"),
-            (write_walk, ["--events", "nowhere.jsonl"], "nowhere.jsonl: cannot be read"),
-        ],
+def test_the_description_of_another_robot_is_refused(walk: Path, tmp_path: Path) -> None:
+    other = tmp_path / "robot.toml"
+    other.write_text(
+        '[robot]\nname = "dog"\nperiod_s = 0.02\nquantum_rad = 0.001\n'
+        '[[leg]]\nid = "fl"\njoints = ["hip", "thigh", "calf"]\n'
     )
-    def test_what_is_wrong_is_one_line(
-        self, tmp_path: Path, make: Callable[[Path], Any], arguments: list[str], word: str
-    ) -> None:
-        path = tmp_path / "a.mcap"
-        make(path)
-        with pytest.raises(RecordingError, match=word) as caught:
-            run(score, path, *arguments)
-        assert str(caught.value).count(str(path)) <= 1
-
-    def test_a_line_that_is_no_event_is_named(self, tmp_path: Path) -> None:
-        path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
-        write_walk(path)
-        events.write_bytes(encode(event(5 * TICK), JSON) + b'\n{"v":1,"leg":"rf"}\n')
-        with pytest.raises(RecordingError, match="line 2: not a contact event"):
-            run(score, path, "--events", events)
-
-    def test_of_a_line_without_end_little_is_read(self, tmp_path: Path) -> None:
-        path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
-        write_walk(path)
-        with events.open("wb") as file:
-            file.truncate(1 << 40)  # a hole, of more bytes than any memory has
-        with pytest.raises(RecordingError, match=r"line 1: not a contact event .* at most"):
-            run(score, path, "--events", events)
-
-    def test_more_lines_than_a_recording_has_events_are_refused(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
-        write_walk(path)
-        monkeypatch.setattr("adaptive_contact.cli.score._MOST_LINES", 3)
-        line = encode(event(5 * TICK), JSON) + b"\n"
-        events.write_bytes(3 * line)
-        run(score, path, "--events", events)
-        events.write_bytes(4 * line)
-        with pytest.raises(RecordingError, match="more than 3 lines"):
-            run(score, path, "--events", events)
-
-    def test_from_after_to(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.mcap"
-        write_walk(path)
-        with pytest.raises(ConfigurationError, match="is not before"):
-            run(score, path, "--from", "2", "--to", "1")
+    for words in ([score, walk], [replay, walk, "--events", tmp_path / "events.jsonl"]):
+        with pytest.raises(RecordingError, match=r"not those of robot 'dog' \(fl\); give the"):
+            run(*words, "--config", other)
+    assert not (tmp_path / "events.jsonl").exists()
 
 
-class TestReplayToEvents:
-    def test_options_of_the_other_way_are_refused(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.mcap"
-        write_walk(path)
-        with pytest.raises(ConfigurationError, match="--speed and --all"):
-            run(replay, path, "--events", "-", "--speed", "max", "--all")
-        with pytest.raises(ConfigurationError, match="--baseline is for --events"):
-            run(replay, path, "--baseline", "x")
+def test_events_of_a_file_are_scored(walk: Path, tmp_path: Path) -> None:
+    events = tmp_path / "events.jsonl"
+    lines = [encode(event(at_ms * MS), JSON).decode() for at_ms in (540, 900)]
+    events.write_text("\n".join(lines) + "\n\n")
+    text = json.loads(run(score, walk, "--events", events, "--json"))
+    assert text["rows"]["headline"]["found"] == 1
+    assert text["false_alarms"] == 1
+    events.write_text("")
+    assert json.loads(run(score, walk, "--events", events, "--json"))["detections"] == 0
 
-    @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast", "", "1e9"])
-    def test_impossible_speeds(self, tmp_path: Path, speed: str) -> None:
-        path = tmp_path / "a.mcap"
-        write_walk(path)
-        with pytest.raises(ConfigurationError, match="expected a factor above 0"):
-            run(replay, path, "--speed", speed)
 
-    def test_nothing_to_replay(self, tmp_path: Path) -> None:
-        path, out = tmp_path / "a.mcap", tmp_path / "out.jsonl"
-        with RecordingWriter(path) as writer:
-            writer.write("other", b"", MSGPACK, 0)
-        with pytest.raises(RecordingError, match="no servo sample"):
-            run(replay, path, "--events", out)
+def test_a_cut_recording_is_scored_up_to_the_cut(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_walk(path, swings=20)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) * 3 // 5])
+    text = json.loads(run(score, path, "--json"))
+    assert text["truncated"] is True
+    assert 3 < text["swings"] < 20
 
-    def test_an_output_that_cannot_be_written(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.mcap"
-        write_walk(path)
-        with pytest.raises(ConfigurationError, match="cannot be written"):
-            run(replay, path, "--events", tmp_path / "no" / "out.jsonl")
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "word"),
+    [
+        (lambda p: write_walk(p, with_truth=False), [], "no truth"),
+        (lambda p: p.write_bytes(b"hello, world"), [], "is not a recording"),
+        (lambda p: None, [], "cannot be read"),
+        (write_walk, ["--events", "nowhere.jsonl"], "nowhere.jsonl: cannot be read"),
+    ],
+)
+def test_what_is_wrong_with_a_recording_is_one_line(
+    tmp_path: Path, make: Callable[[Path], Any], arguments: list[str], word: str
+) -> None:
+    path = tmp_path / "a.mcap"
+    make(path)
+    with pytest.raises(RecordingError, match=word) as caught:
+        run(score, path, *arguments)
+    assert str(caught.value).count(str(path)) <= 1
+
+
+GOOD = encode(event(5 * TICK), JSON) + b"\n"
+
+
+@pytest.mark.parametrize(
+    ("lines", "size", "words"),
+    [
+        (GOOD + b'{"v":1,"leg":"rf"}\n', None, "line 2: not a contact event"),
+        # A hole, of more bytes than any memory has: of a line without end little is read.
+        (b"", 1 << 40, r"line 1: not a contact event .* at most"),
+        (4 * GOOD, None, "more than 3 lines"),
+    ],
+)
+def test_a_file_of_other_lines_than_events_is_refused(
+    walk: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    lines: bytes,
+    size: int | None,
+    words: str,
+) -> None:
+    monkeypatch.setattr("adaptive_contact.cli.score._MOST_LINES", 3)
+    events = tmp_path / "events.jsonl"
+    events.write_bytes(3 * GOOD)
+    run(score, walk, "--events", events)
+    events.write_bytes(lines)
+    os.truncate(events, size or len(lines))
+    with pytest.raises(RecordingError, match=words):
+        run(score, walk, "--events", events)
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "words"),
+    [
+        (score, ["--from", "2", "--to", "1"], "is not before"),
+        (replay, ["--events", "-", "--speed", "max", "--all"], "--speed and --all"),
+        (replay, ["--baseline", "x"], "--baseline is for --events"),
+        (replay, ["--events", "no/out.jsonl"], "cannot be written"),
+        *(
+            (replay, ["--speed", speed], "expected a factor above 0")
+            for speed in ("0", "-1", "nan", "inf", "fast", "", "1e9")
+        ),
+    ],
+)
+def test_options_that_cannot_be_are_refused(
+    walk: Path, command: Callable[..., None], options: list[str], words: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        run(command, walk, *options)
+
+
+def test_a_recording_without_samples_is_not_replayed(tmp_path: Path) -> None:
+    path, out = tmp_path / "a.mcap", tmp_path / "out.jsonl"
+    with RecordingWriter(path) as writer:
+        writer.write("other", b"", MSGPACK, 0)
+    with pytest.raises(RecordingError, match="no servo sample"):
+        run(replay, path, "--events", out)
 
 
 def publish_until_file_grows(router: Link, path: Path) -> int:
@@ -274,21 +272,22 @@ def test_record_refuses_what_zenoh_would(tmp_path: Path, key: str) -> None:
 
 
 @pytest.mark.e2e
-def test_replay_onto_the_wire_and_back_into_a_file(router: Link, cli: Any, tmp_path: Path) -> None:
-    source, copy = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    write_walk(source)
+def test_replay_onto_the_wire_and_back_into_a_file(
+    router: Link, cli: Any, walk: Path, tmp_path: Path
+) -> None:
+    copy = tmp_path / "b.mcap"
     recorder = cli("record", copy, "--connect", router.endpoints[0])
     recorder.wait_line(r"recording robot/\*\*")
     publish_until_file_grows(router, copy)
     arguments = ["--connect", router.endpoints[0], "--speed", "max", "--keep-run"]
-    player = cli("replay", source, *arguments)
+    player = cli("replay", walk, *arguments)
     assert player.wait() == 0, player.lines
     player.wait_line("169 of 173 messages published on 2 keys")
     publish_until_file_grows(router, copy)  # what was put before is written by then
     assert recorder.stop() == 0
     heard = [r for r in read_recording(copy) if not r.payload.startswith(b"sample ")]
     for kind in ("servo", "truth"):
-        sent = [r.payload for r in read_recording(source) if r.key.endswith(kind)]
+        sent = [r.payload for r in read_recording(walk) if r.key.endswith(kind)]
         assert [r.payload for r in heard if r.key.endswith(kind)] == sent
 
 
@@ -321,10 +320,10 @@ def test_encodings_and_keys_that_zenoh_cannot_send_are_counted(
 
 
 @pytest.mark.parametrize("command", ["replay", "score", "fit"])
-def test_a_recording_from_a_fifo_is_refused_in_a_line(command: str, tmp_path: Path) -> None:
+def test_a_recording_from_a_fifo_is_refused_in_a_line(
+    command: str, walk: Path, tmp_path: Path
+) -> None:
     """What cannot be read twice: a pipe, a process substitution."""
-    path = tmp_path / "a.mcap"
-    write_walk(path)
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     options = {"replay": ["--events", "-"], "score": [], "fit": ["-o", tmp_path / "out.json"]}
@@ -334,7 +333,7 @@ def test_a_recording_from_a_fifo_is_refused_in_a_line(command: str, tmp_path: Pa
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     with contextlib.suppress(BrokenPipeError):
-        fifo.write_bytes(path.read_bytes())  # waits until it is opened for reading
+        fifo.write_bytes(walk.read_bytes())  # waits until it is opened for reading
     out, said = process.communicate(timeout=WAIT_S)
     assert process.returncode == 2
     assert out == ""

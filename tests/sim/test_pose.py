@@ -124,36 +124,6 @@ def test_legs_take_turns_without_a_swing_between() -> None:
     assert steps.max() < 0.6  # no jump on changing turns
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"legs": ()}, "no leg to move"),
-        ({"workspace": "big"}, "workspaces are paper, whole"),
-        ({"approach": "jump"}, "approaches are descent"),
-        ({"segment_ticks": 1}, "4 to 500"),
-        ({"trials_per_turn": 0}, "at least 1"),
-        ({"path": "zigzag"}, "cartesian"),
-    ],
-)
-def test_settings_are_checked(settings: dict[str, object], words: str) -> None:
-    with pytest.raises(ConfigurationError, match=words):
-        PoseSettings(**settings)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"probability": 1.5}, "expected 0 to 1"),
-        ({"soft": -1.0}, "expected 0 to 1"),
-        ({"shapes": ("cone",)}, "plate, sphere, edge"),
-        ({"where": (0.9, 0.1)}, "rising"),
-    ],
-)
-def test_obstacle_settings_are_checked(settings: dict[str, object], words: str) -> None:
-    with pytest.raises(ConfigurationError, match=words):
-        ObstacleSettings(**settings)
-
-
 # -- Several legs in pose together: each as if alone, on a robot that keeps standing
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -133,6 +134,45 @@ def test_truth_is_told_in_order_and_soon() -> None:
             last[truth.leg], state[truth.leg] = message.t_ns, message.contact
 
 
-def test_settings_are_checked() -> None:
+@pytest.mark.parametrize(
+    ("kind", "settings", "words"),
+    [
+        (TerrainSettings, {"kind": "sand"}, "terrains are flat, steps, rough, soft, holes"),
+        (TerrainSettings, {"relief_m": 0.5}, "expected 0 to 0.08 m"),
+        (TerrainSettings, {"holes": 0.9}, "expected 0 to 0.5"),
+        (TerrainSettings, {"stiffness_n_m": 1.0}, "expected 100 to 100000 N/m"),
+        (WalkSettings, {"gait": "gallop"}, "gaits are tripod, ripple, wave, trot, walk"),
+        (WalkSettings, {"stop_on": "luck"}, "truth, service, never"),
+        (WalkSettings, {"stride_m": 0.5}, "stride is 0.5 m; expected 0 to 0.09 m"),
+        (WalkSettings, {"swing_s": 0.01}, "expected 0.15 to 3 s"),
+        (WalkSettings, {"depth_m": (0.005, 0.03)}, "expected 0.01 to 0.06 m"),
+        (WalkSettings, {"phase": "guessed"}, "expected one of touch, planned"),
+        (WalkSettings, {"phase": "planned", "stop_on": "service"}, "stopped by nothing"),
+        (WalkSettings, {"phase": "planned", "raise_m": 0.03}, "nothing reports strikes"),
+        (WalkSettings, {"stop_on": "never", "raise_m": 0.03}, "nothing reports strikes"),
+        (WalkSettings, {"react_ms": -1.0}, "expected 0 to 1000 ms"),
+        (WalkSettings, {"variability": float("nan")}, "expected 0 to 0.4"),
+        (ObstacleSettings, {"probability": 1.5}, "expected 0 to 1"),
+        (ObstacleSettings, {"soft": -1.0}, "expected 0 to 1"),
+        (ObstacleSettings, {"shapes": ("cone",)}, "plate, sphere, edge"),
+        (ObstacleSettings, {"where": (0.9, 0.1)}, "rising"),
+        (PoseSettings, {"legs": ()}, "no leg to move"),
+        (PoseSettings, {"workspace": "big"}, "workspaces are paper, whole"),
+        (PoseSettings, {"approach": "jump"}, "approaches are descent"),
+        (PoseSettings, {"segment_ticks": 1}, "4 to 500"),
+        (PoseSettings, {"trials_per_turn": 0}, "at least 1"),
+        (PoseSettings, {"path": "zigzag"}, "cartesian"),
+        (EncoderSettings, {"dropped": 0.9}, "expected 0 to"),
+        (EncoderSettings, {"repeated": -0.1}, "expected 0 to"),
+        (EncoderSettings, {"bogus": float("nan")}, "expected 0 to"),
+        (EncoderSettings, {"noise_steps": 99.0}, "expected 0 to"),
+    ],
+)
+def test_settings_are_checked(kind: Any, settings: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        kind(**settings)
+
+
+def test_a_period_is_a_whole_number_of_physics_steps() -> None:
     with pytest.raises(ConfigurationError, match="whole number"):
         Simulation(SimulationSettings(period_s=0.0155))

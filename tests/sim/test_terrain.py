@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.scene import build
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings, soft_contact
 
@@ -57,17 +56,3 @@ def test_soft_ground_is_as_stiff_as_it_says(stiffness: float) -> None:
     sunk = 0.008 - data.qpos[2]
     assert sunk == pytest.approx(mass * 9.81 / stiffness, rel=0.1)
     assert deepest < 3.0 * sunk  # damped, not bouncing about
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"kind": "sand"}, "terrains are flat, steps, rough, soft, holes"),
-        ({"relief_m": 0.5}, "expected 0 to 0.08 m"),
-        ({"holes": 0.9}, "expected 0 to 0.5"),
-        ({"stiffness_n_m": 1.0}, "expected 100 to 100000 N/m"),
-    ],
-)
-def test_settings_are_checked(settings: dict[str, object], words: str) -> None:
-    with pytest.raises(ConfigurationError, match=words):
-        TerrainSettings(**settings)

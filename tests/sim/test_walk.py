@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.gait import Swings
@@ -124,24 +123,3 @@ def test_a_stale_word_of_the_service_does_not_stop_the_next_swing() -> None:
         free.advance()
         stale.advance()
         assert free.phase == stale.phase
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"gait": "gallop"}, "gaits are tripod, ripple, wave, trot, walk"),
-        ({"stop_on": "luck"}, "truth, service, never"),
-        ({"stride_m": 0.5}, "stride is 0.5 m; expected 0 to 0.09 m"),
-        ({"swing_s": 0.01}, "expected 0.15 to 3 s"),
-        ({"depth_m": (0.005, 0.03)}, "expected 0.01 to 0.06 m"),
-        ({"phase": "guessed"}, "expected one of touch, planned"),
-        ({"phase": "planned", "stop_on": "service"}, "stopped by nothing"),
-        ({"phase": "planned", "raise_m": 0.03}, "nothing reports strikes"),
-        ({"stop_on": "never", "raise_m": 0.03}, "nothing reports strikes"),
-        ({"react_ms": -1.0}, "expected 0 to 1000 ms"),
-        ({"variability": float("nan")}, "expected 0 to 0.4"),
-    ],
-)
-def test_settings_are_checked(settings: dict[str, object], words: str) -> None:
-    with pytest.raises(ConfigurationError, match=words):
-        WalkSettings(**settings)

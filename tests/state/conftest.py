@@ -48,6 +48,13 @@ class Desk:
         self.position = Position(None, self.received_samples)
 
 
+def save(keeper: StateKeeper, desk: Desk) -> None:
+    """Once more something is heard, and written."""
+    desk.hear()
+    keeper.snapshot(desk, 0)
+    assert keeper.flush(5.0)
+
+
 class Folder:
     """Opens keepers on one folder, one at a time."""
 
@@ -62,17 +69,20 @@ class Folder:
         self.keeper = StateKeeper(self.store, "mini", lambda _: settings)
         return self.keeper
 
+    def begin(self) -> tuple[StateKeeper, Desk]:
+        """A keeper, and a leg that it knows."""
+        keeper, desk = self.open(), Desk()
+        keeper.restore(desk.leg, desk.learner, "servo", 0)
+        return keeper, desk
+
     def close(self) -> None:
         if self.keeper is not None:
             self.keeper.close(5.0)
 
     def save(self, number: int) -> None:
-        keeper = self.open()
-        desk = Desk(learner=Learner(number))
-        keeper.restore("rf", Learner(), "servo", 0)
-        desk.hear()
-        keeper.snapshot(desk, 0)
-        assert keeper.flush(5.0)
+        keeper, desk = self.begin()
+        desk.learner = Learner(number)
+        save(keeper, desk)
 
     def restored(self, learner: Learner | None = None) -> tuple[int, list[str], list[str]]:
         """The number that came back, what was refused, and the log's lines."""

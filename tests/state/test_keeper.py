@@ -23,7 +23,7 @@ from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.state.store import NEWEST
 from waiting import until
 
-from .conftest import Desk, Folder, Learner, S
+from .conftest import Desk, Folder, Learner, S, save
 
 
 def test_a_flipped_byte_falls_back_to_the_one_before_in_one_line(folder: Folder) -> None:
@@ -52,11 +52,8 @@ def test_of_many_refusals_the_first_are_told_and_how_many_more(folder: Folder) -
     keeper = folder.open()
     for number in range(6):
         leg = f"l{number}"
-        desk = Desk(leg)
         keeper.restore(leg, Learner(), "servo", 0)
-        desk.hear()
-        keeper.snapshot(desk, 0)
-    assert keeper.flush(5.0)
+        save(keeper, Desk(leg))
     keeper = folder.open()
     for number in range(6):
         keeper.restore(f"l{number}", Learner(joints=4), "servo", 0)
@@ -81,9 +78,7 @@ def test_other_settings_start_clean_and_keep_the_old(folder: Folder) -> None:
 
 
 def test_every_ten_seconds_and_at_once_after_a_promotion(folder: Folder) -> None:
-    keeper = folder.open()
-    desk = Desk()
-    keeper.restore("rf", desk.learner, "servo", 0)
+    keeper, desk = folder.begin()
     assert not keeper.due(desk, 100 * S), "without samples there is nothing new"
     desk.hear()
     assert not keeper.due(desk, 1 * S)
@@ -193,9 +188,7 @@ def slowed(
 def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keeper = folder.open()
-    desk = Desk(learner=Learner())
-    keeper.restore("rf", desk.learner, "servo", 0)
+    keeper, desk = folder.begin()
     writing, go_on, written = slowed(folder, monkeypatch)
     for number in range(1, 6):
         desk.learner.number = number  # type: ignore[attr-defined]
@@ -250,8 +243,7 @@ def test_a_disk_that_does_not_answer_is_told(
 ) -> None:
     """A card that dies neither saves nor fails: nobody would ever hear of it."""
     monkeypatch.setattr(keeper_module, "HANGS_S", 0.01)
-    keeper, desk = folder.open(), Desk()
-    keeper.restore("rf", desk.learner, "servo", 0)
+    keeper, desk = folder.begin()
     writing, go_on, _ = slowed(folder, monkeypatch)
     with capture_logs() as logs:
         desk.hear()
@@ -275,9 +267,7 @@ def test_a_disk_that_does_not_answer_is_told(
 def test_a_full_disk_is_told_once_and_tried_again(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keeper = folder.open()
-    desk = Desk()
-    keeper.restore("rf", desk.learner, "servo", 0)
+    keeper, desk = folder.begin()
     full = OSError(errno.ENOSPC, "No space left on device")
 
     def fails(record: Record) -> None:
@@ -286,9 +276,7 @@ def test_a_full_disk_is_told_once_and_tried_again(
     with capture_logs() as logs:
         monkeypatch.setattr(folder.store, "save", fails)
         for _ in range(3):
-            desk.hear()
-            keeper.snapshot(desk, 0)
-            assert keeper.flush(5)
+            save(keeper, desk)
         facts = keeper.facts
         monkeypatch.undo()
         keeper.snapshot(desk, 0)
