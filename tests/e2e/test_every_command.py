@@ -18,7 +18,6 @@ from typer.main import get_command
 from adaptive_contact.cli import main
 
 ROOT = Path(__file__).parents[2]
-NOBODY = "--connect tcp/127.0.0.1:1"
 
 # In one folder, in order; `adaptive-contact` comes before each.  Of sim baseline, which takes
 # hours, there is no small form.

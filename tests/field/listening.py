@@ -22,8 +22,6 @@ from adaptive_contact.wire import (
 
 from .mistakes import Messages
 
-STATUS_TICKS = 50
-
 
 def status_of(robot: Robot, baseline: Baseline | None) -> ServiceStatus:
     facts = {leg: LegFacts.of(robot, leg) for leg in robot.leg_ids}

@@ -13,42 +13,33 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
 from adaptive_contact.fit.train import Stretch, cautious, learn
 from adaptive_contact.model import save_baseline
 from adaptive_contact.robot import parse_robot
-from adaptive_contact_sim import EncoderSettings, SimulationSettings
-from adaptive_contact_studies.scenarios.spec import Staging
 
 from .compare import Comparison, compare
 from .play import play
 from .recordings import (
+    PERIOD_NS,
     UNREAL,
     UNUSABLE,
+    Recording,
+    Round,
     cold,
     lost_samples,
     restarted,
     service_restart,
+    shipped,
     spoilt,
-    tripod,
     two_publishers,
     unfit_baseline,
     with_baseline_of,
     without_lengths,
     wrong_signs,
-)
-from .simulated import (
-    PERIOD_NS,
-    Recording,
-    Round,
-    change,
-    hexapod_pose,
-    hexapod_walk,
-    shipped,
-    simulated,
 )
 from .trees import ROOT
 
@@ -61,52 +52,17 @@ FIGURES: Final = ("score", "p")
 _PHASES: Final = (None, "stance", "swing")
 
 
-def _of_robot(name: str, mode: Literal["walk", "pose"], seconds: float) -> list[Round]:
-    robot = parse_robot(shipped(name, "robot.toml").decode(), source=name)
-    settings = SimulationSettings.of(name, mode)
-    moves: Any = settings.motion
-    if mode == "pose":
-        moves = replace(moves, obstacles=replace(moves.obstacles, probability=0.5))
-    settings = replace(settings, motion=moves, seed=5407, period_s=robot.period_s)
-    return simulated(settings, seconds, [leg.id for leg in robot.legs])
-
-
-# Robot, and how the motion was made, once.
-MOTIONS: Final[dict[str, tuple[str, Callable[[], list[Round]]]]] = {
-    "pose": ("hexapod", lambda: hexapod_pose(5401, 60.0)),
-    "drift": ("hexapod", lambda: hexapod_pose(5402, 30.0, drift=change("friction", 4.0, 8.0))),
-    "caught": ("hexapod", lambda: hexapod_pose(5403, 24.0, staging=Staging(caught_s=(6.0, 14.0)))),
-    "post": ("hexapod", lambda: hexapod_pose(5404, 20.0, obstacles=0.9, approach="forward")),
-    "free": (
-        "hexapod",
-        lambda: hexapod_pose(5408, 60.0, obstacles=0.06, drift=change("supply", 10.0, 4.0)),
-    ),
-    "tripod": ("hexapod", lambda: tripod(5405, 20.0, EncoderSettings()).rounds),
-    "walk": ("hexapod", lambda: hexapod_walk(5406, 20.0).rounds),
-    "quadruped12": ("quadruped12", lambda: _of_robot("quadruped12", "walk", 10.0)),
-    "leg5": ("leg5", lambda: _of_robot("leg5", "pose", 20.0)),
+# The robot of each motion.  They were simulated once (``git log -S write_motion -- tests/same``).
+MOTIONS: Final[dict[str, str]] = {
+    **dict.fromkeys(("pose", "drift", "caught", "post", "free", "tripod", "walk"), "hexapod"),
+    "quadruped12": "quadruped12",
+    "leg5": "leg5",
 }
-
-
-def write_motion(name: str) -> None:
-    """Simulate a motion and store it: readings and commands in steps from those of its start."""
-    robot, make = MOTIONS[name]
-    rounds = make()
-    legs = list(rounds[0])
-    described = parse_robot(shipped(robot, "robot.toml").decode(), source=robot)
-    step = np.array([described.quantum(leg) for leg in legs])[:, None]
-    table: dict[str, Any] = {"legs": legs, "step": step}
-    for field in ("measured", "desired"):
-        angles = np.array([[samples[leg][field] for leg in legs] for samples in rounds])
-        steps = np.round((angles - angles[0]) / step)
-        table |= {field: np.diff(steps.astype(np.int16), axis=0), f"{field}_first": angles[0]}
-    phases = [[_PHASES.index(samples[leg].get("phase")) for leg in legs] for samples in rounds]
-    np.savez_compressed(FOLDER / f"{name}.npz", phase=np.array(phases, np.int8), **table)
 
 
 def motion(name: str) -> Recording:
     """A stored motion with its robot and baseline, as it was before anything happened to it."""
-    robot, _ = MOTIONS[name]
+    robot = MOTIONS[name]
     text = shipped(robot, "robot.toml").decode()
     described = parse_robot(text, source=robot)
     with np.load(FOLDER / f"{name}.npz") as table:

@@ -6,29 +6,47 @@ import copy
 import json
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
 from typing import Any, Final
 
 import numpy as np
 
-from adaptive_contact_sim import (
-    EncoderSettings,
-    ObstacleSettings,
-    PoseGroupSettings,
-    PoseSettings,
-    SimulationSettings,
-)
+# One leg's sample as plain values; what is left out has its default.
+Sample = dict[str, Any]
+Round = dict[str, Sample]
+# Makes a bad sample of one and the one before; whether it comes instead, or besides.
+Spoiler = Callable[[Sample, Sample], tuple[Sample, bool]]
 
-from .simulated import (
-    PERIOD_NS,
-    TRIPOD,
-    Recording,
-    Round,
-    Sample,
-    Spoiler,
-    hexapod,
-    simulated,
-)
+PERIOD_NS: Final = 20_000_000
+TRIPOD: Final = ("lm", "rf", "rr")
+
+
+@dataclass
+class Recording:
+    """What learners are given, and when they are asked.
+
+    Attributes:
+        robot: content of ``robot.toml``.
+        baseline: content of a baseline file, None for a cold start.
+        rounds: samples, by leg.
+        looks: after which round the status of which legs is noted.
+        restarts: before which rounds the service that has the learners is started again.
+        judged: whether score and p of every tick are noted.
+    """
+
+    robot: str
+    baseline: bytes | None
+    rounds: list[Round]
+    looks: list[tuple[int, list[str]]] = field(default_factory=list)
+    restarts: list[int] = field(default_factory=list)
+    judged: bool = False
+
+
+def shipped(name: str, file: str) -> bytes:
+    return resources.files("adaptive_contact_models").joinpath(name, file).read_bytes()
+
 
 # -- starts ----------------------------------------------------------------------------------------
 
@@ -100,16 +118,6 @@ def restarted(parts: Sequence[Recording], *, run: bool) -> Recording:
                         sample["run"] = 1_700_000_000_000 + number
                 rounds.append(samples)
     return streams(parts[0], rounds)
-
-
-def tripod(seed: int, seconds: float, encoder: EncoderSettings) -> Recording:
-    """Three legs in pose at a time."""
-    poses = tuple(
-        PoseSettings(legs=(leg,), obstacles=ObstacleSettings(probability=0.4)) for leg in TRIPOD
-    )
-    settings = SimulationSettings(motion=PoseGroupSettings(poses), seed=seed, encoder=encoder)
-    rounds = simulated(settings, seconds, TRIPOD)
-    return streams(hexapod(rounds), rounds)
 
 
 def lost_samples(recording: Recording) -> Recording:

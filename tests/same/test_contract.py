@@ -29,7 +29,7 @@ from adaptive_contact.model.factor import Factor
 from adaptive_contact.robot import shipped_robot
 
 from .golden import motion
-from .simulated import Round
+from .recordings import Round
 
 ROOMS: Final = ("bank", "leg_learner", "leg_report", "detect", "learn", "diagnose", "fit", "model")
 # Nothing of them changes once they are made.

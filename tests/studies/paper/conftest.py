@@ -11,13 +11,6 @@ from adaptive_contact_studies.paper.plan import LegRun, Piece
 from adaptive_contact_studies.work import Work
 
 
-def simulated(seconds: float, seed: int, probability: float = 0.0) -> Stream:
-    settings = SimulationSettings(
-        motion=PoseSettings(obstacles=ObstacleSettings(probability=probability)), seed=seed
-    )
-    return load(Work(None), Piece(LegRun(0, "rf"), "train", "paper", seconds, settings))
-
-
 @pytest.fixture(scope="session")
 def robot() -> Robot:
     return shipped_robot()
@@ -25,9 +18,6 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="session")
 def free_stream() -> Stream:
-    return simulated(120.0, seed=901)
-
-
-@pytest.fixture(scope="session")
-def touched_stream() -> Stream:
-    return simulated(40.0, seed=902, probability=0.6)
+    motion = PoseSettings(obstacles=ObstacleSettings(probability=0.0))
+    settings = SimulationSettings(motion=motion, seed=901)
+    return load(Work(None), Piece(LegRun(0, "rf"), "train", "paper", 120.0, settings))
