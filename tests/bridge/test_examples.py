@@ -166,7 +166,6 @@ def reading_in_c(contacts_in_c: list[str]) -> Iterator[Reading]:
             [*contacts_in_c, link.endpoints[0]],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
-        assert process.stdout is not None
         try:
             yield link, contacts, process.stdout.readline
         finally:
@@ -256,7 +255,6 @@ class FakeBridge:
 
     def _command(self, received: Received) -> None:
         command = decode(received.payload, Command, received.encoding)
-        assert isinstance(command, Command)
         self.commands.append(list(command.desired))
         self._at = list(command.desired)
 
@@ -285,7 +283,6 @@ def test_the_gait_controller_holds_still_while_serve_is_dead(
     """`serve` is killed while a leg steps: it is held where it is, and steps again once there is a
     service to say that a foot touches, from the top."""
     leg = shipped_robot().leg("rf")
-    assert leg.lengths_m is not None
 
     def service() -> Program:
         # Without a baseline it reports no contact.

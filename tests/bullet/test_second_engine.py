@@ -66,7 +66,6 @@ def test_the_inverse_reaches_the_feet_of_the_description(name: str) -> None:
     robot = shape.description
     for leg in shape.legs:
         chain = robot.leg(leg.id).chain
-        assert chain is not None
         target = chain.foot(np.array(leg.rest_rad)) + np.array([0.01, -0.01, 0.015])
         inverse = Inverse(chain, np.array(leg.rest_rad))
         for _ in range(5):
@@ -83,7 +82,6 @@ def test_the_engine_and_the_description_agree_on_feet(name: str) -> None:
     robot = shape.description
     for i, leg in enumerate(shape.legs):
         chain = robot.leg(leg.id).chain
-        assert chain is not None
         x, y, z = chain.foot(np.array(leg.rest_rad))
         cos, sin = math.cos(leg.yaw_rad), math.sin(leg.yaw_rad)
         mount = leg.mount_m
@@ -133,7 +131,6 @@ def test_a_trial_of_the_study_has_a_row(tmp_path: Path) -> None:
     work = Work(tmp_path)
     made = work.each("trials", tried, trials)
     walked = made[0]
-    assert walked is not None
     assert sum(walked.touches) >= walked.seen >= walked.seen_found > 0
     assert walked.twins >= walked.seen > 20
     assert made[1] is None  # three seconds are too little for a baseline

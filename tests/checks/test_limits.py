@@ -102,7 +102,6 @@ def test_limits_are_named_clip_and_are_saved() -> None:
     assert limits.reached(("coxa", "femur", "tibia"), u) == "femur stops at 0.250 rad"
     assert limits.reached(("coxa", "femur", "tibia"), u[1:]) == ""
     again = Limits.saved([of.tolist() for of in limits], 3)
-    assert again is not None
     assert all(map(np.array_equal, again, limits))
     for bad in (None, [], [[0.0], [1.0]], [[1.0] * 3, [0.0] * 3], [["a"] * 3] * 2, {"a": 1}):
         assert Limits.saved(bad, 3) is None

@@ -28,7 +28,6 @@ def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 def test_what_is_compiled_is_kept_in_a_folder_of_the_users_own(folder: Path) -> None:
     found = compiled.cache_folder()
-    assert found is not None
     assert found.parent == folder / "home" / ".cache" / "adaptive-contact"
     assert found.stat().st_mode & 0o777 == 0o700
     assert found.parent.stat().st_mode & 0o777 == 0o700
@@ -53,7 +52,6 @@ def test_a_folder_that_others_may_write_to_holds_no_code(
     theirs.chmod(0o777)
     monkeypatch.setenv(compiled.CACHE_VARIABLE, str(theirs))
     found = compiled.cache_folder()
-    assert found is not None
     assert theirs not in found.parents
     assert not list(theirs.iterdir())
 
@@ -73,7 +71,6 @@ def test_without_a_home_the_folder_for_temporary_files_serves(
 ) -> None:
     monkeypatch.setenv("HOME", "/proc/nobody")  # as of a system user
     found = compiled.cache_folder()
-    assert found is not None
     assert found.parent == folder / "tmp" / f"adaptive-contact-{os.getuid()}"
 
 
@@ -177,7 +174,6 @@ def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> No
     if not compiled.compiles():
         pytest.skip("nothing is compiled here")
     found = compiled.cache_folder()
-    assert found is not None
     old, recent = (found.with_name(f"compiled-{name}") for name in ("old", "recent"))
     for other, days in ((old, 91), (recent, 89)):
         other.mkdir()
@@ -192,7 +188,6 @@ def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> No
 def test_the_time_of_a_first_start_is_that_of_the_newest_before(folder: Path) -> None:
     """Else it is measured; what a file holds that is no such time counts for nothing."""
     found = compiled.cache_folder()
-    assert found is not None
     for age, (name, text) in enumerate(
         [("a", ""), ("b", "nan"), ("c", "-3"), ("d", "1e9"), ("f", "44.5"), ("g", "9")]
     ):

@@ -95,13 +95,10 @@ def test_an_event_says_where_the_foot_is_as_sure_as_it_is(walk: Walked) -> None:
     errors = []
     for leg, own in events.items():
         chain = robot.leg(leg).chain
-        assert chain is not None
         for event in own:
             if not event.contact:
                 assert event.foot_m is event.foot_sd_m is event.push is event.push_up is None
                 continue
-            assert event.foot_m is not None
-            assert event.foot_sd_m is not None
             off = np.subtract(event.foot_m, chain.foot(run.legs[leg].angle[event.seq]))
             errors.append(off / event.foot_sd_m)
     assert len(errors) >= 15
@@ -110,7 +107,6 @@ def test_an_event_says_where_the_foot_is_as_sure_as_it_is(walk: Walked) -> None:
 
 def test_a_push_is_along_the_way_that_the_foot_was_moved() -> None:
     chain = simulated_robot("hexapod").description.leg("lf").chain
-    assert chain is not None
     q = [0.2, 0.4, -0.9]
     foot = np.array(chain.point(q))
     for moved in (np.array([0.0, 0.0, 1.0]), np.array([-0.6, 0.8, 0.0])):

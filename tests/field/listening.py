@@ -52,7 +52,6 @@ def listen(
 
     def tell(leg: str) -> None:
         learner = bank.learner(leg)
-        assert learner is not None
         take(learner_key(leg), encode(learner.status))
 
     take(SERVICE_STATUS, encode(status_of(robot, baseline)))
@@ -73,7 +72,6 @@ def listen(
             continue
         sample = decode(payload, ServoSample, MSGPACK)
         learner = bank.learner(leg, len(sent.body["measured"]))
-        assert learner is not None
         if isinstance(sample, Rejected):
             learner.count(sample.reason)
             continue

@@ -201,8 +201,7 @@ def _written(sent: Sent, ticks: int, goals: dict[str, Any]) -> Angles:
     """The goal of so many ticks ago."""
     written = goals.setdefault(sent.key, [])
     written.append(sent.body["desired"])
-    earlier: Angles = written[max(len(written) - 1 - ticks, 0)]
-    return earlier
+    return written[max(len(written) - 1 - ticks, 0)]
 
 
 def echoed(delay: int = 0) -> Mistake:

@@ -196,7 +196,6 @@ def test_what_is_named_does_not_enter_a_baseline(
 def training_of(robot: Robot, **changes: Any) -> Training:
     """What `fit` gives for the shipped robot, with some of its figures changed."""
     baseline = shipped_baseline(robot.name)
-    assert baseline is not None
     quantum = robot.quantum_rad
     good: dict[str, Any] = {
         "swings": 100,

@@ -190,7 +190,6 @@ def test_all_legs_lost_at_once_point_to_the_description_first(walk: list[m.Sent]
 
 
 def test_a_leg_that_its_baseline_lacks(walk: list[m.Sent]) -> None:
-    assert BASELINE is not None
     legs = {leg: known for leg, known in BASELINE.legs.items() if leg != "lf"}
     given = dataclasses.replace(BASELINE, legs=legs)
     diagnosis = listen(last(walk, SHORT_S), shipped_robot(), given)

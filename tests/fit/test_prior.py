@@ -109,7 +109,6 @@ def moved(seed: int, n: int = 200) -> tuple[Array, Array]:
 def of_family() -> tuple[Array, Array, float]:
     """Mean (p, J), covariances (J, p, p) and deviation of the noise of any leg."""
     known = leg_prior(LIBRARY, QUANTUM)
-    assert known.spread is not None
     covariance = np.einsum("jqa,jqb->jab", known.spread, known.spread)
     return known.model.coefficients, covariance, float(known.noise.covariance[0, 0, 0, 0]) ** 0.5
 
@@ -288,8 +287,6 @@ def test_a_baseline_keeps_its_doubt(few: Training, tmp_path: Path) -> None:
     file = tmp_path / "baseline.json"
     file.write_text(dump_baseline(few.baseline))
     before, after = few.baseline.legs["arm"].domain, load_baseline(file).legs["arm"].domain
-    assert before is not None
-    assert after is not None
     assert before.inflation is not None
     assert after.inflation is not None
     np.testing.assert_allclose(after.inflation, before.inflation)

@@ -31,7 +31,6 @@ def aside(robot: Robot, yaw_rad: float = 0.7) -> Robot:
         axes=("yaw", pitch, pitch),
         origins_m=tuple(tuple(turn.apply([length, 0.0, 0.0]).tolist()) for length in LENGTHS),
     )
-    assert leg.chain is not None
     assert not leg.chain.is_straight
     return msgspec.structs.replace(robot, legs=(leg,))
 

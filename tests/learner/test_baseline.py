@@ -19,8 +19,7 @@ from adaptive_contact.robot import Robot
 
 @pytest.fixture
 def tree(baseline: Baseline) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(dump_baseline(baseline))
-    return found
+    return json.loads(dump_baseline(baseline))
 
 
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])

@@ -120,7 +120,6 @@ def test_what_was_heard_outlives_a_restart_and_asks_for_no_refits(
     play(learner, stream[: 28 * 100])
     assert learner.status.status == "ambiguous"
     adapter = learner.lifecycle.adapter
-    assert adapter is not None
     before = adapter.refits
     again = ContactLearner(robot, "rf", baseline)
     assert again.restore(learner.snapshot()) is None

@@ -45,7 +45,6 @@ def without_femur(sample: ServoSample) -> ServoSample:
 def spy(learner: ContactLearner) -> list[Row]:
     """Rows that go into the buffer from here on."""
     adapter, taken = learner.lifecycle.adapter, []
-    assert adapter is not None
     add = adapter.buffer.add
 
     def listen(rows: Rows, region: int, era: int) -> None:
@@ -105,7 +104,6 @@ def test_ticks_in_a_row_that_fit_are_counted(levels: list[float]) -> None:
     told = "".join("fit " if level <= UNFIT_LEVEL else "off " for level in levels)
     now = re.search(r"(fit )*$", told)
     ended = list(re.finditer(r"((?:fit )+)off ", told))
-    assert now is not None
     assert leg["fit_n"][0] == len(now[0]) // 4
     assert leg["fit_before"][0] == (len(ended[-1][1]) // 4 if ended else 0)
     if ended:
@@ -149,7 +147,6 @@ def test_a_rate_that_changes_in_mid_swing_leaves_nothing_in_the_buffer(
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, stream)
     adapter = learner.lifecycle.adapter
-    assert adapter is not None
     assert adapter.buffer.segments
     assert all(s.t_ns < stream[first].t_ns for s in adapter.buffer.segments)
     assert not [t_ns for t_ns in learner.drain_confirmed() if t_ns >= stream[first].t_ns]
@@ -241,7 +238,6 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
     told = []
     for k, sample in enumerate(stream):
         learner = bank.learner("rf")
-        assert learner is not None
         if k in (100, 101, 180):  # in the midst of a swing
 
             def fail(*_: object) -> None:
@@ -256,7 +252,6 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
         monkeypatch.undo()
     assert [(event.seq, event.contact) for event in told if event.leg == "lf"] == wanted
     faulty = bank.learner("rf")
-    assert faulty is not None
     assert faults == 3 * [("rf", "division by zero")]
     assert faulty.status.note == (
         "3 faults in learning, restarted each time; last ZeroDivisionError: division by zero"
@@ -310,7 +305,6 @@ def test_whoever_may_have_heard_of_a_touch_is_told_that_it_is_over(robot: Robot)
     learner = ContactLearner(robot, "rf")
     learner.request_release()
     event = learner.update(stream[0])
-    assert event is not None
     assert (event.contact, event.t_ns) == (False, stream[0].t_ns)
     assert [learner.update(sample) for sample in stream[1:]] == [None] * (len(stream) - 1)
 
@@ -324,7 +318,6 @@ def test_a_contact_whose_samples_have_stopped_is_withdrawn_until_the_next_touch(
     last = next(k for k, s in enumerate(stream) if (e := learner.update(s)) and e.contact)
     before = learner.status
     gone = learner.withdraw()
-    assert gone is not None
     assert (gone.contact, gone.withheld, gone.status) == (False, True, "silent")
     assert (gone.t_ns, gone.onset_ns, gone.score) == (stream[last].t_ns, stream[last].t_ns, 0.0)
     after = learner.status

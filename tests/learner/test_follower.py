@@ -19,7 +19,7 @@ from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Rows
-from adaptive_contact.robot import Leg, Robot, parse_robot
+from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import DriftLevel
 
 from .conftest import TOML, FakeLeg, outcomes, play, samples
@@ -140,7 +140,6 @@ def test_a_leg_of_unknown_lengths_is_followed_by_its_phase(baseline: Baseline) -
         240, touch=lambda n: stops[n], change=lambda n: 0.7 if n >= 100 else 1.0
     )
     learner = ContactLearner(robot, "rf", baseline)
-    assert isinstance(learner.leg, Leg)
     assert learner.leg.lengths_m is None
     events = play(learner, stream)
     before = outcomes(events, range(40, 100), stops)
@@ -221,7 +220,6 @@ def test_a_joint_that_reads_more_coarsely_raises_no_alarms(
     assert told.count("alarm") <= 1
     assert told.count("hit") >= 0.97 * 140
     recent = learner.lifecycle.noise_tracker
-    assert recent is not None
     now, then = recent.whiten[4, 0], baseline.legs["rf"].noise.whiten[4, 0]
     coxa, femur = (np.diag(now) / np.diag(then))[:2]
     assert femur < 0.8 * coxa, "the femur has grown noisier, the coxa has not"

@@ -69,9 +69,7 @@ def started(robot: Robot, baseline: Baseline | None = None) -> Lifecycle:
 def spread_of(life: Lifecycle) -> np.ndarray:
     """(J, p) deviations of the coefficients, as far as they may move."""
     adapter = life.adapter
-    assert adapter is not None
     covariance = adapter.free_motion().covariance
-    assert covariance is not None
     return np.sqrt(np.square(covariance.root).sum(axis=2))
 
 
@@ -81,7 +79,6 @@ def test_a_leg_that_no_prior_fits_gets_a_wider_one(robot: Robot) -> None:
     for times in (3, 9, 9):  # and no wider
         life.forget()
         variances.append(np.square(spread_of(life)))
-        assert life.note_now is not None
         assert f"the prior is {times} times wider (0 of 10 swings)" in life.note_now
     # Each is the prior's with its factor squared, and what any recursion begins with besides.
     one, three, nine, last = variances
@@ -108,6 +105,5 @@ def test_a_widening_that_is_none_leaves_a_leg_that_works(robot: Robot, widening:
     life = started(robot)
     saved = life.snapshot() | {"widening": widening}
     life.restore(saved)
-    assert life.adapter is not None
     assert np.isfinite(spread_of(life)).all()
     assert (spread_of(life) <= 9.0 * spread_of(started(robot)) * (1 + 1e-9)).all()

@@ -153,7 +153,6 @@ def test_standing_changes_nothing(robot: Robot, baseline: Baseline) -> None:
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, stream)
     model = learner.model
-    assert model is not None
     before = model.coefficients.copy()
     last = stream[-1]
     still = [
@@ -163,7 +162,6 @@ def test_standing_changes_nothing(robot: Robot, baseline: Baseline) -> None:
     assert play(learner, still) == []
     # What the last swing confirmed is still drained in the first ticks of standing.
     after = learner.model
-    assert after is not None
     assert np.abs(after.coefficients - before).max() < 0.02
     assert learner.status.status == "valid"
 
@@ -174,11 +172,9 @@ def test_the_report_says_what_its_terms_of_changes_speak_of(
     learner = ContactLearner(robot, "rf", baseline)
     known = baseline.legs["rf"].model
     fresh = learner.model_report
-    assert fresh is not None
     assert fresh.first == []
     play(learner, FakeLeg(seed=12).stream(12))
     report = learner.model_report
-    assert report is not None
     assert report.model_version >= 1
     named = {term.name for joint in report.terms for term in joint}
     assert {"tanh(δ_coxa/1)", "δ_tibia(2s)-δ_tibia"} <= named
@@ -194,7 +190,6 @@ def test_without_a_baseline_it_learns(robot: Robot) -> None:
     learner = ContactLearner(robot, "rf")
     assert learner.status.status == "learning"
     report = learner.model_report
-    assert report is not None
     assert report.origin == "what is known of any leg"
     stream = FakeLeg(seed=11).stream(160, touch=lambda n: stops[n])
     play(learner, stream[: 28 * 5])
@@ -285,8 +280,6 @@ def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline) -> 
         learner = ContactLearner(robot, "rf", baseline)
         play(learner, samples(*run[:3]))
         recent, adapter = learner.lifecycle.noise_tracker, learner.lifecycle.adapter
-        assert recent is not None
-        assert adapter is not None
         limits.append(recent.thresholds)
         levels.append(adapter.variance_in_force)
         tails.append(recent.tail_factors)

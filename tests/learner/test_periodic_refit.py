@@ -64,7 +64,6 @@ def test_the_slope_that_the_rows_ask_for_is_found(robot: Robot, described: float
     if found.gain < LEAST_GAIN:
         assert described == 1.0
         return
-    assert found.start is not None
     assert 0.6 < found.start.model.library.slope_rad / SLOPE < 1.7
     rows = free_rows(found.start.model.library, seed=2)
     off = rows[:, -3:] - rows[:, :-3] @ found.start.model.coefficients
@@ -76,13 +75,11 @@ def test_the_gain_is_that_of_the_rows_probability_under_the_family(robot: Robot)
     library = library_of(robot, 4.0)
     values = free_rows(library, 30)[:120]
     found = refit(RefitJob("rf", 1, values, library, QUANTUM))
-    assert found.start is not None
     window, target = library.window_of(values[:, :-3]), values[:, -3:]
 
     def of(slope: float, sigma: np.ndarray) -> float:
         known = leg_prior(dataclasses.replace(library, slope_rad=slope), QUANTUM)
         theta = known.model.library.evaluate_flat(window)
-        assert known.spread is not None
         total = 0.0
         for j in range(3):
             prior = theta @ known.spread[j].T
@@ -95,7 +92,6 @@ def test_the_gain_is_that_of_the_rows_probability_under_the_family(robot: Robot)
         known = leg_prior(dataclasses.replace(library, slope_rad=slope), QUANTUM)
         theta = known.model.library.evaluate_flat(window)
         off = target - theta @ known.model.coefficients
-        assert known.spread is not None
         for j in range(3):
             prior, noise = theta @ known.spread[j].T, known.noise.rms[j]
             stacked = np.concatenate([prior / noise, np.eye(prior.shape[1])])
@@ -285,8 +281,6 @@ def test_a_slope_described_off_by_four_is_corrected_reported_and_outlives_a_rest
     events = play(learner, stream[: 28 * 150])
     assert learner.status.refits.promoted >= 1
     report = learner.model_report
-    assert report is not None
-    assert report.slope_rad is not None
     assert 0.6 < report.slope_rad / SLOPE < 1.7
     assert report.origin == f"a refit, with slope_rad = {report.slope_rad:.3g}"
     assert report.model_version >= 2

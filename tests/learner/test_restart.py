@@ -52,7 +52,6 @@ def test_no_segment_spans_a_restart(
 ) -> None:
     learner = ContactLearner(robot, "rf", baseline)
     adapter = learner.lifecycle.adapter
-    assert adapter is not None
     buffer, taken = adapter.buffer, list[Rows]()
     add = buffer.add
 
@@ -77,7 +76,6 @@ def test_no_segment_spans_a_restart(
     ]
     # Until a window of the new source is full there is nothing to learn, and of the swing that was
     # broken off nothing more ever comes.
-    assert learner.model is not None
     library = learner.model.library
     unready = refused + library.window.length
     play(learner, new[:unready])

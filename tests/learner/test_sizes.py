@@ -35,7 +35,6 @@ def sized(factor: float) -> Robot:
     robot = shipped_robot(NAME)
     legs = []
     for leg in robot.legs:
-        assert leg.origins_m is not None
         origins = tuple(tuple(factor * x for x in origin) for origin in leg.origins_m)
         legs.append(msgspec.structs.replace(leg, origins_m=origins))
     return msgspec.structs.replace(robot, legs=tuple(legs))
@@ -81,5 +80,4 @@ def test_an_inferred_phase_does_not_depend_on_the_size_of_a_leg(run: Run) -> Non
     for factor in (0.25, 4.0):
         assert np.array_equal(usual, infer_phase(leg.desired, sized(factor).leg(LEG)))
     hexapod = shipped_robot().leg("rf").chain
-    assert hexapod is not None
     assert hexapod.size == 1.0  # exactly: figures published of it stay

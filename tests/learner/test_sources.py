@@ -123,7 +123,6 @@ def test_what_was_learned_of_a_copy_is_taken_back(
     stream = swings(40)
     learner = learner_of(robot, baseline)
     adapter = learner.lifecycle.adapter
-    assert adapter is not None
     active, good = adapter.active, list[np.ndarray]()
     copied = active.good
 
@@ -183,7 +182,6 @@ def ambiguous_from(
     """Play, with the leg ambiguous from one tick to another."""
     events = play(learner, stream[:begin])
     adapter = learner.lifecycle.adapter
-    assert adapter is not None
     for sample in stream[begin:end]:
         if doubt == "descents":
             adapter.early.reported = True
@@ -324,8 +322,6 @@ def test_a_leg_that_sends_another_legs_readings_is_named_and_the_other_goes_on()
             tick["lf"] = msgspec.structs.replace(tick["lf"], measured=tick["rr"].measured)
         bank.update(tick)
         learner, owner = bank.learner("lf"), bank.learner("rr")
-        assert learner is not None
-        assert owner is not None
         assert owner.report.doubt != "stale"
         if begin + 300 <= k < end:
             within.append(learner.report.doubt)

@@ -32,7 +32,6 @@ class Assassin(WaitingRefitter):
     def submit(self, job: Job) -> None:
         """Hold the process up, give it the job, and kill it."""
         process = self._process
-        assert process is not None
         process.send_signal(signal.SIGSTOP)
         super().submit(job)
         until = time.monotonic() + 20.0
@@ -62,7 +61,5 @@ def test_a_worker_killed_in_every_fit_costs_its_learner_nothing(
     assert killed.killed >= 2, "or this test says nothing"
     assert killed.failures == 0
     assert learner.status == known.status
-    assert learner.model is not None
-    assert known.model is not None
     assert np.array_equal(learner.model.coefficients, known.model.coefficients)
     assert outcomes(events, range(60, SWINGS), STOPS).count("hit") >= 43

@@ -29,8 +29,6 @@ def test_a_joint_s_prior_does_not_depend_on_how_many_there_are(joints: int) -> N
         np.testing.assert_array_equal(
             many.model.coefficients[own.own, joint], one.model.coefficients[alone.own, 0]
         )
-        assert many.spread is not None
-        assert one.spread is not None
         ours = many.spread[joint][:, own.own]
         theirs = one.spread[0][:, alone.own]
         np.testing.assert_allclose(ours.T @ ours, theirs.T @ theirs, rtol=1e-12)
@@ -42,12 +40,10 @@ def test_a_prior_has_units_of_the_slope() -> None:
     of = library(3)
     at = columns_of(of, 1)
     known = leg_prior(of, 0.0015)
-    assert known.spread is not None
     window = rng.normal(0.0, 0.02, (4, 3))
     theta = of.evaluate(window, window + 0.01, np.zeros((0, 3)))
     twice = dataclasses.replace(of, slope_rad=2.0 * of.slope_rad)
     doubled = leg_prior(twice, 0.0030)
-    assert doubled.spread is not None
     again = twice.evaluate(2.0 * window, 2.0 * (window + 0.01), np.zeros((0, 3)))
     friction = [i for i, name in enumerate(of.names) if name.startswith("tanh")]
     keep = np.setdiff1d(at.own, friction)  # its knee is a speed
@@ -61,7 +57,6 @@ def test_its_spread_is_the_family_s_covariance() -> None:
     of = library(2)
     at = columns_of(of, 0)
     spread = leg_prior(of, 0.0015).spread
-    assert spread is not None
     ours = spread[0].T @ spread[0]
     unit = of.slope_rad / at.own_unit
     np.testing.assert_allclose(

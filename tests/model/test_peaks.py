@@ -24,7 +24,6 @@ def free(rng: np.random.Generator, *shape: int) -> NDArray[np.float64]:
 
 
 def thresholds(peaks: Peaks | None, rate: float) -> NDArray[np.float64]:
-    assert peaks is not None
     return peaks.thresholds(np.full(DIRECTIONS, rate))
 
 
@@ -59,7 +58,6 @@ def test_few_ticks_say_nothing_and_a_missing_window_is_left_out() -> None:
     assert of(values[1:]) is None
     values[0, 2] = np.nan
     found = of(values)
-    assert found is not None
     assert found.largest[AFTER] == pytest.approx(1.0)
     assert np.isnan(found.largest[:AFTER]).all()
     values[:, 2] = np.nan
@@ -71,7 +69,6 @@ def test_few_ticks_say_nothing_and_a_missing_window_is_left_out() -> None:
 def test_lifts_of_a_leg_that_has_grown_rougher_show_by_how_much(ticks: int, rougher: float) -> None:
     rng = np.random.default_rng(ticks)
     found = of(free(rng, 3000, len(WINDOWS)), LIFT)
-    assert found is not None
     maxima = rougher * free(rng, 500, ticks).max(axis=1)
     assert np.median([found.excess(value, ticks) for value in maxima]) == pytest.approx(
         rougher, rel=0.5

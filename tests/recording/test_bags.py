@@ -84,7 +84,6 @@ def config(tmp_path: Path) -> Path:
 def walk(swings: int = 4) -> list[tuple[dict[str, ServoSample], list[tuple[str, ContactTruth]]]]:
     """Ticks of two legs that step in turn, 30 of 40 ticks in the air, and their touches."""
     lengths = shipped_robot().leg("rf").lengths_m
-    assert lengths is not None
     rng = np.random.default_rng(5)
     ticks = []
     for k in range(40 * swings):

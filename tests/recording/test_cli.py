@@ -68,7 +68,6 @@ def event(at_ns: int) -> ContactEvent:
 def write_walk(path: Path, *, swings: int = 4, with_truth: bool = True) -> None:
     """One leg, 40 ticks a step, 30 of them swing; a touch 500 ms into each swing."""
     leg = shipped_robot().leg("rf")
-    assert leg.lengths_m is not None
     with RecordingWriter(path, about={"scenario": "test"}) as writer:
         if with_truth:
             writer.write_message(truth_key("rf"), ContactTruth(t_ns=0, contact=False, force=0.0), 0)

@@ -138,7 +138,6 @@ def decoded(path: Path) -> Iterator[tuple[str, int, str, Any]]:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             decode = factory.decoder_for(channel.message_encoding, schema)
             if decode is not None:
-                assert schema is not None
                 yield channel.topic, message.log_time, schema.name, decode(message.data)
 
 

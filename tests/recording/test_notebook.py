@@ -36,7 +36,6 @@ def test_the_notebook_goes_from_a_recording_to_events(tmp_path: Path) -> None:
         if output.output_type == "stream"
     )
     contacts = re.search(r"(\d+) contacts", told)
-    assert contacts is not None
     assert int(contacts[1]) > 50
     assert "false alarms per robot-hour" in told
     assert "walk.html: " in told

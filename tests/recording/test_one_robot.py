@@ -23,7 +23,6 @@ Fields = dict[str, Any]
 
 def _fields(k: int, **changed: Any) -> Fields:
     leg = shipped_robot().leg("rf")
-    assert leg.lengths_m is not None
     phase = k % 40
     height = -0.1 + 0.05 * (1 - abs(phase - 15) / 15 if phase < 30 else 0)
     angles = [float(q) for q in inverse([0.13, 0.0, height], leg.lengths_m)]

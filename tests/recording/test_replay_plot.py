@@ -58,10 +58,7 @@ def trace(leg: str = "lf", ticks: int = 100, *touches: Touch) -> LegTrace:
 
 def data_of(page: str) -> dict[str, object]:
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
-    assert found is not None
-    held = json.loads(found[1])
-    assert isinstance(held, dict)
-    return held
+    return json.loads(found[1])
 
 
 @pytest.mark.parametrize(
@@ -85,7 +82,6 @@ def test_a_miss_says_how_far_below_the_threshold(ratios: list[float], says: str)
 def standing_records(swings: int) -> list[Record]:
     """A leg that follows its commands, and a truth that has a touch in the middle of a swing."""
     leg = shipped_robot().leg("rf")
-    assert leg.lengths_m is not None
     records = []
     for k in range(40 * swings):
         phase = k % 40
@@ -118,7 +114,6 @@ def test_tracing_changes_no_event_and_ratios_are_those_of_the_events() -> None:
             # An event's score may be lowered where the model extrapolates, never raised.
             tick = np.flatnonzero(np.isclose(found.t_s, event.t_ns / 1e9))[0]
             assert found.ratio[tick] >= event.score * (1 - 1e-9)
-    assert found.truth is not None
     # The first change says "no contact": the leg was loaded until then.
     begins = [round(begin, 3) for begin, _ in found.truth]
     assert begins == [0.0, 0.441, 1.241, 2.041, 2.841]
@@ -132,7 +127,6 @@ def test_an_outage_is_no_span() -> None:
     late = 8 * 10**9
     for k in range(75, len(records)):  # tick 75 is in stance
         sample = decode(records[k].payload, ServoSample)
-        assert isinstance(sample, ServoSample)
         moved = replace(sample, t_ns=sample.t_ns + late)
         records[k] = records[k]._replace(payload=encode(moved))
     bank = TraceBank(LearnerBank(robot))
@@ -190,7 +184,6 @@ def test_curves_are_the_samples_and_stay_bounded(tmp_path: Path) -> None:
     for _ in replay_events(traced, bank, Counts()):
         pass
     (found,) = bank.traces(traced)
-    assert found.curves is not None
     angles = found.curves.angles
     assert angles.shape == (160, 3, 3)
     samples = [decode(record.payload, ServoSample) for record in standing_records(4)]

@@ -227,7 +227,6 @@ def test_an_axis_is_a_word_or_a_direction() -> None:
     )
     leg = parse_robot(text, source="x").leg("rf")
     assert leg.joint_axes == ("roll", "pitch", (0.0, 0.6, 0.8))
-    assert leg.chain is not None
     assert leg.chain.origins_m[2] == (0.0, 0.01, -0.1)
     assert leg.lengths_m is None
 
@@ -242,7 +241,6 @@ def test_a_chain_has_one_to_seven_joints(joints: int) -> None:
         .replace("axes", f"origins_m = {[[0, 0.02, -0.1]] * joints}\naxes", 1)
     )
     leg = parse_robot(text, source="x").leg("rf")
-    assert leg.chain is not None
     assert leg.chain.foot([0.0] * joints) == pytest.approx([0, 0.02 * joints, -0.1 * joints])
 
 

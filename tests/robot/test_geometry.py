@@ -78,9 +78,7 @@ def chains(draw: st.DrawFn) -> Chain:
     offset = st.tuples(*[number(-0.4, 0.4)] * 3)
     origins = draw(st.lists(offset, min_size=joints, max_size=joints))
     names = tuple(f"j{k}" for k in range(joints))
-    chain = Leg(id="l", joints=names, axes=tuple(axes), origins_m=tuple(origins)).chain
-    assert chain is not None
-    return chain
+    return Leg(id="l", joints=names, axes=tuple(axes), origins_m=tuple(origins)).chain
 
 
 @st.composite

@@ -61,7 +61,6 @@ def test_a_leg_is_read_with_its_joints_axes_origins_limits_and_mount() -> None:
     assert leg.joint_axes == ("roll", (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
     assert leg.origins_m == ((0.0, 0.08, 0.0), (0.0, 0.0, -0.2), (0.0, 0.0, -0.25))
     assert leg.mount.xyz_m == (0.2, 0.05, 0.0)
-    assert leg.limits is not None
     assert leg.limits.lower_rad == (-1.0, -1.0, -1.0)
     assert leg.limits.upper_rad == (1.5, 1.5, 1.5)
 
@@ -111,7 +110,6 @@ def test_the_foot_is_where_transforms_down_the_tree_put_it(
             patch.setattr("adaptive_contact.robot.urdf._DIGITS", digits)
             patch.setattr("adaptive_contact.robot.urdf._SNAP", snap)
             leg = leg_of(data, f"l{len(rows)}", base="l0")
-        assert leg.chain is not None
         place = leg.chain.foot(q[: len(leg.joints)]) + np.array(leg.mount.xyz_m)
         np.testing.assert_allclose(place, frame[:3, 3], atol=near)
 
@@ -185,7 +183,6 @@ def test_files_of_other_systems_are_read(encoding: str) -> None:
 def test_limits_that_are_missing_are_said() -> None:
     wheel = joint("kfe", "thigh", "shank", kind="continuous", xyz=(0, 0, -0.2), more="")
     found = Urdf(robot_of(HIP, THIGH, wheel, FOOT), "x").legs({"l": "foot"})
-    assert found.legs[0].limits is not None
     assert found.legs[0].limits.upper_rad == (1.5, 1.5, pytest.approx(np.pi, abs=1e-5))
     assert found.notes == ("no limits for joint kfe; fill in limits before the bridge drives it",)
     none = [part.replace("<limit", "<no") for part in (HIP, THIGH, KNEE)]
@@ -203,7 +200,6 @@ def test_limits_that_are_missing_are_said() -> None:
 )
 def test_angles_that_no_joint_has_are_said(wrong: tuple[str, str], upper: float, says: str) -> None:
     found = Urdf(robot_of(HIP, THIGH, KNEE.replace(*wrong), FOOT), "x").legs({"l": "foot"})
-    assert found.legs[0].limits is not None
     assert found.legs[0].limits.upper_rad[2] == pytest.approx(upper, abs=1e-5)
     assert found.notes[-1].startswith("1 joints such as kfe (rpy ")
     assert says in found.notes[-1]

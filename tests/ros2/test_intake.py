@@ -124,8 +124,7 @@ def test_without_numbers_both_clocks_tell_losses(rig, made, joints) -> None:
 
     def seq(stamp: float, recorded: float) -> int:
         at = {"stamp": 10**9 + int(stamp * tick), "time_ns": 10**9 + int(recorded * tick)}
-        found: int = state(used, made, joints, None, **at)["rf"].seq
-        return found
+        return state(used, made, joints, None, **at)["rf"].seq
 
     assert seq(0, 0.1) == 0
     assert seq(1, 1.1) == 1

@@ -57,7 +57,6 @@ def cold(recording: Recording) -> Recording:
 
 
 def with_baseline_of(recording: Recording, other: str) -> Recording:
-    assert recording.baseline is not None
     table = json.loads(recording.baseline)
     table["legs"] = {"rf": table["legs"][other]}
     recording.baseline = json.dumps(table).encode()
@@ -66,7 +65,6 @@ def with_baseline_of(recording: Recording, other: str) -> Recording:
 
 def unfit_baseline(recording: Recording) -> Recording:
     """A baseline that promises an eighth of the noise: given up, and the leg learned again."""
-    assert recording.baseline is not None
     table = json.loads(recording.baseline)
     leg = table["legs"]["rf"]
     leg["covariance"] = (np.array(leg["covariance"]) / 70.0).tolist()

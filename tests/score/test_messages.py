@@ -50,7 +50,6 @@ def heard(key: str, message: Message, encoding: str = MSGPACK) -> LiftAssessment
 
 def desired(tick: int) -> list[float]:
     leg = ROBOT.leg("rf")
-    assert leg.lengths_m is not None
     point = np.array([0.13, 0.0, HEIGHTS[tick % 40]])
     return [float(q) for q in inverse(point, leg.lengths_m)]
 

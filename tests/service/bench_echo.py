@@ -193,7 +193,6 @@ def running(*command: str) -> Iterator[str]:
     with subprocess.Popen(
         [sys.executable, *command], stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         try:
             yield process.stdout.readline()
         finally:

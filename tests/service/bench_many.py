@@ -308,7 +308,6 @@ def judged(
     late = latencies_ms(heard, feeder, copies)
     slope = slope_mb_min(memory)
     status = heard.service
-    assert status is not None
     told = sum(leg.contacts for leg in legs)
     arrived = sum(_read(got, ContactEvent).contact for got in heard.events)
     found = {

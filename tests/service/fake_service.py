@@ -213,7 +213,6 @@ def main() -> None:
         from adaptive_contact.service.state.keeper import StateKeeper
 
         defaults = StateKeeper.__init__.__kwdefaults__
-        assert defaults is not None
         defaults["period_s"] = SAVE_PERIOD_S
     import typer
 

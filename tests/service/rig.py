@@ -200,7 +200,6 @@ class Listener:
 
     def _status(self, received: Received) -> None:
         status = decode(received.payload, LearnerStatus, received.encoding)
-        assert isinstance(status, LearnerStatus)
         with self._changed:
             before = self.statuses.get(status.leg)
             if before is None or before.status != status.status:

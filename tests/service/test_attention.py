@@ -49,7 +49,6 @@ def notes_of_the_page() -> list[str]:
 @pytest.mark.parametrize("note", notes_of_the_page())
 def test_each_note_of_the_page_has_a_remedy(note: str) -> None:
     remedy = remedy_of(note)
-    assert remedy is not None
     assert remedy.endswith(".")
 
 

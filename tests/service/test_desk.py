@@ -111,8 +111,7 @@ def missed(statuses: Callable[[Life], Any]) -> Callable[[Life], int]:
     def ask(life: Life) -> int:
         got = statuses(life)
         life.idle(60)
-        number: int = got.wait(1)[-1].missed
-        return number
+        return got.wait(1)[-1].missed
 
     return ask
 

@@ -53,13 +53,11 @@ def test_every_reason_is_described() -> None:
 def test_the_examples_are_good_messages() -> None:
     sample, event = re.findall(r"```json\n(.*?)\n```", TEXT, re.DOTALL)
     read = decode(sample.encode(), ServoSample, JSON)
-    assert isinstance(read, ServoSample)
     assert encode(read, JSON).decode() == sample
     packed = encode(read)
     assert f"has {len(packed)}\nbytes" in TEXT
     assert packed[:18].hex(" ") in TEXT
     read_event = decode(event.encode(), ContactEvent, JSON)
-    assert isinstance(read_event, ContactEvent)
     assert encode(read_event, JSON).decode() == event
 
 

@@ -83,8 +83,6 @@ def test_publishers_are_told_apart_over_a_restart_as_without_one(
         one = sample(k, run=run)
         assert broken.judge(one) == whole.judge(one)
     before, after = whole.position, broken.position
-    assert before is not None
-    assert after is not None
     assert after[:2] == before[:2]
     assert after.superseded == before.superseded
 
@@ -100,7 +98,6 @@ def test_a_superseded_publisher_is_taken_back_when_none_of_the_newer_one_comes_b
     waited = told.index(USED)
     assert waited < TAKE_BACK_SAMPLES
     assert told[waited:] == [USED] * (30 - waited)
-    assert admission.position is not None
     assert admission.position.superseded == ()
     # The one that started last is back: at its third sample, as it was soon gone before.
     back = [admission.judge(sample(k, run=8)) for k in range(400, 403)]
@@ -139,7 +136,6 @@ def test_publishers_remembered_are_bounded() -> None:
     for run in range(1, 100):
         for seq in range(SHORT_RUN_SAMPLES):
             assert admission.judge(sample(seq, run=run)) == USED
-    assert admission.position is not None
     assert admission.position.superseded == tuple(range(99 - MAX_OLD_RUNS, 99))
 
 

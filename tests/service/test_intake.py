@@ -14,7 +14,6 @@ from adaptive_contact.wire import (
     MAX_SAMPLE_BYTES,
     MSGPACK,
     Reject,
-    Rejected,
     ServoSample,
     encode,
     servo_key,
@@ -178,5 +177,4 @@ def test_huge_payloads_are_refused_and_not_kept() -> None:
     huge = raw(bytes(MAX_SAMPLE_BYTES + 1))
     assert huge.payload == b""
     found = read(huge)
-    assert isinstance(found, Rejected)
     assert found.reason is Reject.TOO_LARGE

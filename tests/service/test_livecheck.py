@@ -214,13 +214,11 @@ def still(poses: dict[str, Sequence[float]], ticks: int = 60) -> list[tuple[str,
 def test_feet_of_a_robot_that_stands_show_a_zero_that_is_off() -> None:
     poses = dict.fromkeys(shipped_robot().leg_ids, STANDING)
     flat = report(still(poses)).flatness
-    assert flat is not None
     assert abs(flat.off_m) < 1e-9
     off = report(still({**poses, "rm": (0.0, 0.6 + 0.25, -1.8)})).flatness
     leg = shipped_robot().leg("rm")
     up = foot((0.0, 0.85, -1.8), leg.lengths_m, leg.joint_axes)[2]
     level = foot(STANDING, leg.lengths_m, leg.joint_axes)[2]
-    assert off is not None
     assert off.leg == "rm"
     assert off.off_m == pytest.approx(up - level)
 

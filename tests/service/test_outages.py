@@ -177,8 +177,7 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
         source = kept.enter_context(closing(rig.Robot50(endpoint, LEGS)))
 
         def begin(*args: str) -> Program:
-            started: Program = program("-m", "adaptive_contact", *args, "--connect", wire.endpoint)
-            return started
+            return program("-m", "adaptive_contact", *args, "--connect", wire.endpoint)
 
         ros = kept.enter_context(open_router(port))
         _kept = read_ros(forms, ros)

@@ -100,11 +100,10 @@ def ros(port: int) -> Iterator[zenoh.Session]:
 
 def says(program: Program, *words: str) -> list[str]:
     """The lines that hold all words, once there are some."""
-    found: list[str] = until(
+    return until(
         lambda: [line for line in program.lines if all(word in line for word in words)],
         lambda: program.lines[-8:],
     )
-    return found
 
 
 @pytest.fixture
@@ -186,7 +185,6 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, program, ros, port)
         ]
 
     until(lambda: len(told("rf")) >= 6 and told("diagnostics") and told("states"))
-    assert foreign.process.stdin is not None
     foreign.process.stdin.write("quiet\n")
     foreign.process.stdin.flush()
     until(lambda: told("sent"))
@@ -248,7 +246,6 @@ def test_late_joiners_get_the_latched_contact(serve, gateway, inbox, ros, rig) -
     payload, attached = late.wait(lambda all_: all_[-1][0][-1:] == b"\x01")[-1]
     assert payload == b"\x00\x01\x00\x00\x01"
     attachment = rmw.decode_attachment(attached)
-    assert attachment is not None
     assert abs(attachment.time_ns - time.time_ns()) < 60e9
     subscriber.undeclare()
     standing.close()

@@ -127,7 +127,6 @@ def test_a_prediction_is_in_the_angles_of_the_source() -> None:
     tracer.record([("rf", sample(1), judged), ("lf", sample(1), None)])
     rf, lf = tracer.answer(("rf", "lf"), None, 0)
     (predicted,) = rf.predicted
-    assert predicted is not None
     assert [round(angle, 6) for angle in predicted] == [0.09, 0.22, -1.2]
     assert rf.test_ratio == [1.5]
     assert (lf.predicted, lf.test_ratio) == ([None], [None])

@@ -71,8 +71,7 @@ def test_p_is_of_the_newest_state_or_event_while_that_is_fresh() -> None:
 
     def shown(now_ms: int) -> float | None:
         watch.known.heartbeat(heartbeat("rf"), now_ms * MS)
-        found: float | None = row(watch, now_ms * MS).p
-        return found
+        return row(watch, now_ms * MS).p
 
     watch.event(msgspec.structs.replace(event(1), p=0.9), 1000 * MS, age_ns=400 * MS)
     assert shown(1500) == 0.9

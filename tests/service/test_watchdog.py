@@ -63,7 +63,6 @@ class Gate:
     def put(self, message: Message) -> None:
         self.entered.set()
         assert self.open.wait(60)
-        assert isinstance(message, ContactTruth)
         self.got.append(message.t_ns)
 
 

@@ -38,7 +38,6 @@ def quadruped(gait: str, seconds: float) -> Run:
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.6, 8, 20)])
 def test_the_leg_on_a_stand_meets_plates_only(share: float, least: int, most: int) -> None:
     base = SimulationSettings.of("leg5", "pose")
-    assert isinstance(base.motion, PoseSettings)
     obstacles = dataclasses.replace(base.motion.obstacles, probability=share)
     motion = dataclasses.replace(base.motion, obstacles=obstacles)
     run = record_arrays(dataclasses.replace(base, motion=motion, seed=3), 20.0)
@@ -64,14 +63,12 @@ def test_foot_and_model_agree(name: str) -> None:
         feet = geometry.to_body(geometry.feet(q))
         assert np.abs(feet + base - sim.plant.foot_positions()).max() < 1e-9
         for i, leg in enumerate(robot.description.legs):
-            assert leg.chain is not None
             assert np.abs(leg.chain.foot(q[i]) - geometry.feet(q)[i]).max() < 1e-12
     servo = robot.servo
     assert robot.description.quantum_rad == pytest.approx(servo.quantum_rad, rel=1e-3)
     slope = float(servo.nominal.slope_steps[0]) * servo.quantum_rad
     assert robot.description.servo.slope_rad == pytest.approx(slope, rel=5e-3)
     for leg in robot.description.legs:  # limits stand in both files
-        assert leg.limits is not None
         for k, joint in enumerate(leg.joints):
             span = sim.plant.model.joint(f"{leg.id}_{joint}").range
             assert span == pytest.approx([leg.limits.lower_rad[k], leg.limits.upper_rad[k]])
@@ -128,7 +125,6 @@ def test_a_scenario_names_its_robot() -> None:
 def test_a_recording_names_its_robot(ours: Any, tmp_path: Path) -> None:
     """Without --config, and with the baseline that ships."""
     base = SimulationSettings.of("leg5", "pose")
-    assert isinstance(base.motion, PoseSettings)
     plates = dataclasses.replace(base.motion.obstacles, probability=0.6)
     motion = dataclasses.replace(base.motion, obstacles=plates)
     path, events = tmp_path / "leg.mcap", tmp_path / "leg.jsonl"

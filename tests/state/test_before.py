@@ -21,7 +21,7 @@ from adaptive_contact.model import load_baseline
 from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.robot import load_robot
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.state import FORMAT, Record, StateStore, settings_digest, unpack
+from adaptive_contact.service.state import FORMAT, StateStore, settings_digest, unpack
 from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.wire import LearnerStatus, ServoSample, decode, learner_key, servo_key
 from programs import Program
@@ -100,8 +100,6 @@ def test_serve_goes_on_from_what_the_version_before_has_learned(before: Path) ->
     # A step back: what was saved at the end is in the format that the version before reads, and
     # the state that it had left is the one before.
     record, first = unpack(old.read_bytes()), unpack(content)
-    assert isinstance(record, Record)
-    assert isinstance(first, Record)
     assert record.seq == SAVED["seq"] + 12
     assert old.read_bytes()[8:10] == content[8:10]
     assert record.body["follower"]["format"] == first.body["follower"]["format"]
@@ -144,7 +142,6 @@ def test_a_version_with_another_format_leaves_these_alone_and_a_step_back_finds_
         )
         learner = LearnerBank(robot, baseline).learner("rf", 3)
         report = learner.model_report
-        assert report is not None
         return keeper, learner, keeper.restore("rf", learner, report.library, 0)
 
     keeper, learner, position = opened(formats)

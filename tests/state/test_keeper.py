@@ -232,7 +232,6 @@ def test_the_end_waits_for_a_slow_disk_and_is_over_before_the_service_is_killed(
     folder.keeper = None
     unit = Path(__file__).parents[2] / "packaging" / "adaptive-contact.service"
     killed = re.search(r"^TimeoutStopSec=(\d+)$", unit.read_text(), re.MULTILINE)
-    assert killed is not None
     # All else takes two seconds, and a subscriber that hangs one.
     assert waits[0] > 1.0
     assert waits[0] + 3.0 < float(killed[1])
@@ -310,7 +309,6 @@ def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
         "give another --state DIR, or --no-state"
     )
     assert lines == [f"state is not saved: {line}", "state restored: "]
-    assert folder.keeper is not None
     assert folder.keeper.facts.error == line, "what ServiceStatus and watch tell"
     desk = Desk()
     desk.hear()
@@ -372,7 +370,6 @@ def test_a_state_that_cannot_be_kept_is_counted_told_and_ends_no_other(
 def test_a_folder_that_is_anothers_is_not_written_to_at_the_end(folder: Folder) -> None:
     """A service that stops has every leg saved, due or not: its own, where it has a folder."""
     folder.save(5)
-    assert folder.keeper is not None
     store = StateStore.open(folder.path, "mini")
     with capture_logs():
         second = StateKeeper(store, "mini", lambda _: "s")

@@ -133,7 +133,6 @@ def test_a_crash_between_the_renames_loses_nothing(opened: StateStore) -> None:
 def test_one_service_at_a_time_saves(opened: StateStore, tmp_path: Path) -> None:
     opened.save(record(1))
     second = StateStore.open(tmp_path, "mini")
-    assert second.trouble is not None
     assert "in use by another service" in second.trouble
     assert versions(second) == [1]
     with pytest.raises(OSError, match="in use by another service"):
@@ -183,7 +182,6 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("not a folder")
     made = StateStore.open(file, "mini")
-    assert made.trouble is not None
     assert "cannot be written to" in made.trouble
     assert "--no-state" in made.trouble
     assert versions(made) == []
@@ -280,7 +278,6 @@ def test_a_planted_lock_or_folder_is_not_followed(tmp_path: Path) -> None:
     folder = tmp_path / "root" / "mini"
     folder.symlink_to(victim)
     made = StateStore.open(tmp_path / "root", "mini")
-    assert made.trouble is not None
     assert "it is a link" in made.trouble
     assert list(victim.iterdir()) == []
     folder.unlink()
@@ -325,7 +322,6 @@ def test_what_others_may_write_to_is_reported(tmp_path: Path, what: str) -> None
     path.chmod(0o770)
     again = StateStore.open(root, "mini")
     assert again.trouble is None
-    assert again.exposed is not None
     assert path.name in again.exposed
     assert "chmod" in again.exposed
     assert "\n" not in again.exposed

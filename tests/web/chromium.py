@@ -28,7 +28,6 @@ class Chromium:
 
     def __init__(self, folder: Path) -> None:
         path = found()
-        assert path is not None
         profile = folder / "profile"
         self._process = subprocess.Popen(
             [
@@ -102,8 +101,7 @@ class Tab:
             message = json.loads(self._socket.recv(timeout=30))
             if message.get("id") == number:
                 assert "error" not in message, message
-                result: dict[str, Any] = message["result"]
-                return result
+                return message["result"]
             self._note(message)
 
     def _note(self, message: dict[str, Any]) -> None:

@@ -41,8 +41,7 @@ def event(leg: str, t_ns: int, **fields: Any) -> ContactEvent:
 
 
 def frame(frames: Frames, now_ns: int) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(frames.frame(now_ns))
-    return found
+    return json.loads(frames.frame(now_ns))
 
 
 def test_a_tick_has_time_swing_ratio_and_angles() -> None:
@@ -153,7 +152,6 @@ def test_the_table_comes_when_it_has_changed() -> None:
     view = View(legs=[LegView(leg="rf", status="valid", contact=True)], service=service, alive=True)
     table = Table(1_700_000_000_000)
     encoded = table.encode(view, {"rf": status}, S)
-    assert encoded is not None
     assert b"\n" not in encoded
     found = json.loads(encoded)
     assert found["banner"] == []

@@ -78,7 +78,6 @@ GOOD = {"v": 1, "t_ns": 1, "seq": 1, "measured": [0.1], "desired": [0.2]}
 def test_a_wrong_field_is_named(change: dict[str, object], reason: Reject, names: str) -> None:
     table = {k: v for k, v in {**GOOD, **change}.items() if v is not ...}
     result = decode(msgpack.packb(table), ServoSample)
-    assert isinstance(result, Rejected)
     assert result.reason is reason
     assert names in result.detail
     assert "\n" not in result.detail
@@ -90,7 +89,6 @@ def test_unknown_fields_are_ignored() -> None:
 
 def test_integers_are_taken_for_angles() -> None:
     sample = decode(msgpack.packb({**GOOD, "measured": [1]}), ServoSample)
-    assert isinstance(sample, ServoSample)
     assert sample.measured == [1.0]
 
 
@@ -107,7 +105,6 @@ def test_integers_are_taken_for_angles() -> None:
 )
 def test_broken_msgpack_is_malformed(payload: bytes) -> None:
     result = decode(payload, ServoSample)
-    assert isinstance(result, Rejected)
     assert result.reason is Reject.MALFORMED
 
 
@@ -118,7 +115,6 @@ def test_a_huge_payload_is_not_even_parsed(kind: type[Message], most: int) -> No
     huge = decode(b"\x00" * (most + 1), kind)
     assert huge == Rejected(Reject.TOO_LARGE, f"{most + 1} bytes, at most {most}")
     parsed = decode(b"\x00" * most, kind)
-    assert isinstance(parsed, Rejected)
     assert parsed.reason is not Reject.TOO_LARGE
 
 
@@ -202,10 +198,8 @@ def test_a_map_of_msgpack_is_read_whatever_is_declared(encoding: str) -> None:
 def test_what_json_lacks_is_named(word: str) -> None:
     text = f'{{"v":1,"t_ns":1,"seq":1,"measured":[0.1, {word}],"desired":[0,0]}}'
     result = decode(text.encode(), ServoSample, JSON)
-    assert isinstance(result, Rejected)
     assert result == (Reject.MALFORMED, "NaN or infinity, which JSON has no words for")
     other = decode(b'{"v":1,"note":"NaN"', ServoSample, JSON)
-    assert isinstance(other, Rejected)
     assert "NaN" not in other.detail
 
 
