@@ -9,23 +9,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from typing import Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 from scipy.stats import chi2
 
-from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.arrays import Array, Mask
+from adaptive_contact.wire import ContactTruth
 from adaptive_contact_bullet.gait import Gait, Walker
 from adaptive_contact_bullet.plant import STEP_S, Ground, Plant, State
 from adaptive_contact_bullet.robots import SHAPES, Shape
-from adaptive_contact_sim.arrays import LegArrays, Onset, Run, contact_at
+from adaptive_contact_sim.arrays import LegArrays, Run, contact_at
+from adaptive_contact_sim.truth import AIR_FORCE_N, TOUCH_FORCE_N, Change, TruthTracker
 
-# As `adaptive_contact_sim.truth`: a contact begins above the one, held for 20 ms, after 60 ms below
-# the other.
-_TOUCH_N: Final = 0.5
-_AIR_N: Final = 0.1
-_MEAN_STEPS: Final = round(0.020 / STEP_S)
-_AIR_STEPS: Final = round(0.060 / STEP_S)
 _SETTLE_S: Final = 1.5
 _EPOCH_NS: Final = 1_700_000_000_000_000_000
 # 540,000 judged ticks are a robot-hour.
@@ -111,6 +109,11 @@ class _Recorder:
             plant.drives.command(plant.drives.goal)
             plant.advance(self._substeps)
         touching: Mask = plant.touching
+        legs = len(shape.legs)
+        tracker = TruthTracker(STEP_S, self._substeps, legs)
+        # What touches at first is no touch.
+        started = tracker.start(touching.astype(np.float64), 0)  # 1 N
+        self._changes = [change for change in started if not change.contact]
         for k in range(self._n):
             if plan.drift and k == round(plan.drift[1] / shape.period_s):
                 self._change(plan.drift[0])
@@ -125,7 +128,9 @@ class _Recorder:
             plant.drives.command(self._desired[k])
             steps = slice(k * self._substeps, (k + 1) * self._substeps)
             forces = self._forces[steps] = plant.advance(self._substeps)
-            touching = np.asarray((forces > _TOUCH_N).any(axis=0))
+            touching = np.asarray((forces > TOUCH_FORCE_N).any(axis=0))
+            steps_made = (k + 1) * self._substeps
+            self._changes += tracker.update(forces, [deque() for _ in range(legs)], steps_made)
             for leg, step in self._touched(forces):
                 if state is not None and self._swing[k, leg]:
                     self._twins.append(_Twin(leg, k, k * self._substeps + step, state))
@@ -165,11 +170,11 @@ class _Recorder:
         found = []
         for leg in range(forces.shape[1]):
             for step in range(len(forces)):
-                if forces[step, leg] > _TOUCH_N:
-                    if self._air[leg] >= _AIR_STEPS:
+                if forces[step, leg] > TOUCH_FORCE_N:
+                    if self._air[leg] >= round(0.060 / STEP_S):
                         found.append((leg, step))
                     self._air[leg] = 0
-                elif forces[step, leg] < _AIR_N:
+                elif forces[step, leg] < AIR_FORCE_N:
                     self._air[leg] += 1
         return found
 
@@ -212,7 +217,6 @@ class _Recorder:
         t_ns = _EPOCH_NS + np.arange(self._n, dtype=np.int64) * period_ns
         legs, joints = {}, shape.joints
         robot = shape.description
-        soft = self._plan.ground.kind == "soft"
         for i, leg in enumerate(shape.legs):
             own = slice(i * joints, (i + 1) * joints)
             chain = robot.leg(leg.id).chain
@@ -224,45 +228,29 @@ class _Recorder:
             feet = np.einsum("nij,nj->ni", self._rotation, feet) + self._position
             speed = np.zeros_like(feet)
             speed[1:] = np.diff(feet, axis=0) / shape.period_s
-            onsets, releases = self._truth(self._forces[:, i], speed, soft=soft)
+            changes = tuple(
+                self._told(change, speed) for change in self._changes if change.leg == i
+            )
             legs[leg.id] = LegArrays(
                 measured=self._measured[:, own],
                 desired=self._desired[:, own],
                 valid=np.ones((self._n, joints), dtype=bool),
                 swing=self._swing[:, i],
-                contact=contact_at(t_ns, onsets, releases),
+                contact=contact_at(t_ns, changes),
                 force_n=self._forces[:, i].reshape(self._n, -1).mean(axis=1),
                 angle=self._angle[:, own],
-                onsets=tuple(onsets),
-                releases_ns=tuple(releases),
+                changes=changes,
             )
         return Run(t_ns, legs, self._position, self._rotation)
 
-    def _truth(self, force: Array, speed: Array, *, soft: bool) -> tuple[list[Onset], list[int]]:
-        total = np.concatenate([[0.0], np.cumsum(force, dtype=np.float64)])
-        mean = (total[_MEAN_STEPS:] - total[:-_MEAN_STEPS]) / _MEAN_STEPS
-        begins = (force[: len(mean)] > _TOUCH_N) & (mean > _TOUCH_N)
-        quiet = np.concatenate([[0], np.cumsum(force < _AIR_N)])
-        onsets: list[Onset] = []
-        releases: list[int] = []
-        contact, step = bool(begins[0]), 0
-        if not contact:
-            releases.append(self._ns(-1))
-        starts: Ints = np.flatnonzero(begins)
-        gone: Ints = np.flatnonzero(quiet[_AIR_STEPS:] - quiet[:-_AIR_STEPS] == _AIR_STEPS)
-        while True:
-            ahead = gone if contact else starts
-            at = np.searchsorted(ahead, step)
-            if at == len(ahead):
-                return onsets, releases
-            step = int(ahead[at])
-            if contact:
-                releases.append(self._ns(step))
-            else:
-                tick = step // self._substeps
-                down, along = -speed[tick, 2], float(np.hypot(*speed[tick, :2]))
-                grazing = bool(along > 5.0 * max(down, 1e-9))
-                down, surface = float(max(down, 0.0)), "soft" if soft else "hard"
-                force_n = float(mean[step])
-                onsets.append(Onset(self._ns(step), tick, force_n, down, "foot", surface, grazing))
-            contact = not contact
+    def _told(self, change: Change, speed: Array) -> ContactTruth:
+        """Make a change of contact a message; ``speed`` (n, 3) m/s is the foot's."""
+        told = change.message(self._ns(change.step - 1), (), str)
+        if not change.contact:
+            return told
+        *way, rise = speed[(change.step - 1) // self._substeps].tolist()
+        surface = "soft" if self._plan.ground.kind == "soft" else "hard"
+        down, grazing = max(-rise, 0.0), math.hypot(*way) > 5.0 * max(-rise, 1e-9)
+        return msgspec.structs.replace(
+            told, speed_m_s=down, part="foot", surface=surface, grazing=grazing
+        )

@@ -17,23 +17,6 @@ from adaptive_contact.score import TruthChanges, truth_changes
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.truth import Change
-
-
-@dataclass(frozen=True)
-class Onset:
-    """A contact that began."""
-
-    t_ns: int  # of the physics step
-    # the tick during whose physics it began, so the first *sample* that can know of it is `tick +
-    # 1`
-    tick: int
-    force_n: float  # mean over 20 ms from there on
-    # speed_m_s, part, surface, grazing: as in `ContactTruth`
-    speed_m_s: float | None
-    part: str | None
-    surface: str | None
-    grazing: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,26 +30,12 @@ class LegArrays:
     contact: Mask  # (n,) whether the leg touches at the start of tick k
     force_n: Array  # (n,) mean contact force over the 20 ms *after* the start of tick k
     angle: Array  # (n, J) rad, the joints' true angles at the start of tick k
-    onsets: tuple[Onset, ...]  # contacts that began, in order
-    releases_ns: tuple[int, ...]  # times at which contacts ended
+    changes: tuple[ContactTruth, ...]  # of contact, in order of time
 
     @property
-    def changes(self) -> list[ContactTruth]:
-        """Changes of contact as messages, in order of time."""
-        onsets = [
-            ContactTruth(
-                t_ns=o.t_ns,
-                contact=True,
-                force=o.force_n,
-                speed_m_s=o.speed_m_s,
-                surface=o.surface,
-                part=o.part,
-                grazing=o.grazing,
-            )
-            for o in self.onsets
-        ]
-        releases = [ContactTruth(t_ns=t, contact=False, force=0.0) for t in self.releases_ns]
-        return sorted([*onsets, *releases], key=lambda change: (change.t_ns, change.contact))
+    def onsets(self) -> list[ContactTruth]:
+        """Contacts that began, in order."""
+        return [change for change in self.changes if change.contact]
 
     @property
     def truth(self) -> TruthChanges:
@@ -126,8 +95,7 @@ def record_run(
     swing = np.zeros((n, len(rows)), dtype=np.bool_)
     force = np.zeros((n, len(rows)))
     position, rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
-    onsets: list[list[Onset]] = [[] for _ in layout.legs]
-    releases: list[list[int]] = [[] for _ in layout.legs]
+    changes: list[list[ContactTruth]] = [[] for _ in layout.legs]
 
     def own(of_servos: NDArray[Any]) -> NDArray[Any]:
         return np.asarray(of_servos).reshape(len(layout.legs), joints)[rows]
@@ -142,10 +110,7 @@ def record_run(
         swing[k] = [sim.phase[row] == "swing" for row in rows]
         force[k] = [sim.plant.forces[:, row].mean() for row in rows]
         for change in sim.changes:
-            if change.contact:
-                onsets[change.leg].append(_onset(sim, change))
-            else:
-                releases[change.leg].append(sim.time_of_step(change.step))
+            changes[change.leg].append(sim.truth_of(change).message)
     t_ns = settings.epoch_ns + np.arange(n, dtype=np.int64) * round(settings.period_s * 1e9)
     return Run(
         t_ns=t_ns,
@@ -155,11 +120,10 @@ def record_run(
                 desired=desired[:, i],
                 valid=valid[:, i],
                 swing=swing[:, i],
-                contact=contact_at(t_ns, onsets[row], releases[row]),
+                contact=contact_at(t_ns, changes[row]),
                 force_n=force[:, i],
                 angle=angle[:, i],
-                onsets=tuple(onsets[row]),
-                releases_ns=tuple(releases[row]),
+                changes=tuple(changes[row]),
             )
             for i, (leg, row) in enumerate(kept.items())
         },
@@ -168,26 +132,7 @@ def record_run(
     )
 
 
-def _onset(sim: Simulation, change: Change) -> Onset:
-    # Physics step s ends tick (s - 1) // substeps's physics.
-    tick = max(change.step - 1, 0) // sim.plant.substeps
-    truth = sim.truth_of(change).message
-    return Onset(
-        t_ns=truth.t_ns,
-        tick=tick,
-        force_n=truth.force,
-        speed_m_s=truth.speed_m_s,
-        part=truth.part,
-        surface=truth.surface,
-        grazing=truth.grazing,
-    )
-
-
-def contact_at(t_ns: Ints, onsets: list[Onset], releases_ns: list[int]) -> Mask:
-    """Contact at every tick, from the times of change."""
-    begun = np.searchsorted([o.t_ns for o in onsets], t_ns, side="right")
-    ended = np.searchsorted(releases_ns, t_ns, side="right")
-    # A leg that starts in the air reports one end before any beginning.
-    if releases_ns and (not onsets or releases_ns[0] < onsets[0].t_ns):
-        ended = np.maximum(ended - 1, 0)
-    return np.asarray(begun > ended)
+def contact_at(t_ns: Ints, changes: Sequence[ContactTruth]) -> Mask:
+    """Contact at every tick, from changes in order of time."""
+    changed = np.searchsorted([change.t_ns for change in changes], t_ns, side="right")
+    return np.array([False, *(change.contact for change in changes)])[changed]

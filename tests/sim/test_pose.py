@@ -13,6 +13,7 @@ from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import WORKSPACES, PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from tests.sim.touches import touches_of
 
 GEOMETRY = LegGeometry()
 
@@ -72,14 +73,14 @@ def test_obstacles_are_met_on_descents(approach: str) -> None:
     motion = PoseSettings(approach=approach, obstacles=ObstacleSettings(probability=1.0))
     run = record_arrays(SimulationSettings(motion=motion, seed=3), 30.0)
     leg = run.legs["rf"]
-    onsets = [o for o in leg.onsets if o.tick > 60]
+    ticks, onsets = zip(*((k, o) for k, o in touches_of(run, "rf") if k > 60), strict=True)
     swings = swings_of(leg.swing)
     assert len(onsets) >= 0.4 * len(swings)
     late = 0
-    for onset in onsets:
-        inside = [b for b, e in swings if b <= onset.tick < e + 3]
+    for tick in ticks:
+        inside = [b for b, e in swings if b <= tick < e + 3]
         assert inside  # never while the leg moves between turns
-        late += onset.tick - inside[0] >= 10
+        late += tick - inside[0] >= 10
     assert late >= 0.95 * len(onsets)  # in the descent, not the ascent
     speeds = np.array([o.speed_m_s for o in onsets if o.speed_m_s is not None])
     if approach == "slow":
@@ -95,10 +96,10 @@ def test_obstacles_are_met_on_descents(approach: str) -> None:
 
 def test_react_stops_the_command_and_ends_the_swing() -> None:
     motion = PoseSettings(react_ms=60.0, obstacles=ObstacleSettings(probability=1.0))
-    leg = record_arrays(SimulationSettings(motion=motion, seed=4), 25.0).legs["rf"]
-    checked = 0
+    run = record_arrays(SimulationSettings(motion=motion, seed=4), 25.0)
+    leg, checked = run.legs["rf"], 0
     for begin, end in swings_of(leg.swing)[:-1]:
-        touched = [o.tick for o in leg.onsets if begin + 10 <= o.tick < end]
+        touched = [k for k, _ in touches_of(run, "rf") if begin + 10 <= k < end]
         if touched and end - begin < 20:
             # Three samples after the touch still say swing, and the command goes on.
             assert 3 <= end - touched[0] - 1 <= 4

@@ -11,6 +11,7 @@ from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
+from tests.sim.touches import touches_of
 
 Array = NDArray[np.float64]
 
@@ -61,11 +62,11 @@ def test_it_walks_and_touches(gait: str, kind: str) -> None:
     for leg in LEGS:
         stream = run.legs[leg]
         swings = np.flatnonzero(np.diff(stream.swing.astype(int)) == 1)
-        in_swing = [o for o in stream.onsets if o.tick > 50 and stream.swing[o.tick]]
+        in_swing = [(k, o) for k, o in touches_of(run, leg) if k > 50 and stream.swing[k]]
         assert len(in_swing) >= 0.8 * (len(swings) - 1)
-        for onset in in_swing:
+        for k, onset in in_swing:
             speeds.append(onset.speed_m_s)
-            after = stream.swing[onset.tick + 1 :]
+            after = stream.swing[k + 1 :]
             if after.all():
                 continue
             left.append(int(np.argmin(after)))

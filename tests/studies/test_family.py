@@ -11,6 +11,7 @@ from adaptive_contact_studies.family import trials as tried
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.family.trials import trials
 from adaptive_contact_studies.work import Work
+from tests.sim.touches import tick_of
 
 KIND = "second generator in pose"
 
@@ -30,11 +31,12 @@ def test_a_leg_touches_nothing_but_plates(motion: str) -> None:
     free = record(leg, motion, 12, 5).legs[LEG]  # type: ignore[arg-type]
     assert not free.contact.any()
     assert not free.onsets
-    plates = record(leg, motion, 12, 5, plates=1.0).legs[LEG]  # type: ignore[arg-type]
+    run = record(leg, motion, 12, 5, plates=1.0)  # type: ignore[arg-type]
+    plates = run.legs[LEG]
     assert plates.onsets
-    assert (plates.force_n[[o.tick for o in plates.onsets]] > 0.0).all()
+    assert (plates.force_n[[tick_of(run, o) for o in plates.onsets]] > 0.0).all()
     # The plate is parked as the foot lifts off, so each swing starts free.
-    assert len(plates.releases_ns) == len(plates.onsets) + 1
+    assert len(plates.changes) == 2 * len(plates.onsets) + 1
     np.testing.assert_array_equal(free.desired, plates.desired)
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact_sim.arrays import LegArrays, Onset, Run, contact_at
+from adaptive_contact_sim.arrays import LegArrays, Run, contact_at
 from adaptive_contact_sim.servo import ServoBank, ServoKind, ServoParameters
 from adaptive_contact_sim.truth import TruthTracker
 
@@ -365,14 +365,12 @@ def _play(leg: DrawnLeg, plan: _Plan, rng: np.random.Generator) -> Run:
     tracker = TruthTracker(model.opt.timestep, substeps, 1)
     forces = np.zeros((substeps, 1))
     nothing: tuple[deque[object], ...] = (deque(),)
-    onsets: list[Onset] = []
-    releases: list[int] = []
     bank.write_goal(desired[0])
     for _ in range(round(0.5 / model.opt.timestep)):
         drive()
         mujoco.mj_step(model, data)
         bank.rub()
-    changes = tracker.start(forces[0], 0)
+    made = tracker.start(forces[0], 0)
     sent: deque[Array] = deque([desired[0]] * (leg.latency_ticks + 1), leg.latency_ticks + 1)
     until, before = 0, math.inf
     for k in range(n):
@@ -397,20 +395,15 @@ def _play(leg: DrawnLeg, plan: _Plan, rng: np.random.Generator) -> Run:
         if not float(np.abs(data.qvel).max()) < _ABSURD_RAD_S:
             raise SimulationDivergedError(f"a drawn leg diverges at {k * period_s:.2f} s")
         force[k] = forces.mean()
-        changes += tracker.update(forces, nothing, (k + 1) * substeps)  # type: ignore[arg-type]
-        for change in changes:
-            t_ns = round(change.step * model.opt.timestep * 1e9)
-            if change.contact:
-                tick = max(change.step - 1, 0) // substeps
-                onsets.append(Onset(t_ns, tick, change.force_n, None, "foot", "hard", False))
-            else:
-                releases.append(t_ns)
-        changes = []
+        made += tracker.update(forces, nothing, (k + 1) * substeps)  # type: ignore[arg-type]
+    changes = tuple(
+        change.message(round(change.step * model.opt.timestep * 1e9), (), str) for change in made
+    )
     t_ns = np.arange(n, dtype=np.int64) * round(period_s * 1e9)
     arrays = LegArrays(
         measured=measured, desired=desired, valid=np.ones((n, joints), dtype=np.bool_),
-        swing=np.array(plan.phases), contact=contact_at(t_ns, onsets, releases),
-        force_n=force, angle=angle, onsets=tuple(onsets), releases_ns=tuple(releases),
+        swing=np.array(plan.phases), contact=contact_at(t_ns, changes),
+        force_n=force, angle=angle, changes=changes,
     )  # fmt: skip
     return Run(t_ns, {LEG: arrays}, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)))
 

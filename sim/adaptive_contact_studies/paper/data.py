@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
+import msgspec
 import mujoco
 import numpy as np
 
@@ -163,12 +164,11 @@ def join(streams: Sequence[Stream]) -> Stream:
     rows = ("measured", "desired", "valid", "swing", "contact", "force_n", "angle")
     arrays = LegArrays(
         **{name: np.concatenate([getattr(a, name) for _, a in parts]) for name in rows},
-        onsets=tuple(
-            replace(o, t_ns=o.t_ns + start * TICK_NS, tick=o.tick + start)
+        changes=tuple(
+            msgspec.structs.replace(change, t_ns=change.t_ns + start * TICK_NS)
             for start, a in parts
-            for o in a.onsets
+            for change in a.changes
         ),
-        releases_ns=tuple(t + start * TICK_NS for start, a in parts for t in a.releases_ns),
     )
     return Stream(streams[0].piece, arrays)
 
@@ -226,8 +226,7 @@ def _hung_up(settings: GantrySettings, seconds: float) -> dict[str, LegArrays]:
             contact=np.zeros(n, dtype=bool),
             force_n=np.zeros(n),
             angle=angle.reshape(of_leg)[:, i],
-            onsets=(),
-            releases_ns=(),
+            changes=(),
         )
         for i, leg in enumerate(LEGS)
     }
