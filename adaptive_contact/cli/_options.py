@@ -7,7 +7,6 @@ import functools
 import inspect
 import math
 import os
-import re
 import signal
 import threading
 from collections.abc import Callable, Iterable, Sequence
@@ -15,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
-from typer.core import TyperCommand, TyperGroup
 
 from adaptive_contact.cli._output import say_note
 from adaptive_contact.cli._signals import on_signals
@@ -35,46 +33,6 @@ from adaptive_contact.service.settings import (
 if TYPE_CHECKING:
     from adaptive_contact.model import Baseline
     from adaptive_contact.service.recording import Recording
-
-
-def _without_types_of_flags(params: list[Any]) -> list[Any]:
-    """Remove ``<bool>`` from the help of flags, which take no value."""
-    for param in params:
-        if getattr(param, "is_flag", False):
-            param.metavar = ""
-    return params
-
-
-class _Command(TyperCommand):
-    def get_params(self, ctx: Any) -> list[Any]:
-        return _without_types_of_flags(super().get_params(ctx))
-
-
-class _Group(TyperGroup):
-    def get_params(self, ctx: Any) -> list[Any]:
-        return _without_types_of_flags(super().get_params(ctx))
-
-
-class Commands(typer.Typer):
-    """Groups commands whose help shows flags without a type."""
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(cls=_Group, **settings)
-
-    def command(self, name: str | None = None, **settings: Any) -> Callable[[Any], Any]:
-        """Add a command, as :meth:`typer.Typer.command` does; its docstring is the help."""
-
-        def add(function: Callable[..., Any]) -> Any:
-            text = _flow(inspect.getdoc(function) or "")
-            return typer.Typer.command(self, name, cls=_Command, help=text, **settings)(function)
-
-        return add
-
-
-def _flow(text: str) -> str:
-    """Join the lines of each paragraph, as terminals are narrower than the source; lists stay."""
-    # A line's end that neither ends a paragraph nor comes before an item or an indented line.
-    return re.sub(r"(?<!\n)\n(?!\s|- )", " ", text)
 
 
 def flatten(command: Callable[..., None]) -> Callable[..., None]:

@@ -12,6 +12,8 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, shake_hands
@@ -137,7 +139,7 @@ def _say_ros(line: str) -> None:
     say(f"adaptive-contact bridge ros2: {line}", err=True)
 
 
-app = opt.Commands(help="Servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True)
+app = typer.Typer(help="Servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True)
 
 
 @app.command()

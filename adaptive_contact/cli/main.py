@@ -18,7 +18,6 @@ from typing import Annotated, Any, Final, NoReturn
 import typer
 
 from adaptive_contact import __version__
-from adaptive_contact.cli._options import Commands
 from adaptive_contact.cli._output import (
     OutputLost,
     make_stdout_optional,
@@ -29,7 +28,7 @@ from adaptive_contact.cli._output import (
 from adaptive_contact.cli._signals import interrupt_once, on_signals
 from adaptive_contact.errors import AdaptiveContactError, missing_of_the_whole
 
-app = Commands(
+app = typer.Typer(
     name="adaptive-contact",
     help="Foot contacts from servo positions alone.",
     no_args_is_help=True,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from adaptive_contact.cli._options import Commands
+import typer
+
 from adaptive_contact.cli._robot_check import check
 from adaptive_contact.cli._robot_init import init
 from adaptive_contact.cli._robot_learning import learn
 
-app = Commands(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
+app = typer.Typer(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
 app.command("init")(init)
 app.command("check")(check)
 app.command("learn")(learn)

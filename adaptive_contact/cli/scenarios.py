@@ -13,7 +13,6 @@ from rich.table import Table
 
 from adaptive_contact.cli._console import print_markdown, table_console
 from adaptive_contact.cli._options import (
-    Commands,
     ForceOption,
     JsonOption,
     ProcessesOption,
@@ -24,7 +23,7 @@ from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.errors import ConfigurationError
 
-app = Commands(
+app = typer.Typer(
     help="Drifts, contacts and faults, replayed through the learner and simpler ones.",
     no_args_is_help=True,
 )

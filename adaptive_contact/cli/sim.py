@@ -62,7 +62,7 @@ def baseline(
     say(f"baseline written to {out}", err=True)
 
 
-app = opt.Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
+app = typer.Typer(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
 
 
 @app.command()

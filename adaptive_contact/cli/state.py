@@ -15,7 +15,6 @@ from rich.text import Text
 
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import (
-    Commands,
     JsonOption,
     StateOption,
     option,
@@ -29,7 +28,9 @@ from adaptive_contact.service.settings import shown_path
 if TYPE_CHECKING:
     from adaptive_contact.service.state import Stored
 
-app = Commands(help="Show or forget what the service has learned and kept.", no_args_is_help=True)
+app = typer.Typer(
+    help="Show or forget what the service has learned and kept.", no_args_is_help=True
+)
 
 RobotOption = Annotated[str | None, option("--robot", "Only of this robot.", "NAME")]
 LegOption = Annotated[str | None, option("--leg", "Only of this leg.", "ID")]
