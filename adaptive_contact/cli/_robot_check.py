@@ -151,29 +151,33 @@ def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
 
 def report_lines(report: LiveReport) -> list[str]:
     """Format what the motion has shown, and what it cannot."""
-    lines = []
-    sure = [leg for leg in report.confirmed if leg not in report.by_hand]
-    if sure:
-        lines.append(f"signs, order and zeros: as the motion says, leg {' '.join(sure)}")
-    signs = [leg for leg in report.confirmed if leg in report.by_hand]
-    if signs:
-        lines.append(
-            f"signs: as the motion says, leg {' '.join(signs)}; order and zeros of such a chain no "
-            "motion confirms: move joints by hand, and compare"
-        )
-    waiting = [leg for leg in report.open if leg not in report.by_hand]
-    if waiting:
-        lines.append(
-            f"signs, order and zeros: not confirmed by the motion of leg {' '.join(waiting)} (it "
-            "takes some 20 s of walking, and lengths_m); move joints by hand, and compare"
-        )
-    by_hand = [leg for leg in report.open if leg in report.by_hand]
-    if by_hand:
-        lines.append(
-            f"signs, order and zeros of leg {' '.join(by_hand)}: not confirmed by the motion, as "
-            "the mirror image of such a chain may walk as well (docs/robot.md); move joints by "
-            "hand, and compare"
-        )
+    by_hand = report.by_hand
+    said = (
+        (report.confirmed, False, "signs, order and zeros: as the motion says, leg {}"),
+        (
+            report.confirmed,
+            True,
+            "signs: as the motion says, leg {}; order and zeros of such a chain no motion "
+            "confirms: move joints by hand, and compare",
+        ),
+        (
+            report.open,
+            False,
+            "signs, order and zeros: not confirmed by the motion of leg {} (it takes some 20 s of "
+            "walking, and lengths_m); move joints by hand, and compare",
+        ),
+        (
+            report.open,
+            True,
+            "signs, order and zeros of leg {}: not confirmed by the motion, as the mirror image "
+            "of such a chain may walk as well (docs/robot.md); move joints by hand, and compare",
+        ),
+    )
+    lines = [
+        words.format(" ".join(of))
+        for legs, hand, words in said
+        if (of := [leg for leg in legs if (leg in by_hand) is hand])
+    ]
     for sign, where in (
         (-1, "below their commands: so it is where they hang"),
         (1, "above their commands: so it is where they stand"),

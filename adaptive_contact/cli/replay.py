@@ -209,21 +209,18 @@ def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[s
         if learner is None:
             continue
         status = learner.status
-        words = [f"{reason} {n}" for reason, n in status.rejects.items()]
-        if status.missed:
-            words.append(f"{status.missed} samples missing")
-        if status.withheld:
-            words.append(f"{status.withheld} contacts withheld while it was ambiguous")
-        if status.swings_withheld:
-            words.append(
-                f"contacts were withheld in {status.swings_withheld} of {status.swings} swings"
-            )
         if speaks_of_angles(status.note or ""):
             signs.append(leg)
-        if status.note and (leg in signs or leg not in known):
-            words.append(status.note)
-        if words:
-            say_note(f"leg '{leg}': {', '.join(words)}")
+        missed, held, swings = status.missed, status.withheld, status.swings_withheld
+        words = (
+            *(f"{reason} {n}" for reason, n in status.rejects.items()),
+            missed and f"{missed} samples missing",
+            held and f"{held} contacts withheld while it was ambiguous",
+            swings and f"contacts were withheld in {swings} of {status.swings} swings",
+            (leg in signs or leg not in known) and status.note,
+        )
+        if any(words):
+            say_note(f"leg '{leg}': {', '.join(word for word in words if word)}")
     return signs
 
 

@@ -106,23 +106,20 @@ def score_messages(
 
 
 def _notes(gathered: Gatherer, score: Score) -> tuple[str, ...]:
-    notes, outcomes, rows = [], score.outcomes, score.total.rows
+    rows = score.total.rows
     blind = [leg for leg in gathered.legs if leg not in gathered.legs_with_truth]
-    if blind:
-        notes.append(f"no truth of {', '.join(blind)}: left out")
     unseen = sorted(set(gathered.legs_with_events) - set(gathered.legs))
-    if unseen:
-        notes.append(f"events of {', '.join(unseen)}, which sent no samples: left out")
-    if not any(len(outcome.swings.start_ns) for outcome in outcomes):
-        notes.append("no swing in the recording: nothing could be judged")
-    withheld = gathered.withheld
-    if withheld:
-        by_leg = ", ".join(f"{leg} {count}" for leg, count in sorted(withheld.items()))
-        notes.append(f"events withheld while the leg was ambiguous, scored as none: {by_leg}")
-    refused = sum(gathered.rejects.values())
-    if refused:
-        reasons = ", ".join(f"{r.value} {n}" for r, n in sorted(gathered.rejects.items()) if n)
-        notes.append(f"{refused} messages could not be used: {reasons}")
-    if "late" in rows and not rows[score.total.headline].touches:
-        notes.append("no touch of the headline: swings end with theirs, as where events stop them")
-    return tuple(notes)
+    withheld = ", ".join(f"{leg} {count}" for leg, count in sorted(gathered.withheld.items()))
+    rejects = [(reason, n) for reason, n in sorted(gathered.rejects.items()) if n]
+    refused, reasons = sum(n for _, n in rejects), ", ".join(f"{r.value} {n}" for r, n in rejects)
+    judged = any(len(outcome.swings.start_ns) for outcome in score.outcomes)
+    late = "late" in rows and not rows[score.total.headline].touches
+    notes = (
+        blind and f"no truth of {', '.join(blind)}: left out",
+        unseen and f"events of {', '.join(unseen)}, which sent no samples: left out",
+        not judged and "no swing in the recording: nothing could be judged",
+        withheld and f"events withheld while the leg was ambiguous, scored as none: {withheld}",
+        refused and f"{refused} messages could not be used: {reasons}",
+        late and "no touch of the headline: swings end with theirs, as where events stop them",
+    )
+    return tuple(note for note in notes if note)

@@ -34,21 +34,29 @@ class Attention:
 
     def look(self, view: View, statuses: Mapping[str, LearnerStatus], now_ns: int) -> list[Finding]:
         """List what needs a person, the worst first."""
-        if not view.connected:
-            remedy = (
-                "This page goes on by itself when `adaptive-contact serve`, or the router, is back."
-            )
-            return [_of_all("the router is lost", remedy)]
-        if view.service is None and view.alive:
-            return []
+        unseen = (
+            (
+                not view.connected,
+                "the router is lost",
+                "This page goes on by itself when `adaptive-contact serve`, or the router, is "
+                "back.",
+            ),
+            (
+                view.service is None and not view.alive,
+                "no service is running here",
+                "Start `adaptive-contact serve`, or give `watch` its --connect and --namespace.",
+            ),
+            (
+                not view.alive,
+                "the service is gone: no contact is reported",
+                "Start `adaptive-contact serve` again.",
+            ),
+        )
+        for holds, what, remedy in unseen:
+            if holds:
+                return [Finding("error", None, what, remedy, "service", [])]
         if view.service is None:
-            remedy = (
-                "Start `adaptive-contact serve`, or give `watch` its --connect and --namespace."
-            )
-            return [_of_all("no service is running here", remedy)]
-        if not view.alive:
-            remedy = "Start `adaptive-contact serve` again."
-            return [_of_all("the service is gone: no contact is reported", remedy)]
+            return []
         faults = list(_faults(view, view.service, statuses))
         faults += [(None, fault) for fault in self._grown(view, view.service, now_ns)]
         return [_with_remedy(finding) for finding in entries(faults)]
@@ -68,10 +76,6 @@ class Attention:
             self._counts[name] = times
             if times and now_ns - self._grown_ns.get(name, -_SHOWN_NS) < _SHOWN_NS:
                 yield Fault.of(name, key=name, times=times)
-
-
-def _of_all(what: str, remedy: str) -> Finding:
-    return Finding("error", None, what, remedy, "service", [])
 
 
 def _faults(

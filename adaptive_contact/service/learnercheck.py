@@ -45,6 +45,14 @@ def about_learner(
         grown = sum(times - before.rejects.get(reason, 0) for reason, times in refused.items())
         how: Level = "warning" if grown else "note"
         yield Fault.of("refused", listed, grown, level=how, total=samples)
+    stale = "held" if "held" in note else "twins" if "of leg" in note else "old"
+    doubts = {
+        "echo": Fault.of("echo", note, key="some"),
+        "unproved": Fault.of("near_echo-unproved", key="some"),
+        "stale": Fault.of(stale, note, key="some"),
+        "phase": Fault.of("phase-swapped", key="swapped"),
+        "publishers": Fault.of("two_publishers", note, publishers=2),
+    }
     if SWAPPED in note:
         yield Fault.of("leg_swap", note)
     elif speaks_of_angles(note):
@@ -54,21 +62,9 @@ def about_learner(
     elif status.status == "learning":
         cold = service is not None and service.baseline is None
         yield Fault.of("learning-cold" if cold else "learning", status.note)
-    elif status.doubt == "echo":
-        if "echo" not in causes:
-            yield Fault.of("echo", note, key="some")
-    elif status.doubt == "unproved":
-        if "near_echo" not in causes:
-            yield Fault.of("near_echo-unproved", key="some")
-    elif status.doubt == "stale":
-        stale = "held" if "held" in note else "twins" if "of leg" in note else "old"
-        if stale not in causes:
-            yield Fault.of(str(stale), note, key="some")
-    elif status.doubt == "phase":
-        yield Fault.of("phase-swapped", key="swapped")
-    elif status.doubt == "publishers":
-        if "two_publishers" not in causes:
-            yield Fault.of("two_publishers", note, publishers=2)
+    elif status.doubt in doubts:
+        if doubts[status.doubt].cause not in causes:
+            yield doubts[status.doubt]
     elif status.status == "ambiguous" and status.doubt != "unjudged":
         yield Fault.of("ambiguous", status.note)
     elif status.note is not None:
