@@ -316,7 +316,13 @@ class Cycle:
             self._lacking[leg.id] = [
                 servo.joint.servo
                 for servo, place in zip(servos, places, strict=True)
-                if asked_now and self._lacks(servo, place, begun=wanted is not None)
+                if asked_now
+                # For more than a tick.
+                and (
+                    self._is_absent(servo)
+                    or servo.waker.trouble is not None
+                    or (place is None and wanted is None)
+                )
             ]
             if wanted is None or driver.goal is None:
                 continue
@@ -403,12 +409,6 @@ class Cycle:
             servo = self._servos[number]
             if reading.data is not None:
                 self._judge(servo, standing(servo.joint.model, block, reading.data))
-
-    def _lacks(self, servo: _Servo, place: Place | None, *, begun: bool) -> bool:
-        """Return whether a leg's command must do without a servo for more than a tick."""
-        if self._is_absent(servo) or servo.waker.trouble is not None:
-            return True
-        return place is None and not begun
 
     def _is_absent(self, servo: _Servo) -> bool:
         record = self.health[servo.joint.servo]

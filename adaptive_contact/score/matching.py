@@ -69,7 +69,9 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
     event_tick = _tick_of(event_ns, t_ns)
     in_swing, in_stance = _at(swings.of_tick, event_tick), _at(swings.after_tick, event_tick)
     reported_in = np.maximum(in_swing, in_stance)
-    contact, held = _last_touch(event_ns, contacts), _holding(event_ns, contacts)
+    # The contact that began last, at each time or before; -1 for none.
+    contact = np.searchsorted(contacts.onset_ns, event_ns, side="right") - 1
+    held = _holding(event_ns, contacts)
     own = (reported_in >= 0) & (_at(judged_in, contact) == reported_in)
     in_window = event_ns <= _at(contacts.onset_ns + _window_ns(contacts), contact)
     in_window &= _at(contacts.touch.astype(np.int64), contact) == 1
@@ -138,11 +140,6 @@ def _at(values: Ints, tick: Ints) -> Ints:
     if len(values) == 0:
         return np.full(len(tick), -1)
     return np.where(tick >= 0, values[tick], -1)
-
-
-def _last_touch(when_ns: Ints, contacts: Contacts) -> Ints:
-    """Return the contact that began last, at each time or before; -1 for none."""
-    return np.searchsorted(contacts.onset_ns, when_ns, side="right") - 1
 
 
 def _holding(when_ns: Ints, contacts: Contacts) -> Ints:

@@ -107,13 +107,13 @@ class EventPublisher:
             self._queue.append(letter)
             self._changed.notify_all()
 
-    def dropped(self, links: int) -> None:
-        """Count links that were dropped because they held up a put."""
-        self._miss(links, "links dropped that held up contact events")
-
-    def lost_links(self, links: int) -> None:
-        """Count links that took nothing any more until they were closed."""
-        self._miss(links, "links lost")
+    def missed(self, links: int, what: str) -> None:
+        """Count links that miss events, and say what became of them."""
+        now_ns = self._dropped_ns = time.monotonic_ns()
+        self.cut_off += links
+        times = self._throttle.passes(what, now_ns, links)
+        if times is not None:
+            _log.warning(f"{what}: their subscribers hang or are gone", links=times)
 
     def dropped_within(self, now_ns: int, span_ns: int) -> bool:
         """Return whether a link was dropped or lost in the last ``span_ns``."""
@@ -135,14 +135,6 @@ class EventPublisher:
     def latencies(self) -> list[int]:
         """Return latencies since the last call, ns: deciding sample received to event sent."""
         return [self._latencies.popleft() for _ in range(len(self._latencies))]
-
-    def _miss(self, links: int, what: str) -> None:
-        """Count links that miss events, and say what became of them."""
-        now_ns = self._dropped_ns = time.monotonic_ns()
-        self.cut_off += links
-        times = self._throttle.passes(what, now_ns, links)
-        if times is not None:
-            _log.warning(f"{what}: their subscribers hang or are gone", links=times)
 
     def _work(self) -> None:
         while True:

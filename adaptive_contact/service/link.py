@@ -283,8 +283,8 @@ class Link:
         self._session = session
         self._faults_before = callback_faults()
         self._held: set[Declared] = set()
-        self._sockets = LinkSockets()
-        self._sockets.start()
+        self.sockets = LinkSockets()
+        self.sockets.start()
         self.settings = settings
         self.endpoints = facts.listen  # where it listens
         # routers that it joins; a client is let in by one of them, a router need not be
@@ -359,7 +359,7 @@ class Link:
 
     def _close(self) -> None:
         self._session.close()
-        self._sockets.close()  # last: sockets that close with a linger would hold up the session
+        self.sockets.close()  # last: sockets that close with a linger would hold up the session
 
     def publisher(self, key: str, *, reliable: bool = False, history: int = 0) -> Publisher:
         """Declare a publisher.
@@ -508,19 +508,6 @@ class Link:
             history=True,
         )
         return Declared(declared, self._held)
-
-    def drop_what_holds_up(
-        self,
-        busy_ns: Callable[[int], int],
-        on_drop: Callable[[int], None],
-        on_loss: Callable[[int], None],
-    ) -> None:
-        """Do as :meth:`LinkSockets.drop_what_holds_up`; called on a thread of the link's own."""
-        self._sockets.drop_what_holds_up(busy_ns, on_drop, on_loss)
-
-    def held_ns(self) -> int:
-        """Return when a link that took nothing was last seen, monotonic ns; 0 for never."""
-        return self._sockets.held_ns
 
     def routers(self) -> tuple[str, ...]:
         """Return the ids of the routers this session is connected to."""

@@ -150,13 +150,13 @@ class Service:
         self._made: deque[tuple[str, Future[LegEndpoint]]] = deque()
         self._making: dict[str, int] = {}
         self._full_ns: int | None = None  # when a leg was refused for which there is no room
-        self._publisher = EventPublisher(link.held_ns)
+        self._publisher = EventPublisher(lambda: link.sockets.held_ns)
         self._beats = 0
         self._watchdog = Watchdog(
             lambda: self._beats, self._publisher.busy_ns, on_stall=self._stalled, on_end=give_up
         )
         publisher = self._publisher
-        link.drop_what_holds_up(publisher.busy_ns, publisher.dropped, publisher.lost_links)
+        link.sockets.drop_what_holds_up(publisher.busy_ns, publisher.missed)
         self._network = NetworkHealth(link, now_ns)
         self._strays = UnreadKeys(link)
         self._stray_keys: dict[str, str] = {}

@@ -47,8 +47,7 @@ class LinkSockets:
 
     def __init__(self) -> None:
         self._busy_ns: Callable[[int], int] | None = None
-        self._on_drop: Callable[[int], None] = lambda _: None
-        self._on_loss: Callable[[int], None] = lambda _: None
+        self._on_miss: Callable[[int, str], None] = lambda *_: None
         # When a link was last seen that had taken nothing for as long as HELD_UP_NS, monotonic.
         self.held_ns = 0
         self._shut: set[int] = set()  # by us, and not closed yet
@@ -67,19 +66,16 @@ class LinkSockets:
         self._stop.set()
 
     def drop_what_holds_up(
-        self,
-        busy_ns: Callable[[int], int],
-        on_drop: Callable[[int], None],
-        on_loss: Callable[[int], None],
+        self, busy_ns: Callable[[int], int], on_miss: Callable[[int, str], None]
     ) -> None:
         """Shut links down that hold up a put, and count those that are lost.
 
         Args:
             busy_ns: how long the put under way has been going on at a monotonic time, ns.
-            on_drop: called with how many links were shut down.
-            on_loss: called with how many are gone that took nothing any more.
+            on_miss: called with how many links were shut down, or are gone that took nothing any
+                more, and what became of them.
         """
-        self._busy_ns, self._on_drop, self._on_loss = busy_ns, on_drop, on_loss
+        self._busy_ns, self._on_miss = busy_ns, on_miss
 
     def look(self, now_ns: int) -> None:
         """Check the sockets once; ``now_ns`` is monotonic."""
@@ -95,7 +91,7 @@ class LinkSockets:
             for inode, (_, since) in self._queued.items()
         )
         if lost:
-            self._on_loss(lost)
+            self._on_miss(lost, "links lost")
         self._shut &= sockets.keys()
         stuck = self._stuck(sockets, now_ns)
         if any(now_ns - since >= HELD_UP_NS for _, since in self._queued.values()):
@@ -105,7 +101,7 @@ class LinkSockets:
         shut = [inode for inode in stuck if _use(sockets[inode], _shut_down) is True]
         self._shut.update(shut)
         if shut:
-            self._on_drop(len(shut))
+            self._on_miss(len(shut), "links dropped that held up contact events")
 
     def _stuck(self, sockets: dict[int, int], now_ns: int) -> list[int]:
         """Return sockets with unsent data of which the peer took nothing for too long."""

@@ -71,7 +71,8 @@ class Terrain:
     def __init__(self, settings: TerrainSettings) -> None:
         self.settings = settings
         rng = np.random.default_rng([settings.seed or 0, 0x7E44A])
-        self._cells = max(2, round(settings.size_m / self._pitch))
+        pitch_m = _TILE_M if settings.kind == "steps" else _CELL_M
+        self._cells = max(2, round(settings.size_m / pitch_m))
         if settings.kind in ("rough", "holes"):
             self._heights = _rough(self._cells, settings.relief_m, rng)
             if settings.kind == "holes":
@@ -85,10 +86,6 @@ class Terrain:
     def surface(self) -> Literal["hard", "soft"]:
         """What a touch of it counts as."""
         return "soft" if self.settings.kind == "soft" else "hard"
-
-    @property
-    def _pitch(self) -> float:
-        return _TILE_M if self.settings.kind == "steps" else _CELL_M
 
     def height_at(self, x_m: Array, y_m: Array) -> Array:
         """Height of the ground, m; bilinear on the rough field (the engine's is triangulated)."""

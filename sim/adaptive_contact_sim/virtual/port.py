@@ -284,7 +284,7 @@ class VirtualPort:
     def _spent(self, servo: VirtualServo, packet: bytes) -> float:
         if not self._wire_time:
             return 0.0
-        return servo.return_delay_s + len(packet) * self._byte_s
+        return servo.value("return_delay") * 2e-6 + len(packet) * self._byte_s
 
     def _send(self, packet: bytes, due_s: float) -> None:
         self._sent += 1

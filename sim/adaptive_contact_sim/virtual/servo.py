@@ -43,7 +43,6 @@ _READ_ONLY: Final = (
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
 _MOST_STEPS: Final = 1_048_575  # of a goal in the extended modes
 _BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-_BAUDS320: Final = _BAUDS2[:4]
 _BAUDS_FEETECH: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 # Of compact servos as delivered, by protocol: errors that shut them down.
 _FATAL: Final[dict[Protocol, int]] = {1: 0x24, 2: 0x03, "sts": 0x2C, "scs": 0x25}
@@ -109,7 +108,7 @@ class VirtualServo:
         self.goal_wakes = model.protocol != 2
         self._turns = 0
         self.writes = 0
-        self._factory(return_delay)
+        self._store_known(self._delivered(return_delay))
         self.store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
@@ -132,11 +131,6 @@ class VirtualServo:
         if self.model.feetech:
             return 1 + self.value("response_level")
         return self.value("status_return")
-
-    @property
-    def return_delay_s(self) -> float:
-        """Between an instruction and its answer."""
-        return self.value("return_delay") * 2e-6
 
     def value(self, name: str) -> int:
         """A register's value as it lies in memory."""
@@ -390,10 +384,10 @@ class VirtualServo:
         at = slice(register.address, register.address + register.size)
         self._memory[at] = self._saved[at] = register.data(value)
 
-    def _factory(self, return_delay: int) -> None:
+    def _delivered(self, return_delay: int) -> dict[str, int]:
         """EEPROM as delivered, but for what a robot's owner sets first."""
         model = self.model
-        initial = {
+        return {
             "model_number": model.number,
             "firmware": 3 if model.feetech else 24 if model.protocol == 1 else 52,
             "byte_order": int(model.protocol == "scs"),
@@ -411,7 +405,6 @@ class VirtualServo:
             "secondary_id": 255,
             "pwm_limit": 885,
         }
-        self._store_known(initial)
 
     def _store_known(self, values: Mapping[str, int]) -> None:
         """Store what the model has registers for."""
@@ -437,7 +430,7 @@ class VirtualServo:
     def _rates(self) -> tuple[int, ...]:
         if self.model.feetech:
             return _BAUDS_FEETECH
-        return _BAUDS320 if self.model.compact else _BAUDS2
+        return _BAUDS2[:4] if self.model.compact else _BAUDS2  # compact: XL-320
 
     def _power_on(self) -> None:
         model = self.model
