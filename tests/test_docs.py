@@ -213,7 +213,6 @@ def test_the_readme_s_control_loop_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As it stands there, on a walk of the simulator: it reports touches and their ends."""
-    pytest.importorskip("mujoco")
     from adaptive_contact.model import save_baseline, shipped_baseline
     from adaptive_contact.robot import shipped_robot
     from adaptive_contact_sim import SimulationSettings, WalkSettings

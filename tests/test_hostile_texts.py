@@ -80,7 +80,6 @@ def test_dots_that_join_no_keys_are_no_matter(line: str) -> None:
 
 @pytest.mark.parametrize("kind", [*TOML, "gait", "list of seeds"])
 def test_scenarios(tmp_path: Path, kind: str) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra 'sim'")
     from adaptive_contact_sim.scenario import load_scenario
 
     more = {"gait": "[walk]\ngait = [['a']]", "list of seeds": "seed = [1]"}

@@ -35,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
 import os
 
 from anybus import serve
-from described import HAS_FEETECH, KNOWS_FAST, Serve
+from described import Serve
 from kinematic import KinematicBackend
 
 from programs import Program
@@ -155,10 +155,6 @@ def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
     def make(noise_steps: float = 0.0, wire_time: bool = False, seed: int = 7, **shape: Any) -> Rig:
         robot = parse_robot(robot_text(tmp_path, **shape), source="rig")
         plans = plan_ports(robot)
-        if not KNOWS_FAST and any(plan.port.fast for plan in plans):
-            pytest.skip("this DynamixelSDK has no fast sync read")
-        if not HAS_FEETECH and any(joint.model.feetech for p in plans for joint in p.joints):
-            pytest.skip("Feetech's SDK is not installed")
         joints = [(plan, joint) for plan in plans for joint in plan.joints]
         backend = KinematicBackend(len(joints))
         rng = np.random.default_rng(seed)

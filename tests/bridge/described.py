@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
-from dynamixel_sdk import GroupSyncRead
 
 from adaptive_contact.robot import Robot, load_robot, parse_robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact_sim.virtual import VirtualServo
 from programs import invoke
 
-# Before 3.8 the DynamixelSDK has none.
-KNOWS_FAST = hasattr(GroupSyncRead, "fastSyncRead")
-# An environment from before its extra has no SDK of Feetech's.
-HAS_FEETECH = find_spec("scservo_sdk") is not None
 # Serves the servos of SPECs (see ``anybus``) on a port: its device, and they.
 Serve = Callable[..., tuple[Path, Sequence[VirtualServo]]]
 

@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from described import KNOWS_FAST
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
 from adaptive_contact.bridge.bus import Bus
@@ -184,8 +183,7 @@ class OldHandler(Protocol2PacketHandler):
 def test_an_sdk_without_fast_reads_does_all_the_rest(
     rig: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if KNOWS_FAST:
-        monkeypatch.setattr("dynamixel_sdk.PacketHandler", lambda _: OldHandler())
+    monkeypatch.setattr("dynamixel_sdk.PacketHandler", lambda _: OldHandler())
     r = rig(**XL)
     bus, joints = opened(r), r.plans[0].joints
     readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+import scservo_sdk as sdk
 from described import Serve, init, robot
 
 from adaptive_contact.bridge import discovery
@@ -18,8 +19,6 @@ from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.robot import Port, ServoLaw
-
-sdk = pytest.importorskip("scservo_sdk")
 
 STS = {"model": "STS3215", "protocol": "sts"}
 SCS = {"model": "SCS0009", "protocol": "scs"}

@@ -18,7 +18,6 @@ from unittest import mock
 import numpy as np
 import pytest
 from anybus import AnyServo, Horns, any_servo
-from described import HAS_FEETECH
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
@@ -101,7 +100,7 @@ class Line:
 @pytest.fixture(scope="module")
 def lines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[Protocol, Line]]:
     directory = tmp_path_factory.mktemp("lines")
-    made = {protocol: Line(directory, protocol) for protocol in {m.protocol for m in DRIVEN}}
+    made = {protocol: Line(directory, protocol) for protocol in {m.protocol for m in MODELS}}
     yield made
     for line in made.values():
         line.close()
@@ -230,9 +229,8 @@ def registers_of(model: ServoModel) -> st.SearchStrategy[dict[str, int]]:
 
 
 # One of each control table as likely as all the others: 30 X-series have the same.
-DRIVEN = [model for model in MODELS if HAS_FEETECH or not model.feetech]
-KINDS = list({id(model.registers): model.name for model in DRIVEN}.values())
-models = st.one_of(st.sampled_from(KINDS), st.sampled_from([model.name for model in DRIVEN]))
+KINDS = list({id(model.registers): model.name for model in MODELS}.values())
+models = st.one_of(st.sampled_from(KINDS), st.sampled_from([model.name for model in MODELS]))
 horn = st.one_of(st.floats(-2.5, 2.5), st.floats(-12.0, 12.0))
 wish = st.one_of(st.floats(-3.0, 3.0), st.floats(-15.0, 15.0))
 EVENTS = (

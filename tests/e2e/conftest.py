@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import fcntl
-import importlib.util
 import os
 import re
 import shlex
@@ -32,7 +31,7 @@ BUILD_S = 900
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if {"installed", "bare", "environment"} & set(getattr(item, "fixturenames", ())):
+        if "built" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.timeout(BUILD_S))
 
 
@@ -47,11 +46,11 @@ EXTRAS = (
 
 @dataclasses.dataclass(frozen=True)
 class Environment:
-    """Where commands run: an interpreter, its variables, and whether it holds a wheel."""
+    """Where commands run: an interpreter, its variables, and where the wheel lies."""
 
     python: str
     env: dict[str, str]
-    site: Path | None
+    site: Path
 
     def run(
         self, *args: str | Path, cwd: Path, timeout_s: float = 120.0, answers: str = ""
@@ -100,8 +99,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     Made and compiled once: the first process of several makes it, and the others wait.
     """
-    if importlib.util.find_spec("hatchling") is None:
-        pytest.skip("hatchling is not installed; it comes with the extra 'dev'")
     own = tmp_path_factory.getbasetemp()
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "built"
     folder.mkdir(exist_ok=True)
@@ -161,21 +158,12 @@ def without_plot(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Envir
     return _environment(built, _linked(tmp_path_factory.mktemp("plain") / "packages", plot))
 
 
-@pytest.fixture(scope="session")
-def environment(request: pytest.FixtureRequest) -> Environment:
-    """The installed wheel; the source tree where none can be built."""
-    if importlib.util.find_spec("hatchling") is not None:
-        return request.getfixturevalue("installed")
-    paths = os.pathsep.join(path for path in sys.path if path)
-    return Environment(sys.executable, {**_bare_variables(), "PYTHONPATH": paths}, None)
-
-
 @pytest.fixture
-def command(environment: Environment, tmp_path: Path) -> Callable[..., str]:
+def command(installed: Environment, tmp_path: Path) -> Callable[..., str]:
     """Run a command of ours that succeeds, in the test's folder; its standard output."""
 
     def run(*args: str | Path, code: int = 0) -> str:
-        done = environment.run("-m", "adaptive_contact", *args, cwd=tmp_path)
+        done = installed.run("-m", "adaptive_contact", *args, cwd=tmp_path)
         assert done.returncode == code, done.stdout + done.stderr
         assert "Traceback" not in done.stderr
         return done.stdout
@@ -185,13 +173,13 @@ def command(environment: Environment, tmp_path: Path) -> Callable[..., str]:
 
 @pytest.fixture
 def start(
-    environment: Environment, program: Callable[..., Program], tmp_path: Path
+    installed: Environment, program: Callable[..., Program], tmp_path: Path
 ) -> Callable[..., Program]:
     """Start a command of ours, or with ``script`` one of Python, in the test's folder."""
 
     def begin(*args: Any, script: bool = False) -> Program:
         words = args if script else ("-m", "adaptive_contact", *args)
-        return program(*words, python=environment.python, cwd=tmp_path, env=environment.env)
+        return program(*words, python=installed.python, cwd=tmp_path, env=installed.env)
 
     return begin
 
@@ -294,14 +282,14 @@ class Shell:
 
 
 @pytest.fixture
-def shell(environment: Environment, tmp_path: Path) -> Iterator[Callable[..., Shell]]:
+def shell(installed: Environment, tmp_path: Path) -> Iterator[Callable[..., Shell]]:
     """Make a shell in a new folder."""
     made: list[Shell] = []
 
     def make() -> Shell:
         folder = tmp_path / str(len(made))
         folder.mkdir()
-        made.append(Shell(environment, folder))
+        made.append(Shell(installed, folder))
         return made[-1]
 
     yield make

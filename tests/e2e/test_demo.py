@@ -115,10 +115,10 @@ def test_the_failure_of_a_process_is_one_line(
     ],
 )
 def test_what_cannot_be_is_one_line(
-    environment: Any, tmp_path: Path, args: list[str], word: str
+    installed: Any, tmp_path: Path, args: list[str], word: str
 ) -> None:
     (tmp_path / "file").write_text("")
-    done = environment.run("-m", "adaptive_contact", "demo", *args, cwd=tmp_path)
+    done = installed.run("-m", "adaptive_contact", "demo", *args, cwd=tmp_path)
     assert done.returncode == 2
     (line,) = done.stderr.strip().splitlines()
     assert word in line

@@ -40,8 +40,8 @@ print(json.dumps(imported))
 """
 
 
-def test_help_imports_nothing_heavy(environment: Any, tmp_path: Path) -> None:
-    done = environment.run("-c", CODE, json.dumps(COMMANDS), cwd=tmp_path)
+def test_help_imports_nothing_heavy(installed: Any, tmp_path: Path) -> None:
+    done = installed.run("-c", CODE, json.dumps(COMMANDS), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("Usage:") == len(COMMANDS)
     imported = json.loads(done.stdout.splitlines()[-1])
@@ -50,17 +50,17 @@ def test_help_imports_nothing_heavy(environment: Any, tmp_path: Path) -> None:
         assert set(imported[command]) & HEAVY == set(), f"{command} --help"
 
 
-def test_importing_the_package_imports_nothing_heavy(environment: Any, tmp_path: Path) -> None:
+def test_importing_the_package_imports_nothing_heavy(installed: Any, tmp_path: Path) -> None:
     code = 'import sys, adaptive_contact; print(*{n.partition(".")[0] for n in sys.modules})'
-    done = environment.run("-c", code, cwd=tmp_path)
+    done = installed.run("-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert set(done.stdout.split()) & HEAVY == set()
 
 
-def test_importing_a_learner_loads_no_compiler(environment: Any, tmp_path: Path) -> None:
+def test_importing_a_learner_loads_no_compiler(installed: Any, tmp_path: Path) -> None:
     """It takes as long as all else; the first learner loads it."""
     code = "import sys; from adaptive_contact import ContactLearner; print(*sys.modules)"
-    done = environment.run("-c", code, cwd=tmp_path)
+    done = installed.run("-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     imported = {name.partition(".")[0] for name in done.stdout.split()}
     assert "numpy" in imported

@@ -21,9 +21,6 @@ from adaptive_contact.model import shipped_baseline
 from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Mount, Robot, shipped_robot
 from adaptive_contact.wire import ContactEvent, ServoSample
-
-pytest.importorskip("mujoco")
-
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.pose import PoseSettings

@@ -16,6 +16,7 @@ from adaptive_contact.model import Baseline
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import ServoSample
+from adaptive_contact_sim import SimulationSettings, record_arrays, simulated_robot
 
 from .conftest import TOML, FakeLeg, samples
 
@@ -51,11 +52,10 @@ def known(request: pytest.FixtureRequest) -> Known:
         free = Stretch(measured, desired, swing, swing, np.ones(len(swing), dtype=bool))
         baseline = learn(robot, {"rf": [free]}, origin="test").baseline
         return Known(robot, "rf", baseline, FakeLeg(seed=2).stream(6))
-    sim = pytest.importorskip("adaptive_contact_sim")
-    robot = sim.simulated_robot(kind).description
-    settings = sim.SimulationSettings.of(kind, "pose" if kind == "leg5" else "walk")
+    robot = simulated_robot(kind).description
+    settings = SimulationSettings.of(kind, "pose" if kind == "leg5" else "walk")
     leg, period_ns = robot.leg_ids[0], round(robot.period_s * 1e9)
-    arrays = sim.record_arrays(settings, 4.0).legs[leg]
+    arrays = record_arrays(settings, 4.0).legs[leg]
     stream = samples(arrays.measured, arrays.desired, arrays.swing)
     stream = [replace(s, t_ns=s.seq * period_ns) for s in stream]
     return Known(robot, leg, shipped_baseline(robot.name), stream)

@@ -14,10 +14,14 @@ import numpy as np
 import pytest
 import typer
 import zstandard
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from typer.testing import CliRunner
 
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot, inverse, parse_robot, shipped_robot
+from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.recording import RecordingWriter, read_recording
 from adaptive_contact.service.recording.export import export_recording
 from adaptive_contact.wire import (
@@ -32,14 +36,6 @@ from adaptive_contact.wire import (
     servo_key,
     truth_key,
 )
-
-pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
-
-from rosbags.highlevel import AnyReader
-from rosbags.interfaces import QosDurability
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-
-from adaptive_contact.ros2.types import typestore
 from ros_messages import Messages
 
 TICK = 20_000_000
@@ -299,7 +295,6 @@ def hexapod(names: dict[str, list[str]]) -> str:
 
 
 def test_replay_and_score_take_a_bag_as_they_take_a_recording(tmp_path) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra 'sim'")
     from adaptive_contact_sim import Simulation, SimulationSettings, WalkSettings
 
     robot = shipped_robot()

@@ -12,6 +12,7 @@ import msgspec
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from mcap_protobuf.decoder import DecoderFactory
 
 from adaptive_contact.cli.export import export
 from adaptive_contact.errors import ConfigurationError, RecordingError
@@ -133,7 +134,7 @@ def told(held: Any) -> Any:
 
 def decoded(path: Path) -> Iterator[tuple[str, int, str, Any]]:
     """Topic, log time, name of the schema and content of what mcap's own support can decode."""
-    factory = pytest.importorskip("mcap_protobuf.decoder").DecoderFactory()
+    factory = DecoderFactory()
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             decode = factory.decoder_for(channel.message_encoding, schema)

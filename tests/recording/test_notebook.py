@@ -21,10 +21,9 @@ def test_the_repository_keeps_no_output() -> None:
 @pytest.mark.timeout(400)
 @pytest.mark.filterwarnings("ignore")  # of Jupyter's own packages
 def test_the_notebook_goes_from_a_recording_to_events(tmp_path: Path) -> None:
-    nbformat = pytest.importorskip("nbformat", reason="needs the extra 'notebook'")
-    nbclient = pytest.importorskip("nbclient", reason="needs the extra 'notebook'")
-    pytest.importorskip("ipykernel", reason="needs the extra 'notebook'")
-    pytest.importorskip("mujoco", reason="needs the extra 'sim'")
+    import nbclient
+    import nbformat
+
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     nbclient.NotebookClient(
         notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}

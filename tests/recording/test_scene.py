@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.robot.description import Angles
@@ -41,7 +42,7 @@ def event(leg: str, *, contact: bool, withheld: bool = False) -> ContactEvent:
 
 
 def drawn(path: Path) -> dict[str, list[Any]]:
-    factory = pytest.importorskip("mcap_protobuf.decoder").DecoderFactory()
+    factory = DecoderFactory()
     found: dict[str, list[Any]] = {}
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[factory])

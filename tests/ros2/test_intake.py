@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
-
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.ros2.intake import Intake

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
 import zenoh
 from zenoh.ext import Int64, z_serialize
+from zenoh_ros2_sdk import qos
 
 from adaptive_contact.ros2 import rmw
 
@@ -71,7 +71,6 @@ def test_ids_of_publishers_differ() -> None:
 
 
 def test_quality_is_what_a_foreign_sdk_reads() -> None:
-    qos = pytest.importorskip("zenoh_ros2_sdk.qos", reason="needs zenoh-ros2-sdk ('ros2-test')")
     latched = qos.QosProfile.decode(rmw.LATCHED)
     assert latched.durability is qos.QosDurability.TRANSIENT_LOCAL
     assert (latched.reliability, latched.history_depth) == (qos.QosReliability.RELIABLE, 1)

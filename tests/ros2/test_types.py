@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
-
 from adaptive_contact.ros2.problems import CdrError, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
 from adaptive_contact.ros2.types import (

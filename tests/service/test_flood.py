@@ -17,7 +17,6 @@ from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import MSGPACK, ServoSample, decode, encode, servo_key
 from programs import resident_mb
 
-pytest.importorskip("mujoco")
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
 NAMES_S = float(os.environ.get("NAMES_S", "16"))

@@ -13,10 +13,6 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
-
-pytest.importorskip("foxglove", reason="needs the extra 'foxglove'")
-pytest.importorskip("websockets")
-
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol

@@ -43,7 +43,6 @@ def received(leg: str, one: ServoSample) -> Received:
 
 @functools.cache
 def walk() -> list[tuple[str, ServoSample]]:
-    pytest.importorskip("mujoco")
     from adaptive_contact_sim.arrays import record_arrays
     from adaptive_contact_sim.simulation import SimulationSettings
     from adaptive_contact_sim.walk import WalkSettings

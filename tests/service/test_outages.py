@@ -16,11 +16,6 @@ from typing import Any
 import pytest
 import zenoh
 import zenoh.ext
-
-pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
-pytest.importorskip("foxglove", reason="needs the extra 'foxglove'")
-pytest.importorskip("websockets")
-
 from test_foxglove_live import Client
 from test_ros2_gateway import open_router
 from test_ros2_gateway import port as port  # a fixture

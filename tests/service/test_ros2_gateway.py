@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import json
 import subprocess
@@ -20,7 +19,12 @@ import zenoh.ext
 from views import status
 
 from adaptive_contact.robot import load_robot
+from adaptive_contact.ros2 import rmw
+from adaptive_contact.ros2.rmw import RosType
+from adaptive_contact.ros2.types import typestore
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link
+from adaptive_contact.service.ros2 import WAITING, Gateway, Inbox
 from adaptive_contact.wire import (
     MSGPACK,
     ContactEvent,
@@ -30,14 +34,6 @@ from adaptive_contact.wire import (
     learner_key,
     servo_key,
 )
-
-pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
-
-from adaptive_contact.ros2 import rmw
-from adaptive_contact.ros2.rmw import RosType
-from adaptive_contact.ros2.types import typestore
-from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.ros2 import WAITING, Gateway, Inbox
 from programs import Program
 from ros_messages import Messages
 from waiting import free_address, until
@@ -165,8 +161,6 @@ def until_used(publisher: Publisher, samples: Any) -> None:
 
 
 def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, program, ros, port) -> None:
-    if importlib.util.find_spec("zenoh_ros2_sdk") is None:
-        pytest.skip("needs zenoh-ros2-sdk (extra 'ros2-test')")
     served = serve()
     link: Link = join(served.endpoint)
     samples, learners = inbox(ServoSample), inbox()

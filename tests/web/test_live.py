@@ -87,7 +87,6 @@ def robot() -> Iterator[Robot]:
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
     if found() is None:
         pytest.skip("no chromium is installed (apt install chromium)")
-    pytest.importorskip("websockets")
     with Chromium(tmp_path_factory.mktemp("chromium")) as one:
         yield one
 
