@@ -50,6 +50,10 @@ class Inbox:
             self.items.append(item[0] if len(item) == 1 else item)
             self._changed.notify_all()
 
+    def hears(self, link: Link, key: str, *, history: bool = False) -> Inbox:
+        link.subscribe(key, self, history=history)
+        return self
+
     def wait(self, enough: Callable[[list[Any]], bool] | int, timeout_s: float = 60.0) -> list[Any]:
         """Wait until there are so many items, or the items are enough; fails after the timeout."""
         test = enough if callable(enough) else lambda items: len(items) >= enough

@@ -95,9 +95,8 @@ def statuses(join: Callable[..., Link], inbox: Any) -> Callable[[Life], Any]:
     """What a client gets of leg rf's status from now on."""
 
     def begin(life: Life) -> Any:
-        got = inbox(LearnerStatus)
         client = join(life.endpoint)
-        client.subscribe(learner_key("rf"), got)
+        got = inbox(LearnerStatus).hears(client, learner_key("rf"))
         client.query(SERVICE_STATUS)  # a round trip: the subscription is known after it
         return got
 

@@ -250,8 +250,7 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(
 ) -> None:
     served = serve()
     link: Link = join(served.endpoint)
-    samples = inbox(ServoSample)
-    link.subscribe(servo_key("lf"), samples)
+    samples = inbox(ServoSample).hears(link, servo_key("lf"))
     running = gateway(served.endpoint)
     publisher = Publisher(ros)
     booleans = inbox()
@@ -352,8 +351,7 @@ def test_learners_of_other_robots_take_no_places(config: Path) -> None:
 def test_a_router_that_comes_back(serve, gateway, join, inbox, port) -> None:
     served = serve()
     link: Link = join(served.endpoint)
-    samples = inbox(ServoSample)
-    link.subscribe(servo_key("lf"), samples)
+    samples = inbox(ServoSample).hears(link, servo_key("lf"))
     with open_router(port) as first:
         running = gateway(served.endpoint)
         until_used(Publisher(first), samples)

@@ -141,8 +141,7 @@ def test_only_the_service_publishes_contacts_and_statuses(
     servo.put(sample(2))
     # (Of a leg without samples an event says that it is silent.)
     assert {e.seq for e in contacts.wait(lambda items: items[-1].seq == 2)} == {1, 2}
-    late = inbox(ContactEvent)
-    guarded.user("viewer").subscribe(ALL_CONTACT, late, history=True)
+    late = inbox(ContactEvent).hears(guarded.user("viewer"), ALL_CONTACT, history=True)
     assert [e.seq for e in late.wait(1)] == [2]
     statuses.wait(lambda items: any(status.ticks == 2 for status in items))
     assert all(status.model_version == 3 for status in statuses.items)

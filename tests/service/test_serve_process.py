@@ -64,10 +64,8 @@ def test_json_in_json_out_and_structured_logs(
 ) -> None:
     served = serve("--json", "--log-json")
     client = join(served.endpoint, json=True)
-    got = inbox()
-    client.subscribe(ALL_CONTACT, got, history=True)
-    learner = inbox(LearnerStatus)
-    client.subscribe(learner_key("rf"), learner)
+    got = inbox().hears(client, ALL_CONTACT, history=True)
+    learner = inbox(LearnerStatus).hears(client, learner_key("rf"))
     publisher = matched(client.publisher(servo_key("rf")))
     publisher.put(sample(1))
     publisher.put(sample(2, contact=True))
@@ -126,8 +124,7 @@ def test_a_full_disk_for_its_lines_ends_nothing(
             stderr=full,
         )
     assert tokens.wait(1)[0] == ("robot/service", True)
-    statuses = inbox(ServiceStatus)
-    router.subscribe(SERVICE_STATUS, statuses)
+    statuses = inbox(ServiceStatus).hears(router, SERVICE_STATUS)
     statuses.wait(2)  # it works on after the line that could not be written
     assert served.stop() == 0
 
@@ -160,9 +157,8 @@ def test_in_a_hurry_where_that_is_allowed(
 ) -> None:
     """Its own threads and Zenoh's run before ordinary ones; where it may not, it says so."""
     served = serve("--realtime")
-    got = inbox(ContactEvent)
     client = join(served.endpoint)
-    client.subscribe(ALL_CONTACT, got, history=True)
+    got = inbox(ContactEvent).hears(client, ALL_CONTACT, history=True)
     matched(client.publisher(servo_key("lf"))).put(sample(1, contact=True))
     assert got.wait(1)[0].leg == "lf"
     pid = served.process.pid
@@ -189,8 +185,7 @@ def test_a_misspelt_key_is_named_until_every_leg_has_samples(
     """In the log, and in the status that `watch` shows; with samples of all legs it is quiet."""
     served = serve()
     client = join(served.endpoint)
-    statuses = inbox(ServiceStatus)
-    client.subscribe(SERVICE_STATUS, statuses)
+    statuses = inbox(ServiceStatus).hears(client, SERVICE_STATUS)
     wrong = {
         "robot/legs/rf/servo": "did you mean robot/leg/rf/servo?",
         "rf/servo": "did you mean robot/leg/rf/servo?",
@@ -247,8 +242,7 @@ def test_what_was_learned_survives_and_what_passed_meanwhile_is_counted(
     feed(link, "rf", sample, 1, 20, run=5)
     assert learner(link, inbox, "rf", lambda status: status.ticks == 20).contacts == 10
     if number == signal.SIGKILL:
-        kept = inbox(ServiceStatus)
-        link.subscribe(SERVICE_STATUS, kept, history=True)
+        kept = inbox(ServiceStatus).hears(link, SERVICE_STATUS, history=True)
         kept.wait(lambda items: items[-1].state is not None and items[-1].state.saved > 0, 40.0)
     assert first.stop(number) == (0 if number == signal.SIGTERM else -number)
     second = serve("--state", folder)
@@ -268,8 +262,7 @@ def test_a_second_service_says_so_and_does_not_save(
     folder = str(tmp_path)
     first = serve("--state", folder)
     second = serve("--state", folder, "--connect", first.endpoint)
-    got = inbox(ServiceStatus)
-    join(first.endpoint).subscribe(SERVICE_STATUS, got, history=True)
+    got = inbox(ServiceStatus).hears(join(first.endpoint), SERVICE_STATUS, history=True)
     found = got.wait(
         lambda items: len({s.instance for s in items if "another service runs" in str(s.note)}) > 1
     )
@@ -293,8 +286,7 @@ def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(
     shown = str(tmp_path / "kept\N{REPLACEMENT CHARACTER}")
     served = serve("--state", str(folder))
     link = join(served.endpoint)
-    kept = inbox(ServiceStatus)
-    link.subscribe(SERVICE_STATUS, kept, history=True)
+    kept = inbox(ServiceStatus).hears(link, SERVICE_STATUS, history=True)
     assert kept.wait(2)[-1].state.folder == f"{shown}/mini"
     feed(link, "rf", sample, 1, 4)
     learner(link, inbox, "rf", lambda status: status.ticks == 4)
@@ -407,8 +399,7 @@ def test_who_looks_sees_that_it_compiles_and_how_many_samples_came(
     compiles.start()
     try:
         client = join(router.endpoints[0])
-        statuses = inbox(ServiceStatus)
-        client.subscribe(SERVICE_STATUS, statuses)
+        statuses = inbox(ServiceStatus).hears(client, SERVICE_STATUS)
         servo = matched(client.publisher(servo_key("rf"), reliable=True))
         for seq in range(3):
             servo.put(sample(seq))

@@ -91,15 +91,13 @@ def step(router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot
 
 
 def statuses(step: Lockstep, inbox: Any, leg: str) -> Any:
-    got = inbox(LearnerStatus)
-    step.client.subscribe(learner_key(leg), got)
+    got = inbox(LearnerStatus).hears(step.client, learner_key(leg))
     step.settle()
     return got
 
 
 def test_contacts_and_releases_come_out(step: Lockstep, inbox: Any, sample: Sample) -> None:
-    got = inbox(ContactEvent)
-    step.client.subscribe(ALL_CONTACT, got, history=True)
+    got = inbox(ContactEvent).hears(step.client, ALL_CONTACT, history=True)
     step.settle()
     step.work(1, lf=sample(1), rf=sample(1))
     step.work(2, lf=sample(2, contact=True), rf=sample(2))
@@ -118,8 +116,8 @@ def test_contacts_and_releases_come_out(step: Lockstep, inbox: Any, sample: Samp
 def test_states_are_published_while_somebody_subscribes(
     step: Lockstep, inbox: Any, sample: Sample
 ) -> None:
-    got = inbox(LegState)
     step.work(1, lf=sample(1))
+    got = inbox(LegState)
     subscribed = step.client.subscribe(ALL_STATE, got)
     step.settle()
     step.work(2, lf=sample(2), rf=sample(2, contact=True))
@@ -268,8 +266,7 @@ def test_described_legs_only(
 
 
 def test_wildcards_are_counted_for_the_service(step: Lockstep, inbox: Any) -> None:
-    got = inbox(ServiceStatus)
-    step.client.subscribe(SERVICE_STATUS, got, history=True)
+    got = inbox(ServiceStatus).hears(step.client, SERVICE_STATUS, history=True)
     step.service.work(Batch(strangers=4, stranger="robot/leg/*/servo"), 1)
     step.service.look(2 * S)
     assert got.wait(1)[-1].rejects == {Reject.UNKNOWN_LEG: 4}
@@ -282,8 +279,7 @@ def test_a_complaint_that_comes_or_goes_is_published_at_once(
     disk: Any = OneDisk()
     service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, keeper=disk)
     client = join(router.endpoints[0])
-    got = inbox(ServiceStatus)
-    client.subscribe(SERVICE_STATUS, got, history=True)
+    got = inbox(ServiceStatus).hears(client, SERVICE_STATUS, history=True)
     client.query(SERVICE_STATUS)
     errors = [None, None, "disk full", "disk full, still", None, None]
     for tick, error in enumerate(errors):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from msgspec.structs import replace
 
 from adaptive_contact.leg_learner import JudgedTick
@@ -45,6 +46,14 @@ def asked(tracer: Tracer, after: str | None = None, now_ns: int = 0) -> dict[str
     return {trace.leg: trace.seq for trace in tracer.answer(("rf", "lf"), after, now_ns)}
 
 
+@pytest.fixture
+def tracer() -> Tracer:
+    """That somebody asks."""
+    made = Tracer()
+    asked(made)
+    return made
+
+
 def test_ticks_are_wanted_while_somebody_asks() -> None:
     tracer = Tracer()
     assert not tracer.wanted(0)
@@ -57,9 +66,7 @@ def test_ticks_are_wanted_while_somebody_asks() -> None:
     assert asked(tracer, now_ns=100 * S) == {}, "what is old was kept for nobody"
 
 
-def test_a_tick_has_the_p_of_its_own_state() -> None:
-    tracer = Tracer()
-    asked(tracer)
+def test_a_tick_has_the_p_of_its_own_state(tracer: Tracer) -> None:
     state = LegState(t_ns=2, seq=2, contact=True, p=0.9, known=True)
     tracer.record([("rf", sample(1), None), ("rf", sample(2), None)], {"rf": state})
     tracer.record([("lf", sample(2), None)])
@@ -67,9 +74,7 @@ def test_a_tick_has_the_p_of_its_own_state() -> None:
     assert found == {"rf": [None, 0.9], "lf": [None]}
 
 
-def test_each_asker_gets_what_it_has_not_had() -> None:
-    tracer = Tracer()
-    asked(tracer)
+def test_each_asker_gets_what_it_has_not_had(tracer: Tracer) -> None:
     for seq in (1, 2, 3):
         tracer.record([("rf", sample(seq), None), ("lf", sample(seq), None)])
     (first, _) = tracer.answer(("rf", "lf"), None, 0)
@@ -80,26 +85,20 @@ def test_each_asker_gets_what_it_has_not_had() -> None:
     assert asked(tracer) == {"rf": [1, 2, 3, 4], "lf": [1, 2, 3]}
 
 
-def test_a_number_that_is_none_gets_all() -> None:
-    tracer = Tracer()
-    asked(tracer)
+def test_a_number_that_is_none_gets_all(tracer: Tracer) -> None:
     tracer.record([("rf", sample(1), None)])
     for after in (None, "", "-1", "x", "1e3", "٣", "9" * 5000, "999"):
         assert asked(tracer, after) == {"rf": [1]}, after
 
 
-def test_what_is_kept_and_what_is_answered_is_bounded() -> None:
-    tracer = Tracer()
-    asked(tracer)
+def test_what_is_kept_and_what_is_answered_is_bounded(tracer: Tracer) -> None:
     for seq in range(3 * MOST_TICKS):
         tracer.record([("rf", sample(seq), None)])
     newest = 3 * MOST_TICKS - 1
     assert asked(tracer)["rf"] == list(range(newest - 199, newest + 1))
 
 
-def test_who_falls_behind_gets_all_in_several_answers() -> None:
-    tracer = Tracer()
-    asked(tracer)
+def test_who_falls_behind_gets_all_in_several_answers(tracer: Tracer) -> None:
     for seq in range(MOST_TICKS):
         tracer.record([("rf", sample(seq), None), ("lf", sample(seq), None)])
     seen: dict[str, list[int]] = {"rf": [], "lf": []}
@@ -116,9 +115,7 @@ def test_who_falls_behind_gets_all_in_several_answers() -> None:
     assert seen == {"rf": list(range(MOST_TICKS)), "lf": list(range(MOST_TICKS))}
 
 
-def test_a_prediction_is_in_the_angles_of_the_source() -> None:
-    tracer = Tracer()
-    asked(tracer)
+def test_a_prediction_is_in_the_angles_of_the_source(tracer: Tracer) -> None:
     # In the description's angles the reading of the femur is 0.5 - 0.2, and was expected at 0.28.
     scores = np.array([1.5, 0.1, np.nan])
     tick = JudgedTick(np.array([0.01, 0.02, 0.0]), scores, np.ones(3))
@@ -132,9 +129,7 @@ def test_a_prediction_is_in_the_angles_of_the_source() -> None:
     assert (lf.predicted, lf.test_ratio) == ([None], [None])
 
 
-def test_swing_is_the_samples_word_or_the_commands() -> None:
-    tracer = Tracer()
-    asked(tracer)
+def test_swing_is_the_samples_word_or_the_commands(tracer: Tracer) -> None:
     state = LegState(t_ns=2, seq=2, contact=False, p=0.1, known=True)
     silent = [("rf", sample(1, None), None), ("rf", sample(2, None), None)]
     tracer.record(
