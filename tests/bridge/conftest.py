@@ -266,9 +266,12 @@ def ended() -> Iterator[Callable[[Any], Any]]:
 @pytest.fixture
 def run(rig: Callable, catcher: Callable, ended: Callable) -> Callable[..., Running]:
 
-    def start(mode: str, **kind: Any) -> Running:
+    def start(mode: str, ticks: int = 0, **kind: Any) -> Running:
+        """A loop that has run for some ticks."""
         made = rig(**kind)
-        return ended(Running(made, mode, catcher(len(made.plans[0].legs))))
+        running: Running = ended(Running(made, mode, catcher(len(made.plans[0].legs))))
+        running.catcher.wait(lambda c: len(c.ticks) >= ticks)
+        return running
 
     return start
 

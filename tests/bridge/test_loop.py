@@ -59,8 +59,7 @@ def test_samples_are_a_tick_apart_and_numbered(run: Callable, kind: dict) -> Non
 
 @pytest.mark.parametrize("kind", [AX, XL, STS, SCS])
 def test_driving_moves_what_was_asked_for_and_nothing_else(run: Callable, kind: dict) -> None:
-    r = run("drive", **kind)
-    r.catcher.wait(lambda c: len(c.ticks) >= 20)
+    r = run("drive", ticks=20, **kind)
     assert all(servo.writes == 0 for port in r.rig.ports for servo in port.servos)
 
     def feed(c: Any) -> bool:
@@ -81,8 +80,7 @@ def test_driving_moves_what_was_asked_for_and_nothing_else(run: Callable, kind: 
 
 
 def test_the_sample_pairs_a_reading_with_the_command_written_after_it(run: Callable) -> None:
-    r = run("drive", **XL)
-    r.catcher.wait(lambda c: len(c.ticks) >= 3)
+    r = run("drive", ticks=3, **XL)
 
     def feed(c: Any) -> bool:
         r.command("l0", 0.01, 0.0, 0.0)
@@ -100,8 +98,7 @@ def test_the_sample_pairs_a_reading_with_the_command_written_after_it(run: Calla
 
 
 def test_a_command_stream_that_stops_is_held_and_told(run: Callable) -> None:
-    r = run("drive", **AX)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r = run("drive", ticks=5, **AX)
     r.command("l0", 0.1, 0.1, 0.1)
     r.catcher.wait(lambda c: any("holding the last goal" in line for line in c.lines))
     writes = [r.rig.servo(i).writes for i in (1, 2, 3)]
@@ -113,8 +110,7 @@ def test_a_command_stream_that_stops_is_held_and_told(run: Callable) -> None:
 
 
 def test_bad_commands_are_counted_and_change_nothing(run: Callable) -> None:
-    r = run("drive", **AX)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r = run("drive", ticks=5, **AX)
     r.command("l0", 0.1)
     ticks = len(r.catcher.ticks)
     r.catcher.wait(lambda c: len(c.ticks) >= ticks + 3)
@@ -125,8 +121,7 @@ def test_bad_commands_are_counted_and_change_nothing(run: Callable) -> None:
 
 @pytest.mark.parametrize("kind", [AX, XL, STS])
 def test_a_silent_servo_harms_no_other_and_comes_back(run: Callable, kind: dict) -> None:
-    r = run("observe", **kind)
-    r.catcher.wait(lambda c: len(c.ticks) >= 10)
+    r = run("observe", ticks=10, **kind)
     r.rig.fault("silent:id=2")
     r.catcher.wait(lambda c: c.ticks[-1]["l0"].valid == [True, False, True])
     ticks = len(r.catcher.ticks)
@@ -150,10 +145,9 @@ def test_a_silent_servo_harms_no_other_and_comes_back(run: Callable, kind: dict)
 def test_a_driven_leg_goes_on_without_a_dead_servo_after_a_pulled_cable_and_says_so(
     run: Callable, kind: dict
 ) -> None:
-    r = run("drive", **kind)
+    r = run("drive", ticks=5, **kind)
 
     feed = r.commanding([0.4] * 3)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
     r.lose_servo_and_cable(2)
     at = pytest.approx([0.4, 0.0, 0.4], abs=0.02)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == at))
@@ -168,8 +162,7 @@ def test_a_driven_leg_goes_on_without_a_dead_servo_after_a_pulled_cable_and_says
 
 
 def test_a_leg_none_of_whose_servos_can_be_read_says_that_its_commands_wait(run: Callable) -> None:
-    r = run("drive", **AX)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r = run("drive", ticks=5, **AX)
     r.rig.fault(*(f"silent:id={i}" for i in (1, 2, 3)))
 
     def feed(c: Any) -> bool:
@@ -183,8 +176,7 @@ def test_a_leg_none_of_whose_servos_can_be_read_says_that_its_commands_wait(run:
 
 
 def test_a_preview_is_in_the_sample_of_its_command(run: Callable) -> None:
-    r = run("drive", **XL)
-    r.catcher.wait(lambda c: len(c.ticks) >= 3)
+    r = run("drive", ticks=3, **XL)
 
     def feed(c: Any) -> bool:
         r.command("l0", 0.0, 0.0, 0.0, preview=[[0.1, 0.0, 0.0], [9.0, 0.0, 0.0]])
@@ -223,8 +215,7 @@ def test_a_pulled_cable_is_survived(run: Callable, mode: str) -> None:
 
 
 def test_stale_readings_are_marked(run: Callable) -> None:
-    r = run("drive", **AX)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r = run("drive", ticks=5, **AX)
     goal = [0.8]
     r.rig.fault("stale:id=1,p=0.2")
 
@@ -247,8 +238,7 @@ def test_overload_is_reported(run: Callable) -> None:
 
 @pytest.mark.parametrize("kind", [AX, XL, FAST])
 def test_wrong_checksums_are_told_of_in_the_status(run: Callable, kind: dict) -> None:
-    r = run("observe", **kind)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r = run("observe", ticks=5, **kind)
     r.rig.fault("flip:id=5,p=0.2")
     r.catcher.wait(
         lambda c: (
@@ -322,8 +312,7 @@ def controller(ended: Callable) -> Callable[[Any], Controller]:
 def test_an_observer_bears_another_master_and_counts_what_it_breaks(
     run: Callable, controller: Callable, kind: dict
 ) -> None:
-    r = run("observe", **kind)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r = run("observe", ticks=5, **kind)
     controller(r.rig)
     ticks = len(r.catcher.ticks)
 

@@ -86,9 +86,8 @@ def test_what_is_followed_is_let_through(rig: Callable, registers: dict[str, int
 
 
 def test_a_servo_that_is_replaced_by_one_set_differently_is_not_driven(run: Callable) -> None:
-    r = run("drive", **XM)
+    r = run("drive", ticks=3, **XM)
     feed = r.commanding([0.4] * 3)
-    r.catcher.wait(lambda c: len(c.ticks) >= 3)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
     servo = r.rig.servo(2)
     servo.store("homing_offset", 512)

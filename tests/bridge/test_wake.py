@@ -43,8 +43,7 @@ def goals_written(servo: Any) -> list[int]:
 def test_a_standing_robot_is_taken_over_from_the_goals_in_force(
     run: Callable, kind: dict, again: bool
 ) -> None:
-    r = run("drive", **kind)
-    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r = run("drive", ticks=5, **kind)
     goal = stand(r.rig, 60)
     written = goals_written(r.rig.servo(1))
     if again:  # after an outage as well
@@ -67,10 +66,9 @@ def test_a_standing_robot_is_taken_over_from_the_goals_in_force(
 def test_a_servo_that_was_silent_and_has_held_its_goal_goes_on_from_it(
     run: Callable, kind: dict
 ) -> None:
-    r = run("drive", **kind)
+    r = run("drive", ticks=3, **kind)
 
     feed = r.commanding([0.4] * 3)
-    r.catcher.wait(lambda c: len(c.ticks) >= 3)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
     servo = r.rig.servo(2)
     r.rig.fault("silent:id=2")
@@ -91,10 +89,9 @@ def test_a_servo_that_was_silent_and_has_held_its_goal_goes_on_from_it(
 def test_a_servo_that_was_silent_is_not_driven_blindly_and_wakes_gently(
     run: Callable, kind: dict, held: bool
 ) -> None:
-    r = run("drive", **kind)
+    r = run("drive", ticks=3, **kind)
 
     feed = r.commanding([0.4] * 3)
-    r.catcher.wait(lambda c: len(c.ticks) >= 3)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
     r.rig.fault("silent:id=2")
     while_silent = (lambda true: true) if held else feed
