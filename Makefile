@@ -58,10 +58,10 @@ demo: env  ## service and simulator as two processes, a drift, a report in out/d
 	$(BIN)/python -m adaptive_contact demo --out out/demo
 
 test: env  ## unit and property tests on two cores, then end-to-end tests, two at a time
-	$(BIN)/python -m pytest $(TOGETHER) -m "not slow and not e2e"
+	$(BIN)/python -m pytest $(TOGETHER) --ignore tests/studies -m "not slow and not e2e"
 	$(BIN)/python -m pytest $(TOGETHER) -m "not slow and e2e"
 
-test-all: env  ## the same with the slow ones: chains in real time, recovery, a million rows
+test-all: env  ## the same with those of the studies and the slow ones: chains in real time, a million rows
 	$(BIN)/python -m pytest $(TOGETHER) -m "not e2e"
 	$(BIN)/python -m pytest $(TOGETHER) -m e2e
 
@@ -115,6 +115,7 @@ bench: env  ## the design's figures and speeds, in out/bench (half an hour or so
 	$(BIN)/python tests/service/bench_echo.py --assert
 
 scenarios: env  ## every drift through every learner; docs/adaptation.md (one to three hours, resumable)
+	$(BIN)/python -m pytest $(TOGETHER) tests/studies
 	$(BIN)/python -m adaptive_contact scenarios run --all --out out/scenarios
 	$(BIN)/python -m adaptive_contact scenarios report --out out/scenarios --docs docs
 

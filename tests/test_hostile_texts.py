@@ -1,24 +1,33 @@
-"""Texts that no person writes: refused in one line, soon, whatever is in them.
+"""Texts that no person writes: refused in one line, soon, and shown, never obeyed by a terminal.
 
 Time is that of the process, so that a busy computer fails nothing.
 """
 
 from __future__ import annotations
 
+import io
 import itertools
+import json
 import time
+import unicodedata
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import msgpack
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
 
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.files import parse_toml
 from adaptive_contact.model.model_file import load_baseline
+from adaptive_contact.printable import printable, printable_json, printable_lines
 from adaptive_contact.robot import load_robot
 from adaptive_contact.robot.urdf import read_urdf
+from adaptive_contact.service.watch import LegView, View
+from adaptive_contact.service.watch_table import table
 from adaptive_contact.wire import Drift, ServoSample, decode
 
 SECONDS = 2.0
@@ -180,3 +189,39 @@ def test_payloads(message: Any, payload: bytes) -> None:
     found = decode(payload, message)
     assert time.process_time() - began_s < SECONDS
     assert len(found.detail) < 300
+
+
+# -- Text from the wire is shown, never obeyed by a terminal
+
+HOSTILE = "\x1b[31mred\x1b]0;title\x07 \x9b2J \u202eback [bold]markup[/] \x7f\r\n"
+
+
+@given(st.text())
+def test_no_control_character_is_left(text: str) -> None:
+    shown = printable(text)
+    assert not any(unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") for c in shown)
+    assert not any(unicodedata.bidirectional(c) in _OVERRIDES for c in shown)
+    assert printable(shown) == shown
+    assert printable_lines(text).count("\n") == text.count("\n")
+
+
+_OVERRIDES = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
+
+
+def test_ordinary_text_stays_as_it_is() -> None:
+    text = "Bein µ 0.5° × 脚 ñ"
+    assert printable(text) == text
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"])))
+def test_json_keeps_its_value(text: str) -> None:
+    assert json.loads(printable_json(json.dumps([text], ensure_ascii=False))) == [text]
+
+
+def test_the_table_of_watch_sends_nothing_to_the_terminal() -> None:
+    leg = LegView(leg=HOSTILE, note=HOSTILE, kind=HOSTILE, rejects={HOSTILE: 3}, status="valid")
+    out = io.StringIO()
+    Console(file=out, width=400, color_system=None).print(table(View(legs=[leg], alive=True)))
+    text = out.getvalue()
+    assert not set(text) & set("\x1b\x07\x9b\u202e\x7f\r")
+    assert "[bold]markup[/]" in text

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
+import time
 
 import msgspec
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from adaptive_contact import ContactLearner
 from adaptive_contact.fit import FitStatus
-from adaptive_contact.fit.refit_job import RefitJob, RefitResult, refit
+from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult, refit
 from adaptive_contact.learn.periodic_refit import (
     LEAST_GAIN,
     REFIT_DUE_TICKS,
@@ -19,15 +20,17 @@ from adaptive_contact.learn.periodic_refit import (
     first_refit_after,
 )
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
-from adaptive_contact.model import LegModel
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline, LegModel
 from adaptive_contact.model.labelled_swing import Row
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact.model.library import Library, leg_library, with_changes
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot import Robot
+from adaptive_contact.service.refits import WaitingRefitter
 
-from .conftest import FakeLeg, outcomes, play
+from .conftest import FakeLeg, outcomes, play, samples
 from .ticks import Tick, rows_of
 
 SLOPE = 0.164  # of the fake leg
@@ -307,3 +310,54 @@ def test_a_saved_slope_that_no_servo_has_is_refused(misdescribed: Robot, slope: 
     again = ContactLearner(misdescribed, "rf")
     assert "its slope is" in (again.restore(saved) or "")
     assert again.status.model_version == 0
+
+
+# -- A learner whose fitting process is killed in the middle of every fit
+
+
+SWINGS = 150
+STOPS = [16 if n % 2 else None for n in range(SWINGS)]
+
+
+class Assassin(WaitingRefitter):
+    """Kills its process whenever that has a job in hand."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.killed = 0
+
+    def submit(self, job: Job) -> None:
+        """Hold the process up, give it the job, and kill it."""
+        process = self._process
+        process.send_signal(signal.SIGSTOP)
+        super().submit(job)
+        until = time.monotonic() + 20.0
+        with self._changed:
+            while self._waiting:
+                assert time.monotonic() < until
+                self._changed.wait(0.01)
+        process.kill()
+        self.killed += 1
+
+
+@pytest.mark.e2e
+def test_a_worker_killed_in_every_fit_costs_its_learner_nothing(
+    robot: Robot, baseline: Baseline
+) -> None:
+    gain = [1.0 if n < 20 else 0.85 for n in range(SWINGS)]
+    leg = FakeLeg(seed=31).run(SWINGS, touch=lambda n: STOPS[n], change=lambda n: gain[n])
+    stream = samples(*leg[:3])
+    kept, killed = WaitingRefitter(), Assassin()
+    try:
+        known = ContactLearner(robot, "rf", baseline, refitter=kept)
+        events = play(known, stream)
+        learner = ContactLearner(robot, "rf", baseline, refitter=killed)
+        assert play(learner, stream) == events
+    finally:
+        kept.close()
+        killed.close()
+    assert killed.killed >= 2, "or this test says nothing"
+    assert killed.failures == 0
+    assert learner.status == known.status
+    assert np.array_equal(learner.model.coefficients, known.model.coefficients)
+    assert outcomes(events, range(60, SWINGS), STOPS).count("hit") >= 43

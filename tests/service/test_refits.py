@@ -20,16 +20,18 @@ from structlog.testing import capture_logs
 from threadpoolctl import threadpool_info
 
 from adaptive_contact.fit import FitStatus
-from adaptive_contact.fit.refit_job import InlineRefitter, RefitJob, RefitResult, Refitter
+from adaptive_contact.fit.refit_job import InlineRefitter, Job, RefitJob, RefitResult, Refitter
+from adaptive_contact.learn.periodic_refit import REFIT_DUE_TICKS, PeriodicRefit, first_refit_after
+from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Library
+from adaptive_contact.model.labelled_swing import ROW, Rows
 from adaptive_contact.model.leg_prior import leg_prior
+from adaptive_contact.model.library import with_changes
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service import refits
 from adaptive_contact.service.refit_process import end_process, start_process
-from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter
+from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter, result_of_lost
 from waiting import until
-
-pytestmark = pytest.mark.e2e
 
 # A worker that reads a job and hangs within its answer.
 HALF_AN_ANSWER = """
@@ -174,6 +176,7 @@ def _submitted(refitter: ProcessRefitter, job: Standing | Noted) -> int:
     return job.number
 
 
+@pytest.mark.e2e
 def test_the_result_is_that_of_a_refit_in_line(
     refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]]
 ) -> None:
@@ -191,6 +194,7 @@ def test_the_result_is_that_of_a_refit_in_line(
     assert len(started) == 2
 
 
+@pytest.mark.e2e
 def test_a_replay_waits_for_its_results() -> None:
     inline = InlineRefitter()
     with contextlib.closing(WaitingRefitter(timeout_s=20.0)) as refitter:
@@ -203,6 +207,7 @@ def test_a_replay_waits_for_its_results() -> None:
                 assert np.array_equal(coefficients(found), coefficients(expected))
 
 
+@pytest.mark.e2e
 def test_a_replay_without_refits_leaves_no_process(
     started: list[subprocess.Popen[bytes]],
 ) -> None:
@@ -211,6 +216,7 @@ def test_a_replay_without_refits_leaves_no_process(
     assert process.poll() is not None
 
 
+@pytest.mark.e2e
 def test_a_job_that_kills_its_process_once_is_repeated(
     refitter: ProcessRefitter, tmp_path: Path
 ) -> None:
@@ -219,6 +225,7 @@ def test_a_job_that_kills_its_process_once_is_repeated(
     assert refitter.failures == 0
 
 
+@pytest.mark.e2e
 def test_a_process_that_hangs_before_a_large_job_is_replaced(
     refitter: ProcessRefitter,
     started: list[subprocess.Popen[bytes]],
@@ -241,6 +248,7 @@ def test_a_process_that_hangs_before_a_large_job_is_replaced(
     assert hanging.wait(60) == -signal.SIGKILL
 
 
+@pytest.mark.e2e
 @pytest.mark.parametrize("where", ["before the job", "within the answer"])
 def test_processes_that_hang_are_given_up(
     refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch, where: str
@@ -274,6 +282,7 @@ def test_processes_that_hang_are_given_up(
     assert refitted(refitter, job("rf", 2)).status is FitStatus.OK
 
 
+@pytest.mark.e2e
 def test_closing_does_not_wait_for_a_process_that_hangs(
     refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]]
 ) -> None:
@@ -288,6 +297,7 @@ def test_closing_does_not_wait_for_a_process_that_hangs(
     assert hanging.wait(60) == -signal.SIGKILL
 
 
+@pytest.mark.e2e
 def test_a_job_that_kills_its_process_twice_is_answered_as_failed(
     refitter: ProcessRefitter,
 ) -> None:
@@ -299,6 +309,7 @@ def test_a_job_that_kills_its_process_twice_is_answered_as_failed(
     assert refitted(refitter, job("rf", 2)).status is FitStatus.OK
 
 
+@pytest.mark.e2e
 def test_a_process_that_cannot_be_started_costs_its_job_and_no_other(
     refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -313,6 +324,7 @@ def test_a_process_that_cannot_be_started_costs_its_job_and_no_other(
     assert refitted(refitter, job("rf", 2)).status is not FitStatus.LOST
 
 
+@pytest.mark.e2e
 def test_the_current_folder_has_no_say_in_the_process(
     refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -323,6 +335,7 @@ def test_the_current_folder_has_no_say_in_the_process(
     assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.e2e
 def test_it_stands_behind_others_in_one_thread_and_has_loaded_all(
     refitter: ProcessRefitter,
     started: list[subprocess.Popen[bytes]],
@@ -347,6 +360,7 @@ def test_it_stands_behind_others_in_one_thread_and_has_loaded_all(
     assert len(started) == 1
 
 
+@pytest.mark.e2e
 def test_one_that_was_started_before_is_used_and_ended(
     started: list[subprocess.Popen[bytes]],
 ) -> None:
@@ -358,6 +372,7 @@ def test_one_that_was_started_before_is_used_and_ended(
     end_process(process)  # once more does no harm
 
 
+@pytest.mark.e2e
 def test_only_the_newest_job_of_a_leg_waits(
     refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]], tmp_path: Path
 ) -> None:
@@ -376,3 +391,50 @@ def test_only_the_newest_job_of_a_leg_waits(
     assert first == "rf 0"
     assert len(under_way) <= 1
     assert {last, newest} == {"rf 49", "lf 49"}
+
+
+# -- What a leg is told of a refit that was given up
+
+WHY = "the process that fits died or took too long"
+
+
+class Giving:
+    """Gives up every refit, as lost or with another status in its place."""
+
+    def __init__(self, up_with: FitStatus) -> None:
+        self._status = up_with
+        self._result: object = None
+
+    def submit(self, job: Job) -> None:
+        """Fail at once."""
+        result = result_of_lost(job)
+        assert result.status is FitStatus.LOST
+        self._result = dataclasses.replace(result, status=self._status)
+
+    def collect(self, leg: str, number: int) -> object:
+        """The failure."""
+        return self._result
+
+
+def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> None:
+    """Through the leg's own refits, whose reason is what LearnerStatus carries."""
+    plain = Library("linear", ("a", "b"), ("pitch", "pitch"))
+    library = with_changes(plain, np.zeros((plain.size, 2)))
+    p = library.size
+    rng = np.random.default_rng(0)
+    buffer = ReplayBuffer()
+    for _ in range(40):
+        values = np.concatenate([np.tile(rng.normal(size=p), (12, 1)), np.zeros((12, 4))], axis=1)
+        buffer.add(Rows(values, np.zeros(12, dtype=ROW), 2), 0, 0)
+    for status, words in (
+        (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
+        (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
+    ):
+        refit = PeriodicRefit("rf", library, np.full(2, 0.01), 0.005, Giving(up_with=status))
+        for _ in range(first_refit_after("rf")[0]):
+            if refit.swing_done(0.02):
+                refit.request(buffer, 0)
+        for _ in range(REFIT_DUE_TICKS + 1):
+            refit.tick()
+        assert refit.counts.refused == 1
+        assert refit.counts.last_reason == words

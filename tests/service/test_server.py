@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import itertools
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
 from typing import Any
 
@@ -18,7 +20,7 @@ from adaptive_contact.service import server
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue
-from adaptive_contact.service.server import Service
+from adaptive_contact.service.server import Service, Sweeper
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     ALL_CONTACT,
@@ -372,3 +374,37 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
         assert done.wait(20)
     assert most[0] == 2
     assert all(bank.learner(leg).status.ticks == 40 for leg in legs)
+
+
+# -- Garbage is collected between ticks, and not by Python
+
+
+@pytest.fixture
+def sweeper() -> Iterator[Sweeper]:
+    made = Sweeper(most_objects=5000)
+    made.start(0)
+    yield made
+    gc.enable()
+    gc.unfreeze()
+
+
+def test_garbage_is_collected_after_a_tick(
+    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
+    sample: Callable[..., ServoSample],
+) -> None:  # fmt: skip
+    pauses = inbox()
+
+    class Recorder(Sweeper):
+        def sweep(self, now_ns: int, *, pause: bool) -> None:
+            pauses(pause)
+
+    service = Service(
+        router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, sweeper=Recorder()
+    )
+    with at_work(service):
+        assert not any(pauses.wait(3)), "without a sample it is no pause between two"
+        publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
+        for seq in itertools.count(1):
+            publisher.put(sample(seq))
+            if any(pauses.wait(len(pauses.items) + 1)):
+                break
