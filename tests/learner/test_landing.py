@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact.detect import layout
 from adaptive_contact.detect.contact import context_of, statistic
 from adaptive_contact.detect.swing import AFTER_TICKS
 from adaptive_contact.detect.swing_judge import LANDINGS, Landings
@@ -16,7 +17,6 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
 
 from .conftest import FakeLeg, play, samples
-from .drivers import arrays_of
 
 TICKS = 28  # of a swing and its stance, as FakeLeg makes them
 TURN = 18  # where these gaits say "stance": ten ticks before the next swing
@@ -76,7 +76,14 @@ def test_a_touch_takes_predicted_motion_away_or_pushes_the_foot_up(
     told = {True: 0, False: 0}
     leg["descent"] = True
     leg["context"], leg["usable"] = context_of(leg, np.zeros(3), np.full(3, 0.02)), 3
-    noise = arrays_of(learner.place).noise
+    place = learner.place
+    given = {**vars(place.batch), **place.batch.table._asdict()}
+    noise = layout.Noise(
+        *(
+            given[name] if name in layout.SHARED else given[name][place.row]
+            for name in layout.Noise._fields
+        )
+    )
     noise.shrink[:], scores = 1.0, noise.scores
     for trial in range(200):
         after = leg["after"] = trial % 5  # ticks since the turn to stance
@@ -98,20 +105,19 @@ def test_a_touch_takes_predicted_motion_away_or_pushes_the_foot_up(
     assert min(told.values()) > 100
 
 
-class TestLandings:
-    def test_touches_that_keep_coming_late_are_noted(self) -> None:
-        landings = Landings()
-        for _ in range(LANDINGS):
-            landings.touched(-2)
+def test_touches_that_keep_coming_late_are_noted() -> None:
+    landings = Landings()
+    for _ in range(LANDINGS):
+        landings.touched(-2)
+    assert landings.note is None
+    for k in range(LANDINGS // 2 + 1):
         assert landings.note is None
-        for k in range(LANDINGS // 2 + 1):
-            assert landings.note is None
-            landings.touched(3 + k % 3)
-        assert landings.note.startswith("11 of the last 20 contacts came after phase")
-        assert "by 4 ticks" in landings.note
-        for _ in range(LANDINGS // 2):  # the nine from before the turn go first
-            landings.touched(0)
-        assert landings.note is None
+        landings.touched(3 + k % 3)
+    assert landings.note.startswith("11 of the last 20 contacts came after phase")
+    assert "by 4 ticks" in landings.note
+    for _ in range(LANDINGS // 2):  # the nine from before the turn go first
+        landings.touched(0)
+    assert landings.note is None
 
 
 def test_a_swing_without_ground_is_told_in_the_status(robot: Robot, baseline: Baseline) -> None:

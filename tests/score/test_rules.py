@@ -82,174 +82,174 @@ def rows(outcome: LegOutcome) -> list[str]:
 WALK = "." * 10 + "s" * 40 + "." * 10
 
 
-class TestDetection:
-    def test_first_event_in_the_window_detects(self) -> None:
-        outcome = judge(WALK, AIR + touch(505), 520, 540)
-        assert outcome.touches.found.tolist() == [True]
-        assert outcome.touches.latency_ns.tolist() == [15 * MS]
-        assert outcome.touches.onset_error_ns.tolist() == [5 * MS]  # estimate 510, onset 505
-        assert outcome.alarms_ns.tolist() == [540 * MS]  # "every other" one is a false alarm
+def test_first_event_in_the_window_detects() -> None:
+    outcome = judge(WALK, AIR + touch(505), 520, 540)
+    assert outcome.touches.found.tolist() == [True]
+    assert outcome.touches.latency_ns.tolist() == [15 * MS]
+    assert outcome.touches.onset_error_ns.tolist() == [5 * MS]  # estimate 510, onset 505
+    assert outcome.alarms_ns.tolist() == [540 * MS]  # "every other" one is a false alarm
 
 
-class TestAfterTheTurn:
-    """Stance, its first tick at 1000 ms, where nothing touches."""
-
-    LONG = "." * 10 + "s" * 40 + "." * 30 + "s" * 20
-
-    @pytest.mark.parametrize(("onset_ms", "late"), [(1000, True), (1199, True), (1200, False)])
-    def test_touches_in_the_first_10_ticks_are_late(self, onset_ms: float, late: bool) -> None:
-        outcome = judge(self.LONG, AIR + touch(onset_ms), onset_ms + 20)
-        assert rows(outcome) == (["late"] if late else [])
-        assert outcome.touches.found.tolist() == ([True] if late else [])
-        assert outcome.touches.after_turn.tolist() == ([True] if late else [])
-        assert outcome.unjudged_ns.tolist() == ([] if late else [onset_ms * MS])
-        assert len(outcome.alarms_ns) == 0  # the later one is neither
-
-    def test_events_where_nothing_touches_are_false_alarms(self) -> None:
-        outcome = judge(self.LONG, AIR, 1000, 1319, 1320, 1599)
-        assert outcome.alarms_ns.tolist() == [1000 * MS, 1319 * MS, 1320 * MS, 1599 * MS]
-        assert outcome.alarm_swing.tolist() == [0, 0, 0, 0]
-        assert outcome.alarm_after.tolist() == [True] * 4
-        assert len(outcome.outside_ns) == 0
-        assert outcome.swings.judged_after.tolist() == [16, 0]
-        assert outcome.swings.errors.tolist() == [4, 0]
-        assert outcome.swings.misses.tolist() == [0, 0]
-        summary = summarise([outcome])
-        assert (summary.false_alarms, summary.judged_ticks) == (4, 76)
-        assert (summary.after.false_alarms, summary.after.judged_ticks) == (4, 16)
-        assert summary.after.per_hour == pytest.approx(4 * ROBOT_HOUR_TICKS / 16)
-        assert summary.precision == 0.0
+# Then stance, its first tick at 1000 ms, where nothing touches.
+LONG = "." * 10 + "s" * 40 + "." * 30 + "s" * 20
 
 
-class TestRows:
-    @pytest.mark.parametrize(
-        ("kind", "row"),
-        [
-            ({"speed": 0.2}, "headline"),
-            ({"speed": 1.5}, "headline"),
-            ({"speed": 0.199}, "mid"),
-            ({"speed": 0.101}, "mid"),
-            ({"speed": 0.1}, "slow"),
-            ({"speed": 0.02}, "slow"),
-            ({"speed": 0.019}, "creep"),
-            ({"speed": None}, "unknown"),
-            ({"speed": 0.5, "surface": "soft"}, "soft"),
-            ({"speed": 0.05, "surface": "soft"}, "soft"),
-            ({"speed": 0.5, "grazing": True}, "grazing"),
-            ({"speed": 0.5, "surface": "soft", "grazing": True}, "grazing"),
-        ],
+@pytest.mark.parametrize(("onset_ms", "late"), [(1000, True), (1199, True), (1200, False)])
+def test_touches_in_the_first_10_ticks_are_late(onset_ms: float, late: bool) -> None:
+    outcome = judge(LONG, AIR + touch(onset_ms), onset_ms + 20)
+    assert rows(outcome) == (["late"] if late else [])
+    assert outcome.touches.found.tolist() == ([True] if late else [])
+    assert outcome.touches.after_turn.tolist() == ([True] if late else [])
+    assert outcome.unjudged_ns.tolist() == ([] if late else [onset_ms * MS])
+    assert len(outcome.alarms_ns) == 0  # the later one is neither
+
+
+def test_events_where_nothing_touches_are_false_alarms() -> None:
+    outcome = judge(LONG, AIR, 1000, 1319, 1320, 1599)
+    assert outcome.alarms_ns.tolist() == [1000 * MS, 1319 * MS, 1320 * MS, 1599 * MS]
+    assert outcome.alarm_swing.tolist() == [0, 0, 0, 0]
+    assert outcome.alarm_after.tolist() == [True] * 4
+    assert len(outcome.outside_ns) == 0
+    assert outcome.swings.judged_after.tolist() == [16, 0]
+    assert outcome.swings.errors.tolist() == [4, 0]
+    assert outcome.swings.misses.tolist() == [0, 0]
+    summary = summarise([outcome])
+    assert (summary.false_alarms, summary.judged_ticks) == (4, 76)
+    assert (summary.after.false_alarms, summary.after.judged_ticks) == (4, 16)
+    assert summary.after.per_hour == pytest.approx(4 * ROBOT_HOUR_TICKS / 16)
+    assert summary.precision == 0.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "row"),
+    [
+        ({"speed": 0.2}, "headline"),
+        ({"speed": 1.5}, "headline"),
+        ({"speed": 0.199}, "mid"),
+        ({"speed": 0.101}, "mid"),
+        ({"speed": 0.1}, "slow"),
+        ({"speed": 0.02}, "slow"),
+        ({"speed": 0.019}, "creep"),
+        ({"speed": None}, "unknown"),
+        ({"speed": 0.5, "surface": "soft"}, "soft"),
+        ({"speed": 0.05, "surface": "soft"}, "soft"),
+        ({"speed": 0.5, "grazing": True}, "grazing"),
+        ({"speed": 0.5, "surface": "soft", "grazing": True}, "grazing"),
+    ],
+)
+def test_a_touch_is_in_one_row(kind: dict[str, float | None], row: str) -> None:
+    assert rows(judge(WALK, AIR + touch(500, **kind))) == [row]  # type: ignore[arg-type]
+
+
+def test_a_truth_without_speed_has_its_row_whenever_its_touches_come() -> None:
+    truth = [*AIR, *touch(300, 320, speed=None), *touch(700, 720, speed=None)]
+    lift = "." * 10 + "l" * 10 + "." * 60
+    outcome = judge(LONG, truth + touch(990, speed=None), 720, 1000, lift=lift)
+    assert rows(outcome) == ["lift", "unknown", "unknown"]
+    summary = summarise([outcome])
+    assert summary.headline == "unknown"
+    assert (summary.counted.touches, summary.in_time.touches) == (2, 1)
+    assert (summary.late_in_swing.found, summary.late_after.touches) == (1, 0)
+    assert summarise([judge(WALK, AIR + touch(500))]).headline == "headline"
+    assert summarise([]).headline == "headline"
+
+
+def test_lift_by_height_ends_within_a_millimetre_of_the_top() -> None:
+    mask = np.array([letter == "s" for letter in "..sssssss..sss"])
+    height = np.array([9, 9, 1, 5, 8, 9.5, 10, 7, 3, 9, 9, 5, 3, 1]) * 1e-3
+    swings = find_swings(np.arange(14, dtype=np.int64) * 20 * MS, mask)
+    assert np.flatnonzero(lift_by_height(swings, height)).tolist() == [2, 3, 4]
+    assert np.flatnonzero(lift_by_halves(swings)).tolist() == [2, 3, 4, 11]
+
+
+def test_lift_of_a_stream_without_swings() -> None:
+    swings = find_swings(np.arange(3, dtype=np.int64), np.zeros(3, dtype=bool))
+    assert not lift_by_height(swings, np.zeros(3)).any()
+    assert not lift_by_halves(swings).any()
+
+
+def test_hits_misses_and_false_alarms_are_of_their_swing() -> None:
+    phases = "s" * 30 + "." * 5  # 600 ms of swing, 100 ms of stance
+    at = 700  # swing k begins at 700 k ms
+    truth = [
+        *AIR,
+        *touch(300, 310),
+        *touch(at + 300, at + 310),
+        *touch(2 * at + 300, 2 * at + 310),
+    ]
+    outcome = judge(phases * 4, truth, 320, at + 100, at + 320, 2 * at + 100)
+    assert outcome.swings.hits.tolist() == [1, 1, 0, 0]
+    assert outcome.swings.false_alarms.tolist() == [0, 1, 1, 0]
+    assert outcome.swings.errors.tolist() == [0, 1, 2, 0]
+    assert judge(phases, truth).swings.misses.tolist() == [1]
+
+
+def test_counts_rates_and_intervals() -> None:
+    phases = "s" * 30 + "." * 5
+    n = 40
+    truth = AIR + [c for k in range(n) for c in touch(700 * k + 300, 700 * k + 310)]
+    found = [700 * k + 320 for k in range(36)]
+    outcome = judge(phases * n, truth, *found, 100, 800)
+    summary = summarise([outcome])
+    row = summary.rows[ROWS[0]]
+    assert (row.touches, row.found, row.recall) == (40, 36, 0.9)
+    # 95 % limits as tabulated: 36 of 40, and a count of 2.
+    assert row.interval == pytest.approx((0.7634, 0.9721), abs=1e-4)
+    assert summary.precision == pytest.approx(36 / 38)
+    assert summary.judged_ticks == 35 * n  # no foot stands
+    assert summary.robot_hours == 35 * n / ROBOT_HOUR_TICKS
+    hours = summary.robot_hours
+    assert summary.per_hour == pytest.approx(2 / hours)
+    assert summary.per_hour_interval == pytest.approx((0.2422 / hours, 7.2247 / hours), rel=1e-4)
+    assert row.latency.median_ms == 20.0
+    assert summary.lost_swings == 6  # four misses, two false alarms
+
+
+def test_latency_quantiles() -> None:
+    phases = "s" * 30 + "." * 5
+    truth = AIR + [c for k in range(100) for c in touch(700 * k + 300 - k / 10, 700 * k + 310)]
+    outcome = judge(phases * 100, truth, *[700 * k + 300 + 20 for k in range(100)])
+    latency = summarise([outcome]).rows[ROWS[0]].latency
+    assert latency.median_ms == pytest.approx(24.95)
+    assert latency.p95_ms == pytest.approx(29.405)
+    assert latency.p99_ms == pytest.approx(29.801)
+
+
+def test_counted_leaves_out_what_may_be_beyond_any_detector() -> None:
+    phases = "s" * 30 + "." * 5
+    kinds: list[dict[str, float | bool | str | None]] = [
+        {"speed": 0.4},
+        {"speed": 0.15},
+        {"speed": 0.05},
+        {"speed": 0.4, "surface": "soft"},
+        {"speed": None},
+        {"speed": 0.01},
+        {"speed": 0.4, "grazing": True},
+    ]
+    truth = list(AIR)
+    for k, kind in enumerate(kinds):
+        truth += touch(700 * k + 300, 700 * k + 400, **kind)  # type: ignore[arg-type]
+    late = 700 * len(kinds) + 570
+    outcome = judge(phases * (len(kinds) + 1), truth + touch(late))
+    summary = summarise([outcome])
+    assert {row: figures.touches for row, figures in summary.rows.items()} == dict.fromkeys(
+        ["headline", "mid", "slow", "soft", "unknown", "creep", "grazing", "late"], 1
     )
-    def test_a_touch_is_in_one_row(self, kind: dict[str, float | None], row: str) -> None:
-        assert rows(judge(WALK, AIR + touch(500, **kind))) == [row]  # type: ignore[arg-type]
-
-    def test_a_truth_without_speed_has_its_row_whenever_its_touches_come(self) -> None:
-        truth = [*AIR, *touch(300, 320, speed=None), *touch(700, 720, speed=None)]
-        lift = "." * 10 + "l" * 10 + "." * 60
-        outcome = judge(TestAfterTheTurn.LONG, truth + touch(990, speed=None), 720, 1000, lift=lift)
-        assert rows(outcome) == ["lift", "unknown", "unknown"]
-        summary = summarise([outcome])
-        assert summary.headline == "unknown"
-        assert (summary.counted.touches, summary.in_time.touches) == (2, 1)
-        assert (summary.late_in_swing.found, summary.late_after.touches) == (1, 0)
-        assert summarise([judge(WALK, AIR + touch(500))]).headline == "headline"
-        assert summarise([]).headline == "headline"
-
-    def test_lift_by_height_ends_within_a_millimetre_of_the_top(self) -> None:
-        mask = np.array([letter == "s" for letter in "..sssssss..sss"])
-        height = np.array([9, 9, 1, 5, 8, 9.5, 10, 7, 3, 9, 9, 5, 3, 1]) * 1e-3
-        swings = find_swings(np.arange(14, dtype=np.int64) * 20 * MS, mask)
-        assert np.flatnonzero(lift_by_height(swings, height)).tolist() == [2, 3, 4]
-        assert np.flatnonzero(lift_by_halves(swings)).tolist() == [2, 3, 4, 11]
-
-    def test_lift_of_a_stream_without_swings(self) -> None:
-        swings = find_swings(np.arange(3, dtype=np.int64), np.zeros(3, dtype=bool))
-        assert not lift_by_height(swings, np.zeros(3)).any()
-        assert not lift_by_halves(swings).any()
+    assert summary.counted.touches == 6
+    assert summary.in_time.touches == 5
+    assert summary.late_in_swing.touches == 1
+    assert summary.lost_swings == 6
+    assert outcome.swings.touches.tolist() == [1, 1, 1, 1, 1, 0, 0, 1]
 
 
-class TestSwings:
-    def test_hits_misses_and_false_alarms_are_of_their_swing(self) -> None:
-        phases = "s" * 30 + "." * 5  # 600 ms of swing, 100 ms of stance
-        at = 700  # swing k begins at 700 k ms
-        truth = [
-            *AIR,
-            *touch(300, 310),
-            *touch(at + 300, at + 310),
-            *touch(2 * at + 300, 2 * at + 310),
-        ]
-        outcome = judge(phases * 4, truth, 320, at + 100, at + 320, 2 * at + 100)
-        assert outcome.swings.hits.tolist() == [1, 1, 0, 0]
-        assert outcome.swings.false_alarms.tolist() == [0, 1, 1, 0]
-        assert outcome.swings.errors.tolist() == [0, 1, 2, 0]
-        assert judge(phases, truth).swings.misses.tolist() == [1]
-
-
-class TestFigures:
-    def test_counts_rates_and_intervals(self) -> None:
-        phases = "s" * 30 + "." * 5
-        n = 40
-        truth = AIR + [c for k in range(n) for c in touch(700 * k + 300, 700 * k + 310)]
-        found = [700 * k + 320 for k in range(36)]
-        outcome = judge(phases * n, truth, *found, 100, 800)
-        summary = summarise([outcome])
-        row = summary.rows[ROWS[0]]
-        assert (row.touches, row.found, row.recall) == (40, 36, 0.9)
-        # 95 % limits as tabulated: 36 of 40, and a count of 2.
-        assert row.interval == pytest.approx((0.7634, 0.9721), abs=1e-4)
-        assert summary.precision == pytest.approx(36 / 38)
-        assert summary.judged_ticks == 35 * n  # no foot stands
-        assert summary.robot_hours == 35 * n / ROBOT_HOUR_TICKS
-        hours = summary.robot_hours
-        assert summary.per_hour == pytest.approx(2 / hours)
-        assert summary.per_hour_interval == pytest.approx(
-            (0.2422 / hours, 7.2247 / hours), rel=1e-4
-        )
-        assert row.latency.median_ms == 20.0
-        assert summary.lost_swings == 6  # four misses, two false alarms
-
-    def test_latency_quantiles(self) -> None:
-        phases = "s" * 30 + "." * 5
-        truth = AIR + [c for k in range(100) for c in touch(700 * k + 300 - k / 10, 700 * k + 310)]
-        outcome = judge(phases * 100, truth, *[700 * k + 300 + 20 for k in range(100)])
-        latency = summarise([outcome]).rows[ROWS[0]].latency
-        assert latency.median_ms == pytest.approx(24.95)
-        assert latency.p95_ms == pytest.approx(29.405)
-        assert latency.p99_ms == pytest.approx(29.801)
-
-    def test_counted_leaves_out_what_may_be_beyond_any_detector(self) -> None:
-        phases = "s" * 30 + "." * 5
-        kinds: list[dict[str, float | bool | str | None]] = [
-            {"speed": 0.4},
-            {"speed": 0.15},
-            {"speed": 0.05},
-            {"speed": 0.4, "surface": "soft"},
-            {"speed": None},
-            {"speed": 0.01},
-            {"speed": 0.4, "grazing": True},
-        ]
-        truth = list(AIR)
-        for k, kind in enumerate(kinds):
-            truth += touch(700 * k + 300, 700 * k + 400, **kind)  # type: ignore[arg-type]
-        late = 700 * len(kinds) + 570
-        outcome = judge(phases * (len(kinds) + 1), truth + touch(late))
-        summary = summarise([outcome])
-        assert {row: figures.touches for row, figures in summary.rows.items()} == dict.fromkeys(
-            ["headline", "mid", "slow", "soft", "unknown", "creep", "grazing", "late"], 1
-        )
-        assert summary.counted.touches == 6
-        assert summary.in_time.touches == 5
-        assert summary.late_in_swing.touches == 1
-        assert summary.lost_swings == 6
-        assert outcome.swings.touches.tolist() == [1, 1, 1, 1, 1, 0, 0, 1]
-
-    def test_nothing_to_judge(self) -> None:
-        summary = summarise([judge("....", AIR)])
-        assert summary.rows[ROWS[0]].recall is None
-        assert summary.rows[ROWS[0]].interval == (0.0, 1.0)
-        assert summary.precision is None
-        assert summary.per_hour is None
-        assert math.isinf(summary.per_hour_interval.high)
-        assert summarise([]).swings == 0
+def test_nothing_to_judge() -> None:
+    summary = summarise([judge("....", AIR)])
+    assert summary.rows[ROWS[0]].recall is None
+    assert summary.rows[ROWS[0]].interval == (0.0, 1.0)
+    assert summary.precision is None
+    assert summary.per_hour is None
+    assert math.isinf(summary.per_hour_interval.high)
+    assert summarise([]).swings == 0
 
 
 # -- Exact intervals against scipy's own tests, and against what they must mean
@@ -296,28 +296,13 @@ def test_negative_count_raises() -> None:
 
 # -- Recovery after a drift, and which drifts count
 
-SWING_MS = 700  # 30 ticks of swing, 5 of stance
-
 
 def outcome(found: list[bool], alarms: int) -> LegOutcome:
     """Swings with a touch each, found or not, and false alarms in the first ones."""
     n = len(found)
-    truth = [ContactTruth(t_ns=0, contact=False, force=0.0)]
-    for k in range(n):
-        at = (SWING_MS * k + 300) * MS
-        truth.append(ContactTruth(t_ns=at, contact=True, force=2.0, speed_m_s=0.4, surface="hard"))
-        truth.append(ContactTruth(t_ns=at + 100 * MS, contact=False, force=0.0))
-    stream = LegStream(
-        "rf",
-        np.arange(35 * n, dtype=np.int64) * 20 * MS,
-        np.tile(np.arange(35) < 30, n),
-        truth_changes(truth),
-        np.zeros(35 * n, dtype=bool),
-    )
-    times = [(SWING_MS * k + 320) * MS for k in range(n) if found[k]]
-    times += [(SWING_MS * k + 100) * MS for k in range(alarms)]
-    event_ns = np.array(times, dtype=np.int64)
-    return match(stream, Events(event_ns, np.ones(len(times), dtype=bool), event_ns))
+    truth = AIR + [c for k in range(n) for c in touch(700 * k + 300, 700 * k + 400)]
+    hits = [700 * k + 320 for k in range(n) if found[k]]
+    return judge(("s" * 30 + "." * 5) * n, truth, *hits, *(700 * k + 100 for k in range(alarms)))
 
 
 def test_a_drift_counts_when_recall_is_lost_or_alarms_rise_tenfold() -> None:

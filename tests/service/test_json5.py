@@ -45,13 +45,15 @@ def paths(tree: Any, at: str = "") -> set[str]:
     return found
 
 
+# Zenoh refuses a file that has one of these separators in a string.
+text = st.text(st.characters(codec="utf-8", exclude_characters="\u2028\u2029"))
 values = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(-1e9, 1e9) | st.text(),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(-1e9, 1e9) | text,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(text, inner, max_size=3),
 )
 
 
-@given(st.dictionaries(st.text(), values, max_size=4))
+@given(st.dictionaries(text, values, max_size=4))
 def test_keys_are_those_that_json_has(tree: dict[str, Any]) -> None:
     for indent in (None, 2):
         assert keys_of(json.dumps(tree, indent=indent, ensure_ascii=False)) == paths(tree)
