@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 import types
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import replace
@@ -166,6 +166,9 @@ class FakeBank:
 
     def learner(self, leg: str) -> FakeLearner | None:
         return self._learners.get(leg)
+
+    def has_room(self, joints: Sequence[int]) -> bool:
+        return len(self._learners) + len(joints) <= MAX_LEGS
 
     def make(self, leg: str, joints: int) -> FakeLearner:
         return FakeLearner(leg, joints)
