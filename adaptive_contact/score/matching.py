@@ -115,7 +115,6 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
             false_alarms=np.bincount(reported_in[alarms], minlength=count),
             neutral=np.bincount(in_swing[neutral], minlength=count),
             judged_after=judged_after,
-            alarms_after=np.bincount(in_stance[alarms[alarm_after]], minlength=count),
         ),
         touches=touches,
         alarms_ns=event_ns[alarms],

@@ -94,7 +94,6 @@ class SwingTable(NamedTuple):
     hits: Ints  # touches of any row that were detected
     misses: Ints  # touches of counted rows that were not
     false_alarms: Ints  # `contact: true` in the swing, or after it, that belong to no touch
-    alarms_after: Ints  # those of them after it
     neutral: Ints  # `contact: true` while the foot was still loaded from before
 
     @property

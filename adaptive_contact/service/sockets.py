@@ -29,7 +29,7 @@ import termios
 import threading
 import time
 from collections.abc import Callable
-from typing import Final, TypeVar
+from typing import Any, Final
 
 # A put takes 0.05 ms; one that takes this long is held up by a link.
 HELD_UP_NS: Final = 100_000_000
@@ -39,7 +39,6 @@ STUCK_NS: Final = 250_000_000
 _NO_LINGER: Final = struct.pack("ii", 0, 0)
 # Where linux/tcp.h has `tcpi_bytes_acked`, since Linux 4.1.
 _BYTES_ACKED: Final = slice(120, 128)
-_T = TypeVar("_T")
 
 
 class LinkSockets:
@@ -138,7 +137,7 @@ def _sockets() -> dict[int, int]:
     return found
 
 
-def _use(number: int, what: Callable[[socket.socket], _T]) -> _T | None:
+def _use(number: int, what: Callable[[socket.socket], Any]) -> Any:
     """Call ``what`` with the socket of a link; None where the descriptor is no such thing any more.
 
     A duplicate is used, as the number may belong to something else a moment later.

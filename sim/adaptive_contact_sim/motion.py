@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.wire import Phase
@@ -34,18 +34,3 @@ class Goal(NamedTuple):
 
     joints_rad: Array
     phase: tuple[Phase, ...]
-
-
-class Motion(Protocol):
-    """A controller: goals for all legs, one tick at a time."""
-
-    @property
-    def start_joints(self) -> Array:
-        """(L, J) rad, where the robot stands at first."""
-
-    @property
-    def start_height_m(self) -> float:
-        """Height of the body over the ground at first, flat ground in pose."""
-
-    def step(self, world: World) -> Goal:
-        """Goals to be written in this tick."""

@@ -19,7 +19,7 @@ from adaptive_contact.wire import ContactTruth, Drift, Phase, ServoSample
 from adaptive_contact_sim.drift import DriftSchedule, Injection
 from adaptive_contact_sim.encoder import Encoder, EncoderSettings, Reading
 from adaptive_contact_sim.gait import GaitName
-from adaptive_contact_sim.motion import Goal, Motion, World
+from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import ObstacleCourse
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
@@ -140,7 +140,7 @@ class Simulation:
             kind=self.robot.servo,
         )
         self.courses: tuple[ObstacleCourse, ...] = ()
-        self.motion: Motion
+        self.motion: PoseMotion | PoseGroup | WalkMotion
         if isinstance(settings.motion, PoseSettings):
             self.courses = (
                 ObstacleCourse(settings.motion.obstacles, self.plant, rng["obstacles"]),

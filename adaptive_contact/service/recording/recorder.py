@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from adaptive_contact.service.link import Link, Received, check_key_expression
 from adaptive_contact.service.recording.writer import RecordingWriter
@@ -19,15 +19,6 @@ if TYPE_CHECKING:
 # How long a stop may go unnoticed while nothing arrives.
 _LOOK_S: Final = 0.1
 _PROGRESS_S: Final = 0.5
-
-
-class Writer(Protocol):
-    """Writes what a recorder receives."""
-
-    def write(
-        self, key: str, payload: bytes, encoding: str, log_time_ns: int, publish_time_ns: int | None
-    ) -> None:
-        """Append a message."""
 
 
 class SplitWriter:
@@ -102,7 +93,7 @@ class Recorder:
         key_expr: what to record.
     """
 
-    def __init__(self, link: Link, writer: Writer, key_expr: str) -> None:
+    def __init__(self, link: Link, writer: RecordingWriter | SplitWriter, key_expr: str) -> None:
         self.counts: collections.Counter[str] = collections.Counter()  # messages so far, by key
         self._writer = writer
         self._queue: queue.SimpleQueue[Received] = queue.SimpleQueue()

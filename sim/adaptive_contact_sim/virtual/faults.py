@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable
-from typing import Final, Literal, cast, get_args
+from collections.abc import Callable, Iterable
+from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
 
@@ -74,11 +74,22 @@ def parse_fault(text: str) -> FaultSpec:
         start_s=start,
         end_s=start + float(match["length"]) if match["length"] else float("inf"),
     )
+    settings: dict[str, tuple[str, Callable[[str], Any]]] = {
+        "id": ("servo", int),
+        "p": ("probability", float),
+        "ms": ("ms", float),
+        "port": ("port", str),
+        "bits": ("bits", lambda names: tuple(names.split("|"))),
+    }
+    known = {*ERROR_BITS.values(), *(bit for model in MODELS for bit in model.error_bits.values())}
     for part in filter(None, (match["settings"] or "").split(",")):
         name, _, value = part.partition("=")
         try:
-            spec = _with(spec, name.strip(), value.strip())
-        except ValueError:
+            field, convert = settings[name.strip()]
+            spec = dataclasses.replace(spec, **{field: convert(value.strip())})
+            if not 0.0 <= spec.probability <= 1.0 or not known.issuperset(spec.bits):
+                raise ValueError(value)
+        except (KeyError, ValueError):
             raise ConfigurationError(
                 f"fault '{text}': '{part}' cannot be read; settings are id, p, ms, bits, port, "
                 f"such as {_EXAMPLE}"
@@ -86,27 +97,6 @@ def parse_fault(text: str) -> FaultSpec:
     if spec.kind == "hangup" and spec.end_s == float("inf"):
         spec = dataclasses.replace(spec, end_s=spec.start_s + 1.0)
     return spec
-
-
-def _with(spec: FaultSpec, name: str, value: str) -> FaultSpec:
-    if name == "id":
-        return dataclasses.replace(spec, servo=int(value))
-    if name == "p":
-        probability = float(value)
-        if not 0.0 <= probability <= 1.0:
-            raise ValueError(value)
-        return dataclasses.replace(spec, probability=probability)
-    if name == "ms":
-        return dataclasses.replace(spec, ms=float(value))
-    if name == "port":
-        return dataclasses.replace(spec, port=value)
-    if name == "bits":
-        bits = tuple(value.split("|"))
-        known = {*ERROR_BITS.values(), *(n for m in MODELS for n in m.error_bits.values())}
-        if not set(bits) <= known:
-            raise ValueError(value)
-        return dataclasses.replace(spec, bits=bits)
-    raise ValueError(name)
 
 
 class FaultSchedule:

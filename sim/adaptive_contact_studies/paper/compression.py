@@ -20,7 +20,7 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -92,7 +92,6 @@ _COMPARED: Final[tuple[tuple[LibraryName, Window, float], ...]] = (
     ("paper", PAPER_WINDOW, 0.1),
     ("paper", PAPER_WINDOW, 10.0),
 )
-R = TypeVar("R")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,7 +136,8 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
     def raw() -> Array:
         # The same problem in PySINDy's words: its ridge term is per problem, ours per row.
         ridge = settings.ridge * len(theta)
-        return _stlsq(scaled, wanted, threshold=threshold, alpha=ridge) / scale[:, None] * unit
+        found = _stlsq(scaled, wanted, threshold=threshold, alpha=ridge) / scale[:, None]
+        return np.asarray(found * unit)
 
     coefficients, raw_s = _timed(raw, repeats)
     return Comparison(
@@ -168,7 +168,7 @@ def compare_all(work: Work, plan: Plan) -> list[Comparison]:
     ]
 
 
-def _timed(work: Callable[[], R], repeats: int) -> tuple[R, float]:
+def _timed(work: Callable[[], Any], repeats: int) -> tuple[Any, float]:
     best = float("inf")
     for _ in range(repeats):
         start = time.process_time()

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.motion import Motion
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation
@@ -56,7 +55,7 @@ class _LevelPose(PoseMotion):
         return plan
 
 
-def _level_motion(sim: Simulation, level_m: float) -> Motion:
+def _level_motion(sim: Simulation, level_m: float) -> PoseGroup | PoseMotion:
     """The simulation's motion in pose, with its obstacles at one height."""
     motion = sim.settings.motion
     poses = motion.poses if isinstance(motion, PoseGroupSettings) else (motion,)
