@@ -9,12 +9,13 @@ Callbacks only enqueue; one loop makes ticks, answers drifts between them, and k
 from __future__ import annotations
 
 import contextlib
-import queue
+import math
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import (
@@ -78,12 +79,6 @@ class Pace:
         return not stop.is_set()
 
 
-T = TypeVar("T")
-
-# Waiting events and requests; more than that has lost touch with the present anyway.
-_QUEUE: Final = 1024
-
-
 @dataclass(frozen=True)
 class Outcome:
     """How a run went: simulated and wall clock time, ticks, and those that came late."""
@@ -116,13 +111,14 @@ def run_live(
         on_tick: gets every tick, after it was published.
         on_event: gets every event that the gait gets, before the tick that can act on it.
     """
+    ticks = math.inf if seconds is None else round(seconds / sim.settings.period_s)
     learners = None
     if link is None and _listens(sim):
         from adaptive_contact_sim.learners import InProcess
 
         learners = InProcess(sim)
     with contextlib.nullcontext() if link is None else contextlib.closing(_Wire(sim, link)) as wire:
-        while not _over(sim, seconds) and not stop.is_set():
+        while sim.ticks < ticks and not stop.is_set():
             for event in () if wire is None else wire.take():
                 on_event(event)
             tick = sim.tick()
@@ -146,21 +142,20 @@ class _Wire:
         self._truth = {
             leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in legs
         }
-        self._requests: queue.Queue[Request] = queue.Queue(_QUEUE)
-        self._events: queue.Queue[Received] = queue.Queue(_QUEUE)
-        self._declared = [link.queryable(SIM_DRIFT, lambda asked: _offer(self._requests, asked))]
+        # More than that has lost touch with the present; the asker's own timeout shows it.
+        self._requests: deque[Request] = deque(maxlen=1024)
+        self._events: deque[Received] = deque(maxlen=1024)
+        self._declared = [link.queryable(SIM_DRIFT, self._requests.append)]
         if _listens(sim):
-            self._declared.append(
-                link.subscribe(ALL_CONTACT, lambda event: _offer(self._events, event))
-            )
+            self._declared.append(link.subscribe(ALL_CONTACT, self._events.append))
 
     def take(self) -> list[ContactEvent]:
         """Answer requests, and pass contact events on to the gait; return those."""
         taken: list[ContactEvent] = []
-        while not self._requests.empty():
-            self._answer(self._requests.get_nowait())
-        while not self._events.empty():
-            received = self._events.get_nowait()
+        while self._requests:
+            self._answer(self._requests.popleft())
+        while self._events:
+            received = self._events.popleft()
             event = decode(received.payload, ContactEvent, received.encoding)
             leg = leg_of_key(received.key)
             if leg is not None and not isinstance(event, Rejected):
@@ -203,12 +198,3 @@ def _listens(sim: Simulation) -> bool:
     """Whether the gait stops on the service's word."""
     motion = sim.settings.motion
     return isinstance(motion, WalkSettings) and motion.stop_on == "service"
-
-
-def _over(sim: Simulation, seconds: float | None) -> bool:
-    return seconds is not None and sim.ticks >= round(seconds / sim.settings.period_s)
-
-
-def _offer(waiting: queue.Queue[T], item: T) -> None:
-    with contextlib.suppress(queue.Full):  # the asker's own timeout shows it
-        waiting.put_nowait(item)
