@@ -365,8 +365,8 @@ class ContactLearner:
             if flags & SOURCE:
                 self._faulty = self.report.source.cause is not None
         if flags & (BEGAN | TURNED | RESTARTED):
-            known = adapter is not None and adapter.known
-            if self.report.source.look(flags, known=known):
+            foretold = None if adapter is None else adapter.monitor.foretold
+            if self.report.source.look(flags, foretold=foretold):
                 lifecycle.start()
                 self._forget_swings()
                 return True

@@ -33,14 +33,13 @@ from adaptive_contact.arrays import Array, Ints, Mask
 
 # Ticks from a command to its copy, and low-passes by the share of their past that they keep.
 LAGS: Final = 13
-POLES: Final = (0.5, 0.75, 0.9)
-# A joint is a copy below the first, and shows itself as the leg's own above the second, in steps.
+POLES: Final = (0.6, 0.8, 0.9)
+# A joint is a copy below so many steps.
 # Rounding leaves 0.29, in 100 ticks up to 0.36.  Least of walking joints: 0.58 and more on two
 # simulators (2,700 windows with noise of 0.3 steps and more), real legs 1.1 to 3; a robot arm's
 # wrist in slow sines 0.36.
 COPY_STEPS: Final = 0.40
 COPY_STAYS: Final = 0.55  # until it leaves more
-OWN_STEPS: Final = 1.0
 # A leg leaves white noise below the first mean lag-1 autocorrelation of its joints, of so many
 # steps at most, until above the second, above which it is its own, shown in so many looks.  Copies
 # with noise up to a step leave -0.06, more than 0.1 in 2 of 100 runs of three looks; walking legs
@@ -110,11 +109,13 @@ class Samples(NamedTuple):
     seq: Ints  # (n,)
     measured: Array  # (n, J) rad
     desired: Array  # (n, J) rad
+    swings: Mask | None = None  # (n,) whether the leg is in a swing; None where that is not known
 
     def part(self, first: int, last: int | None = None) -> Samples:
         """Return some of them."""
         at = slice(first, last)
-        return Samples(self.seq[at], self.measured[at], self.desired[at])
+        swings = None if self.swings is None else self.swings[at]
+        return Samples(self.seq[at], self.measured[at], self.desired[at], swings)
 
 
 class Finding(NamedTuple):
@@ -134,18 +135,19 @@ class InformationCheck:
 
     Attributes:
         found: what is wrong, None where nothing is.
-        proved: (J,) whether a joint has departed from its commands since it was last at fault.
-        suspected: whether the last look found a fault, or a joint that no look has proved.
+        suspicion: what one look alone has found, until the next agrees.
+        suspected: whether the last look found a fault, or readings that may be copies.
         unproved: whether look after look has not told the readings from a copy.
     """
 
     def __init__(self, joints: int, step_rad: float) -> None:
         self._step_rad = step_rad
         self.found: Finding | None = None
-        self.proved = np.zeros(joints, dtype=np.bool_)
+        self.suspicion: Finding | None = None
         self.suspected = False
         self.unproved = False
         self._unclear = 0  # looks that suspected and found nothing, less those that did not
+        self._open: tuple[int, ...] = ()  # joints that the last of them did not tell from copies
         self._strides = deque[int](maxlen=2)  # samples at which the last swings began
         self._agreed = 0  # looks in a row that say other than `found`
         self._white = self._shown = 0  # looks in a row that left white noise; looks that did not
@@ -161,7 +163,7 @@ class InformationCheck:
         samples: Samples,
         *,
         begins: bool,
-        known: bool = False,
+        foretold: bool | None = None,
         twin: Samples | None = None,
     ) -> bool:
         """Judge the last two strides.
@@ -170,7 +172,8 @@ class InformationCheck:
             count: samples since the source began.
             samples: the newest of them.
             begins: a swing begins with the newest; else one has ended.
-            known: a model that was there before predicts the leg: what was never proved stays open.
+            foretold: whether the leg's model predicted its last lifts: what it predicts may be the
+                leg's own; None where no lift tells.
             twin: those of a leg that sends the same readings.
 
         Returns:
@@ -181,24 +184,25 @@ class InformationCheck:
             self._strides.append(count)
         if ticks < LEAST_TICKS or len(samples.seq) < ticks + LAGS:
             return False
-        self.suspected = False
-        finding, decided = self._judge(samples, ticks, known=known, twin=twin)
+        self.suspected, self.suspicion = False, None
+        finding, decided = self._judge(samples, ticks, foretold=foretold, twin=twin)
         if decided:
             unclear = self.suspected and finding is None and self.found is None
             self._unclear = min(self._unclear + 1, UNCLEAR_LOOKS) if unclear else self._unclear - 1
             self._unclear = max(self._unclear, 0)
-            self.unproved = self._unclear >= (1 if self.unproved else UNCLEAR_LOOKS)
+            # One less where the leg has never shown itself.
+            most = UNCLEAR_LOOKS - (self._shown < SHOWN_LOOKS)
+            self.unproved = self._unclear >= (1 if self.unproved else most)
         if not decided or (finding is None) == (self.found is None):
-            self._agreed = 0 if decided else self._agreed
+            self._agreed = 0 if decided and not unclear else self._agreed
             return False
         self._agreed += 1
         # Looks in a row, two a stride, that find a fault, or none, before it counts.
         if self._agreed < 2:
+            self.suspicion = finding
             return False
         self._agreed = 0
         self.found = finding
-        if finding is not None:
-            self.proved[list(finding.joints)] = False
         return True
 
     def _ticks(self, count: int) -> int:
@@ -209,7 +213,7 @@ class InformationCheck:
         return min(two, max(ENOUGH_TICKS, one), MOST_TICKS)
 
     def _judge(
-        self, samples: Samples, ticks: int, *, known: bool, twin: Samples | None
+        self, samples: Samples, ticks: int, *, foretold: bool | None, twin: Samples | None
     ) -> tuple[Finding | None, bool]:
         """Judge so many ticks: what is wrong, and whether they show anything."""
         steps = np.array([step_of(y[-MOST_TICKS:], self._step_rad) for y in samples.measured.T])
@@ -224,10 +228,17 @@ class InformationCheck:
         before = self.found.joints if self.found is not None and kind == "copy" else ()
         copies = np.flatnonzero(off.rms < (COPY_STAYS if before else COPY_STEPS))
         self.suspected = bool(len(copies))
-        open_ = known and self.found is None and not self.proved[copies].any()
+        still, self._open = before or self._open, tuple(copies.tolist())
+        # Free motion is a function of the commands: where the leg's model predicts it, or nothing
+        # was in evidence that the leg had to carry, these may be its own.
+        enough = max(ticks, ENOUGH_TICKS)
+        light = not carries(samples.part(-enough), steps) and foretold is not False
+        light = light and self.found is None
+        open_ = light or (bool(foretold) and self.found is None)
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
-        if before and np.isnan(off.rms[list(before)]).all():
+        if still and np.isnan(off.rms[list(still)]).all():
+            self._open = still
             return self.found, False  # joints that hardly move clear nothing
         run = EQUAL_STAYS if before else EQUAL_RUN
         equal, since = equal_to_commands(samples, ticks, self._step_rad, run)
@@ -235,8 +246,8 @@ class InformationCheck:
             return Finding("copy", equal, since), True
         white, moving = self._is_white(off), np.flatnonzero(np.isfinite(off.rms))
         if white:
-            self.suspected |= self._shown < SHOWN_LOOKS
-            if self._white > 1 and self._shown >= SHOWN_LOOKS:
+            self.suspected |= self._shown < SHOWN_LOOKS or open_
+            if self._white > 1 and self._shown >= SHOWN_LOOKS and not open_:
                 return Finding("copy", tuple(moving.tolist()), 2 * ticks), True
         own = None if twin is None else departure(twin, ticks, steps)
         # Readings are another leg's where its commands leave less than this share of what its own
@@ -244,9 +255,9 @@ class InformationCheck:
         if own is not None and own.rest < 0.5 * off.rest:
             return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
         was = kind == "old"
-        if (was or off.rest > OLD_LOOK) and is_old(samples, max(ticks, ENOUGH_TICKS), was=was):
-            return Finding("old", tuple(range(len(steps))), 2 * ticks), True
-        self.proved |= off.rms > OWN_STEPS
+        if (was or off.rest > OLD_LOOK) and is_old(samples, enough, was=was):
+            found = None if light else Finding("old", tuple(range(len(steps))), 2 * ticks)
+            return found, not light
         return None, bool(np.isfinite(off.rms).any())
 
     def _is_white(self, off: Departure) -> bool:
@@ -258,8 +269,18 @@ class InformationCheck:
         limit = COLOURED if self.found is not None else WHITE
         white = moving.sum() > 1 and lasting < limit and off.rms[moving].max() < WHITE_STEPS
         self._white = self._white + 1 if white else 0
-        self._shown += lasting > COLOURED
+        if not white:
+            self._shown = max(self._shown + (1 if lasting > COLOURED else -1), 0)
         return bool(white)
+
+
+def carries(samples: Samples, steps: Array) -> bool:
+    """Whether a leg that walks had to carry: a quarter and more of its stance moved."""
+    if samples.swings is None:
+        return True
+    moves = (np.abs(np.diff(samples.desired, axis=0)) > MOVING * steps).any(axis=1)
+    stance = ~samples.swings[1:]
+    return bool(4 * (moves & stance).sum() >= max(stance.sum(), 1))
 
 
 def equal_to_commands(

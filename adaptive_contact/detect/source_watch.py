@@ -34,13 +34,17 @@ from adaptive_contact.detect.layout import (
 )
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.source import ECHO, NONE, PAUSE, PHASE, STALE, follow_one
+from adaptive_contact.detect.swing import UNKNOWN
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import Doubt, ServoSample
 
 SOURCE_CAUSES: Final[tuple[Doubt | None, ...]] = (None, "echo", "phase", "stale")
 _FALSE: Final[dict[Kind, int]] = {"copy": ECHO, "held": STALE, "old": STALE, "twin": STALE}
 _SAID: Final[dict[Kind | None, str]] = {
-    None: "nothing tells measured from a copy of desired: let the leg carry load",
+    None: (
+        "nothing tells measured from a copy of desired: let the leg carry load, or publish the "
+        "positions that the servos report"
+    ),
     "copy": "measured copies desired ({names}): publish the positions that the servos report",
     "held": (
         "readings are held for three ticks and more ({names}): read every servo in every tick"
@@ -94,8 +98,8 @@ class SourceWatch:
 
     @property
     def unproved(self) -> bool:
-        """Whether nothing tells the readings from a copy: the leg carries nothing."""
-        return self._check.unproved
+        """Whether nothing tells the readings from a copy, or one look alone has found a fault."""
+        return self._check.unproved or self._check.suspicion is not None
 
     @property
     def since_ns(self) -> int:
@@ -103,12 +107,12 @@ class SourceWatch:
         leg = self._place.leg
         return int(leg.began_ns) if leg.cause == PHASE else self._since_ns
 
-    def look(self, flags: int, *, known: bool) -> bool:
+    def look(self, flags: int, *, foretold: bool | None) -> bool:
         """Look at the readings as a swing begins or ends.
 
         Args:
             flags: of the tick.
-            known: the leg's model, which was there before, predicts its lifts.
+            foretold: whether the leg's model predicted its last lifts; None where no lift tells.
 
         Returns:
             Whether the servos stop elsewhere than was known: what was learned is of other commands.
@@ -121,7 +125,7 @@ class SourceWatch:
         moved = bool(flags & BEGAN) and self._look_at_limits()
         samples, stamps = self._newest(self._place.row)
         begins, twin = bool(flags & BEGAN), self._find_twin(samples)
-        if check.look(leg.kept_n, samples, begins=begins, known=known, twin=twin):
+        if check.look(leg.kept_n, samples, begins=begins, foretold=foretold, twin=twin):
             found = check.found
             leg.false_readings = NONE if found is None else _FALSE[found.kind]
             if found is not None:
@@ -158,7 +162,7 @@ class SourceWatch:
     @property
     def note(self) -> str | None:
         """One line for a person, None when all is well."""
-        cause, found = self.cause, self._check.found
+        cause, found = self.cause, self._check.found or self._check.suspicion
         if cause == "phase":
             return (
                 "phase is swapped: the foot swings while the samples say stance; no contacts are "
@@ -178,7 +182,9 @@ class SourceWatch:
         at = np.arange(max(count - NEEDED_SAMPLES, 0), count) % KEPT
         stamps = batch.kept_stamps[row, at]
         measured, desired = np.split(batch.kept_angles[row, at], 2, axis=1)
-        return Samples(stamps[:, 1], measured, desired), stamps
+        phases = stamps[:, 2]
+        swings = None if (phases == UNKNOWN).any() else phases == 1
+        return Samples(stamps[:, 1], measured, desired, swings), stamps
 
     def _find_twin(self, samples: Samples) -> Samples | None:
         """Return the samples of a leg of the batch that sends the same readings while it moves."""

@@ -183,7 +183,8 @@ class SwingLabels:
             self._region = self._regions.of(batch.desired[row].tolist())
             rows = moving(self._rows(first, count))
             if len(rows) >= MIN_LIFT_ROWS:
-                found.append(LabelledSwing(Label.LIFT, rows, self._region, leg.at_ns))
+                region, whole = self._region, 2 * first <= count
+                found.append(LabelledSwing(Label.LIFT, rows, region, leg.at_ns, whole=whole))
             if first and self._hangs:  # nothing had to let the foot go
                 early = self._rows(0, first)
                 found.append(LabelledSwing(Label.DESCENT, early, self._region))

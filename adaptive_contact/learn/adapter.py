@@ -235,15 +235,16 @@ class Adapter:
             case Label.TRAVEL:
                 self.monitor.note_travel(obstructed=part.obstructed, travel_ratio=part.travel_ratio)
             case Label.LIFT:
-                self._lift(part.rows, part.region, part.t_ns)
+                self._lift(part)
             case Label.DESCENT:
                 self._descent(part.rows, part.region)
             case Label.END:
                 self._end_swing(part.early)
 
-    def _lift(self, rows: Rows, region: int, t_ns: int) -> None:
+    def _lift(self, part: LabelledSwing) -> None:
         """Assess the lift of a swing whose top has been passed."""
-        found = self.monitor.assess_lift(rows, t_ns)
+        region = part.region
+        found = self.monitor.assess_lift(part.rows, part.t_ns, whole=part.whole)
         waiting, self._suspected = self._suspected, NO_ROWS
         if found.changed:
             self._change(first=found.first)
@@ -284,12 +285,6 @@ class Adapter:
         self._era = before._era + 1
         if before.first is None:
             self.first = None
-
-    @property
-    def known(self) -> bool:
-        """Whether a model that was there before the leg's first swing has fitted all its lifts."""
-        lifts, far = self.monitor.lifts_assessed
-        return self._era == 0 and self.status == "valid" and lifts > far
 
     def keep(self, t_ns: int) -> None:
         """Keep what is known of the leg as a swing begins, for :meth:`retract`."""

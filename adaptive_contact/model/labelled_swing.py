@@ -150,3 +150,4 @@ class LabelledSwing(NamedTuple):
     # not known
     early: bool | None = None
     refuted: bool = False  # the last swing's contact: the stance after it showed no load
+    whole: bool = True  # rows of a lift are most of it
