@@ -15,7 +15,7 @@ from adaptive_contact.cli.paper import paper
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model import tail
 from adaptive_contact_studies.paper import identification
-from adaptive_contact_studies.paper.plan import FULL, QUICK, Plan
+from adaptive_contact_studies.paper.plan import QUICK
 from adaptive_contact_studies.paper.report import write_document, write_report
 from adaptive_contact_studies.paper.run import STAGES, run_paper
 from adaptive_contact_studies.work import Work
@@ -70,18 +70,3 @@ def test_a_whole_run_is_made_again_from_what_is_kept_and_shown(
     assert len(pictures) == 2
     assert all((document.parent / name).stat().st_size > 5_000 for name in pictures)
     assert "nan" not in text.lower().split()
-
-
-# -- Streams of the paper's plan: seeds, parts that join, robots hung up
-
-ROLES = ("train", "tune", "free", "stand", "touch")
-
-
-@pytest.mark.parametrize("plan", [FULL, QUICK], ids=lambda p: p.name)
-@pytest.mark.parametrize("seed", [0, 7])
-def test_no_two_roles_share_a_seed(plan: Plan, seed: int) -> None:
-    plan = dataclasses.replace(plan, seed=seed)
-    by_role = [{p.settings.seed for p in plan.pieces(role)} for role in ROLES]
-    assert sum(map(len, by_role)) == len(set().union(*by_role))
-    other = dataclasses.replace(plan, seed=seed + 1)
-    assert not set().union(*by_role) & {p.settings.seed for r in ROLES for p in other.pieces(r)}

@@ -6,18 +6,14 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.cli.scenarios import app
 from adaptive_contact.errors import AdaptiveContactError, SimulationDivergedError
-from adaptive_contact.score import SwingTable
 from adaptive_contact_studies.scenarios import judge, runs
 from adaptive_contact_studies.scenarios import replay as module
-from adaptive_contact_studies.scenarios.judge import SETTLED, longest_lock_out, swings_until_valid
 from adaptive_contact_studies.scenarios.registry import scenarios
-from adaptive_contact_studies.scenarios.replay import STATUSES, SwingLog
 from adaptive_contact_studies.scenarios.report import table, write_report
 from adaptive_contact_studies.scenarios.results import read_results, write_results
 
@@ -131,66 +127,3 @@ def test_the_steady_scenarios_are_pooled_once_the_table_has_both(tmp_path: Path)
     text = write_report(both, tmp_path).read_text(encoding="utf-8")
     assert f"| {names} | false alarms per robot-hour, all that is steady | 5 | 8 |" in text
     assert "0 of 1 goals are met." in text
-
-
-# -- Lock-outs, valid after how many swings, quantiles, goals
-
-
-def swings(story: str) -> SwingTable:
-    """One letter per swing: h(it), m(iss), f(alse alarm), . (nothing)."""
-    n = len(story)
-    touched = np.array([c in "hm" for c in story], dtype=np.int64)
-    return SwingTable(
-        start_ns=np.arange(n) * 1_000_000_000,
-        end_ns=np.arange(n) * 1_000_000_000 + 500_000_000,
-        ticks=np.full(n, 20),
-        judged=np.full(n, 20),
-        touches=touched,
-        hits=np.array([c == "h" for c in story], dtype=np.int64),
-        misses=np.array([c == "m" for c in story], dtype=np.int64),
-        false_alarms=np.array([c == "f" for c in story], dtype=np.int64),
-        neutral=np.zeros(n, dtype=np.int64),
-        judged_after=np.zeros(n, dtype=np.int64),
-        alarms_after=np.zeros(n, dtype=np.int64),
-    )
-
-
-@pytest.mark.parametrize(
-    ("story", "longest"),
-    [
-        ("", 0),
-        ("h.h.h.", 0),
-        ("h.m.h", 1),
-        ("hffffh", 4),
-        ("m..m...m.h", 3),  # blind: free swings prove nothing
-        ("m.f.m..f", 4),
-        ("fhf", 1),
-    ],
-)
-def test_lock_outs(story: str, longest: int) -> None:
-    assert longest_lock_out(swings(story)) == longest
-
-
-def log(*statuses: str) -> SwingLog:
-    n = len(statuses)
-    status = np.array([STATUSES.index(s) for s in statuses], dtype=np.int64)  # type: ignore[arg-type]
-    rest = {name: np.zeros(n) for name in SwingLog._fields}
-    return SwingLog(**(rest | {"status": status, "t_ns": 10 * (np.arange(n) + 1)}))
-
-
-@pytest.mark.parametrize(
-    ("story", "expected"),
-    [
-        ("", (None, None)),
-        ("v" * SETTLED, (0, 0)),
-        ("v" * (SETTLED - 1), (None, None)),
-        ("ll" + "v" * SETTLED, (3, 30)),
-        ("l" * 100, (None, None)),
-        ("v" * 19 + "aa" + "v" * SETTLED, (22, 220)),  # it was not at an end
-        ("v" * SETTLED + "a" + "v" * 5, (0, 0)),  # a doubt that came later is another
-        (("v" * 19 + "m") * 10, (None, None)),
-    ],
-)
-def test_swings_until_valid(story: str, expected: tuple[int | None, int | None]) -> None:
-    names = {"v": "valid", "l": "learning", "a": "adapting", "m": "ambiguous"}
-    assert swings_until_valid(log(*(names[letter] for letter in story))) == expected
