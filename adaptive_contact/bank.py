@@ -25,11 +25,8 @@ from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.diagnose.leg_ids import IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.mode import LearnerMode, WhenAmbiguous
-from adaptive_contact.learn.noise_tracker import turned_by
-from adaptive_contact.learn.replay_buffer import ReplayBuffer
-from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most, squared_errors
+from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most
 from adaptive_contact.leg_learner import EVENTS, ContactLearner, check_sample
-from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.library import Library, with_changes
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.robot import Leg, Robot
@@ -335,12 +332,7 @@ def compile_ahead() -> None:
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
     recursion.learn(batch.row_values[0], 0)
     moves_at_most(recursion.coefficients, scale, 1.0)
-    squared_errors(batch.row_values[0], np.ones(len(joints)), coefficients, coefficients)
     copy_rows(batch.row_values[0], batch.rows[0], 0, 0)
     let_go_row(batch.rows[0], 0)
     close_swing(batch.rows[0], batch.row_values[0], 0, 0, 0, 0, 0, -1)
-    of_rows = np.ones((2, len(joints)))
-    turned_by(batch.whiten[0], of_rows, np.zeros(2, dtype=np.int64))
-    rows = Rows(batch.row_values[0], batch.rows[0], len(joints))
-    ReplayBuffer().add(rows, 0, 0)
     note_cached()

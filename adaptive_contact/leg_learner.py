@@ -38,7 +38,7 @@ from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import ConventionWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
-from adaptive_contact.learn.adapter import COEFFICIENTS, NOTHING, Adapter
+from adaptive_contact.learn.adapter import Adapter
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import LearnerMode, WhenAmbiguous
 from adaptive_contact.leg_report import LegReport
@@ -374,7 +374,7 @@ class ContactLearner:
             if assessed:
                 self.report.read_status()
             return False
-        moved = adapter.tick(ROWS_PER_TICK) if adapter.busy else adapter.pass_tick()
+        moved = adapter.tick(ROWS_PER_TICK)
         if adapter.found is not None:
             lifecycle.take_slope(adapter.found)
             return True
@@ -387,14 +387,14 @@ class ContactLearner:
                 self._let_go()
                 return True
             self.report.publish_withholding()
-        elif moved == NOTHING:
+        elif not moved:
             return False
         else:
             if adapter.version != self.report.version:
                 self.report.read_status()
             if not self.place.leg.ticks:  # a stance is not judged: the swing that begins passes it
                 return False
-            if moved == COEFFICIENTS and not adapter.active.inflated:
+            if not adapter.active.inflated:
                 self.place.predict_by(adapter.active.coefficients)
                 return False
         self.place.judge_by(adapter.free_motion())

@@ -22,7 +22,7 @@ from adaptive_contact.model.leg_prior import in_family
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.training_domain import Domain
 
-# The sparsest model whose held-out error is within this of the best is taken.
+# The sparsest model whose mean held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005
 
 
@@ -144,9 +144,7 @@ class HeldOut:
 class Sweep:
     """Holds what came of fits with several λ."""
 
-    manner: Manner  # of the fits
     threshold: float  # λ that was chosen
-    errors: dict[float, Array]  # λ to (J,) root mean square of `residual`
     # (n, J) held out, at the λ that was chosen, over √(1 + h), h the leverage on the other folds
     residual: Array
     certain: Array  # (n, J) the same with h inflated; noise and tail are fitted to it
@@ -164,37 +162,27 @@ def swept(
         What came of it; None where every λ empties a joint that moves.
     """
     spread = held.spread(dataclasses.replace(manner, inflation=1.0))[:, None]
-    errors: dict[float, Array] = {}
     residuals: dict[float, Array] = {}
     for value in lambdas:
         residual = held.residual(manner, value, still)
         if residual is not None:
             residuals[value] = residual / spread
-            errors[value] = np.sqrt(np.square(residuals[value]).mean(axis=0))
-    if not errors:
+    if not residuals:
         return None
-    best = np.maximum(np.min(list(errors.values()), axis=0), rounding)
-    # Of every joint: a mean would let one joint pay for the others' sparsity.  The smallest λ is
-    # there for joints whose best lie apart.
-    near = [v for v, e in errors.items() if (e <= TOLERANCE * best).all()]
-    chosen = max(near, default=min(errors))
-    if manner.strength is None:
-        return Sweep(manner, chosen, errors, residuals[chosen], residuals[chosen])
-    # Of motions that no other is like, each joint has another best λ: here the mean decides.
-    first = residuals[chosen]
+    # Joints may have best λ that lie apart: the mean over them decides.
+    first = residuals[min(residuals)]
     gains = {v: held.gain(first, r, rounding) for v, r in residuals.items()}
     least = max(gains.values()) - math.log(TOLERANCE)
     chosen = max(value for value, gain in gains.items() if gain >= least)
     residual = residuals[chosen]
     expected = held.spread(manner)
-    certain = residual * spread / expected[:, None]
     # A tick judged by more than so many times the noise is reported as unlike all others.
     lone = int(np.count_nonzero(expected > 10.0))
-    return Sweep(manner, chosen, errors, residual, certain, lone)
+    return Sweep(chosen, residual, residual * spread / expected[:, None], lone)
 
 
 def strength_of(
-    held: HeldOut, plain: Sweep, still: Mask, rounding: float
+    held: HeldOut, manner: Manner, still: Mask, rounding: float
 ) -> tuple[float | None, bool]:
     """Choose how firmly to hold on to what is known of any leg.
 
@@ -203,7 +191,7 @@ def strength_of(
 
     Args:
         held: the rows.
-        plain: fits that do not.
+        manner: of fits that do not.
         still: (J,) joints that stand.
         rounding: rad, deviation of a reading.
 
@@ -211,18 +199,17 @@ def strength_of(
         A strength, None for terms of which nothing is known; and whether the data determine the
         model.
     """
-    if not in_family(plain.manner.library):
+    if not in_family(manner.library):
         return None, True
-    without = held.residual(plain.manner, plain.threshold, still)
+    # λ is chosen when the strength is known.
+    without = held.residual(manner, 0.0, still)
     gains: dict[float, float] = {}
     for strength in STRENGTHS:
-        manner = dataclasses.replace(plain.manner, strength=strength)
-        # By the prior alone: λ is chosen when it is known whether it is used.
-        with_it = held.residual(manner, 0.0, still)
+        with_it = held.residual(dataclasses.replace(manner, strength=strength), 0.0, still)
         if without is not None and with_it is not None:
             gains[strength] = held.gain(without, with_it, rounding)
     best = max(gains.values(), default=0.0)
-    beyond = float((np.square(held.spread(plain.manner)) - 1.0).mean())
+    beyond = float((np.square(held.spread(manner)) - 1.0).mean())
     # By what logarithm held-out errors must fall, where the data leave terms open: by 0.03 to
     # 0.6 on 30 swings of most legs, by less than this on ten minutes of a leg that ships (decision
     # 43).

@@ -33,7 +33,6 @@ from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.leg_prior import in_family, leg_prior
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.model_file import LegBaseline
-from adaptive_contact.model.training_domain import Domain
 
 # Slopes that are tried, over the present one; the next refit goes on from the one that was found.
 SLOPES: Final = (0.25, 0.4, 0.63, 1.0, 1.6, 2.5, 4.0)
@@ -52,8 +51,6 @@ class RefitJob:
     values: Array  # (n, p + J) regressors and movements of free rows, in order
     library: Library  # of the first q of p terms
     quantum_rad: float  # position step
-    # where the model has been by its baseline; None if that is not known
-    domain: Domain | None = None
 
     def run(self) -> RefitResult:
         """Find the slope, and fit a model of it."""
@@ -68,7 +65,6 @@ class RefitResult:
     status: FitStatus = FitStatus.OK  # how it ended
     gain: float = 0.0  # logarithm of how much likelier the rows are than by the present slope
     start: LegBaseline | None = None  # the model of the likeliest slope; None of the present one
-    domain: Domain | None = None  # where the leg's model has been by now; None if that is not known
 
 
 class Job(Protocol):
@@ -121,10 +117,8 @@ def refit(job: RefitJob) -> RefitResult:
     theta, target = job.values[:, :-joints], job.values[:, -joints:]
     if not np.isfinite(job.values).all():
         return RefitResult(job.number, FitStatus.NOT_FINITE)
-    domain = job.domain and job.domain.widened(factor_of(job.values, joints))
-    unchanged = RefitResult(job.number, domain=domain)
     if not in_family(job.library):
-        return unchanged
+        return RefitResult(job.number)
     window = job.library.window_of(theta[:, : job.library.size])
     present = job.library.slope_rad
     slopes = [present * f for f in SLOPES]
@@ -136,17 +130,10 @@ def refit(job: RefitJob) -> RefitResult:
     evidence = {slope: posterior.evidence(sigma) for slope, posterior in tried.items()}
     best = max(evidence, key=lambda slope: evidence[slope])
     if best == present:
-        return unchanged
+        return RefitResult(job.number)
     start = tried[best].start(sigma)
     status = FitStatus.NOT_FINITE if start is None else FitStatus.OK
-    return RefitResult(job.number, status, evidence[best] - evidence[present], start, domain)
-
-
-def factor_of(values: Array, joints: int) -> Factor:
-    """Compress (n, p + J) regressors and movements."""
-    factor = Factor(values.shape[1] - joints, joints)
-    factor.add(values[:, :-joints], values[:, -joints:])
-    return factor
+    return RefitResult(job.number, status, evidence[best] - evidence[present], start)
 
 
 class _Posterior:

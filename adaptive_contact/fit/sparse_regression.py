@@ -70,7 +70,6 @@ class Fit:
     support: Mask  # (p, J) bool
     rms: Array  # (J,) on the rows it was fitted to
     rows: float  # raw rows behind it
-    condition: float  # of the scaled regressors
 
     def usable(self, still: Mask) -> bool:
         """Return whether it predicts every joint that moves.
@@ -98,7 +97,7 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
 
     def failed(status: FitStatus) -> Fit:
         nothing = np.zeros((p, joints), dtype=bool)
-        return Fit(status, empty, nothing, factor.rms(empty), factor.rows, float("inf"))
+        return Fit(status, empty, nothing, factor.rms(empty), factor.rows)
 
     if factor.rows < p:
         return failed(FitStatus.TOO_FEW_ROWS)
@@ -134,9 +133,7 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
             )[0]
             coefficients[kept, joint] = solution / scale[kept]
     status = FitStatus.OK if support.any(axis=0).all() else FitStatus.EMPTIED
-    return Fit(
-        status, coefficients, support, factor.rms(coefficients), factor.rows, factor.condition()
-    )
+    return Fit(status, coefficients, support, factor.rms(coefficients), factor.rows)
 
 
 def _with_prior(r: Array, qty: Array, prior: Prior, joint: int) -> tuple[Array, Array]:

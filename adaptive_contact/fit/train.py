@@ -71,15 +71,10 @@ class LegFigures:
     swings: int  # they come from
     touched: int  # of these, in which the foot touched, by what stands out; 0 where free is known
     threshold: float  # λ that was chosen, in units of the residual
-    sweep: dict[float, tuple[float, ...]]  # λ to held-out root mean square, (J,) rad
     held_out_rms: tuple[float, ...]  # (J,) rad at that λ
     naive_rms: tuple[float, ...]  # (J,) rad of predicting no motion
     terms: tuple[int, ...]  # (J,) kept, of `library_size`
     library_size: int
-    condition: float  # of the scaled regressors
-    # ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements summed
-    # over so many
-    spans: dict[int, tuple[Array, Array]]
     # how firmly the fit holds on to what is known of any leg; None where nothing is (`prior`)
     strength: float | None = None
     determined: bool = True  # by the motions, all terms
@@ -257,15 +252,14 @@ def learn_leg(
     plain = _checked(leg, fit_sparse(held.whole, FitSettings()), still)
     manner = Manner(library, quantum_rad, tuple(np.maximum(plain.rms, rounding).tolist()))
     lambdas = SWEEP if threshold is None else (threshold,)
+    strength, determined = strength_of(held, manner, still, rounding)
+    if strength is not None:
+        manner = manner.holding(held, strength)
     best = swept(held, manner, lambdas, still, rounding)
     if best is None:
         raise IdentificationError(
             f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
         )
-    strength, determined = strength_of(held, best, still, rounding)
-    if strength is not None:
-        best = swept(held, manner.holding(held, strength), lambdas, still, rounding) or best
-    manner = best.manner
     fit = manner.fit(held.whole, best.threshold)
     fit = _checked(leg, fit, still)
     model = LegModel(library, fit.coefficients)
@@ -287,16 +281,13 @@ def learn_leg(
         swings=rows.swings,
         touched=rows.touched,
         threshold=best.threshold,
-        sweep={v: tuple(e.tolist()) for v, e in best.errors.items()},
-        held_out_rms=tuple(best.errors[best.threshold].tolist()),
+        held_out_rms=tuple(_rms(best.residual).tolist()),
         naive_rms=tuple(naive.tolist()),
         terms=tuple(int(n) for n in model.support.sum(axis=0)),
         library_size=library.size,
-        condition=fit.condition,
         strength=manner.strength,
         determined=determined,
         lone=best.lone,
-        spans=_spans(best.residual, swinging),
     )
     scale = held.whole.scale()
     known = LegBaseline(model, noise, scale, len(swinging.target), manner.domain(held.whole))
@@ -401,23 +392,6 @@ def _folds(rows: Rows) -> Ints:
             inside = np.flatnonzero(rows.swing == swing)
             part[inside] += np.arange(len(inside)) * pieces // max(len(inside), 1)
     return np.asarray(part % MOST_FOLDS)
-
-
-def _spans(residual: Array, rows: Rows) -> dict[int, tuple[Array, Array]]:
-    """See :class:`LegFigures`; of spans that there are enough of."""
-    joints = rows.target.shape[1]
-    total = np.cumsum(np.concatenate([residual, rows.target], axis=1), axis=0)
-    total = np.concatenate([np.zeros_like(total[:1]), total])
-    found = {}
-    # Ticks in a row over which a slow leg is judged.
-    for span in (2, 4, 8, 16):
-        # Places only grow, so that so many in a row have no gap.
-        apart = rows.position[span - 1 :] - rows.position[: len(total) - span]
-        sums = (total[span:] - total[:-span])[apart == span - 1]
-        # Sums over several ticks are judged from so many on.
-        if len(sums) >= 200:
-            found[span] = (_rms(sums[:, :joints]), _rms(sums[:, joints:]))
-    return found
 
 
 def _rms(values: Array) -> Array:

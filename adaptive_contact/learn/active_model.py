@@ -11,7 +11,6 @@ from adaptive_contact.learn.rls import (
     RecursiveLeastSquares,
     RlsSettings,
     is_plausible,
-    squared_errors,
 )
 from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
 from adaptive_contact.model.change_prior import change_directions, core_support
@@ -32,7 +31,7 @@ MAX_TERM_RAD: Final = 0.5
 # Terms of a library that are nearly alike hold each other in balance; no model's go beyond so many
 # times what the baseline's do.
 BALANCE: Final = 5.0
-# The baseline is taken up again when it has been this much better for so many lifts.
+# The baseline is put in force again when it has been this much better for so many lifts.
 RETURN_RATIO: Final = 0.6
 RETURN_SWINGS: Final = 3
 # A prior's terms are as uncertain as legs differ, a hundred times the noise where steps are fine.
@@ -54,8 +53,8 @@ class FirstSwings:
         self._known = 0  # swings in a row
         self._largest: float | None = None  # uncertainty of this swing, None without a row
 
-    def note(self, uncertainty: float) -> None:
-        """Note the uncertainty of the rows of a lift, or of a descent."""
+    def add_uncertainty(self, uncertainty: float) -> None:
+        """Add the uncertainty of the rows of a lift, or of a descent."""
         self._largest = max(self._largest or 0.0, uncertainty)
 
     def end_swing(self, *, valid: bool) -> bool:
@@ -91,52 +90,44 @@ class ActiveModel:
 
     Attributes:
         baseline: the model at the start.
+        version: of the model.
         recursion: recursive least squares, which move the model.
         inflated: whether the recursion's covariance was, since the recursion began.
-        as_made: the model as it was last asked for; rows learned since are not in it.
-        most_rad: that a term of a plausible model moves a typical tick by.
         from_prior: the leg began with a prior.
     """
 
     def __init__(self, start: LegBaseline) -> None:
-        self.baseline = start.model
-        self.from_prior = start.spread is not None
-        self._settings = None if start.spread is None else RlsSettings(bound=PRIOR_BOUND)
+        self.baseline, spread = start.model, start.spread
+        self.version = start.model.version
+        self.from_prior = self.inflated = spread is not None
+        self._settings = None if spread is None else RlsSettings(bound=PRIOR_BOUND)
         self._noise = start.noise.rms
-        self._per_noise, self._scale = 1.0 / start.noise.rms, np.array(start.scale)
-        # Copies, as compiled code takes an array that may not be written to for another kind.
-        self._first = np.array(start.model.coefficients, order="C")
+        self._scale = np.array(start.scale)
         # What a term may move a tick by, at most.
         own = np.abs(start.model.coefficients * start.scale[:, None]).max()
-        self.most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
-        self.as_made = start.model
-        self._moved = False  # the recursion has, since it was made
-        self._start = Good(start.model.version, self._begun_with(start.spread), self.from_prior)
-        self._go_on_from(self._start)
+        self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
+        support = core_support(start.model)
+        if spread is not None:
+            support |= (spread != 0.0).any(axis=1).T
+        self.recursion = self._recursion(start.model.coefficients, support)
+        if spread is not None:
+            self.recursion.inflate(spread)
+        self._start = self.good()
         self._better_baseline = 0  # lifts in a row
 
     @property
     def model(self) -> LegModel:
-        """Model in force; made on demand, as most rows are learned while the leg stands."""
-        if self._moved:
-            self.as_made = self.as_made.moved(self.recursion.coefficients, self.version)
-            self._moved = False
-        return self.as_made
-
-    @property
-    def version(self) -> int:
-        """Of the model, without making it."""
-        version = self.as_made.version
-        return max(1, version) if self._moved else version
+        """Return the model in force."""
+        return self.baseline.moved(self.recursion.coefficients, self.version)
 
     @property
     def coefficients(self) -> Array:
-        """(p, J) of the model in force; written over by the next row that is learned."""
+        """Return (p, J) of the model in force; the next row that is learned overwrites them."""
         return self.recursion.current
 
     @property
     def covariance(self) -> Covariance | None:
-        """Covariance of the coefficients while it is inflated, else None."""
+        """Return the covariance of the coefficients while it is inflated, else None."""
         return self.recursion.roots if self.inflated else None
 
     def learn(self, values: Array, at: int) -> bool:
@@ -149,7 +140,7 @@ class ActiveModel:
         Returns:
             Whether the model is plausible.
         """
-        self._moved = True
+        self.version = max(1, self.version)
         return self.recursion.learn(values, at)
 
     def uncertainty(self, rows: Rows) -> float:
@@ -165,15 +156,19 @@ class ActiveModel:
         self.inflated = True
         self.recursion.inflate(change_directions(self.model, self._scale, self._noise))
 
-    def good(self, spare: Good | None = None) -> Good:
-        """Return the model in force with its recursion; ``spare`` may be written over."""
-        rls = self.recursion.copy(None if spare is None else spare.rls)
-        return Good(self.version, rls, self.inflated)
+    def good(self) -> Good:
+        """Copy the model in force with its recursion."""
+        return Good(self.version, self.recursion.copy(), self.inflated)
 
     def return_to(self, good: Good) -> None:
         """Restore an earlier model, and drop what was learned since."""
-        self._put(self.as_made.moved(good.rls.coefficients, good.version))
-        self._go_on_from(good)
+        self.version, self.inflated = good.version, good.inflated
+        self.recursion = good.rls.copy()
+
+    def return_to_start(self) -> None:
+        """Restore the model of the start; the version goes on."""
+        self.return_to(self._start._replace(version=max(1, self.version)))
+        self._better_baseline = 0
 
     def baseline_is_better(self, rows: Rows) -> bool:
         """Return whether the baseline has fitted lifts much better than the model, up to this one.
@@ -181,71 +176,41 @@ class ActiveModel:
         Args:
             rows: of a lift, all free.
         """
-        if self.version == 0:
-            return False
-        now, before = squared_errors(rows.values, self._per_noise, self.coefficients, self._first)
-        self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
-        if self._better_baseline < RETURN_SWINGS:
-            return False
-        self._better_baseline = 0
-        return True
-
-    def go_on_from(self, good: Good | None) -> None:
-        """Put an earlier model in force again, the start's where None; the version goes on."""
-        self._go_on_from(good or self._start)
-        self._moved = True
+        now, before = (
+            np.square(rows.residual(of) / self._noise).sum()
+            for of in (self.coefficients, self.baseline.coefficients)
+        )
+        better = self.version > 0 and bool(before < RETURN_RATIO * now)
+        self._better_baseline = self._better_baseline + 1 if better else 0
+        return self._better_baseline >= RETURN_SWINGS
 
     def snapshot(self) -> dict[str, Any]:
         """Return the model, its covariance and its support, for :meth:`restore`."""
         return {
             "baseline": pack(self.baseline.coefficients),
-            "coefficients": pack(self.model.coefficients),
-            "version": self.model.version,
+            "coefficients": pack(self.coefficients),
+            "version": self.version,
             "factor": pack(self.recursion.factor),
             "support": pack(self.recursion.support.astype(np.float64)),
             "loosened": self.inflated,
         }
 
     def restore(self, state: SavedState, factor: Any) -> None:
-        """Take over a saved model and the packed square root of its covariance.
+        """Restore a saved model and the packed square root of its covariance.
 
         Raises:
             ImplausibleError: the two cannot be a leg's; nothing is changed.
         """
         # A model that moves a typical tick by radians cannot be a servo's.
-        if not is_plausible(state.coefficients, self._scale, self.most_rad):
+        if not is_plausible(state.coefficients, self._scale, self._most_rad):
             raise ImplausibleError("its model is implausible")
-        # A promoted model has a support of its own.
-        rls = RecursiveLeastSquares(
-            state.coefficients, state.support, self._scale, self._noise, self._settings,
-            self.most_rad,
-        )  # fmt: skip
+        rls = self._recursion(state.coefficients, state.support)
         shape = (len(self._noise), -1, -1)
         if not rls.restore(state.coefficients, array_of(factor, shape, "its covariance")):
             raise ImplausibleError("its covariance is of other terms")
-        self._put(self.as_made.moved(state.coefficients, state.version))
-        self.recursion, self.inflated = rls, state.inflated
+        self.version, self.recursion, self.inflated = state.version, rls, state.inflated
 
-    def _begun_with(self, spread: Array | None) -> RecursiveLeastSquares:
-        """Return a recursion that begins at the baseline, and at the spread of a prior."""
-        if spread is None:
-            return self._recursion(self.baseline)
-        rls = self._recursion(self.baseline, (spread != 0.0).any(axis=1).T)
-        rls.inflate(spread)
-        return rls
-
-    def _go_on_from(self, good: Good) -> None:
-        self.recursion, self.inflated = good.rls.copy(), good.inflated
-
-    def _recursion(self, model: LegModel, more: Mask | None = None) -> RecursiveLeastSquares:
-        """Return a recursion at a model, over its terms and (p, J) more of them."""
-        support = core_support(model)
-        if more is not None:
-            support |= more
+    def _recursion(self, coefficients: Array, support: Mask) -> RecursiveLeastSquares:
         return RecursiveLeastSquares(
-            model.coefficients, support, self._scale, self._noise, self._settings, self.most_rad
+            coefficients, support, self._scale, self._noise, self._settings, self._most_rad
         )
-
-    def _put(self, model: LegModel) -> None:
-        """Set the model in force."""
-        self.as_made, self._moved = model, False

@@ -10,19 +10,15 @@ along the ways in which legs change, and the lifts are learned at once.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-import zlib
 from collections import deque
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from adaptive_contact.diagnose.change_classifier import ChangeClassifier
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel, FirstSwings, Good
-from adaptive_contact.learn.drift import (
-    SETTLED_LEVEL,
-    DriftMonitor,
-    EarlyContacts,
-)
+from adaptive_contact.learn.drift import DriftMonitor, EarlyContacts
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
 from adaptive_contact.learn.periodic_refit import PeriodicRefit, rows_for_refit
@@ -36,7 +32,7 @@ from adaptive_contact.learn.state import (
 )
 from adaptive_contact.model.bounds import is_count
 from adaptive_contact.model.free_motion import FreeMotion
-from adaptive_contact.model.labelled_swing import NO_ROWS, Label, LabelledSwing, Row, Rows
+from adaptive_contact.model.labelled_swing import NO_ROWS, Label, LabelledSwing, Rows
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.wire import Doubt, RefitCounts, Status
@@ -51,20 +47,12 @@ STRAY: Final = 1.2
 STEEP: Final = 2.0
 # Covariances and thresholds are recomputed after so many swings.
 REFRESH_SWINGS: Final = 4
-# Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
-# fall into one tick.
-REFRESH_TICKS: Final = 16
-
 
 # Swings that can be taken back: a false source is found within three.
 KEPT_SWINGS: Final = 6
 
 
-# What a tick of the learning may have moved of what the next one is judged by.
-Moved = Literal[0, 1, 2]
-NOTHING: Final = 0
-COEFFICIENTS: Final = 1
-ANYTHING: Final = 2
+_Parts = tuple[DriftMonitor, EarlyContacts, NoiseTracker, FirstSwings | None]
 
 
 class _Kept(NamedTuple):
@@ -72,9 +60,8 @@ class _Kept(NamedTuple):
 
     t_ns: int
     era: int
-    fits: bool  # the leg was as its model says
     good: Good
-    parts: tuple[dict[str, Any] | None, ...]  # of what follows the leg
+    parts: _Parts  # what follows the leg
 
 
 class EventStatus(NamedTuple):
@@ -106,7 +93,7 @@ class Adapter:
         monitor: whether the lifts fit.
         early: touches reported at the top of swings.
         buffer: confirmed rows.
-        busy: whether the next tick is one of :meth:`tick`, not of :meth:`pass_tick`.
+        noise_tracker: covariances and thresholds.
         first: progress of a leg that began with a prior; None once it is known.
     """
 
@@ -124,26 +111,21 @@ class Adapter:
         self.monitor = DriftMonitor(len(start.noise.rms), known=start.spread is None)
         self.early = EarlyContacts()
         self.buffer = ReplayBuffer(rows=rows_for_refit(start.model))
-        self._noise_tracker = noise_tracker
+        self.noise_tracker = noise_tracker
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
         self._noise = start.noise.rms
         self._scale = start.scale
         self.active = ActiveModel(start)
         self.first = None if start.spread is None else FirstSwings()
-        self._learned_ns = -1  # end of the segment of the newest row learned
         self._suspected = NO_ROWS  # the descent after a suspected lift
         self._evidence: ChangeClassifier | None = None  # of the newest change
         self._era = 0
         self._swings = 0  # since covariances were recomputed
         self._learned_swing = False
-        self._refresh_in: int | None = None  # ticks
-        self._renewed = False  # covariances were, since the last `tick`
         self._kept = deque[_Kept](maxlen=KEPT_SWINGS)
-        self.busy = True
-        self.refit = PeriodicRefit(
-            leg, start.model.library, self._noise, quantum_rad, refitter, start.domain
-        )
+        self.refit = PeriodicRefit(leg, start.model.library, quantum_rad, refitter)
+        self._domain = start.domain
         self.found: LegBaseline | None = None
 
     # -- what detection and status read -----------------------------------------------------------
@@ -208,7 +190,7 @@ class Adapter:
 
     def free_motion(self) -> FreeMotion:
         """Publish what the next tick is judged by."""
-        noise, active, changed = self._noise_tracker, self.active, self.changed
+        noise, active, changed = self.noise_tracker, self.active, self.changed
         return FreeMotion(
             active.coefficients,
             self.variance_in_force,
@@ -219,19 +201,18 @@ class Adapter:
             noise.after_known,
             noise.whiten,
             noise.thresholds,
-            self.refit.domain,
+            self._domain,
         )
 
     # -- what detection has found -------------------------------------------------------------
 
     def learn(self, part: LabelledSwing) -> None:
         """Learn from a part of a swing."""
-        self.busy = True
         match part.label:
             case Label.BEGIN:
                 self.monitor.begin_swing(refuted=part.refuted)
             case Label.TICK:
-                self.monitor.look(part.nis, part.way_rad)
+                self.monitor.watch_tick(part.nis, part.way_rad)
             case Label.TRAVEL:
                 self.monitor.note_travel(obstructed=part.obstructed, travel_ratio=part.travel_ratio)
             case Label.LIFT:
@@ -250,8 +231,9 @@ class Adapter:
             self._change(first=found.first)
         if found.rows:
             if self.first is not None:
-                self.first.note(self.active.uncertainty(found.rows))
-            self._consider_baseline(found.rows)
+                self.first.add_uncertainty(self.active.uncertainty(found.rows))
+            if self.active.baseline_is_better(found.rows):  # such as after mud is washed off
+                self._return_to_start(f"the baseline fits {RETURN_SWINGS} lifts better")
             self._confirm(found.rows, region)
         if found.changed:
             self._confirm(waiting, region)
@@ -259,7 +241,7 @@ class Adapter:
     def _descent(self, rows: Rows, region: int) -> None:
         """Learn the confirmed part of a descent; after a suspected lift it waits for the next."""
         if self.first is not None:
-            self.first.note(self.active.uncertainty(rows))
+            self.first.add_uncertainty(self.active.uncertainty(rows))
         if self.monitor.trusted:
             self._confirm(rows, region)
         else:
@@ -274,7 +256,6 @@ class Adapter:
         self._suspected = self._suspected[self._suspected.t_ns < since_ns]
         self.buffer.drop_since(since_ns)
         self.monitor.distrust(since_ns)
-        self._noise_tracker.drop_refresh()
         # Not in order: a descent that waited is confirmed with the lift that comes after it.
         kept = [t_ns for t_ns in self.confirmed_ns if t_ns < since_ns]
         self.confirmed_ns = deque(kept, maxlen=CONFIRMED_TICKS)
@@ -289,10 +270,9 @@ class Adapter:
     def keep(self, t_ns: int) -> None:
         """Keep what is known of the leg as a swing begins, for :meth:`retract`."""
         if self.learning:
-            spare = self._kept[0].good if len(self._kept) == KEPT_SWINGS else None
-            good = self.active.good(spare)
-            parts = tuple(None if of is None else _state_of(of) for of in self._followers)
-            self._kept.append(_Kept(t_ns, self._era, self._fits, good, parts))
+            parts = self.monitor, self.early, self.noise_tracker, self.first
+            kept = _Kept(t_ns, self._era, self.active.good(), copy.deepcopy(parts))
+            self._kept.append(kept)
 
     def retract(self, since_ns: int) -> None:
         """Drop what was confirmed and learned since a time: those ticks were not of this leg."""
@@ -303,32 +283,19 @@ class Adapter:
             return
         kept = self._kept.pop()
         self.active.return_to(kept.good)
-        if self.first is None and kept.parts[-1] is not None:
-            self.first = FirstSwings()
-        for of, state in zip(self._followers, kept.parts, strict=True):
-            if of is not None and state is not None:
-                vars(of).update(_copied(state))
+        self.monitor, self.early, self.noise_tracker, self.first = kept.parts
         self._era, self._evidence = kept.era, None
         self.refit.leg_changed()
         self._refresh()
-
-    @property
-    def _fits(self) -> bool:
-        return self.monitor.status == "valid" and self.monitor.variance_scale < SETTLED_LEVEL
-
-    @property
-    def _followers(self) -> tuple[object | None, ...]:
-        return self.monitor, self.early, self._noise_tracker, self.first
 
     def new_source(self) -> None:
         """Follow a restart of the source: times from before do not compare with its own."""
         while self.buffer.unlearned:
             self._learn()
         self._suspected = NO_ROWS
-        self._learned_ns = -1
         self._kept.clear()
         self.confirmed_ns.clear()
-        self.buffer.new_source()
+        self.buffer.drop_times()
         self.monitor.new_clock()
 
     def _end_swing(self, early: bool | None) -> None:
@@ -348,45 +315,29 @@ class Adapter:
             self.refit.drop()  # no lift shows what is wrong: rows of lifts are no judge
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
-            self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
-        due = self.refit.swing_done(self.baseline.library.period_s, learned=learned)
-        if due and not self.early.reported:
-            self.refit.request(self.buffer, self._era)
+            self._refresh()
+        if not self.early.reported:
+            self.refit.end_swing(self.buffer, self._era, learned=learned)
 
-    def tick(self, budget: int) -> Moved:
+    def tick(self, budget: int) -> bool:
         """Learn a few rows and collect a refit that is due; once per control tick.
 
         Args:
             budget: rows at most.
 
         Returns:
-            Which parts of the free-motion model changed in this tick.
+            Whether the coefficients of the free-motion model have changed.
         """
-        moved: Moved = NOTHING
-        if self.buffer.unlearned:
-            moved = COEFFICIENTS
-            for _ in range(self._share(budget)):
-                if not self.buffer.unlearned:  # a model that falls takes the rows that wait with it
-                    break
-                self._learn()
-        moved = self.pass_tick() or moved
-        if self._noise_tracker.refreshing and self._noise_tracker.go_on():
-            moved = ANYTHING
-        if self._refresh_in is not None:
-            self._refresh_in -= 1
-            if self._refresh_in < 0:
-                self._refresh(at_once=False)
-        if self._renewed:
-            self._renewed, moved = False, ANYTHING
-        self.busy = (
-            self.buffer.unlearned > 0 or self._noise_tracker.refreshing
-            or self._refresh_in is not None
-        )  # fmt: skip
-        return moved
-
-    def pass_tick(self) -> Moved:
-        """Collect a refit that is due, in a tick in which nothing else is to be done."""
-        return ANYTHING if self.refit.tick() else NOTHING
+        before = self.buffer.unlearned
+        if before:
+            for _ in range(min(self._share(budget), before)):
+                if self.buffer.unlearned:  # a model that falls takes the rows that wait with it
+                    self._learn()
+        won = self.refit.tick()
+        if won is not None:
+            model = won.model.moved(won.model.coefficients, self.version + 1)
+            self.found = dataclasses.replace(won, model=model)
+        return before > 0
 
     def _share(self, budget: int) -> int:
         """Return how many rows a tick learns: a known leg can wait, a changed one cannot.
@@ -411,7 +362,7 @@ class Adapter:
             "first": None if self.first is None else self.first.swings,
             "era": self._era,
             "refits": self.refit.snapshot(),
-            "recent": self._noise_tracker.snapshot(),
+            "recent": self.noise_tracker.snapshot(),
             "segments": [segment_of(s) for s in self.buffer.segments],
         }
 
@@ -422,7 +373,7 @@ class Adapter:
             None when it is in force, else one line that says why it is not.
         """
         try:
-            state = read_state(saved, self.active.baseline, len(self._noise_tracker.whiten))
+            state = read_state(saved, self.active.baseline, len(self.noise_tracker.whiten))
             self.active.restore(state, saved.get("factor"))
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
@@ -435,10 +386,8 @@ class Adapter:
         self._era = state.era
         self.refit.restore(saved.get("refits"))
         self.buffer.restore(state.segments)
-        self.refit.resume(self.buffer, self._era)
-        self._noise_tracker.restore(saved.get("recent"), self.monitor.variance_in_force)
+        self.noise_tracker.restore(saved.get("recent"), self.monitor.variance_in_force)
         self._refresh()
-        self.busy = True
         return None
 
     # -- private ----------------------------------------------------------------------------------
@@ -472,66 +421,31 @@ class Adapter:
             self.monitor.note_kind(self._evidence.kind)
         if self.monitor.status == "valid" and rows:
             scale = self.monitor.variance_in_force
-            self._renewed |= self._noise_tracker.count(rows, self.refit.domain, scale)
+            self.noise_tracker.count(rows, scale)
         self.confirmed_ns.extend(rows.t_ns.tolist())
         self.buffer.add(rows, region, self._era)
 
-    def _consider_baseline(self, rows: Rows) -> None:
-        """Return to the baseline if it fits again, such as after mud is washed off."""
-        if not self.active.baseline_is_better(rows):
-            return
-        self.active.go_on_from(None)
+    def _learn(self) -> None:
+        """Learn the next row that waits."""
+        segment, at = self.buffer.pop_unlearned()
+        if not self.active.learn(segment.values, at):
+            self._return_to_start(
+                "a coefficient was not finite, or implausible: the baseline again"
+            )
+
+    def _refresh(self) -> None:
+        """Recompute covariances and thresholds for the model in force and the present era."""
+        self._swings = 0
+        residuals = self.buffer.residuals(self.active.coefficients, self._era)
+        self.noise_tracker.refresh(*residuals)
+
+    def _return_to_start(self, why: str) -> None:
+        """Go on from the model of the start; what was learned since is dropped."""
+        self.active.return_to_start()
         self.buffer.drop_unlearned()
         self.refit.leg_changed()
-        self.refit.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
+        self.refit.count_return(why)
         self.monitor.mark_unchanged()
         self._evidence = None
         self._era += 1
         self._refresh()
-
-    def _learn(self) -> None:
-        """Learn the next row, and judge a refit, if there is one, by it."""
-        active, values = self.active, self.buffer.values
-        at, self._learned_ns = self.buffer.next_unlearned()
-        if not active.learn(values, at):
-            self._return_from_implausible()
-        elif self.refit.judging:
-            terms, joints = active.coefficients.shape
-            row = Row(values[at, :terms], values[at, terms : terms + joints], self._learned_ns)
-            won = self.refit.judge(row, active.recursion.innovations)
-            if won is not None:
-                model = won.model.moved(won.model.coefficients, active.version + 1)
-                self.found = dataclasses.replace(won, model=model)
-
-    def _refresh(self, *, at_once: bool = True) -> None:
-        """Recompute covariances and thresholds for the model in force and the present era.
-
-        Args:
-            at_once: now, as what they are of is another model or leg; else within a few ticks.
-        """
-        self._swings, self._refresh_in = 0, None
-        self._renewed |= at_once
-        residuals, context = self.buffer.residuals(self.active.coefficients, self._era)
-        if at_once:
-            self._noise_tracker.refresh(residuals, context)
-        else:
-            self._noise_tracker.begin_refresh(residuals, context, self.buffer.of_era(self._era))
-
-    def _return_from_implausible(self) -> None:
-        """Go on from the newest model that fitted as a swing began, or from the baseline."""
-        kept = next((kept for kept in reversed(self._kept) if kept.fits), None)
-        self.active.go_on_from(None if kept is None else kept.good)
-        back_to = "the baseline" if kept is None else "the model before"
-        self.buffer.drop_unlearned()
-        self.refit.leg_changed()
-        self.refit.rolled_back(f"a coefficient was not finite, or implausible: {back_to} again")
-        self._refresh()
-
-
-def _state_of(of: object) -> dict[str, Any]:
-    return _copied(vars(of))
-
-
-def _copied(state: dict[str, Any]) -> dict[str, Any]:
-    """Copy a state; its arrays are replaced, never written to."""
-    return {name: of.copy() if isinstance(of, deque) else of for name, of in state.items()}

@@ -253,42 +253,32 @@ class DriftMonitor:
         self._since_ns = None
         self._drop_suspicions()
 
-    def mark_unchanged(self) -> None:
-        """Drop variance scale, time and kind of a change; the status settles by lifts."""
-        self.variance_scale, self._since_ns, self.kind = 1.0, None, None
-
     @property
     def watches(self) -> bool:
-        """Whether the NIS of this swing's ticks may change how it is judged."""
-        return self._swing_level is not None or bool(self._swings_adapting)
+        """Return whether the ticks of this swing may contradict the suspicion of its lift."""
+        return self._swing_level is not None and self._suspicions == 1
 
-    def look(self, level: float, way_rad: float) -> None:
-        """Take in the NIS of a tick, which may contradict the assessment of a lift.
+    def watch_tick(self, level: float, way_rad: float) -> None:
+        """Withdraw the suspicion of a lift if the ticks after it fit.
 
-        A suspicion is withdrawn; a leg that has just changed may have been learned since, from that
-        very lift, and is judged by how it fits now.  Ticks in which the leg hardly moves fit any
-        model.
+        Ticks in which the leg hardly moves fit any model.
 
         Args:
-            level: its NIS.
+            level: NIS of the tick.
             way_rad: how far the joints were to move in it, added up.
         """
-        if way_rad < MOVING_SHARE * self._lift_rad:
-            return
-        suspected = self._swing_level is not None and self._suspicions == 1
-        moving = self._swings_adapting and self._trusted and self._swings_inflated <= SETTLED_SWINGS
-        if not (suspected or (moving and self.variance_in_force > self._least)):
+        if not self.watches or way_rad < MOVING_SHARE * self._lift_rad:
             return
         self._newest.append(level)
-        if len(self._newest) < TAKE_BACK_TICKS:
-            return
-        now = TAKE_BACK_LEVEL * sum(self._newest) / TAKE_BACK_TICKS
-        if not suspected:
-            self._swing_level = min(self.variance_in_force, max(now, self._least))
-        elif now < TAKE_BACK_LEVEL**2 * self.variance_scale:
+        limit = TAKE_BACK_LEVEL * self.variance_scale
+        if len(self._newest) == TAKE_BACK_TICKS and sum(self._newest) / TAKE_BACK_TICKS < limit:
             self._swing_level = None
             self._drop_suspicions()
             self._trusted = True
+
+    def mark_unchanged(self) -> None:
+        """Drop variance scale, time and kind of a change; the status settles by lifts."""
+        self.variance_scale, self._since_ns, self.kind = 1.0, None, None
 
     def note_travel(self, *, obstructed: bool, travel_ratio: float) -> None:
         """Note whether the foot followed its command in the lift.
@@ -350,7 +340,6 @@ class DriftMonitor:
 
     def _suspect(self, rows: Rows, level: float, t_ns: int) -> LiftAssessment:
         self._swing_level = self._in_range(level)
-        self._newest.clear()
         self._suspicions += 1
         self._settled = 0
         self._trusted = self._suspicions >= SUSPICIONS
@@ -366,7 +355,6 @@ class DriftMonitor:
     def _assess_far(self, rows: Rows, level: float, t_ns: int) -> LiftAssessment:
         """Assess a lift further off than any drift: obstructed, or, if it lasts, another leg."""
         self._swing_level = self._in_range(level)
-        self._newest.clear()
         self._settled = 0
         self._far_swings += 1
         sign = f"the lift is {level**0.5:.0f} times as far from the model as it should be"

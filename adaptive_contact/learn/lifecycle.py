@@ -45,7 +45,6 @@ class Lifecycle:
 
     Attributes:
         adapter: keeps the model; None while there is none.
-        noise_tracker: keeps covariances and thresholds; likewise.
         begun: raised whenever another adapter takes over, or none does.
         origin: how the model began, for people.
         note: what is wrong with what is known, None when nothing is.
@@ -72,7 +71,6 @@ class Lifecycle:
     def start(self) -> None:
         """Begin as if nothing had been learned: from the baseline, or from a prior."""
         baseline = self._baseline
-        self.noise_tracker: NoiseTracker | None = None
         self.adapter: Adapter | None = None
         self.begun += 1
         self.origin = None if baseline is None else baseline.origin
@@ -91,9 +89,14 @@ class Lifecycle:
     def library(self) -> Library:
         """Library of the model, or the one that a leg without a model would get."""
         if self.adapter is not None:
-            return self.adapter.model.library
+            return self.adapter.baseline.library
         plain = leg_library(self._robot, self._leg)
         return with_changes(plain, np.zeros((plain.size, len(plain.joints))))
+
+    @property
+    def noise_tracker(self) -> NoiseTracker | None:
+        """Keeps covariances and thresholds; None while there is no model."""
+        return None if self.adapter is None else self.adapter.noise_tracker
 
     @property
     def sigma(self) -> Array:
@@ -112,7 +115,7 @@ class Lifecycle:
     def forget(self) -> None:
         """Start again from a prior, or a wider one: the first model was of another leg."""
         if self._mode is LearnerMode.FROZEN:
-            self._start = self.adapter = self.noise_tracker = None
+            self._start = self.adapter = None
             self.begun += 1
             self.note = "the baseline does not fit this leg: fit a new one"
             return
@@ -239,7 +242,7 @@ class Lifecycle:
         start = ready_for_changes(start)
         aim = robot.detector.false_alarms_per_hour
         noise_tracker = NoiseTracker(start.noise, tails, aim, start.peaks)
-        self.noise_tracker, self.begun = noise_tracker, self.begun + 1
+        self.begun += 1
         quantum_rad = robot.quantum(self._leg.id)
         self.adapter = Adapter(
             self._leg.id, start, noise_tracker, self._mode, self._refitter, quantum_rad

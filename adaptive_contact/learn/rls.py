@@ -133,20 +133,12 @@ class RecursiveLeastSquares:
         self._bound()
         return True
 
-    def copy(self, into: RecursiveLeastSquares | None = None) -> RecursiveLeastSquares:
-        """Return an independent copy; constant arrays are shared.
-
-        Args:
-            into: an earlier copy that is not needed any more, to be written over where it fits.
-        """
-        if into is None or into._index is not self._index:
-            into = copy.copy(self)
-            into._xi, into._s, into.current = self._xi.copy(), self._s.copy(), self.current.copy()
-            into._hand_over()
-            return into
-        into._xi[:], into._s[:], into.current[:] = self._xi, self._s, self.current
-        into.rows = self.rows
-        return into
+    def copy(self) -> RecursiveLeastSquares:
+        """Return an independent copy; constant arrays are shared."""
+        other = copy.copy(self)
+        other._xi, other._s, other.current = self._xi.copy(), self._s.copy(), self.current.copy()
+        other._hand_over()
+        return other
 
     def __deepcopy__(self, _: object) -> RecursiveLeastSquares:
         """Return :meth:`copy`: compiled functions are bound to the arrays of one object."""
@@ -210,12 +202,6 @@ class RecursiveLeastSquares:
             if self.rows % 64 == 0:
                 self._bound()
         return bool(plausible)
-
-    @property
-    def innovations(self) -> list[float]:
-        """J innovations: how far the last row was off its prediction, over the noise."""
-        found: list[float] = self._innovations.tolist()
-        return found
 
     def inflate(self, directions: Array) -> None:
         """Inflate the covariance along some directions, as the leg has changed.
@@ -363,32 +349,3 @@ def is_plausible(coefficients: Array, scale: Array, most_rad: float) -> bool:
     """
     # Copies, as compiled code takes an array that may not be written to for another kind.
     return bool(moves_at_most(np.array(coefficients, order="C"), np.array(scale), most_rad))
-
-
-@compiled
-def squared_errors(values, per_noise, own, other):
-    """Sum the squared residuals of rows by two models, over the noise.
-
-    Args:
-        values: (n, p + J and more) regressors, and behind them what they should have predicted,
-            rad.
-        per_noise: (J,) reciprocal of its standard deviation, 1/rad.
-        own: (p, J) coefficients of one.
-        other: (p, J) of the other.
-
-    Returns:
-        The sums by ``own`` and by ``other``.
-    """
-    terms, joints = own.shape
-    by_own = by_other = 0.0
-    for i in range(len(values)):
-        for j in range(joints):
-            off_own = off_other = values[i, terms + j]
-            for k in range(terms):
-                off_own -= values[i, k] * own[k, j]
-                off_other -= values[i, k] * other[k, j]
-            off_own *= per_noise[j]
-            off_other *= per_noise[j]
-            by_own += off_own * off_own
-            by_other += off_other * off_other
-    return by_own, by_other

@@ -76,7 +76,7 @@ def segment_of(segment: Segment) -> dict[str, Any]:
         "context": pack(segment.context.astype(np.float64)),
         "cell": list(segment.cell),
         "era": segment.era,
-        "t_ns": segment.t_ns,
+        "t_ns": max(segment.t_ns, 0),
     }
 
 
@@ -173,4 +173,5 @@ def _unpack_segment(value: object, terms: int, joints: int, contexts: int) -> Se
     if not (is_count(era) and is_count(t_ns)):
         raise ImplausibleError("a segment's era or time is no number")
     place = (int(cell[0]), int(cell[1]))
-    return Segment(theta, target, context.astype(np.int64), place, era, t_ns)
+    values = np.concatenate([theta, target], axis=1)
+    return Segment(values, terms, context.astype(np.int64), place, era, t_ns)

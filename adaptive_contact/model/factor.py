@@ -26,7 +26,7 @@ class Factor:
     Attributes:
         terms: p, columns of Θ.
         outputs: J, columns of Y.
-        rows: how many raw rows it holds (sum of weights when weighted).
+        rows: how many raw rows it holds.
     """
 
     def __init__(self, terms: int, outputs: int) -> None:
@@ -36,56 +36,34 @@ class Factor:
         self._held = np.zeros((0, terms + outputs))  # the triangle as far as it is made
         self._waiting: list[Array] = []  # raw rows that are not in it yet
 
-    def add(self, theta: Array, target: Array, weight: Array | None = None) -> int:
-        """Take in rows; rows with a value that is not finite are left out.
+    def add(self, theta: Array, target: Array) -> int:
+        """Add rows; those with a value that is not finite are left out.
 
         Args:
             theta: (n, p) regressors.
             target: (n, J) what they should predict.
-            weight: (n,) of each row's squared error, 1 where absent.
 
         Returns:
             How many rows were left out.
         """
         block = np.concatenate([theta, target], axis=1)
-        finite = np.isfinite(block).all(axis=1)
-        if weight is not None:
-            finite &= np.isfinite(weight) & (weight >= 0)
-        skipped = int(np.size(finite) - np.count_nonzero(finite))
-        if skipped:
-            block = block[finite]
-        count = float(len(block))
-        if weight is not None:
-            kept = weight[finite]
-            block = block * np.sqrt(kept)[:, None]
-            count = float(kept.sum())
-        if len(block):
-            self._absorb(block)
-            self.rows += count
-        return skipped
-
-    def merge(self, other: Factor) -> None:
-        """Take in all that another factor holds."""
-        triangle = other._triangle
-        if len(triangle):
-            self._absorb(triangle)
-            self.rows += other.rows
+        block = block[np.isfinite(block).all(axis=1)]
+        self._waiting.append(block)
+        self.rows += len(block)
+        # Raw rows wait until there are so many, or until they are needed: one factorisation of a
+        # thousand rows costs less than ten of a hundred.
+        if sum(map(len, self._waiting)) > 4096:
+            self._compress()
+        return len(theta) - len(block)
 
     @classmethod
     def merged(cls, factors: Iterable[Factor], terms: int, outputs: int) -> Factor:
         """Merge several factors into a new one."""
         total = cls(terms, outputs)
         for factor in factors:
-            total.merge(factor)
+            total._waiting.append(factor._triangle)
+            total.rows += factor.rows
         return total
-
-    def _absorb(self, block: Array) -> None:
-        self._waiting.append(block)
-        # Raw rows wait until there are so many, or until they are needed: a tick that hands its
-        # rows over does not pay for the factorisation, and one of a thousand rows costs less than
-        # ten of a hundred.
-        if sum(map(len, self._waiting)) > 4096:
-            self._compress()
 
     @property
     def _triangle(self) -> Array:
@@ -132,11 +110,3 @@ class Factor:
             return np.full(self.outputs, np.nan)
         r, qty = self.system
         return np.asarray(np.sqrt(np.square(qty - r @ coefficients).sum(axis=0) / self.rows))
-
-    def condition(self) -> float:
-        """Compute the condition number of Θ with its columns scaled to unit root mean square."""
-        r, _ = self.system
-        if self.rows < self.terms:
-            return float("inf")
-        values = np.linalg.svd(r / self.scale(), compute_uv=False)
-        return float(values[0] / values[-1]) if values[-1] > 0 else float("inf")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -41,14 +40,6 @@ ROW: Final = np.dtype(
 )
 
 
-class Row(NamedTuple):
-    """Holds one tick to learn from."""
-
-    theta: Array  # (p,) regressors that predicted it
-    target: Array  # (J,) rad, the movement that was measured
-    t_ns: int  # of the tick
-
-
 class Rows:
     """Holds n ticks of a swing, in order, to learn from.
 
@@ -68,9 +59,6 @@ class Rows:
 
     def __getitem__(self, which: slice | Mask) -> Rows:
         return Rows(self.values[which], self.records[which], self.joints)
-
-    def __iter__(self) -> Iterator[Row]:
-        return map(Row, self.theta, self.target, self.t_ns.tolist())
 
     def then(self, later: Rows) -> Rows:
         """Return these rows, followed by later ones."""

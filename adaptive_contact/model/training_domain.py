@@ -19,7 +19,6 @@ leg moves, beyond where it stands, counts for more (:attr:`Domain.inflation`).
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Final
 
 import numpy as np
@@ -90,41 +89,10 @@ class Domain:
             triangle[: len(found)] = found
         return cls(triangle, scale)
 
-    def widened(self, factor: Factor) -> Domain:
-        """Return the domain with the rows of another fit added."""
-        p = len(self.scale)
-        stacked = np.concatenate([self.triangle, factor.system[0][:, :p] / self.scale])
-        triangle = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]
-        return dataclasses.replace(self, triangle=np.asarray(triangle, dtype=np.float64))
-
     @property
     def rows(self) -> float:
         """Return the number of rows seen: the constant, which comes first, is one in every row."""
         return float(np.square(self.triangle[:, 0] * self.scale[0]).sum())
-
-    def rows_like(self, most: float) -> Array:
-        """Return rows that stand for those it has seen, in raw units.
-
-        Args:
-            most: weigh like so many of them, or like all there are where these are fewer.
-
-        Returns:
-            (p, p + beyond) regressors with the same outer products, zero beyond.
-        """
-        raw = np.pad(self.triangle * self.scale, ((0, 0), (0, self.beyond)))
-        seen = self.rows
-        return raw * math.sqrt(min(most / seen, 1.0)) if seen > 0.0 else raw
-
-    @property
-    def gram(self) -> Array:
-        """Sum of the scaled regressors' outer products, with what is known beforehand.
-
-        Square, of p and the terms beyond, which are known to be nothing.
-        """
-        seen = np.pad(self.triangle.T @ self.triangle, (0, self.beyond))
-        known = np.full(len(self.scale) + self.beyond, PRIOR_DEVIATIONS**-2)
-        known[len(self.scale) :] = BEYOND_DEVIATIONS**-2
-        return np.asarray(seen + np.diag(known))
 
     @property
     def reach(self) -> Array:

@@ -207,9 +207,6 @@ def training_of(robot: Robot, **changes: Any) -> Training:
         "library_size": 62,
         "held_out_rms": (quantum, quantum, quantum),
         "naive_rms": (0.05, 0.05, 0.05),
-        "sweep": {},
-        "condition": 100.0,
-        "spans": {},
     }
     tails = changes.pop("tails", baseline.tails)
     figures = {leg: LegFigures(**{**good, **changes}) for leg in robot.leg_ids}

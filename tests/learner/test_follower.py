@@ -83,30 +83,20 @@ def go_wild(adapter: Adapter, wild: float) -> None:
 
 
 @pytest.mark.parametrize("wild", [np.nan, np.inf, 1e3])
-def test_a_model_that_went_wild_gives_way_to_the_model_before(
+def test_a_model_that_went_wild_gives_way_to_the_baseline(
     adapter: Adapter, scale: Array, wild: float
 ) -> None:
+    before = adapter.model.coefficients
     lifts(adapter, scale, 10)
-    good = adapter.model.coefficients
-    adapter.keep(10)
     go_wild(adapter, wild)
-    np.testing.assert_allclose(adapter.model.coefficients, good, atol=1e-9)
+    np.testing.assert_array_equal(adapter.model.coefficients, before)
     assert adapter.refits.rolled_back == 1
     assert adapter.refits.last_reason == (
-        "rolled back: a coefficient was not finite, or implausible: the model before again"
+        "rolled back: a coefficient was not finite, or implausible: the baseline again"
     )
     lifts(adapter, scale, 5)  # and it goes on from there
     assert adapter.refits.rolled_back == 1
     assert np.isfinite(adapter.model.coefficients).all()
-
-
-def test_one_that_goes_wild_before_there_was_a_good_swing_gives_way_to_the_baseline(
-    adapter: Adapter,
-) -> None:
-    before = adapter.model.coefficients
-    go_wild(adapter, np.nan)
-    np.testing.assert_array_equal(adapter.model.coefficients, before)
-    assert "the baseline again" in (adapter.refits.last_reason or "")
 
 
 def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter, scale: Array) -> None:

@@ -210,10 +210,10 @@ def test_ticks_in_which_a_leg_hardly_moves_take_no_suspicion_back() -> None:
     monitor.begin_swing()
     assert not monitor.assess_lift(moved(12.0, 0.03), 40 * SWING_NS).changed
     for _ in range(9):
-        monitor.look(0.2, 3 * 0.01)
+        monitor.watch_tick(0.2, 3 * 0.01)
     assert monitor.variance_in_force > 5.0
     for _ in range(3):
-        monitor.look(0.2, 3 * 0.02)
+        monitor.watch_tick(0.2, 3 * 0.02)
     assert monitor.variance_in_force == monitor.variance_scale < 2.0
 
 
@@ -224,7 +224,7 @@ def test_lifts_that_are_off_again_and_again_are_a_change_whatever_the_top_says()
         monitor.begin_swing()
         changed.append(monitor.assess_lift(moved(12.0, 0.03), swing * SWING_NS).changed)
         for _ in range(6):
-            monitor.look(0.2, 3 * 0.005)
+            monitor.watch_tick(0.2, 3 * 0.005)
     assert changed[1]
     assert monitor.status == "adapting"
 

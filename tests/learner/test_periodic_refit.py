@@ -20,9 +20,12 @@ from adaptive_contact.learn.periodic_refit import (
     first_refit_after,
 )
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
+<<<<<<< HEAD
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline, LegModel
 from adaptive_contact.model.labelled_swing import Row
+=======
+>>>>>>> 11952af4 (Learning with fewer mechanisms: one rule for refits, one way to follow thresholds, a buffer of segments)
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact.model.library import Library, leg_library, with_changes
 from adaptive_contact.model.model_file import LegBaseline
@@ -35,8 +38,6 @@ from .ticks import Tick, rows_of
 
 SLOPE = 0.164  # of the fake leg
 QUANTUM = 0.005
-NOISE = np.array([0.01, 0.01, 0.01])
-NOW, FOUND = 0.01, 0.02  # rad, what the model in force and the refit predict for every tick
 
 
 def library_of(robot: Robot, factor: float = 1.0) -> Library:
@@ -116,7 +117,7 @@ def test_rows_that_are_not_finite_give_no_model(robot: Robot) -> None:
     assert refit(RefitJob("rf", 1, values, library, QUANTUM)).status is FitStatus.NOT_FINITE
 
 
-# -- asked for, and judged ---------------------------------------------------------------------
+# -- requested, and promoted or dropped ---------------------------------------------------------
 
 
 class Given:
@@ -135,99 +136,58 @@ class Given:
         return self.result
 
 
-def constant(library: Library, moved: float) -> LegModel:
-    coefficients = np.zeros((library.size, 3))
-    coefficients[0] = moved
-    return LegModel(library, coefficients)
-
-
 @pytest.fixture
 def start(robot: Robot) -> LegBaseline:
-    """Of another slope, that says `FOUND`."""
-    other = library_of(robot, 0.4)
-    return dataclasses.replace(leg_prior(other, QUANTUM), model=constant(other, FOUND))
-
-
-def a_row(rng: np.random.Generator, library: Library, truth: float) -> Row:
-    theta = library.evaluate_flat(rng.uniform(-1.0, 1.0, 24))
-    theta = np.concatenate([theta, np.zeros(12)])  # terms of changes
-    return Row(theta, truth + rng.normal(size=3) * NOISE, 0)
+    """Of another slope."""
+    return leg_prior(library_of(robot, 0.4), QUANTUM)
 
 
 def buffered(library: Library, segments: int = 60) -> ReplayBuffer:
     """Lifts of a dozen free ticks, in three regions by turns; 60 are enough for a refit."""
     rng, buffer = np.random.default_rng(0), ReplayBuffer()
     for k in range(segments):
-        ticks = [a_row(rng, library, NOW) for _ in range(12)]
-        buffer.add(rows_of([Tick(tick.theta, tick.target) for tick in ticks]), k % 3, 0)
+        # Behind the terms of a leg, those of changes.
+        theta = np.pad(library.evaluate_flat(rng.uniform(-1.0, 1.0, (12, 24))), ((0, 0), (0, 12)))
+        buffer.add(rows_of([Tick(row, rng.normal(size=3)) for row in theta]), k % 3, 0)
     return buffer
 
 
 def swings(own: PeriodicRefit, buffer: ReplayBuffer, count: int = 0) -> None:
     """So many that have ended; as many as come before the first refit by default."""
     for _ in range(count or first_refit_after("rf")[0]):
-        if own.swing_done(0.02):
-            own.request(buffer, 0)
+        own.end_swing(buffer, 0, learned=True)
 
 
-def answer(own: PeriodicRefit) -> None:
-    """The ticks until a result is due."""
-    for _ in range(REFIT_DUE_TICKS + 1):
-        own.tick()
+def answer(own: PeriodicRefit) -> LegBaseline | None:
+    """The ticks until a result is due; what is promoted then."""
+    assert not any(own.tick() for _ in range(REFIT_DUE_TICKS))
+    return own.tick()
 
 
 def of_leg(robot: Robot, given: Given) -> PeriodicRefit:
     plain = library_of(robot)
     library = with_changes(plain, np.zeros((plain.size, 3)))
     assert library.size == plain.size + 12
-    return PeriodicRefit("rf", library, NOISE, QUANTUM, given)
+    return PeriodicRefit("rf", library, QUANTUM, given)
 
 
 def asked(robot: Robot, result: RefitResult) -> tuple[PeriodicRefit, Given]:
-    """One whose first result has come."""
+    """One that waits for its first result."""
     given = Given(result)
     own = of_leg(robot, given)
     swings(own, buffered(library_of(robot)))
-    answer(own)
     assert len(given.jobs) == 1
     return own, given
 
 
-def judged(own: PeriodicRefit, robot: Robot, truth: float) -> LegBaseline | None:
-    """By new rows, until it is decided."""
-    rng, won = np.random.default_rng(1), None
-    while own.judging:
-        new = a_row(rng, library_of(robot), truth)
-        won = own.judge(new, ((new.target - NOW) / NOISE).tolist())
-    return won
-
-
-def test_a_slope_by_which_new_rows_are_predicted_better_is_promoted(
+def test_a_slope_by_which_the_rows_are_much_likelier_is_promoted(
     robot: Robot, start: LegBaseline
 ) -> None:
     own, given = asked(robot, RefitResult(1, gain=100.0, start=start))
     assert len(given.jobs[0].values) == 720
-    assert judged(own, robot, FOUND) is start
+    assert answer(own) is start
     assert (own.counts.promoted, own.counts.refused) == (1, 0)
-    assert (own.counts.last_reason or "").startswith("promoted: a slope of 0.0656 rad, +")
-
-
-def test_one_by_which_they_are_predicted_worse_is_refused_whatever_one_wild_row_says(
-    robot: Robot, start: LegBaseline
-) -> None:
-    own, _ = asked(robot, RefitResult(1, gain=100.0, start=start))
-    wild = a_row(np.random.default_rng(2), library_of(robot), FOUND)
-    assert own.judge(wild, [1e6] * 3) is None
-    assert judged(own, robot, NOW) is None
-    assert (own.counts.promoted, own.counts.refused) == (0, 1)
-
-
-def test_what_cannot_be_compared_is_not_promoted(robot: Robot, start: LegBaseline) -> None:
-    own, _ = asked(robot, RefitResult(1, gain=100.0, start=start))
-    while own.judging:
-        new = a_row(np.random.default_rng(0), library_of(robot), FOUND)
-        assert own.judge(new, [float("nan")] * 3) is None
-    assert own.counts.refused == 1
+    assert own.counts.last_reason == ("promoted: a slope of 0.0656 rad fits better by 100 nats")
 
 
 @pytest.mark.parametrize(
@@ -235,14 +195,15 @@ def test_what_cannot_be_compared_is_not_promoted(robot: Robot, start: LegBaselin
     [
         (FitStatus.OK, 0.0, False, "no slope fits better than 0.164 rad"),
         (FitStatus.OK, 39.0, True, "a slope of 0.0656 rad fits hardly better (39 nats)"),
+        (FitStatus.OK, float("nan"), True, "a slope of 0.0656 rad fits hardly better (nan nats)"),
         (FitStatus.NOT_FINITE, 100.0, True, "the fit ended with 'not_finite'"),
     ],
 )
-def test_what_no_row_needs_to_judge(
+def test_what_is_dropped(
     robot: Robot, start: LegBaseline, status: FitStatus, gain: float, found: bool, why: str
 ) -> None:
     own, _ = asked(robot, RefitResult(1, status, gain, start if found else None))
-    assert not own.judging
+    assert answer(own) is None
     assert own.counts.refused == 1
     assert own.counts.last_reason == f"refused: {why}"
 
@@ -252,7 +213,7 @@ def test_a_leg_that_changes_drops_its_refit_and_asks_at_once(
 ) -> None:
     own, given = asked(robot, RefitResult(1, gain=100.0, start=start))
     own.leg_changed()
-    assert not own.judging
+    assert answer(own) is None
     swings(own, buffered(library_of(robot), 10), 1)
     assert len(given.jobs) == 1
     needed = 4 * (library_of(robot).size + 12)
@@ -261,8 +222,10 @@ def test_a_leg_that_changes_drops_its_refit_and_asks_at_once(
     )
     swings(own, buffered(library_of(robot)), 1)
     assert len(given.jobs) == 2
-    answer(own)
-    assert judged(own, robot, FOUND) is not None
+    assert answer(own) is start
+    again = of_leg(robot, given)
+    again.restore({**own.snapshot(), "displaced": None})
+    assert again.counts == own.counts
 
 
 # -- a leg whose slope is described wrongly ------------------------------------------------------

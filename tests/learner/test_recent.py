@@ -1,4 +1,4 @@
-"""Covariance and tail that follow the confirmed free ticks."""
+"""Covariance and thresholds that follow the confirmed free ticks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from adaptive_contact.learn.noise_tracker import (
     NoiseTracker,
     turned_by,
 )
-from adaptive_contact.model import Domain
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.leg_prior import prior_tails
 from adaptive_contact.model.noise import (
@@ -33,7 +32,6 @@ from .ticks import Tick, rows_of
 
 J = 3
 SIGMA = 0.003
-NONE = np.zeros((0, J)), np.zeros(0, dtype=np.int64)
 
 
 @pytest.fixture
@@ -55,9 +53,9 @@ def free_ticks(covariance: np.ndarray, n: int, seed: int = 0) -> tuple[np.ndarra
     return residual, rng.integers(0, CONTEXTS, n)
 
 
-def rows(values: list[float], theta: float = 0.0, ratio: float = 0.1, *, lift: bool = True) -> Rows:
+def rows(values: list[float], ratio: float = 0.1, *, lift: bool = True) -> Rows:
     """Free ticks with a statistic, and a largest test ratio."""
-    at, still = np.full(2, theta), np.zeros(J)
+    at, still = np.zeros(2), np.zeros(J)
     return rows_of([Tick(at, still, v / J, v, lift=lift, ratio=ratio) for v in values])
 
 
@@ -79,50 +77,6 @@ def test_a_joint_that_grew_noisier_gets_the_share_it_has_earned(noise: NoiseMode
     tied = SIGMA**2 * np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
     of.refresh(*free_ticks(tied, 40_000))
     assert shape(of, noise)[0, 1] == pytest.approx(0.8, abs=0.1)
-
-
-def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: NoiseModel) -> None:
-    """The statistic of a leg whose residuals are heavy-tailed against that of a calm one."""
-    rng = np.random.default_rng(1)
-    tails = prior_tails()
-
-    def free(count: int) -> np.ndarray:
-        return np.asarray(np.maximum(rng.standard_normal(count), 0.0) ** 2)
-
-    calm, heavy = recent(noise, tails), recent(noise, tails)
-    for _ in range(200):
-        calm.count(rows(free(100).tolist(), ratio=1.0))
-        spread = np.where(rng.random(100) < 0.03, 9, 1)
-        heavy.count(rows((free(100) * spread).tolist(), ratio=1.0))
-    for of in (calm, heavy):
-        of.refresh(*NONE)
-    least = recent(noise, tails).thresholds
-    np.testing.assert_allclose(calm.thresholds, least, rtol=0.1)
-    assert (heavy.thresholds[:AFTER] > 1.5 * least[:AFTER]).all()
-    assert (heavy.thresholds[AFTER] > 1.4 * least[AFTER]).all(), "nearer to where tails begin"
-    # Rate: at the calm leg's threshold the heavy one would raise alarms that its own prevents.
-    value = free(10**6) * np.where(rng.random(10**6) < 0.03, 9, 1)
-    at_least = (value > least[DESCENT, 0]).sum()
-    assert at_least > 50
-    assert (value > heavy.thresholds[DESCENT, 0]).sum() < at_least / 10
-
-
-def test_nan_counts_as_a_tick_that_shows_nothing(noise: NoiseModel) -> None:
-    of = recent(noise)
-    of.count(rows([float("nan")] * 100))
-    assert of.tail_factors == (1.0, 1.0)
-
-
-def test_what_the_model_extrapolates_is_no_noise(noise: NoiseModel) -> None:
-    """As an alarm is judged, and as the tail was fitted: over one plus the leverage."""
-    domain = Domain(10.0 * np.eye(2), np.ones(2))
-    here, there = 0.1, 100.0
-    assert domain.leverage(np.full(2, here)) < 0.01
-    known, strange = (NoiseTracker(noise, prior_tails(), 1.0) for _ in range(2))
-    known.count(rows([30.0] * 500, theta=here), domain)
-    strange.count(rows([30.0] * 500, theta=there), domain)
-    assert known.tail_factors[0] > 1.5
-    assert strange.tail_factors == (1.0, 1.0)
 
 
 def test_whitening_is_turned_as_dense_algebra_does(noise: NoiseModel) -> None:

@@ -52,7 +52,6 @@ def test_rows_keep_their_segments_where_others_go() -> None:
         assert len(kept) <= 12
         now = [segment.target for segment in kept if segment.era == k // 150]
         np.testing.assert_array_equal(off, np.concatenate(now))
-        assert buffer.of_era(k // 150) == len(now)
 
 
 def test_a_monotonous_gait_does_not_push_out_the_rest() -> None:

@@ -78,17 +78,6 @@ def test_merging_equals_adding_and_order_does_not_matter() -> None:
     assert merged.rows == whole.rows == 90
 
 
-def test_weights_count_like_repeated_rows() -> None:
-    theta, target, _ = rows(5, 50, 4, 2)
-    weight = np.random.default_rng(0).integers(0, 4, size=50)
-    weighted, repeated = Factor(4, 2), Factor(4, 2)
-    weighted.add(theta, target, weight.astype(float))
-    repeated.add(np.repeat(theta, weight, axis=0), np.repeat(target, weight, axis=0))
-    a, b = fit_sparse(weighted, FitSettings()), fit_sparse(repeated, FitSettings())
-    np.testing.assert_allclose(a.coefficients, b.coefficients, atol=1e-9)
-    assert weighted.rows == repeated.rows
-
-
 def test_bad_rows_are_left_out_and_counted() -> None:
     theta, target, _ = rows(2, 100, 5, 2)
     clean = factor_of(theta[10:], target[10:])
@@ -122,6 +111,5 @@ def test_constant_repeated_and_zero_columns() -> None:
     assert fit.status is FitStatus.OK
     assert np.isfinite(fit.coefficients).all()
     assert np.abs(fit.coefficients).max() < 1e3
-    assert fit.condition > 1e8
     best = np.linalg.lstsq(theta, target, rcond=None)[0]
     np.testing.assert_allclose(fit.rms, factor.rms(best), rtol=1e-4)

@@ -81,12 +81,12 @@ FAULTS: Final = (
         "REFIT_DUE_TICKS: Final = 50", "REFIT_DUE_TICKS: Final = 51",
     ),
     Fault(
-        "rows that a refit is judged on", "learn/periodic_refit.py",
-        "JUDGED_ROWS: Final = 200", "JUDGED_ROWS: Final = 199",
+        "gain that a refit needs", "learn/periodic_refit.py",
+        "LEAST_GAIN: Final = 40.0", "LEAST_GAIN: Final = 4000.0",
     ),
     Fault(
         "segment that a buffer gives up", "learn/replay_buffer.py",
-        "self._cells[s.cell] == most", "self._cells[s.cell] <= most",
+        "cells[s.cell] == most", "cells[s.cell] <= most",
     ),
     Fault(
         "reason of a refusal", "detect/stream.py",
@@ -112,10 +112,6 @@ FAULTS: Final = (
     Fault(
         "seed of when legs refit", "learn/periodic_refit.py",
         "SPREAD * zlib.crc32(leg.encode())", "SPREAD * zlib.crc32(leg.encode()[:1])",
-    ),
-    Fault(
-        "tail that follows", "learn/noise_tracker.py",
-        "if not value > level:", "if not value > 1.1 * level:",
     ),
     Fault(
         "swings until a leg is known", "learn/active_model.py",

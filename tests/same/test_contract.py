@@ -41,7 +41,7 @@ COUNTED: Final = (
 # What a leg that is reset keeps: counts, regions of the ground, and what is of no leg or of all.
 KEPT: Final = (
     "Counters", "StreamGuard.restarts", "LegBatch.legs.total_n", "Lifecycle.begun", "_Range",
-    "ContactLearner._begun", "SwingLabels._region", "ReplayBuffer._cells", "_Place.cell", "_Run",
+    "ContactLearner._begun", "SwingLabels._region", "Segment.cell", "_Run",
     "Landings._late", "ConventionWatch", "IdWatch", "InlineRefitter", "LegGatherer", "Factor",
 )  # fmt: skip
 BAD: Final[Sequence[dict[str, Any]]] = (
