@@ -295,7 +295,7 @@ class Adapter:
         self._suspected = NO_ROWS
         self._kept.clear()
         self.confirmed_ns.clear()
-        self.buffer.drop_times()
+        self.buffer.new_source()
         self.monitor.new_clock()
 
     def _end_swing(self, early: bool | None) -> None:

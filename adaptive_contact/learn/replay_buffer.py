@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter, deque
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -25,7 +25,8 @@ MOST_SEGMENTS: Final = 1000
 MOST_ROWS: Final = 12_000
 
 
-class Segment(NamedTuple):
+@dataclasses.dataclass(frozen=True, slots=True)
+class Segment:
     """Holds the confirmed rows of one lift or one descent."""
 
     values: Array  # (n, p + J) regressors and movements, side by side
@@ -33,7 +34,8 @@ class Segment(NamedTuple):
     context: Ints  # (n,) by which the rows' covariances were chosen
     cell: tuple[int, int]  # direction and region it counts towards
     era: int  # which state of the leg it belongs to; raised by the drift monitor
-    t_ns: int  # of its last row; -1 where the source in force has another clock
+    t_ns: int  # of its last row, by the clock of
+    source: int = -1  # the number of the source, since the buffer was made
 
     @property
     def theta(self) -> Array:
@@ -59,6 +61,7 @@ class ReplayBuffer:
     limit: int = SEGMENTS
     rows: int = 0
     segments: deque[Segment] = dataclasses.field(default_factory=deque)
+    _source: int = 0
     _queue: deque[tuple[Segment, int]] = dataclasses.field(default_factory=deque)
 
     @property
@@ -83,9 +86,8 @@ class ReplayBuffer:
         width = rows.values.shape[1] - rows.joints  # what was moved aside is not kept
         context = rows.records["context"].astype(np.int64)
         cell, t_ns = (0 if rows.lifting else 1, region), int(rows.records[-1]["t_ns"])
-        segment = Segment(
-            rows.values[:, :width].copy(), width - rows.joints, context, cell, era, t_ns
-        )
+        values = rows.values[:, :width].copy()
+        segment = Segment(values, width - rows.joints, context, cell, era, t_ns, self._source)
         self.segments.append(segment)
         self._queue.extend((segment, row) for row in range(len(rows)))
         many = len(self.segments) > self.limit
@@ -125,18 +127,21 @@ class ReplayBuffer:
 
     def drop_since(self, t_ns: int) -> None:
         """Drop segments that reach to or beyond a time of the source in force."""
-        self.segments = deque(s for s in self.segments if s.t_ns < t_ns)
-        self._queue = deque(row for row in self._queue if row[0].t_ns < t_ns)
 
-    def drop_times(self) -> None:
-        """Drop the times of all segments: they do not compare with those of another source."""
-        self.segments = deque(s._replace(t_ns=-1) for s in self.segments)
+        def older(segment: Segment) -> bool:
+            return segment.source != self._source or segment.t_ns < t_ns
+
+        self.segments = deque(s for s in self.segments if older(s))
+        self._queue = deque(row for row in self._queue if older(row[0]))
+
+    def new_source(self) -> None:
+        """Follow a restart of the source: times of segments do not compare with those to come."""
+        self._source += 1
 
     def restore(self, segments: list[Segment]) -> None:
         """Restore saved segments, oldest first; beyond the limit, the newest."""
         self.drop_unlearned()
         self.segments = deque(segments[-MOST_SEGMENTS:])
-        self.drop_times()
         self._bound_rows()
 
     @property

@@ -76,7 +76,7 @@ def segment_of(segment: Segment) -> dict[str, Any]:
         "context": pack(segment.context.astype(np.float64)),
         "cell": list(segment.cell),
         "era": segment.era,
-        "t_ns": max(segment.t_ns, 0),
+        "t_ns": segment.t_ns,
     }
 
 
