@@ -10,7 +10,6 @@ along the ways in which legs change, and the lifts are learned at once.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections import deque
 from typing import Any, Final, NamedTuple
@@ -52,16 +51,13 @@ REFRESH_SWINGS: Final = 4
 KEPT_SWINGS: Final = 6
 
 
-_Parts = tuple[DriftMonitor, EarlyContacts, NoiseTracker, FirstSwings | None]
-
-
 class _Kept(NamedTuple):
     """Holds what was known of a leg as a swing began."""
 
     t_ns: int
     era: int
     good: Good
-    parts: _Parts  # what follows the leg
+    parts: tuple[dict[str, Any] | None, ...]  # of what follows the leg
 
 
 class EventStatus(NamedTuple):
@@ -270,9 +266,8 @@ class Adapter:
     def keep(self, t_ns: int) -> None:
         """Keep what is known of the leg as a swing begins, for :meth:`retract`."""
         if self.learning:
-            parts = self.monitor, self.early, self.noise_tracker, self.first
-            kept = _Kept(t_ns, self._era, self.active.good(), copy.deepcopy(parts))
-            self._kept.append(kept)
+            parts = tuple(None if of is None else _copied(vars(of)) for of in self._followers)
+            self._kept.append(_Kept(t_ns, self._era, self.active.good(), parts))
 
     def retract(self, since_ns: int) -> None:
         """Drop what was confirmed and learned since a time: those ticks were not of this leg."""
@@ -283,10 +278,18 @@ class Adapter:
             return
         kept = self._kept.pop()
         self.active.return_to(kept.good)
-        self.monitor, self.early, self.noise_tracker, self.first = kept.parts
+        if self.first is None and kept.parts[-1] is not None:
+            self.first = FirstSwings()
+        for of, state in zip(self._followers, kept.parts, strict=True):
+            if of is not None and state is not None:
+                vars(of).update(_copied(state))
         self._era, self._evidence = kept.era, None
         self.refit.leg_changed()
         self._refresh()
+
+    @property
+    def _followers(self) -> tuple[object | None, ...]:
+        return self.monitor, self.early, self.noise_tracker, self.first
 
     def new_source(self) -> None:
         """Follow a restart of the source: times from before do not compare with its own."""
@@ -449,3 +452,8 @@ class Adapter:
         self._evidence = None
         self._era += 1
         self._refresh()
+
+
+def _copied(state: dict[str, Any]) -> dict[str, Any]:
+    """Copy a state; its arrays are replaced, never written to."""
+    return {name: of.copy() if isinstance(of, deque) else of for name, of in state.items()}

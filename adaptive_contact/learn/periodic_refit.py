@@ -72,11 +72,13 @@ class PeriodicRefit:
         self._pending = False  # the newest of them is
         self._counts = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
         self._reason: str | None = None
+        self._wait: str | None = None
 
     @property
     def counts(self) -> RefitCounts:
         """Return the counts of refits, for the status."""
-        return RefitCounts(**self._counts, last_reason=self._reason)
+        reasons = "; ".join(filter(None, (self._reason, self._wait))) or None
+        return RefitCounts(**self._counts, last_reason=reasons)
 
     def end_swing(self, buffer: ReplayBuffer, era: int, *, learned: bool) -> None:
         """Count a swing, and request a refit if one is due and there is enough to fit to.
@@ -93,14 +95,14 @@ class PeriodicRefit:
             return
         values = buffer.newest(era, MOST_ROWS)
         if len(values) < self._needed:
-            self._reason = (
+            self._wait = (
                 f"waiting: {len(values)} free ticks of the leg as it is to fit to, "
                 f"{self._needed} are needed"
             )
             return
         self._swings = self._ticks = 0
         self._every_swings, self._every_s = REFIT_EVERY_SWINGS, REFIT_EVERY_S
-        self._at_once, self._pending = False, True
+        self._at_once, self._pending, self._wait = False, True, None
         self._jobs += 1
         self._refitter.submit(RefitJob(self._leg, self._jobs, values, self._library, self._quantum))
 
@@ -130,7 +132,7 @@ class PeriodicRefit:
 
     def drop(self) -> None:
         """Drop the refit under way."""
-        self._pending = False
+        self._pending, self._wait = False, None
 
     def count_return(self, why: str) -> None:
         """Count a return to an earlier model."""

@@ -25,7 +25,7 @@ MOST_SEGMENTS: Final = 1000
 MOST_ROWS: Final = 12_000
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(slots=True, eq=False)
 class Segment:
     """Holds the confirmed rows of one lift or one descent."""
 

@@ -48,8 +48,9 @@ class Factor:
         """
         block = np.concatenate([theta, target], axis=1)
         block = block[np.isfinite(block).all(axis=1)]
-        self._waiting.append(block)
-        self.rows += len(block)
+        if len(block):
+            self._waiting.append(block)
+            self.rows += len(block)
         # Raw rows wait until there are so many, or until they are needed: one factorisation of a
         # thousand rows costs less than ten of a hundred.
         if sum(map(len, self._waiting)) > 4096:

@@ -20,12 +20,8 @@ from adaptive_contact.learn.periodic_refit import (
     first_refit_after,
 )
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
-<<<<<<< HEAD
 from adaptive_contact.leg_learner import ContactLearner
-from adaptive_contact.model import Baseline, LegModel
-from adaptive_contact.model.labelled_swing import Row
-=======
->>>>>>> 11952af4 (Learning with fewer mechanisms: one rule for refits, one way to follow thresholds, a buffer of segments)
+from adaptive_contact.model import Baseline
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact.model.library import Library, leg_library, with_changes
 from adaptive_contact.model.model_file import LegBaseline

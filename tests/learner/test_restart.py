@@ -101,6 +101,6 @@ def test_no_segment_spans_a_restart(
             for k, row in zip(cut.tick.tolist(), theta, strict=True)
         }
     for rows in taken:
-        times = [row.t_ns for row in rows]
+        times = rows.t_ns.tolist()
         assert (np.diff(times) == PERIOD).all()
         np.testing.assert_allclose(rows.theta, [regressors[t_ns] for t_ns in times], atol=1e-12)
