@@ -430,10 +430,9 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
         (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
         (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
     ):
-        refit = PeriodicRefit("rf", library, np.full(2, 0.01), 0.005, Giving(up_with=status))
+        refit = PeriodicRefit("rf", library, 0.005, Giving(up_with=status))
         for _ in range(first_refit_after("rf")[0]):
-            if refit.swing_done(0.02):
-                refit.request(buffer, 0)
+            refit.end_swing(buffer, 0, learned=True)
         for _ in range(REFIT_DUE_TICKS + 1):
             refit.tick()
         assert refit.counts.refused == 1
