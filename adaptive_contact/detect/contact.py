@@ -56,6 +56,8 @@ GUARD_TICKS: Final = 3
 # tick counts for so much at most, and so much in all is no noise.  With these, of 22,000 rows that
 # a hexapod with play in its drives learned, 3.2 % in touch, 0.01 % are left, and 96 % of the free.
 FREE_PUSH, MOST_PUSH, SURE_PUSH = 1.0, 6.0, 4.0
+# And above this it is a contact.
+TOUCH_PUSH: Final = 8.0
 # In a lift, from so long after the command's first tick on, a foot has struck something where it
 # has lost this share of its predicted way: friction that grows fourfold takes 0.2.  Of a leg from a
 # prior the test ratio exceeds this, too: in 4,500 lifts that struck nothing it came to 1.6.
@@ -204,7 +206,7 @@ def release(leg, t_ns, score):
     """End a contact, if there is one."""
     if not leg.contact:
         return
-    leg.contact = False
+    leg.contact, leg.push = False, 0.0
     leg.found |= DECIDED
     leg.onset_ns = leg.calm_since if leg.calm else t_ns
     leg.score = score
@@ -324,16 +326,20 @@ def note_hole(leg, rows):
 
 
 @compiled
-def note_push(leg, rows):
-    """Drop the held rows from the onset of a lasting push.
-
-    A push that no window shows adds up (Page's cumulative sum), and one that is doubtful may last.
-    What is not learned of a descent is cheap; a touch that is learned hides the next one.
-    """
+def add_push(leg):
+    """Add up the push of a tick: what no window shows, but lasts (Page's cumulative sum)."""
     before = leg.push
     leg.push = max(before + min(leg.opposed, MOST_PUSH) - FREE_PUSH, 0.0)
     if before == 0.0:
         leg.push_ns = leg.at_ns
+
+
+@compiled
+def note_push(leg, rows):
+    """Drop the held rows from the onset of a push that lasts, or is doubtful and may last.
+
+    What is not learned of a descent is cheap; a touch that is learned hides the next one.
+    """
     if leg.push <= SURE_PUSH and not leg.doubtful_n:
         return
     last_ns = leg.push_ns - GUARD_TICKS * leg.period_ns

@@ -13,6 +13,9 @@ import numpy as np
 
 from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.detect.contact import (
+    TOUCH_PUSH,
+    USUAL_CONTACTS,
+    add_push,
     begin_labels,
     break_off,
     context_of,
@@ -319,6 +322,8 @@ def decide(leg, swing, past, model, noise, kept):
     history = past.history
     past_lift = descending(leg, swing.lengths_ticks)
     loaded = leg.loaded
+    if past_lift and not (leg.bad or loaded or leg.contact or airborne(leg)):
+        add_push(leg)
     score, onset_ns = leg_score(leg, past_lift, past, model, noise)
     topped = not leg.broken and (leg.topped or not leg.learning)
     calm = DESCENT if leg.descent else LIFT
@@ -364,6 +369,9 @@ def leg_score(leg, past_lift, past, model, noise):
     for width in range(1, DEPTH):
         if scores[width] > score:
             score = scores[width]
+    lasts = past_lift and leg.usual_n >= USUAL_CONTACTS and not (leg.loaded or leg.contact)
+    pushed = leg.push / TOUCH_PUSH if lasts else 0.0
+    score = max(score, pushed)
     if leg.after:
         leg.quiet = leg.quiet + 1 if leg.sure and not leg.bad and score < QUIET_SCORE else 0
     if score > 1.0 and leg.after and hangs(leg):
@@ -387,6 +395,9 @@ def leg_score(leg, past_lift, past, model, noise):
                 if within > score:
                     score, widest = within, width + 1
             onset_ns = onset(leg, past.history, widest)
+            pushed /= 1.0 + spread / min(max(leg.thetas_n, 1), DEPTH)
+            if pushed > score:
+                score, onset_ns = pushed, leg.push_ns - leg.period_ns
     return score, onset_ns
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from adaptive_contact.compiled import records
-from adaptive_contact.detect.contact import begin_labels, let_go, swing_tick
+from adaptive_contact.detect.contact import add_push, begin_labels, let_go, swing_tick
 from adaptive_contact.detect.layout import TOUCHED, new_legs, scalars_of
 
 MS = 1_000_000
@@ -18,18 +20,18 @@ class Leg:
 
     def __init__(self, period_ms: int = 20) -> None:
         legs = new_legs(1)
-        self.of, self._record = scalars_of(legs, 0), records(legs)[0]
+        self.of, self.record = scalars_of(legs, 0), records(legs)[0]
         self._ticks, self.of.period_ns = 0, period_ms * MS
 
     def descend(self, ratios: Sequence[float], *, lifts: bool = False) -> int | None:
         """Return in which tick of a swing a contact begins."""
-        let_go(self._record)
-        begin_labels(self._record)
+        let_go(self.record)
+        begin_labels(self.record)
         found = None
         for k, ratio in enumerate([0.0, 0.0, 0.0, *ratios]):
             self._ticks += 1
             self.of.found, self.of.at_ns = 0, self._ticks * self.of.period_ns
-            swing_tick(self._record, ratio, ratio, self.of.at_ns - 5 * MS, not lifts)
+            swing_tick(self.record, ratio, ratio, self.of.at_ns - 5 * MS, not lifts)
             if self.of.found & TOUCHED and found is None:
                 found = k - 3
         return found
@@ -72,3 +74,18 @@ def test_what_lasts_is_a_touch_and_began_with_its_first_tick(period_ms: int, tic
     for _ in range(40):  # and is the usual touch soon
         leg.descend([1.5] * ticks)
     assert leg.descend([1.5]) == 0
+
+
+@given(st.lists(st.floats(-4.0, 9.0), min_size=1, max_size=40))
+def test_pushes_add_up_like_the_largest_sum_that_ends_here(opposed: list[float]) -> None:
+    """Page's sum is the largest of the sums over the last ticks, or zero."""
+    leg = Leg()
+    begin_labels(leg.record)
+    for k, of in enumerate(opposed):
+        leg.of.opposed, leg.of.at_ns = of, k
+        add_push(leg.record)
+    gains = [min(of, 6.0) - 1.0 for of in opposed]
+    sums = [sum(gains[k:]) for k in range(len(gains))]
+    assert leg.of.push == pytest.approx(max(0.0, *sums), abs=1e-9)
+    if leg.of.push > 1e-6:
+        assert sums[leg.of.push_ns] == pytest.approx(leg.of.push, abs=1e-9)
