@@ -227,7 +227,9 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
     two_legs: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     """Two legs with models of one library; what the sound one tells is what it tells alone."""
-    stream = FakeLeg(seed=6).stream(12, touch=lambda k: 16 if k % 2 else None)
+    stream, other = (
+        FakeLeg(seed=seed).stream(12, touch=lambda k: 16 if k % 2 else None) for seed in (6, 7)
+    )
     both = dataclasses.replace(baseline, legs=dict.fromkeys(("rf", "lf"), baseline.legs["rf"]))
     alone = ContactLearner(two_legs, "lf", both)
     wanted = [(e.seq, e.contact) for sample in stream if (e := alone.update(sample)) is not None]
@@ -248,7 +250,7 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
             if where == "take_up_model":  # called where another model takes over
                 monkeypatch.setattr(learner, "finish", lambda _: True)
             monkeypatch.setattr(learner, where, fail)
-        told += bank.update({"rf": sample, "lf": sample})
+        told += bank.update({"rf": other[k], "lf": sample})
         monkeypatch.undo()
     assert [(event.seq, event.contact) for event in told if event.leg == "lf"] == wanted
     faulty = bank.learner("rf")

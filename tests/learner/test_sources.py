@@ -126,9 +126,9 @@ def test_what_was_learned_of_a_copy_is_taken_back(
     active, good = adapter.active, list[np.ndarray]()
     copied = active.good
 
-    def kept(spare: Good | None = None) -> Good:
+    def kept() -> Good:
         good.append(active.coefficients.copy())
-        return copied(spare)
+        return copied()
 
     monkeypatch.setattr(active, "good", kept)
     play(learner, stream[: 30 * PERIOD])

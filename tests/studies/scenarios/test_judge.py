@@ -29,7 +29,6 @@ def swings(story: str) -> SwingTable:
         false_alarms=np.array([c == "f" for c in story], dtype=np.int64),
         neutral=np.zeros(n, dtype=np.int64),
         judged_after=np.zeros(n, dtype=np.int64),
-        alarms_after=np.zeros(n, dtype=np.int64),
     )
 
 
