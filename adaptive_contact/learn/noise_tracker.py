@@ -52,6 +52,8 @@ OWN: Final = ("own", "own_descents", "own_after")
 # there are so many; but no lower than to this share, which is what noise of a fifth asks for.
 OWN_LIFTS, LEAST_LIFTS = 40, 15
 LEAST_SHARE: Final = 0.2
+# Of a leg that hangs, which no ground can have pressed on, they may ask for so many times more.
+MOST_HUNG: Final = 4.0
 # After the turn a leg that hangs may stray further than the prior's noise, up to so many times.
 MOST_AFTER: Final = 25.0
 
@@ -160,6 +162,7 @@ class NoiseTracker:
     def _share(self, scale: float) -> None:
         """Compute which share of the pooled thresholds the last lifts and descents ask for."""
         least, shares = 1.0, np.ones(3)
+        most = MOST_HUNG if len(self._own_after) >= LEAST_LIFTS else 1.0
         for direction, own in enumerate(self._own):  # descents: not less than lifts
             least = 1.0 if direction == AFTER else least
             share = least
@@ -170,7 +173,7 @@ class NoiseTracker:
                 ticks = sum(ticks for _, ticks in own)
                 share = largest / scale * float(beyond(self._target_rate, 0.5 * ticks))
                 lower = LEAST_SHARE if direction == LIFT else least
-                share = min(max(share, lower), MOST_AFTER if direction == AFTER else 1.0)
+                share = min(max(share, lower), MOST_AFTER if direction == AFTER else most)
             shares[direction] = least = share
         self._shares = shares
 
