@@ -98,7 +98,7 @@ REFUSED = {
     "sim compare --gait nosuch": "no gait 'nosuch'",
     "sim inject friction": "has no value; give a number (factor, 0.1 to 10)",
     "sim inject mass --shape ramp": "above 0 s; give --duration S",
-    "sim inject nosuch --value 4": "no drift 'nosuch'; expected one of mass,",
+    "sim inject nosuch --value 4": "no drift 'nosuch'; expected mass,",
     "sim list extra": "unexpected extra argument",
     "sim pose --leg zz --offline --seconds 1": "legs to move are ['zz']",
     "sim walk --gait nosuch --offline": "no gait 'nosuch'",
