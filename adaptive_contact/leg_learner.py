@@ -365,8 +365,8 @@ class ContactLearner:
             if flags & SOURCE:
                 self._faulty = self.report.source.cause is not None
         if flags & (BEGAN | TURNED | RESTARTED):
-            foretold = None if adapter is None else adapter.monitor.foretold
-            if self.report.source.look(flags, foretold=foretold):
+            predicted = None if adapter is None else adapter.monitor.predicts
+            if self.report.source.look(flags, predicted=predicted):
                 lifecycle.start()
                 self._forget_swings()
                 return True

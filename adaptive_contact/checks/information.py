@@ -163,7 +163,7 @@ class InformationCheck:
         samples: Samples,
         *,
         begins: bool,
-        foretold: bool | None = None,
+        predicted: bool | None = None,
         twin: Samples | None = None,
     ) -> bool:
         """Judge the last two strides.
@@ -172,7 +172,7 @@ class InformationCheck:
             count: samples since the source began.
             samples: the newest of them.
             begins: a swing begins with the newest; else one has ended.
-            foretold: whether the leg's model predicted its last lifts: what it predicts may be the
+            predicted: whether the leg's model predicted its last lifts: what it predicts may be the
                 leg's own; None where no lift tells.
             twin: those of a leg that sends the same readings.
 
@@ -185,7 +185,7 @@ class InformationCheck:
         if ticks < LEAST_TICKS or len(samples.seq) < ticks + LAGS:
             return False
         self.suspected, self.suspicion = False, None
-        finding, decided = self._judge(samples, ticks, foretold=foretold, twin=twin)
+        finding, decided = self._judge(samples, ticks, predicted=predicted, twin=twin)
         if decided:
             unclear = self.suspected and finding is None and self.found is None
             self._unclear = min(self._unclear + 1, UNCLEAR_LOOKS) if unclear else self._unclear - 1
@@ -213,7 +213,7 @@ class InformationCheck:
         return min(two, max(ENOUGH_TICKS, one), MOST_TICKS)
 
     def _judge(
-        self, samples: Samples, ticks: int, *, foretold: bool | None, twin: Samples | None
+        self, samples: Samples, ticks: int, *, predicted: bool | None, twin: Samples | None
     ) -> tuple[Finding | None, bool]:
         """Judge so many ticks: what is wrong, and whether they show anything."""
         steps = np.array([step_of(y[-MOST_TICKS:], self._step_rad) for y in samples.measured.T])
@@ -232,9 +232,10 @@ class InformationCheck:
         # Free motion is a function of the commands: where the leg's model predicts it, or nothing
         # was in evidence that the leg had to carry, these may be its own.
         enough = max(ticks, ENOUGH_TICKS)
-        light = not carries(samples.part(-enough), steps) and foretold is not False
-        light = light and self.found is None
-        open_ = light or (bool(foretold) and self.found is None)
+        light = open_ = False
+        if self.found is None:
+            light = predicted is not False and not carries(samples.part(-enough), steps)
+            open_ = light or bool(predicted)
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
         if still and np.isnan(off.rms[list(still)]).all():
@@ -495,17 +496,17 @@ class Survey(NamedTuple):
     copies: tuple[int, ...]  # joints that are copies, by the newest ticks as one
     strides: tuple[int, ...]  # joints that were, for some strides
     old: bool
+    carries: bool  # whether the leg is known to have carried
 
 
-def survey(samples: Samples, swings: Mask | None, step_rad: float) -> Survey:
+def survey(samples: Samples, step_rad: float) -> Survey:
     """Look at a whole recording as the tick does.
 
     Args:
-        samples: all.
-        swings: (n,) whether the leg is in a swing; without, half of :data:`ENOUGH_TICKS` passes for
-            a stride.
+        samples: all; where swings are not known, half of :data:`ENOUGH_TICKS` passes for a stride.
         step_rad: of the encoder.
     """
+    swings = samples.swings
     check = InformationCheck(samples.measured.shape[1], step_rad)
     n, strides, old = len(samples.seq), set[int](), False
     turns = () if swings is None else np.flatnonzero(np.diff(swings.astype(np.int8))).tolist()
@@ -520,4 +521,6 @@ def survey(samples: Samples, swings: Mask | None, step_rad: float) -> Survey:
     steps = np.array([step_of(y, step_rad) for y in samples.measured[-MOST_TICKS:].T])
     off = departure(samples, min(max(n - LAGS, 0), MOST_TICKS), steps) if n else None
     copies = () if off is None else tuple(np.flatnonzero(off.rms < COPY_STEPS).tolist())
-    return Survey(copies, tuple(sorted(strides - set(copies))), old)
+    phased = swings is not None and bool(swings.any() and not swings.all())
+    carried = phased and carries(samples, steps)
+    return Survey(copies, tuple(sorted(strides - set(copies))), old, carried)

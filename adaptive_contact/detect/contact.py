@@ -75,8 +75,6 @@ MIN_LIFT_ROWS: Final = 3
 STRIKE_ROWS: Final = 5
 STRIKE_WAY_M: Final = 0.003
 STRIKE_TICKS: Final = 3
-
-
 # Less than this share of the leg's usual test ratio at a contact is no touch before it has lasted.
 # A trotting quadruped's touches are at 30 times the threshold, jolts by its other feet at up to 3.
 USUAL_SHARE: Final = 0.125
@@ -332,6 +330,15 @@ def add_push(leg):
     leg.push = max(before + min(leg.opposed, MOST_PUSH) - FREE_PUSH, 0.0)
     if before == 0.0:
         leg.push_ns = leg.at_ns
+
+
+@compiled
+def push_ratio(leg):
+    """Return the sum of pushes over that of a contact; 0 unless touches of the leg are known.
+
+    A leg that never touched may be in a motion that its model does not know.
+    """
+    return leg.push / TOUCH_PUSH if leg.usual_n >= USUAL_CONTACTS else 0.0
 
 
 @compiled

@@ -13,8 +13,6 @@ import numpy as np
 
 from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.detect.contact import (
-    TOUCH_PUSH,
-    USUAL_CONTACTS,
     add_push,
     begin_labels,
     break_off,
@@ -28,6 +26,7 @@ from adaptive_contact.detect.contact import (
     note_hole,
     note_push,
     onset,
+    push_ratio,
     statistic,
     strikes,
     swing_tick,
@@ -369,8 +368,7 @@ def leg_score(leg, past_lift, past, model, noise):
     for width in range(1, DEPTH):
         if scores[width] > score:
             score = scores[width]
-    lasts = past_lift and leg.usual_n >= USUAL_CONTACTS and not (leg.loaded or leg.contact)
-    pushed = leg.push / TOUCH_PUSH if lasts else 0.0
+    pushed = push_ratio(leg) if past_lift and not (leg.loaded or leg.contact) else 0.0
     score = max(score, pushed)
     if leg.after:
         leg.quiet = leg.quiet + 1 if leg.sure and not leg.bad and score < QUIET_SCORE else 0

@@ -107,12 +107,12 @@ class SourceWatch:
         leg = self._place.leg
         return int(leg.began_ns) if leg.cause == PHASE else self._since_ns
 
-    def look(self, flags: int, *, foretold: bool | None) -> bool:
+    def look(self, flags: int, *, predicted: bool | None) -> bool:
         """Look at the readings as a swing begins or ends.
 
         Args:
             flags: of the tick.
-            foretold: whether the leg's model predicted its last lifts; None where no lift tells.
+            predicted: whether the leg's model predicted its last lifts; None where no lift tells.
 
         Returns:
             Whether the servos stop elsewhere than was known: what was learned is of other commands.
@@ -125,7 +125,7 @@ class SourceWatch:
         moved = bool(flags & BEGAN) and self._look_at_limits()
         samples, stamps = self._newest(self._place.row)
         begins, twin = bool(flags & BEGAN), self._find_twin(samples)
-        if check.look(leg.kept_n, samples, begins=begins, foretold=foretold, twin=twin):
+        if check.look(leg.kept_n, samples, begins=begins, predicted=predicted, twin=twin):
             found = check.found
             leg.false_readings = NONE if found is None else _FALSE[found.kind]
             if found is not None:

@@ -120,7 +120,7 @@ class DriftMonitor:
         self._lifts = self._lifts_far = 0
         self._unfit_n = 0  # lifts that have to fit until the leg is predicted again
         # Of the last swings, this one included, whether the lift was predicted; None: does not tell
-        self._foretold = deque[bool | None](maxlen=2)
+        self._predicted = deque[bool | None](maxlen=2)
         self._refuted = 0  # swings in a row whose contact was refuted
 
     @property
@@ -158,11 +158,11 @@ class DriftMonitor:
         return self._unfit_n > 0
 
     @property
-    def foretold(self) -> bool | None:
+    def predicts(self) -> bool | None:
         """Whether the last lifts were predicted; None where none tells."""
         if self.unlearned:
             return False
-        return True if any(self._foretold) else None
+        return True if any(self._predicted) else None
 
     @property
     def lifts_assessed(self) -> tuple[int, int]:
@@ -195,7 +195,7 @@ class DriftMonitor:
         if self._refuted >= REFUTED_SWINGS:
             self._unfit_n = SETTLED_SWINGS
         self._swing_level = None
-        self._foretold.append(None)
+        self._predicted.append(None)
         self._newest.clear()
         self._trusted = not self.obstructed
         self._counted_free = self._held = False
@@ -224,8 +224,8 @@ class DriftMonitor:
         self._lifts_far += level > UNFIT_LEVEL
         off = level > SETTLED_LEVEL * max(self.variance_scale, 1.0)
         self._unfit_n = SETTLED_SWINGS if off else max(self._unfit_n - 1, 0)
-        if self._foretold and whole:
-            self._foretold[-1] = not off
+        if self._predicted and whole:
+            self._predicted[-1] = not off
         if level > FAR_LEVEL and self._known:
             return self._assess_far(rows, level, t_ns)
         self._far_swings = 0

@@ -110,10 +110,10 @@ def check_readings(
     phases = [s.phase for s, usable in zip(samples, kept, strict=True) if usable]
     known = None if None in phases else np.array([phase == "swing" for phase in phases])
     near = np.median(np.abs(measured - desired), axis=0) <= _FAR_RAD
-    found = survey(Samples(seq, measured, desired), known, quantum_rad or _EQUAL_RAD)
+    found = survey(Samples(seq, measured, desired, known), quantum_rad or _EQUAL_RAD)
     copies = set(found.copies)
-    # Without phase it is unknown whether the leg carried: a stiff servo in the air is no copy.
-    sure = copies if known is not None and known.any() and not known.all() else set()
+    # Of a leg that carried nothing, as far as is known, the readings of a stiff servo look so, too.
+    sure = copies if found.carries else set()
     for j, (read, told) in enumerate(zip(measured.T, desired.T, strict=True)):
         if _delayed(read, told, seq, quantum_rad):
             sure = sure | {j}

@@ -70,7 +70,7 @@ def delayed(u: np.ndarray, ticks: float) -> np.ndarray:
 
 
 def played(
-    y: np.ndarray, u: np.ndarray, swing: np.ndarray, *, foretold: bool | None = None,
+    y: np.ndarray, u: np.ndarray, swing: np.ndarray, *, predicted: bool | None = None,
     step: float = STEP,
 ) -> tuple[InformationCheck, list[tuple[int, str | None]]]:  # fmt: skip
     """A check that has followed a stream, and what it said when."""
@@ -78,7 +78,7 @@ def played(
     all_of = Samples(np.arange(len(y)), y, u, swing)
     for at in (np.flatnonzero(np.diff(swing.astype(int))) + 2).tolist():
         newest = all_of.part(max(at - NEEDED_SAMPLES, 0), at)
-        if check.look(at, newest, begins=bool(swing[at - 1]), foretold=foretold):
+        if check.look(at, newest, begins=bool(swing[at - 1]), predicted=predicted):
             said.append((at, check.found and check.found.kind))
     return check, said
 
@@ -150,27 +150,27 @@ def test_a_leg_that_carries_nothing_is_open_where_its_model_predicts_it() -> Non
     """And once it carries load it is its own."""
     u, swing = commands(24)
     light = grid(servo(u, swing, gain=0.95, load=0.0))
-    for foretold in (None, False):
-        assert [kind for _, kind in played(light, u, swing, foretold=foretold)[1]] == ["copy"]
-    check, said = played(light, u, swing, foretold=True)
+    for predicted in (None, False):
+        assert [kind for _, kind in played(light, u, swing, predicted=predicted)[1]] == ["copy"]
+    check, said = played(light, u, swing, predicted=True)
     assert (said, check.suspected, check.unproved) == ([], True, True)
     loaded = grid(servo(u, swing, gain=0.95))
     y = np.concatenate([light[: 10 * STRIDE], loaded[10 * STRIDE :]])
-    check, said = played(y, u, swing, foretold=True)
+    check, said = played(y, u, swing, predicted=True)
     assert (said, check.suspected, check.unproved) == ([], False, False)
     assert [kind for _, kind in played(y, u, swing)[1]] == ["copy", None]
 
 
-@pytest.mark.parametrize(("foretold", "said"), [(None, []), (True, []), (False, ["copy"])])
+@pytest.mark.parametrize(("predicted", "said"), [(None, []), (True, []), (False, ["copy"])])
 def test_a_leg_that_stands_still_in_its_stances_is_open(
-    foretold: bool | None, said: list[str]
+    predicted: bool | None, said: list[str]
 ) -> None:
     """It may carry nothing; where its model does not predict it, it is another's motion."""
     u, swing = commands(16)
     for begin in range(0, len(u), STRIDE):
         u[begin + SWING : begin + STRIDE] = u[begin + SWING - 1]
     y = grid(servo(u, swing, gain=0.4, load=0.0), noise=0.05)
-    check, found = played(y, u, swing, foretold=foretold)
+    check, found = played(y, u, swing, predicted=predicted)
     assert [kind for _, kind in found] == said
     assert check.unproved == (not said)
 
@@ -182,7 +182,7 @@ def test_an_open_joint_that_hardly_moves_stays_open() -> None:
     y[: 18 * STRIDE, 0] = grid(delayed(u, 2), noise=0.0)[: 18 * STRIDE, 0]
     for strides, unproved in ((9, True), (16, True), (20, False)):
         n = strides * STRIDE
-        check, said = played(y[:n], u[:n], swing[:n], foretold=True)
+        check, said = played(y[:n], u[:n], swing[:n], predicted=True)
         assert (said, check.unproved) == ([], unproved), strides
 
 
@@ -255,7 +255,9 @@ def test_one_joint_is_named() -> None:
     y[:, 1] = delayed(u, 2)[:, 1]
     check, _ = played(y, u, swing)
     assert check.found.joints == (1,)
-    assert survey(Samples(np.arange(len(y)), y, u), swing, STEP) == Survey((1,), (), old=False)
+    assert survey(Samples(np.arange(len(y)), y, u, swing), STEP) == Survey(
+        (1,), (), old=False, carries=True
+    )
 
 
 def test_lost_samples_and_spoilt_readings_hide_nothing_and_accuse_nobody() -> None:

@@ -76,7 +76,7 @@ def rms(values: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("knee", [0.4, 0.8, 2.0])
-def test_friction_heard_in_lifts_is_foretold_in_descents(known: LegBaseline, knee: float) -> None:
+def test_friction_heard_in_lifts_is_predicted_in_descents(known: LegBaseline, knee: float) -> None:
     """Along four lifts places and constants could explain it as well, and be wrong further on."""
     measured, desired, _, _ = FakeLeg(seed=41).run(30)
     cut = stack(measured, desired, known.model.library.window)
@@ -91,7 +91,7 @@ def test_friction_heard_in_lifts_is_foretold_in_descents(known: LegBaseline, kne
     assert rms(left) < 1.6
 
 
-def test_a_softer_servo_heard_in_lifts_is_foretold_in_descents(known: LegBaseline) -> None:
+def test_a_softer_servo_heard_in_lifts_is_predicted_in_descents(known: LegBaseline) -> None:
     measured, desired, _, _ = FakeLeg(seed=42).run(30)
     library = known.model.library
     cut = stack(measured, desired, library.window)

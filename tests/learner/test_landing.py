@@ -124,7 +124,7 @@ def test_a_swing_without_ground_is_told_in_the_status(robot: Robot, baseline: Ba
     """A long stance in the air, under a command that goes on slowly down."""
     stream = FakeLeg(seed=35, noise=0.0).stream(3)
     last = stream[-1]
-    # What the model of free motion foretells, so that nothing pushes.
+    # What the model of free motion predicts, so that nothing pushes.
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, stream)
     assert learner.status.untouched == 0
