@@ -122,7 +122,7 @@ def test_a_baseline_of_swings_that_touched_is_as_good_as_one_of_free_swings(robo
 
 REAL = DATA / "so101"
 MOTIONS = 8
-QUANTUM_TRIMMING_REAL = 0.001534
+QUANTUM_RAD = 0.001534
 ARM = """
 [robot]
 name = "arm"
@@ -148,7 +148,7 @@ def test_most_of_a_real_arms_free_ticks_are_learned() -> None:
         swing = np.arange(len(measured)) % 30 < 25
         sound = np.ones(len(measured), dtype=bool)
         stretches.append(Stretch(measured, desired, swing, swing, sound, certain=False))
-        steps = np.abs(np.diff(measured, axis=0)).max(axis=1) / QUANTUM_TRIMMING_REAL
+        steps = np.abs(np.diff(measured, axis=0)).max(axis=1) / QUANTUM_RAD
         moving += int(np.count_nonzero(steps[swing[1:]] > 2.0))
     figures = learn(parse_robot(ARM, source="arm"), {"arm": stretches}, origin="test").figures[
         "arm"
