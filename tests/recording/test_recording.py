@@ -252,6 +252,11 @@ def test_flipped_bytes_never_raise_and_never_invent(tmp_path: Path) -> None:
             writer.write_message(servo_key("rf"), sample(k), k * 500_000_000)
     whole = path.read_bytes()
     written = list(read_recording(path))
+    with path.open("rb") as file:
+        chunks = make_reader(file).get_summary().chunk_indexes
+    inside = [
+        (one.chunk_start_offset + 9, one.chunk_start_offset + one.chunk_length) for one in chunks
+    ]
     flips = (0x01, 0x02, 0x09, 0x80, 0xFF)
     for at in range(8, len(whole), 3):
         flip = flips[at % len(flips)]
@@ -260,7 +265,8 @@ def test_flipped_bytes_never_raise_and_never_invent(tmp_path: Path) -> None:
         got = list(recording)
         assert is_part(got, written), (at, flip)
         assert recording.truncated or len(got) == len(written), (at, flip)
-        assert len(got) >= len(written) - 3, (at, flip)  # a chunk holds at most three
+        if any(begin <= at < end for begin, end in inside):  # behind the length of a chunk
+            assert len(got) >= len(written) - 3, (at, flip)  # a chunk holds at most three
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])

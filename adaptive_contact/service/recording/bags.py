@@ -77,8 +77,6 @@ class Bag(Recording):
         self._cdr = types
         self._files = self._find_files()
         self.damage = None
-        self.skipped = 0
-        self.lost = 0
         self.types = {}
         self.notes = ()
 
@@ -88,7 +86,7 @@ class Bag(Recording):
         return {}
 
     def __iter__(self) -> Iterator[Record]:
-        self.damage, self.skipped, self.lost = None, 0, 0
+        self.damage = None
         self.types, self.notes = {}, ()
         complaints = Complaints()
 
@@ -155,8 +153,6 @@ class Bag(Recording):
         recording.types = self.types
         yield from recording
         self._note_damage(name, recording.damage)
-        self.skipped += recording.skipped
-        self.lost += recording.lost
 
     def _asked(self, path: Path, name: str, topics: Collection[str]) -> Iterator[Record]:
         """Yield the messages of a db3 file."""
