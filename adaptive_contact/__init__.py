@@ -14,7 +14,8 @@ import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from adaptive_contact.leg_learner import ContactLearner
+    from adaptive_contact.core.bank import LearnerBank
+    from adaptive_contact.core.leg_learner import ContactLearner
     from adaptive_contact.model.model_file import load_baseline
     from adaptive_contact.robot import load_robot
     from adaptive_contact.wire import ContactEvent, LearnerStatus, ServoSample
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ContactEvent",
     "ContactLearner",
+    "LearnerBank",
     "LearnerStatus",
     "ServoSample",
     "load_baseline",
@@ -32,7 +34,8 @@ __version__ = "0.1.0"
 # Loaded when asked for: the command line begins here, too, and its help needs no linear algebra.
 _PLACES: Final = {
     "ContactEvent": "wire",
-    "ContactLearner": "leg_learner",
+    "ContactLearner": "core.leg_learner",
+    "LearnerBank": "core.bank",
     "LearnerStatus": "wire",
     "ServoSample": "wire",
     "load_baseline": "model",

@@ -29,7 +29,7 @@ import numpy as np
 # Names a folder for what is compiled; empty for none.
 CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 # What a change of any of them makes void.
-_SOURCES: Final = ("detect", "learn", "model", "robot")
+_SOURCES: Final = ("core/detect", "core/learn", "model", "robot")
 # There once all of a tick has been compiled, touched by each start; holds the CPU time of that, s.
 _WHOLE: Final = "whole"
 # CPU time of compiling a tick over that of parsing and walking its sources, both of which are
@@ -103,7 +103,7 @@ def compiling_s() -> float:
             taken_s = float(mark.read_text())
             if 1.0 <= taken_s <= 3600.0:
                 return taken_s
-    texts = [path.read_text() for path in (Path(__file__).parent / "detect").glob("*.py")]
+    texts = [path.read_text() for path in (Path(__file__).parent / _SOURCES[0]).glob("*.py")]
     began_s = time.process_time()
     for text in texts:
         for node in ast.walk(ast.parse(text)):

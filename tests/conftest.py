@@ -30,7 +30,7 @@ os.environ.update(ONE_BLAS_THREAD)
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("shared")
 
-AHEAD = "from adaptive_contact.bank import compile_ahead; compile_ahead()"
+AHEAD = "from adaptive_contact.core.bank import compile_ahead; compile_ahead()"
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -40,7 +40,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """
     folder = compiled.cache_folder()
     processes = any(item.get_closest_marker("e2e") for item in session.items)
-    if not (processes or "adaptive_contact.bank" in sys.modules) or folder is None:
+    if not (processes or "adaptive_contact.core.bank" in sys.modules) or folder is None:
         return
     with (folder / "ahead").open("w") as one:
         fcntl.flock(one, fcntl.LOCK_EX)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from adaptive_contact.bank import LearnerBank
+from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Score, score_messages

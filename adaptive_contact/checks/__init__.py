@@ -1,1 +1,1 @@
-"""Checks what a source sends: one file per fault."""
+"""Checks whether a source can be believed: what is wrong with it, why, and what to do."""

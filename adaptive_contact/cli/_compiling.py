@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Ctrl-C reaches it, too, and has nothing to say of it.
 _CODE: Final = (
     "import signal; signal.signal(signal.SIGINT, signal.SIG_DFL); "
-    "from adaptive_contact.bank import compile_ahead; compile_ahead()"
+    "from adaptive_contact.core.bank import compile_ahead; compile_ahead()"
 )
 
 
@@ -33,8 +33,8 @@ def compile_tick(stop: threading.Event | None = None) -> None:
     Args:
         stop: ends it early: nothing is loaded then.
     """
-    from adaptive_contact.bank import compile_ahead
     from adaptive_contact.compiled import cache_folder, compiles, is_cached, note_compiled
+    from adaptive_contact.core.bank import compile_ahead
 
     if not compiles():
         why = f"numba, which has builds for 64 bits only, is not installed ({platform.machine()})"
@@ -75,7 +75,7 @@ def compile_in_view(
     Samples that come are counted and dropped: judged later, their contacts would be late.
     """
     from adaptive_contact.service.settings import SERVICE_TOKEN
-    from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+    from adaptive_contact.status import SERVICE_STATUS, LegFacts, ServiceStatus
     from adaptive_contact.wire import ALL_SERVO
 
     came: Counter[str] = Counter()

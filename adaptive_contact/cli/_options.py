@@ -17,10 +17,10 @@ import typer
 
 from adaptive_contact.cli._output import say_note
 from adaptive_contact.cli._signals import on_signals
+from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content, why_not_writable
-from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.robot import Robot, load_robot, shipped_robot
 from adaptive_contact.robot.load import is_shipped, recorded_as
 from adaptive_contact.service.settings import (

@@ -28,12 +28,12 @@ from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.settings import LinkSettings
 from adaptive_contact.wire import ALL_SERVO, Rejected, ServoSample, decode, leg_of_key
+from adaptive_contact.wire.received import Received
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.livecheck import LegView, LiveReport
+    from adaptive_contact.checks.livecheck import LegView, LiveReport
 
 
 def check_live(
@@ -56,7 +56,7 @@ def check_live(
     from adaptive_contact.service.link import Link, listen
 
     with needs("robot check --live", "doctor", "numpy"):
-        from adaptive_contact.service.livecheck import LiveCheck
+        from adaptive_contact.checks.livecheck import LiveCheck
 
     check = LiveCheck(robot)
     console = table_console(pipe_width=120)

@@ -200,7 +200,7 @@ class _Demo:
         import msgspec
 
         from adaptive_contact.cli._replay_plot import write_plot
-        from adaptive_contact.learn.mode import LearnerMode
+        from adaptive_contact.core.learn.mode import LearnerMode
         from adaptive_contact.score.tables import as_json
 
         robot = self._walker.description
@@ -260,7 +260,7 @@ class _Demo:
 
     def _replayed(self, robot: Robot, mode: Any) -> tuple[Any, Any]:
         """Return the traces of every leg, and events."""
-        from adaptive_contact.bank import LearnerBank
+        from adaptive_contact.core.bank import LearnerBank
         from adaptive_contact.model import shipped_baseline
         from adaptive_contact.service.recording import read_recording
         from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events

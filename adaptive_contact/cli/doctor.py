@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from adaptive_contact.checks.findings import Finding, Level
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import seconds_option
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.errors import needs
 from adaptive_contact.printable import printable
-from adaptive_contact.service.findings import Finding, Level
 
 if TYPE_CHECKING:
     from adaptive_contact.service.doctor import Diagnosis

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 from rich.table import Table
 
+from adaptive_contact.checks.findings import REFUSED_FOR, SPOILS, Finding, of_legs
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.findings import REFUSED_FOR, SPOILS, Finding, of_legs
 from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ def check_streams(
     Raises:
         ConfigurationError: something is wrong with every tick, so that there is nothing to learn.
     """
-    from adaptive_contact.service.legcheck import check_recording
+    from adaptive_contact.checks.legcheck import check_recording
 
     spoilt: dict[str, None] = {}
     found = check_recording(robot, samples, refused)
@@ -274,7 +274,7 @@ def check_conventions(
         ConfigurationError: there is such a leg; a wrong yaw alone, or a zero that is little off, is
             said only.
     """
-    from adaptive_contact.diagnose.leg_ids import judge_recorded_ids
+    from adaptive_contact.checks.leg_ids import judge_recorded_ids
     from adaptive_contact.fit.recordings import judge_conventions
 
     for leg, line in judge_recorded_ids(

@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from adaptive_contact.checks.findings import Fault, explained
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli._link import leave, open_link
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
-from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.findings import Fault, explained
 from adaptive_contact.wire import JSON, encode
 
 if TYPE_CHECKING:
-    from adaptive_contact.bank import LearnerBank
+    from adaptive_contact.core.bank import LearnerBank
     from adaptive_contact.model.model_file import Baseline
     from adaptive_contact.service.link import LinkSettings
     from adaptive_contact.service.recording import Recording
@@ -131,8 +131,8 @@ def _to_events(
 ) -> None:
     from threadpoolctl import threadpool_limits
 
-    from adaptive_contact.bank import LearnerBank
     from adaptive_contact.cli._replay_plot import check_plot, write_plot
+    from adaptive_contact.core.bank import LearnerBank
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events

@@ -110,8 +110,8 @@ def _replayed(
     recording: Path, robot: Robot, config: Path | None, baseline: Path | None
 ) -> dict[str, list[ContactEvent] | None]:
     """Return the events of the product, and of the detector with its baseline never updated."""
-    from adaptive_contact.bank import LearnerBank
-    from adaptive_contact.learn.mode import LearnerMode
+    from adaptive_contact.core.bank import LearnerBank
+    from adaptive_contact.core.learn.mode import LearnerMode
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.service.replay import Counts, replay_events

@@ -17,8 +17,8 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_in_view, compile_tick, first_start
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._output import make_stdout_optional, say, say_note
+from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
-from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.priority import cores, take_priority
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.settings import shown
@@ -60,7 +60,7 @@ def serve(
     with _refitting() as process:
         from threadpoolctl import threadpool_limits
 
-        from adaptive_contact.bank import LearnerBank
+        from adaptive_contact.core.bank import LearnerBank
         from adaptive_contact.service.link import router_settings
         from adaptive_contact.service.logs import FaultLog, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
@@ -171,7 +171,7 @@ def keeper_of(
 
     Robots of one kind are distinguished by their namespaces.
     """
-    from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
+    from adaptive_contact.core.learn.state import FORMAT as SNAPSHOT_FORMAT
     from adaptive_contact.model.model_file import dump_baseline
     from adaptive_contact.service.state import FORMAT, StateStore, default_folder, settings_digest
     from adaptive_contact.service.state.keeper import StateKeeper

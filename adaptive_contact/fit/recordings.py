@@ -20,17 +20,17 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.checks.limits import Limits, find_limits
-from adaptive_contact.conventions.judge import (
+from adaptive_contact.checks.conventions.judge import (
     ConventionFinding,
     LegMotion,
     Verdict,
     judge_hanging,
     judge_motion,
 )
-from adaptive_contact.detect.source import LATE_PERIODS
-from adaptive_contact.detect.source_watch import RateWatch, Seams
-from adaptive_contact.detect.stream import (
+from adaptive_contact.checks.limits import Limits, find_limits
+from adaptive_contact.checks.source_watch import RateWatch, Seams
+from adaptive_contact.core.detect.source import LATE_PERIODS
+from adaptive_contact.core.detect.stream import (
     RESET_SAMPLES,
     StreamGuard,
 )

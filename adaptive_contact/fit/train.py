@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.detect.swing import AFTER_TICKS
+from adaptive_contact.core.detect.swing import AFTER_TICKS
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.outliers import inliers, untouched

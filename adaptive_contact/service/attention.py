@@ -10,10 +10,10 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from adaptive_contact.service.findings import Fault, Finding, entries, said
-from adaptive_contact.service.learnercheck import about_learner, all_lost
-from adaptive_contact.service.status import ServiceStatus
+from adaptive_contact.checks.findings import Fault, Finding, entries, said
+from adaptive_contact.checks.learnercheck import about_learner, all_lost
 from adaptive_contact.service.watch import View
+from adaptive_contact.status import ServiceStatus
 from adaptive_contact.wire import LearnerStatus
 
 # How long a count that has grown is shown.

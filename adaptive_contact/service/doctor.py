@@ -13,19 +13,18 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.service.findings import (
+from adaptive_contact.checks.findings import (
     EXPLAINS,
     Fault,
     Finding,
     Level,
     entries,
 )
-from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.learnercheck import about_learner, all_lost
-from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
+from adaptive_contact.checks.learnercheck import about_learner, all_lost
+from adaptive_contact.checks.legcheck import check_ids, check_leg, check_twins
 from adaptive_contact.service.link import Link, listen
 from adaptive_contact.service.settings import SERVICE_TOKEN
-from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     LearnerStatus,
     Rejected,
@@ -36,6 +35,7 @@ from adaptive_contact.wire import (
     meant_key,
     namespace_of,
 )
+from adaptive_contact.wire.received import Received
 
 _KEYS_KEPT: Final = 400
 

@@ -29,8 +29,8 @@ from adaptive_contact.errors import ConfigurationError, LinkError, needs
 from adaptive_contact.service.known_contacts import KnownContacts
 from adaptive_contact.service.link import Link, Received
 from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_class, schema_name
-from adaptive_contact.service.status import SERVICE_STATUS
 from adaptive_contact.service.trace import TraceReader
+from adaptive_contact.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import msgspec
 import structlog
 
-from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP
+from adaptive_contact.core.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.logs import FaultLog, LogThrottle
 from adaptive_contact.service.settings import SILENT_AFTER_S, leg_token
@@ -33,7 +33,7 @@ from adaptive_contact.wire import (
 )
 
 if TYPE_CHECKING:
-    from adaptive_contact.leg_learner import ContactLearner
+    from adaptive_contact.core.leg_learner import ContactLearner
 
 T = TypeVar("T")
 

@@ -24,7 +24,6 @@ import zenoh
 import zenoh.ext
 
 from adaptive_contact.errors import ConfigurationError, LinkError
-from adaptive_contact.service.interfaces import Received, Reply
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     Finding,
@@ -45,6 +44,7 @@ from adaptive_contact.service.transport import (
     router_failure,
 )
 from adaptive_contact.wire import MAX_PAYLOAD_BYTES, Message, encode
+from adaptive_contact.wire.received import Received, Reply
 
 __all__ = [
     "DEFAULT_ENDPOINT",

@@ -16,12 +16,12 @@ from typing import Final
 
 import structlog
 
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.settings import shown
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import MAX_PAYLOAD_BYTES, decode, meant_key, namespace_of
+from adaptive_contact.wire.received import Received
 
 _log = structlog.get_logger()
 

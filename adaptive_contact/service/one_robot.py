@@ -11,11 +11,11 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
+from adaptive_contact.checks.findings import EXPLAINS, Fault, entries, of_legs
+from adaptive_contact.checks.legcheck import check_leg
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.findings import EXPLAINS, Fault, entries, of_legs
-from adaptive_contact.service.legcheck import check_leg
 from adaptive_contact.service.recording import Record
-from adaptive_contact.service.status import LegFacts
+from adaptive_contact.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key, meant_key, namespace_of
 
 # Most samples and refusals of each leg that are examined.

@@ -18,7 +18,7 @@ from typing import Final
 
 import structlog
 
-from adaptive_contact.diagnose.watch import MotionJob
+from adaptive_contact.checks.watch import MotionJob
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult
 from adaptive_contact.service.refit_process import (

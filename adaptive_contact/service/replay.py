@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
-from adaptive_contact.bank import LearnerBank
+from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import ROWS, Contacts, Gatherer, LegOutcome, contacts_of, match

@@ -13,7 +13,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final, Generic, TypeVar
 
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.wire import (
     MAX_SAMPLE_BYTES,
     Reject,
@@ -22,6 +21,7 @@ from adaptive_contact.wire import (
     decode,
     leg_of_key,
 )
+from adaptive_contact.wire.received import Received
 
 # The queue of all legs that have none: no leg's id, it is counted under that name.
 NO_QUEUE: Final = "(without a learner)"

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final
 import structlog
 
 from adaptive_contact import __version__
-from adaptive_contact.detect.stream import fault_of
+from adaptive_contact.core.detect.stream import fault_of
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.leg_endpoint import LegEndpoint
@@ -33,9 +33,9 @@ from adaptive_contact.service.network_health import NetworkHealth, UnreadKeys
 from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue, read
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state.keeper import StateKeeper
-from adaptive_contact.service.status import SERVICE_STATUS, Latency, LegFacts, ServiceStatus
 from adaptive_contact.service.trace import Tracer, judged_tick, placed
 from adaptive_contact.service.watchdog import Watchdog, give_up
+from adaptive_contact.status import SERVICE_STATUS, Latency, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     ALL_SERVO,
     HEARTBEAT,
@@ -53,8 +53,8 @@ from adaptive_contact.wire import (
 )
 
 if TYPE_CHECKING:
-    from adaptive_contact.bank import LearnerBank
-    from adaptive_contact.leg_learner import ContactLearner
+    from adaptive_contact.core.bank import LearnerBank
+    from adaptive_contact.core.leg_learner import ContactLearner
 
 _log = structlog.get_logger()
 

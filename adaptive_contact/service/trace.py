@@ -29,7 +29,7 @@ from adaptive_contact.wire import (
 )
 
 if TYPE_CHECKING:
-    from adaptive_contact.leg_learner import ContactLearner
+    from adaptive_contact.core.leg_learner import ContactLearner
 
 # Ticks are kept for so long after a question; a page asks ten times a second.
 LEASE_S: Final = 3.0

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
 
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.known_contacts import KnownContacts
 from adaptive_contact.service.settings import SERVICE_TOKEN
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -39,6 +38,7 @@ from adaptive_contact.wire import (
     decode,
     leg_of_key,
 )
+from adaptive_contact.wire.received import Received
 
 if TYPE_CHECKING:  # loads zenoh, which a view of messages does without
     from adaptive_contact.service.link import Link

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Mask
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.fit.train import Stretch
-from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ServoSample

@@ -25,9 +25,9 @@ from typing import Any, Final
 
 import msgspec
 
+from adaptive_contact.checks.findings import Finding
 from adaptive_contact.printable import printable
 from adaptive_contact.service.attention import Attention
-from adaptive_contact.service.findings import Finding
 from adaptive_contact.service.watch import LegView, Verdict, View
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, LegTrace
 

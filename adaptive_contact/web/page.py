@@ -18,8 +18,8 @@ from typing import Final, Self
 
 import msgspec
 
+from adaptive_contact.checks.findings import Finding, Level
 from adaptive_contact.errors import LinkError, RecordingError
-from adaptive_contact.service.findings import Finding, Level
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.trace import TraceReader
 from adaptive_contact.service.watch import Feed, View

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from adaptive_contact.bank import LearnerBank
-from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.wire import ContactEvent
 from adaptive_contact_sim.simulation import Simulation, Tick

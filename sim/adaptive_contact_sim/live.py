@@ -34,8 +34,8 @@ from adaptive_contact_sim.simulation import Simulation, Tick
 from adaptive_contact_sim.walk import WalkSettings
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.link import Link, Request
+    from adaptive_contact.wire.received import Received
 
 
 class Pace:

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact_sim.learners import InProcess
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkMotion

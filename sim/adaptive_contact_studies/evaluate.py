@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptive_contact.bank import LegGroup
+from adaptive_contact.core.bank import LegGroup
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.fit.refit_job import Job
-from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import (

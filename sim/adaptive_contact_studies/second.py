@@ -19,9 +19,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from rich.console import Console
 
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
-from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
 from adaptive_contact_bullet.gait import GAITS

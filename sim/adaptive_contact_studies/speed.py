@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from adaptive_contact.bank import LegGroup, compile_ahead
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.bank import LegGroup, compile_ahead
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.refits import ProcessRefitter
@@ -32,7 +32,7 @@ class TickSpeed:
 
 
 def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
-    """Measure :class:`~adaptive_contact.bank.LegGroup` over a run of all legs."""
+    """Measure :class:`~adaptive_contact.core.bank.LegGroup` over a run of all legs."""
     legs = list(run.legs)
     rounds = list(zip(*(samples_of(run, leg) for leg in legs), strict=True))
     compile_ahead()

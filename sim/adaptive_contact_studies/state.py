@@ -17,9 +17,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Mask
-from adaptive_contact.bank import LegGroup
-from adaptive_contact.detect.state import ON
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.bank import LegGroup
+from adaptive_contact.core.detect.state import ON
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact_bullet.gait import GAITS
 from adaptive_contact_bullet.plant import Ground, Kind

@@ -36,12 +36,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 # What decides a recording, and what decides what a learner makes of it.
 SIMULATOR: Final = ("adaptive_contact_sim", "adaptive_contact.robot")
 LEARNER: Final = (
-    *("adaptive_contact.arrays", "adaptive_contact.bank", "adaptive_contact.compiled"),
-    *("adaptive_contact.leg_learner", "adaptive_contact.leg_report", "adaptive_contact.detect"),
-    *("adaptive_contact.checks", "adaptive_contact.notes"),
-    *("adaptive_contact.conventions", "adaptive_contact.diagnose", "adaptive_contact.fit"),
-    *("adaptive_contact.learn", "adaptive_contact.model", "adaptive_contact.robot"),
-    *("adaptive_contact.score", "adaptive_contact_models"),
+    *("adaptive_contact.arrays", "adaptive_contact.compiled", "adaptive_contact.notes"),
+    *("adaptive_contact.core", "adaptive_contact.checks", "adaptive_contact.fit"),
+    *("adaptive_contact.model", "adaptive_contact.robot", "adaptive_contact.score"),
+    "adaptive_contact_models",
 )
 _IDLE_S: Final = 20
 

@@ -21,7 +21,6 @@ import pytest
 
 from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.robot.write import write_robot
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, Publisher, router_settings
 from adaptive_contact.wire import (
     HEARTBEAT,
@@ -36,6 +35,7 @@ from adaptive_contact.wire import (
     decode,
     servo_key,
 )
+from adaptive_contact.wire.received import Received
 from programs import Program
 from waiting import until
 

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.bank import LegGroup
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.bank import LegGroup
+from adaptive_contact.core.leg_learner import ContactLearner
 
 pytest.importorskip("pybullet", reason="extra 'bullet' is not installed")
 

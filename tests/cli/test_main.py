@@ -19,9 +19,9 @@ import pytest
 from adaptive_contact import compiled
 from adaptive_contact.cli import _compiling
 from adaptive_contact.compiled import CACHE_VARIABLE, compiles
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.status import SERVICE_STATUS
+from adaptive_contact.status import SERVICE_STATUS
+from adaptive_contact.wire.received import Received
 from waiting import free_address
 
 SOURCES = os.pathsep.join(path for path in sys.path if path)
@@ -113,7 +113,7 @@ def test_a_first_start_says_how_long_it_compiles_and_how_long_it_took(
     work = "import time\nwhile time.process_time() < 2.0: pass\n"
     mark = "from adaptive_contact.compiled import note_cached; note_cached()"
     monkeypatch.setattr(_compiling, "_CODE", work + mark)
-    monkeypatch.setattr("adaptive_contact.bank.compile_ahead", lambda: None)
+    monkeypatch.setattr("adaptive_contact.core.bank.compile_ahead", lambda: None)
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     compiled.cache_folder.cache_clear()
     try:

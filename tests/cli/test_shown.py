@@ -18,9 +18,9 @@ from rich.console import Console
 from adaptive_contact.cli import doctor
 from adaptive_contact.cli.doctor import traffic_table
 from adaptive_contact.service.doctor import Diagnosis, Examination, KeyTraffic, diagnose
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.wire import JSON, MSGPACK, ContactTruth, ServoSample, encode
+from adaptive_contact.wire.received import Received
 
 # What a terminal obeys, and what misleads its reader; line feeds are the commands' own.
 UNSAFE: Final = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069]")

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.detect.contact import swing_tick
-from adaptive_contact.detect.layout import DECIDED, TOUCHED, new_legs
+from adaptive_contact.core.detect.contact import swing_tick
+from adaptive_contact.core.detect.layout import DECIDED, TOUCHED, new_legs
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.noise import WINDOWS, context

@@ -82,7 +82,7 @@ def test_no_folder_is_no_error(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 PART = '(compiled.cache_folder() / "part.nbi").touch()'
 WHOLE = """
-from adaptive_contact.bank import compile_ahead
+from adaptive_contact.core.bank import compile_ahead
 compile_ahead()
 assert len(list(compiled.cache_folder().rglob("*.nbc"))) > 3
 """
@@ -118,7 +118,7 @@ def test_another_installation_of_the_same_sources_is_not_compiled_yet(folder: Pa
     assert "compiled-" in first
     assert kept_in(other) != first
     assert kept_in(one) == first
-    os.utime(one / "adaptive_contact" / "detect" / "detector.py")  # installed again
+    os.utime(one / "adaptive_contact" / "core" / "detect" / "detector.py")  # installed again
     assert kept_in(one) != first
 
 

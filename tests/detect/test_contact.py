@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptive_contact.compiled import records
-from adaptive_contact.detect.contact import add_push, begin_labels, let_go, swing_tick
-from adaptive_contact.detect.layout import TOUCHED, new_legs, scalars_of
+from adaptive_contact.core.detect.contact import add_push, begin_labels, let_go, swing_tick
+from adaptive_contact.core.detect.layout import TOUCHED, new_legs, scalars_of
 
 MS = 1_000_000
 

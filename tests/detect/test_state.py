@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptive_contact.bank import LegGroup
-from adaptive_contact.detect.touch_point import locate
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.bank import LegGroup
+from adaptive_contact.core.detect.touch_point import locate
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.kinematics import inverse

@@ -121,7 +121,7 @@ def _build(folder: Path) -> None:
     install = [*pip, "install", "--quiet", "--no-deps", "--no-index", *folder.glob("*.whl")]
     subprocess.run(install, check=True, timeout=600, env=_bare_variables())
     # Before a command's time is limited.
-    ahead = "from adaptive_contact.bank import compile_ahead; compile_ahead()"
+    ahead = "from adaptive_contact.core.bank import compile_ahead; compile_ahead()"
     assert made.run("-c", ahead, cwd=folder, timeout_s=BUILD_S).returncode == 0
 
 

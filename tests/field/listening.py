@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import msgpack
 
-from adaptive_contact.bank import LearnerBank
+from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
-from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     MSGPACK,
     Rejected,
@@ -19,6 +18,7 @@ from adaptive_contact.wire import (
     learner_key,
     leg_of_key,
 )
+from adaptive_contact.wire.received import Received
 
 from .mistakes import Messages
 

@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.bank import LearnerBank
+from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score.score import Score, score_messages

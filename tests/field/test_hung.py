@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
+from adaptive_contact.checks.conventions.judge import judge_motion
 from adaptive_contact.cli.fit import gather
-from adaptive_contact.conventions.judge import judge_motion
 from adaptive_contact.fit.recordings import LegGatherer
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import load_baseline
 from adaptive_contact.robot import Robot, load_robot
 from adaptive_contact.service.recording import read_recording
-from adaptive_contact.service.status import LegFacts
+from adaptive_contact.status import LegFacts
 from adaptive_contact.wire import ServoSample, decode
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "dyna1"

@@ -12,11 +12,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.diagnose.leg_ids import judge_recorded_ids
+from adaptive_contact.checks.findings import Cause
+from adaptive_contact.checks.leg_ids import judge_recorded_ids
+from adaptive_contact.checks.legcheck import check_recording
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import Mount, shipped_robot
-from adaptive_contact.service.findings import Cause
-from adaptive_contact.service.legcheck import check_recording
 from adaptive_contact.wire import ServoSample, servo_key
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.conventions.judge import judge_motion
-from adaptive_contact.conventions.motion import LegMotion
+from adaptive_contact.checks.conventions.judge import judge_motion
+from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.model_file import dump_baseline, parse_baseline

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner, ServoSample
-from adaptive_contact.detect.swing import RECENT_TICKS
+from adaptive_contact.core.detect.swing import RECENT_TICKS
 from adaptive_contact.model import Baseline, LegModel, Window, leg_library
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot

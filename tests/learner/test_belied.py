@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.learn.drift import EARLY_BEGIN, EARLY_END, EARLY_SWINGS, EarlyContacts
+from adaptive_contact.core.learn.drift import EARLY_BEGIN, EARLY_END, EARLY_SWINGS, EarlyContacts
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.kinematics import inverse

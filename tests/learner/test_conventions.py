@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.bank import LearnerBank
-from adaptive_contact.conventions.judge import (
+from adaptive_contact.checks.conventions.judge import (
     LegMotion,
     Verdict,
     judge_hanging,
     judge_motion,
 )
+from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Mount, Robot, shipped_robot

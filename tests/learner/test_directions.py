@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptive_contact.learn.lifecycle import ready_for_changes
-from adaptive_contact.learn.rls import RecursiveLeastSquares
+from adaptive_contact.core.learn.lifecycle import ready_for_changes
+from adaptive_contact.core.learn.rls import RecursiveLeastSquares
 from adaptive_contact.model import Baseline, LegBaseline, LegModel, Rows, stack
 from adaptive_contact.model.change_prior import change_directions, core_support
 from adaptive_contact.model.library import friction_terms, soft_term

@@ -14,12 +14,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.bank import LearnerBank
 from adaptive_contact.compiled import records
-from adaptive_contact.detect.contact import note_fit
-from adaptive_contact.detect.layout import new_legs
-from adaptive_contact.learn.drift import OBSTRUCTED_SWINGS
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact.core.detect.contact import note_fit
+from adaptive_contact.core.detect.layout import new_legs
+from adaptive_contact.core.learn.drift import OBSTRUCTED_SWINGS
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.model.noise import UNFIT_LEVEL
@@ -215,7 +215,7 @@ def test_a_fault_while_restoring_leaves_the_leg_as_new(
     def fail(*_: object) -> None:
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr("adaptive_contact.learn.noise_tracker.NoiseTracker.refresh", fail)
+    monkeypatch.setattr("adaptive_contact.core.learn.noise_tracker.NoiseTracker.refresh", fail)
     why = fresh.restore(tree)
     assert why == "snapshot of leg 'rf' not used: LinAlgError: not positive definite"
     monkeypatch.undo()
@@ -265,7 +265,7 @@ def test_where_nobody_is_told_of_faults_they_are_raised(
     two_legs: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bank = LearnerBank(two_legs)
-    monkeypatch.setattr("adaptive_contact.leg_learner.ContactLearner.finish", None)
+    monkeypatch.setattr("adaptive_contact.core.leg_learner.ContactLearner.finish", None)
     with pytest.raises(TypeError):
         bank.update({"rf": FakeLeg(seed=6).stream(1)[0]})
 

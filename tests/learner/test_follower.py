@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.fit.refit_job import InlineRefitter
-from adaptive_contact.learn.active_model import BALANCE, MAX_TERM_RAD
-from adaptive_contact.learn.adapter import (
+from adaptive_contact.core.learn.active_model import BALANCE, MAX_TERM_RAD
+from adaptive_contact.core.learn.adapter import (
     Adapter,
 )
-from adaptive_contact.learn.mode import LearnerMode
-from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.core.learn.mode import LearnerMode
+from adaptive_contact.core.learn.noise_tracker import NoiseTracker
+from adaptive_contact.fit.refit_job import InlineRefitter
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Rows
 from adaptive_contact.robot import Robot, parse_robot

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
+from adaptive_contact.core.learn.lifecycle import Lifecycle
+from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.fit.refit_job import InlineRefitter
-from adaptive_contact.learn.lifecycle import Lifecycle
-from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample

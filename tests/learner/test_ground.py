@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adaptive_contact.compiled import records
-from adaptive_contact.detect.contact import push_from_ground
-from adaptive_contact.detect.layout import new_legs
+from adaptive_contact.core.detect.contact import push_from_ground
+from adaptive_contact.core.detect.layout import new_legs
 from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.model.noise import CONTEXTS
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from adaptive_contact.diagnose.change_classifier import (
+from adaptive_contact.core.learn.change_classifier import (
     KINDS,
     LEAST_SHARE,
     ChangeClassifier,

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.bank import LearnerBank
+from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.fit.train import Stretch, learn
-from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.wire import DriftLevel

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.conventions.motion import LegMotion
-from adaptive_contact.detect.history import MAX_STEP_RAD_S
-from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
-from adaptive_contact.diagnose.leg_ids import IdWatch, Owner, judge_ids
-from adaptive_contact.diagnose.watch import Track
+from adaptive_contact.checks.conventions.motion import LegMotion
+from adaptive_contact.checks.leg_ids import IdWatch, Owner, judge_ids
+from adaptive_contact.checks.watch import Track
+from adaptive_contact.core.detect.history import MAX_STEP_RAD_S
+from adaptive_contact.core.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.fit.refit_job import InlineRefitter
 from adaptive_contact.model import leg_library
 from adaptive_contact.model.library import with_changes

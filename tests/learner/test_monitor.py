@@ -7,7 +7,7 @@ import copy
 import numpy as np
 import pytest
 
-from adaptive_contact.learn.drift import (
+from adaptive_contact.core.learn.drift import (
     OBSTRUCTED_SWINGS,
     PATIENCE_SWINGS,
     RELEASE_SWINGS,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner, ServoSample
-from adaptive_contact.detect.layout import VALUES
+from adaptive_contact.core.detect.layout import VALUES
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 

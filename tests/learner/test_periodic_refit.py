@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from adaptive_contact.fit import FitStatus
-from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult, refit
-from adaptive_contact.learn.periodic_refit import (
+from adaptive_contact.core.learn.periodic_refit import (
     LEAST_GAIN,
     REFIT_DUE_TICKS,
     PeriodicRefit,
     first_refit_after,
 )
-from adaptive_contact.learn.replay_buffer import ReplayBuffer
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.learn.replay_buffer import ReplayBuffer
+from adaptive_contact.core.leg_learner import ContactLearner
+from adaptive_contact.fit import FitStatus
+from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult, refit
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact.model.library import Library, leg_library, with_changes

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from adaptive_contact.detect.source import vote_late
-from adaptive_contact.detect.source_watch import RateWatch
+from adaptive_contact.checks.source_watch import RateWatch
+from adaptive_contact.core.detect.source import vote_late
 
 STEP = 20_000_000
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptive_contact.learn.noise_tracker import (
+from adaptive_contact.core.learn.noise_tracker import (
     CLIP,
     LEAST_LIFTS,
     OWN_LIFTS,

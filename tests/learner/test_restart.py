@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner, ServoSample
-from adaptive_contact.detect.stream import RESET_SAMPLES
+from adaptive_contact.core.detect.stream import RESET_SAMPLES
 from adaptive_contact.model import Baseline, stack
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.robot import Robot

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptive_contact.detect.contact import MAX_ROWS
-from adaptive_contact.detect.swing_labels import (
+from adaptive_contact.core.detect.contact import MAX_ROWS
+from adaptive_contact.core.detect.swing_labels import (
     Regions,
 )
-from adaptive_contact.learn.replay_buffer import MOST_ROWS, ReplayBuffer
+from adaptive_contact.core.learn.replay_buffer import MOST_ROWS, ReplayBuffer
 from adaptive_contact.model.labelled_swing import SEGMENTS, Rows
 
 from .conftest import PERIOD

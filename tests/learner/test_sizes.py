@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase

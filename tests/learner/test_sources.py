@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.bank import LearnerBank
-from adaptive_contact.learn.active_model import Good
-from adaptive_contact.learn.mode import WhenAmbiguous
-from adaptive_contact.leg_learner import ContactLearner as Learner
+from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact.core.learn.active_model import Good
+from adaptive_contact.core.learn.mode import WhenAmbiguous
+from adaptive_contact.core.leg_learner import ContactLearner as Learner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Label, LabelledSwing
 from adaptive_contact.model.model_file import shipped_baseline

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.detect.stream import (
+from adaptive_contact.core.detect.stream import (
     CONFIRM_SAMPLES,
     LONGEST_GAP,
     NOTED_SAMPLES,

@@ -8,8 +8,8 @@ import pytest
 
 from adaptive_contact import ContactLearner, load_baseline, load_robot
 from adaptive_contact.compiled import records
-from adaptive_contact.detect.contact import note_contact
-from adaptive_contact.detect.layout import new_legs, scalars_of
+from adaptive_contact.core.detect.contact import note_contact
+from adaptive_contact.core.detect.layout import new_legs, scalars_of
 from adaptive_contact_sim import Simulation, SimulationSettings, TerrainSettings, WalkSettings
 
 PERIOD_NS = 20_000_000

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adaptive_contact.compiled import compiles
-from adaptive_contact.detect.contact import model_uncertainty
-from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings
+from adaptive_contact.core.detect.contact import model_uncertainty
+from adaptive_contact.core.learn.rls import RecursiveLeastSquares, RlsSettings
 
 # A row of plain Python takes a thousand times as long as a compiled one.
 SLOWER = 1 if compiles() else 20

@@ -31,7 +31,7 @@ from adaptive_contact.service.recording import Record, RecordingWriter, read_rec
 from adaptive_contact.service.recording.recorder import SplitWriter
 from adaptive_contact.service.recording.scene import Scene
 from adaptive_contact.service.recording.schemas import protobuf_class
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus, StateFacts
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,

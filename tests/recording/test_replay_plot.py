@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from adaptive_contact.bank import LearnerBank
 from adaptive_contact.cli._replay_plot import check_plot, write_plot
+from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import inverse, shipped_robot

@@ -14,7 +14,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import AngleFrame, load_robot, parse_robot, shipped_robot
 from adaptive_contact.robot.load import is_shipped, recorded_as
 from adaptive_contact.robot.write import write_robot
-from adaptive_contact.service.status import LegFacts
+from adaptive_contact.status import LegFacts
 from adaptive_contact.wire import ServoSample
 
 GOOD = """

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from adaptive_contact.detect import swing
+from adaptive_contact.core.detect import swing
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import (
     Chain,

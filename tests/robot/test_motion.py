@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.conventions.motion import LegMotion, control_ticks
+from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
 
 PERIOD_S = 0.02
 PERIOD_NS = 20_000_000

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 from .faults import FAULTS
 from .trees import ONE_THREAD, PACKAGE, ROOT
 
-ROOMS: Final = ("detect", "learn", "model")
+ROOMS: Final = ("core/detect", "core/learn", "model")
 # Numbers that only name something, or are the bounds of an integer; and a file that has no others.
 _CODES: Final = re.compile(
     "RESTARTED|BROKE_OFF|RESOLVED|BEGAN|WEIGHED|TOPPED|DECIDED|TOUCHED|RATE_OFF|SOURCE|"

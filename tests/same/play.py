@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,11 @@ import msgspec
 
 import adaptive_contact
 from adaptive_contact import ContactLearner, ServoSample, load_baseline, load_robot
-from adaptive_contact.bank import LearnerBank
+
+if (Path(adaptive_contact.__file__).parent / "core").exists():
+    from adaptive_contact import LearnerBank
+else:  # a revision from before the learners had a room of their own
+    LearnerBank = import_module("adaptive_contact.bank").LearnerBank
 
 
 class Learners:

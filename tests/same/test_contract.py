@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactEvent, ServoSample
-from adaptive_contact.bank import LearnerBank
+from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.fit.recordings import LegGatherer
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.model.factor import Factor
@@ -31,7 +31,10 @@ from adaptive_contact.robot import shipped_robot
 from .golden import motion
 from .recordings import Round
 
-ROOMS: Final = ("bank", "leg_learner", "leg_report", "detect", "learn", "diagnose", "fit", "model")
+ROOMS: Final = (
+    *("core", "core.detect", "core.learn", "fit", "model"),
+    *("checks.angle_watch", "checks.leg_ids", "checks.source_watch", "checks.watch"),
+)
 # Nothing of them changes once they are made.
 FIXED: Final = {"HeldOut", "Rows", "StandingFeet", "_Posterior", "_Speeds", "_Swings"}
 # What bad samples change: counts of them, and when all legs are compared, which counts calls.

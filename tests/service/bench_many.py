@@ -32,9 +32,8 @@ import numpy as np
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -46,6 +45,7 @@ from adaptive_contact.wire import (
     encode,
     servo_key,
 )
+from adaptive_contact.wire.received import Received
 from programs import Program, children_of, resident_mb
 from soak.memory import slope_of
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from adaptive_contact.detect.stream import NEXT, Accepted, StreamGuard
+from adaptive_contact.core.detect.stream import NEXT, Accepted, StreamGuard
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import (
     ContactEvent,
@@ -200,10 +200,10 @@ def no_process(**_: object) -> None:
 
 
 def main() -> None:
-    bank = types.ModuleType("adaptive_contact.bank")
+    bank = types.ModuleType("adaptive_contact.core.bank")
     bank.LearnerBank = FakeBank  # type: ignore[attr-defined]
     bank.compile_ahead = no_process  # type: ignore[attr-defined]
-    sys.modules["adaptive_contact.bank"] = bank
+    sys.modules["adaptive_contact.core.bank"] = bank
     refits = types.ModuleType("adaptive_contact.service.refits")
     refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.service.refits"] = refits

@@ -22,7 +22,7 @@ from typing import Any
 
 import msgspec
 
-from adaptive_contact.detect.stream import (
+from adaptive_contact.core.detect.stream import (
     CONFIRM_SAMPLES,
     MOST_SHORT_LIVED,
     Accepted,
@@ -30,7 +30,7 @@ from adaptive_contact.detect.stream import (
 )
 from adaptive_contact.service.sample_queue import Raw, read
 from adaptive_contact.service.state import Identity, Record, pack
-from adaptive_contact.service.status import LatencyMs, LegFacts, ServiceStatus, StateFacts
+from adaptive_contact.status import LatencyMs, LegFacts, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     JSON,
     MAX_SAMPLE_BYTES,

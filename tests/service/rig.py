@@ -19,7 +19,6 @@ from typing import Any
 
 from rich.console import Console
 
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.watch import Feed
 from adaptive_contact.service.watch_table import headline, table
@@ -33,6 +32,7 @@ from adaptive_contact.wire import (
     decode,
     servo_key,
 )
+from adaptive_contact.wire.received import Received
 
 PERIOD_S = 0.02
 HALF = 10  # ticks of contact, ticks without

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from adaptive_contact.service.attention import Attention, remedy_of
-from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.service.watch import LegView, View
+from adaptive_contact.status import LegFacts, ServiceStatus
 from adaptive_contact.wire import LearnerStatus
 
 OPERATING = Path(__file__).parents[2] / "docs" / "operating.md"

@@ -25,7 +25,7 @@ from adaptive_contact.service.sample_queue import Batch, Raw
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.state import StateStore
 from adaptive_contact.service.state.keeper import StateKeeper
-from adaptive_contact.service.status import SERVICE_STATUS
+from adaptive_contact.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     MSGPACK,
     DriftLevel,

@@ -14,7 +14,7 @@ import pytest
 import zenoh
 
 from adaptive_contact import wire
-from adaptive_contact.service.status import LegFacts, ServiceStatus, StateFacts
+from adaptive_contact.status import LegFacts, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     JSON,
     ContactEvent,

@@ -11,12 +11,11 @@ from typing import Any, TypeVar
 import msgspec
 import pytest
 
+from adaptive_contact.checks.findings import Fault, Finding
+from adaptive_contact.checks.legcheck import check_leg
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
-from adaptive_contact.service.findings import Fault, Finding
-from adaptive_contact.service.interfaces import Received
-from adaptive_contact.service.legcheck import check_leg
 from adaptive_contact.service.link import Link
-from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,
@@ -29,6 +28,7 @@ from adaptive_contact.wire import (
     learner_key,
     servo_key,
 )
+from adaptive_contact.wire.received import Received
 from waiting import free_address
 
 FACTS = LegFacts(joints=["coxa", "femur", "tibia"], lengths=True)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.detect.stream import MAX_OLD_RUNS, SHORT_RUN_SAMPLES, TAKE_BACK_SAMPLES
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.detect.stream import MAX_OLD_RUNS, SHORT_RUN_SAMPLES, TAKE_BACK_SAMPLES
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.service.leg_endpoint import Downtime
 from adaptive_contact.service.state.format import Position

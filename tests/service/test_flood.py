@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import MSGPACK, ServoSample, decode, encode, servo_key
+from adaptive_contact.wire.received import Received
 from programs import resident_mb
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import pytest
 
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.sample_queue import NO_QUEUE, Raw, SampleQueue, read
 from adaptive_contact.wire import (
     JSON,
@@ -18,6 +17,7 @@ from adaptive_contact.wire import (
     encode,
     servo_key,
 )
+from adaptive_contact.wire.received import Received
 
 
 def received(leg: str, payload: bytes = b"", n: int = 0) -> Received:

@@ -15,15 +15,15 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from adaptive_contact.checks.livecheck import LiveCheck, LiveReport
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_check import legs_table, report_lines
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import NoRouterError
-from adaptive_contact.service.livecheck import LiveCheck, LiveReport
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
+from adaptive_contact.wire.received import Received
 
 PERIOD_NS = 20_000_000
 STANDING = (0.0, 0.6, -1.8)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from adaptive_contact.service.logs import LogThrottle
-from adaptive_contact.service.status import Latency
+from adaptive_contact.status import Latency
 
 
 def test_quantiles_of_known_values() -> None:

@@ -19,10 +19,14 @@ import pytest
 from structlog.testing import capture_logs
 from threadpoolctl import threadpool_info
 
+from adaptive_contact.core.learn.periodic_refit import (
+    REFIT_DUE_TICKS,
+    PeriodicRefit,
+    first_refit_after,
+)
+from adaptive_contact.core.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import InlineRefitter, Job, RefitJob, RefitResult, Refitter
-from adaptive_contact.learn.periodic_refit import REFIT_DUE_TICKS, PeriodicRefit, first_refit_after
-from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Library
 from adaptive_contact.model.labelled_swing import ROW, Rows
 from adaptive_contact.model.leg_prior import leg_prior

@@ -22,7 +22,6 @@ from adaptive_contact.robot import load_robot
 from adaptive_contact.ros2 import rmw
 from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.ros2 import WAITING, Gateway, Inbox
 from adaptive_contact.wire import (
@@ -34,6 +33,7 @@ from adaptive_contact.wire import (
     learner_key,
     servo_key,
 )
+from adaptive_contact.wire.received import Received
 from programs import Program
 from ros_messages import Messages
 from waiting import free_address, until

@@ -17,7 +17,7 @@ import pytest
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.link import Link, NoRouterError, client_settings, router_settings
 from adaptive_contact.service.settings import SERVICE_TOKEN, leg_token, shown
-from adaptive_contact.service.status import SERVICE_STATUS
+from adaptive_contact.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,

@@ -23,9 +23,9 @@ from adaptive_contact.cli._options import learned_of
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.service.link import Link, router_settings
 from adaptive_contact.service.settings import SERVICE_TOKEN
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.service.watch_table import headline
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
     JSON,

@@ -17,11 +17,10 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service import server
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue
 from adaptive_contact.service.server import Service, Sweeper
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus, StateFacts
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_STATE,
@@ -40,6 +39,7 @@ from adaptive_contact.wire import (
     model_key,
     servo_key,
 )
+from adaptive_contact.wire.received import Received
 
 S = 1_000_000_000
 MS = 1_000_000

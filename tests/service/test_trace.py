@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from adaptive_contact.leg_learner import JudgedTick
+from adaptive_contact.core.leg_learner import JudgedTick
 from adaptive_contact.robot import Mount, parse_robot
 from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Tracer, judged_tick, placed
 from adaptive_contact.wire import LegState, LegTrace, Phase, ServoSample

@@ -16,9 +16,9 @@ from rich.console import Console
 from views import MS, S, drawn, event, heartbeat, service, status, truth
 
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.status import StateFacts
 from adaptive_contact.service.watch import Feed, LegView, View, Watch
 from adaptive_contact.service.watch_table import counts_of, headline, table
+from adaptive_contact.status import StateFacts
 from adaptive_contact.wire import (
     HEARTBEAT,
     DriftLevel,

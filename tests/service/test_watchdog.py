@@ -20,8 +20,8 @@ from adaptive_contact.service import server
 from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.server import Service
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.service.watchdog import LOOK_S, Watchdog
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import ContactTruth, Message, ServoSample, servo_key
 from waiting import until
 

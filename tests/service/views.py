@@ -6,9 +6,9 @@ from typing import Any
 
 from rich.console import Console
 
-from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.service.watch_table import table
+from adaptive_contact.status import LegFacts, ServiceStatus
 from adaptive_contact.wire import ContactEvent, ContactTruth, Heartbeat, LearnerStatus, LegHeartbeat
 
 S = 1_000_000_000

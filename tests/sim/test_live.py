@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import pytest
 
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import (
     ALL_SERVO,
@@ -26,6 +25,7 @@ from adaptive_contact.wire import (
     decode,
     encode,
 )
+from adaptive_contact.wire.received import Received
 from adaptive_contact_sim.live import Pace, run_live
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 from adaptive_contact_sim.terrain import TerrainSettings

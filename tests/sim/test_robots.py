@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.wire import ServoSample

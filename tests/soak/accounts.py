@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.status import ServiceStatus
+from adaptive_contact.status import ServiceStatus
 
 from .conduct import RECOVERY_S, Broken, Take
 

@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -30,6 +29,7 @@ from adaptive_contact.wire import (
     decode,
     servo_key,
 )
+from adaptive_contact.wire.received import Received
 from programs import ROUTER, Program, children_of, resident_mb
 
 from .memory import Resident

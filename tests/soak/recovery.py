@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, LegOutcome, LegStream, match

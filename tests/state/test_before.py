@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.bank import LearnerBank
-from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
+from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact.core.learn.state import FORMAT as SNAPSHOT_FORMAT
 from adaptive_contact.model import load_baseline
 from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.robot import load_robot

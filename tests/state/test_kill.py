@@ -15,7 +15,7 @@ import pytest
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.service.state import Record, StateStore, list_states
-from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import ServoSample, decode, servo_key
 from programs import Program
 from waiting import until

@@ -105,7 +105,7 @@ def test_all_that_decides_what_a_learner_does_is_among_its_sources() -> None:
     """Whatever the bank of learners imports, but messages, files and errors."""
     code = """
 import sys
-import adaptive_contact.bank
+import adaptive_contact.core.bank
 print("\\n".join(name for name in sys.modules if name.startswith("adaptive_contact.")))
 """
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}

@@ -9,8 +9,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.service.watch import LegView, Verdict, View
+from adaptive_contact.status import LegFacts, ServiceStatus
 from adaptive_contact.web.frames import Frames, Table
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, LegTrace
 

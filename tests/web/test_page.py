@@ -18,7 +18,7 @@ from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.service.link import Link, Request, client_settings
 from adaptive_contact.service.recording import Recording
 from adaptive_contact.service.settings import SERVICE_TOKEN
-from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.web import LivePage, WebSettings, page
 from adaptive_contact.web.recordings import Recordings
 from adaptive_contact.wire import (

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptive_contact import wire
-from adaptive_contact.service.status import SERVICE_STATUS
+from adaptive_contact.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     JSON,
     MAX_PAYLOAD_BYTES,

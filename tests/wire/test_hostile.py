@@ -9,7 +9,7 @@ from collections.abc import Callable
 import msgpack
 import pytest
 
-from adaptive_contact.detect.stream import Accepted, StreamGuard
+from adaptive_contact.core.detect.stream import Accepted, StreamGuard
 from adaptive_contact.wire import (
     JSON,
     MAX_PREVIEW_TICKS,

@@ -20,7 +20,7 @@ from google.protobuf.descriptor_pb2 import DescriptorProto
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
 from google.protobuf.message import DecodeError
 
-from adaptive_contact.service.status import ServiceStatus
+from adaptive_contact.status import ServiceStatus
 from adaptive_contact.wire import (
     LEG_MESSAGES,
     BodyPose,

@@ -18,10 +18,10 @@ import structlog
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.state.format import Identity, Position, Record, Refused
 from adaptive_contact.service.state.store import StateStore
-from adaptive_contact.service.status import StateFacts
+from adaptive_contact.status import StateFacts
 
 if TYPE_CHECKING:
-    from adaptive_contact.leg_learner import ContactLearner
+    from adaptive_contact.core.leg_learner import ContactLearner
     from adaptive_contact.service.leg_endpoint import LegEndpoint
 
 _log = structlog.get_logger()

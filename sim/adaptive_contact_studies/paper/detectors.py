@@ -18,8 +18,8 @@ the same small probability, by a tail fitted to free ticks; a tick's score is th
 over its threshold, so that one number is swept for a ROC curve.
 
 One state machine makes events of scores, with the rules of the tick
-(:mod:`adaptive_contact.detect.detector`).  A swing begins loaded: the foot may still be held by the
-stance before.  It is free once the score was calm (below half the threshold) for
+(:mod:`~adaptive_contact.core.detect.detector`).  A swing begins loaded: the foot may still be held
+by the stance before.  It is free once the score was calm (below half the threshold) for
 :data:`CALM_TICKS`, or once the command descends.  A free leg whose score passes the threshold is
 reported to touch, and may be reported again after :data:`REARM_TICKS` calm ticks.  A NaN score
 changes nothing.
@@ -38,7 +38,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
-from adaptive_contact.detect.contact import CALM_SCORE, CALM_TICKS, REARM_TICKS
+from adaptive_contact.core.detect.contact import CALM_SCORE, CALM_TICKS, REARM_TICKS
 from adaptive_contact.fit.train import swing_ticks
 from adaptive_contact.model import LegModel
 from adaptive_contact.model.glr import stream_statistic

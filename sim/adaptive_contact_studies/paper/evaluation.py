@@ -16,8 +16,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.fit.train import learn
-from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline, LegModel, LibraryName, Window
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Events, LegStream

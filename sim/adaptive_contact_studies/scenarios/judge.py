@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.diagnose.change_classifier import KINDS
+from adaptive_contact.core.learn.change_classifier import KINDS
 from adaptive_contact.score import (
     LegOutcome,
     LegStream,

@@ -14,10 +14,10 @@ from typing import Any, Final, NamedTuple, get_args
 import numpy as np
 
 from adaptive_contact.arrays import Ints, Mask
-from adaptive_contact.diagnose.change_classifier import KINDS
+from adaptive_contact.core.learn.change_classifier import KINDS
+from adaptive_contact.core.learn.mode import LearnerMode
+from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import BaselineError, SimulationDivergedError
-from adaptive_contact.learn.mode import LearnerMode
-from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.score import Events, LegStream, TruthChanges, contacts_of, truth_changes
 from adaptive_contact.wire import ContactEvent, ContactTruth, Status

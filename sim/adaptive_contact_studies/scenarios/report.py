@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from adaptive_contact.diagnose.change_classifier import KINDS
+from adaptive_contact.core.learn.change_classifier import KINDS
 from adaptive_contact_studies.scenarios.judge import NOTHING
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.runs import FULL_SIZES

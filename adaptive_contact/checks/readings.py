@@ -1,0 +1,353 @@
+"""Finds faults in a leg's readings, compared with its commands.
+
+Works on the samples of a few seconds, or of a recording; needs no model.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.checks.findings import Fault
+from adaptive_contact.checks.information import Samples, held_share, survey
+from adaptive_contact.checks.limits import Limits, find_limits
+from adaptive_contact.checks.position_step import LEAST_STEP_RAD, STEP_TOLERANCE, position_step
+from adaptive_contact.core.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
+from adaptive_contact.fit.recordings import stray_readings
+from adaptive_contact.wire import ServoSample
+from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
+
+Ticks = Ints  # seq
+
+# A joint counts as commanded to move when its command travels this far, rad (3 degrees, 10 steps of
+# an AX-12A), and as frozen when its reading then keeps one value.
+_COMMANDED_RAD: Final = 0.05
+# A joint stands if its command moves this far, rad, and its reading follows by less than a
+# twentieth of that: only its encoder's last step flickers.
+_WIDE_RAD: Final = 0.3
+# Median of |measured - desired|, rad: an AX-12A lags some 0.1 rad in fast swings; 0.4 rad over
+# seconds is a wrong zero, a wrong direction or a stalled joint.
+_FAR_RAD: Final = 0.4
+# Readings copy the command of up to _COPY_LAGS ticks before if _COPY_SHARE of the ticks in motion
+# differ from it by the same within one step, as rounding leaves, at speeds that differ by
+# _COPY_SPEEDS steps a tick.
+_COPY_LAGS: Final = 12
+_COPY_SHARE: Final = 0.98
+_COPY_SPEEDS: Final = 3.0
+# Least number of ticks that compare a joint's motion with its command's.
+_FEWEST_MOVING: Final = 50
+# Tolerance of a copy, rad, where the encoder's step is unknown and readings lie on no grid.
+_EQUAL_RAD: Final = 2e-6
+
+
+# What the service expects of a sample's fields, and whether one of so many joints has it.
+_FIELDS: Final[Mapping[str, tuple[str, Callable[[ServoSample, int], bool]]]] = {
+    "t_ns": ("0 to 2^63 - 1", lambda s, _: 0 <= s.t_ns <= MAX_TIME_NS),
+    "seq": ("0 to 2^63 - 1", lambda s, _: 0 <= s.seq <= MAX_TIME_NS),
+    "run": ("a whole number of 64 bits", lambda s, _: s.run is None or MIN_RUN <= s.run <= MAX_RUN),
+    "valid": ("one value per joint", lambda s, joints: s.valid is None or len(s.valid) == joints),
+    "preview": (
+        f"{MAX_PREVIEW_TICKS} ticks at most, of one number per joint",
+        lambda s, joints: (
+            len(s.preview or ()) <= MAX_PREVIEW_TICKS
+            and all(len(row) == joints and all(map(math.isfinite, row)) for row in s.preview or ())
+        ),
+    ),
+}
+
+
+def check_fields(samples: Sequence[ServoSample], joints: int) -> Iterator[Fault]:
+    """Name the fields for which the service refuses samples that it can read."""
+    for name, (expected, is_right) in _FIELDS.items():
+        wrong = [s for s in samples if not is_right(s, joints)]
+        if wrong:
+            count = f"{len(wrong)} of {len(samples)}"
+            total = len(samples)
+            yield Fault.of(
+                "field", count, len(wrong), name, total=total, name=name, expected=expected
+            )
+
+
+def check_readings(
+    samples: Sequence[ServoSample],
+    names: Sequence[str],
+    quantum_rad: float | None,
+    limits_rad: Sequence[Sequence[float]] | None = None,
+) -> Iterator[Fault]:
+    """Judge one leg's readings and commands.
+
+    Args:
+        samples: all with as many joints.
+        names: of the joints.
+        quantum_rad: position step that they should have, None where it is unknown.
+        limits_rad: lower and upper one of each joint, in the samples' angles, where they are known.
+    """
+    measured = np.array([s.measured for s in samples], dtype=np.float64)
+    desired = np.array([s.desired for s in samples], dtype=np.float64)
+    finite = np.isfinite(np.hstack([measured, desired])).all(axis=1)
+    if not finite.all():
+        count = int((~finite).sum())
+        yield Fault.of("not_finite", f"{count} of {finite.size}", count, total=finite.size)
+    answered = np.array([s.valid is None or all(s.valid) for s in samples])
+    kept = finite & answered
+    seq = np.array([s.seq for s in samples])[kept]
+    measured, desired = measured[kept], desired[kept]
+    if len(measured) < 10:
+        return
+    whole = bool((measured == np.round(measured)).all()) and float(np.ptp(measured)) > 2.0
+    measured, jumps = _without_turns(measured)
+    desired, told_jumps = _without_turns(desired)
+    units = _units(measured, desired, names, "register steps" if whole else "degrees")
+    if units is not None:
+        yield units
+        return
+    phases = [s.phase for s, usable in zip(samples, kept, strict=True) if usable]
+    known = None if None in phases else np.array([phase == "swing" for phase in phases])
+    near = np.median(np.abs(measured - desired), axis=0) <= _FAR_RAD
+    found = survey(Samples(seq, measured, desired, known), quantum_rad or _EQUAL_RAD)
+    copies = set(found.copies)
+    # Of a leg that carried nothing, as far as is known, the readings of a stiff servo look so, too.
+    sure = copies if found.carries else set()
+    for j, (read, told) in enumerate(zip(measured.T, desired.T, strict=True)):
+        if _delayed(read, told, seq, quantum_rad):
+            sure = sure | {j}
+    for cause, joints in (("echo", sure), ("near_echo", (copies | set(found.strides)) - sure)):
+        # A copy is near its command; a reading far from it has another fault.
+        of_cause = [j for j in sorted(joints) if near[j]]
+        if of_cause:
+            every = len(of_cause) == len(names)
+            which = None if every else ", ".join(names[j] for j in of_cause)
+            yield Fault.of(cause, which, key="" if every else "some")
+            if cause == "echo":
+                return
+    if found.old:
+        yield Fault.of("old")
+        return
+    for j, name in enumerate(names):
+        turns = round(float(np.median(measured[:, j] - desired[:, j])) / math.tau)
+        if turns:
+            measured[:, j] -= turns * math.tau
+        if jumps[j] or told_jumps[j] or turns:
+            yield _turned(name, int(jumps[j] + told_jumps[j]), turns)
+    order = _order_of(measured, desired)
+    if order is not None:
+        moved = [i for i, of in enumerate(order) if of != i]
+        follows = (f"{names[i]} follows the command of {names[order[i]]}" for i in moved)
+        yield Fault.of("order", " and ".join(follows))
+        return
+    if quantum_rad is not None:
+        yield from _held(Samples(seq, measured, desired), names, quantum_rad)
+    begun = _begun(desired, 0.0)
+    if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
+        by_rad = float(np.ptp(measured, axis=0).max())
+        yield Fault.of("frozen-desired", f"by {by_rad:.2f} rad", by_rad, "desired")
+    for j, name in enumerate(names):
+        yield from _joint(measured[:, j], desired[:, j], name, begun)
+        if quantum_rad is not None:
+            yield from _steps(measured[:, j], name, quantum_rad)
+    if limits_rad is not None:
+        yield from _beyond_limits(measured, names, limits_rad)
+    yield from _beyond_stops(measured, desired, names, quantum_rad, limits_rad)
+
+
+def _beyond_stops(
+    measured: Array,
+    desired: Array,
+    names: Sequence[str],
+    quantum_rad: float | None,
+    limits_rad: Sequence[Sequence[float]] | None,
+) -> Iterator[Fault]:
+    """Name joints whose goals, (n, J) rad, go beyond where their servos stop."""
+    none = Limits.none(len(names))
+    said = none if limits_rad is None else Limits(*np.array(limits_rad).T)
+    ends = find_limits(None, said, none, quantum_rad or _EQUAL_RAD, measured, desired)
+    reached = ends.reached(names, desired)
+    if reached:
+        yield Fault.of("goals", reached)
+
+
+def _beyond_limits(
+    measured: Array, names: Sequence[str], limits_rad: Sequence[Sequence[float]]
+) -> Iterator[Fault]:
+    """Name joints whose readings, (n, J) rad, are beyond their limits and not for a moment only."""
+    lower, upper = np.array(limits_rad).T
+    beyond = np.maximum(lower - measured, measured - upper)
+    for name, by in zip(names, beyond.T, strict=True):
+        # Beyond its limits by this, rad, in most samples, is no overshoot.
+        out = by > 0.05
+        share = float(out.mean())
+        if share > 0.5:
+            far = math.degrees(float(np.median(by[out])))
+            yield Fault.of("limits", f"{name} in {share:.0%} of the samples, by {far:.0f}°", share)
+
+
+def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> Fault | None:
+    largest = np.maximum(_far_out(measured), _far_out(desired))
+    j = int(np.argmax(largest))
+    # An encoder that counts turns may be a few off, both of readings and of commands.
+    # No joint of a leg goes beyond a turn; radians do not either.  An encoder that counts turns may
+    # start a turn off.
+    turns = largest[j] <= (8 * math.pi) and np.ptp(measured[:, j]) < math.pi
+    if largest[j] <= (2 * math.pi + 0.1) or (turns and like == "degrees"):
+        return None
+    reaches = f"{names[j]} reaches {largest[j]:.4g}"
+    return Fault.of("units", reaches, float(largest[j]), like=like)
+
+
+def _far_out(angles: Array) -> Array:
+    """Return the 99th percentile of each joint's absolute angle, (J,) rad."""
+    return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
+
+
+def _delayed(measured: Array, desired: Array, seq: Ticks, step_rad: float | None) -> bool:
+    """Return whether a joint's readings are earlier commands, exact or rounded."""
+    fine = step_rad is not None and step_rad < LEAST_STEP_RAD  # no finer one can be found
+    own_rad = position_step(measured, step_rad) or (step_rad if fine else None) or _EQUAL_RAD
+    for lag in range(min(_COPY_LAGS, len(seq) - 2) + 1):
+        # Rows whose command ``lag`` ticks before is known, and had moved.
+        k = np.arange(lag + 1, len(seq))
+        speeds = np.abs(desired[k - lag] - desired[k - lag - 1]) / own_rad
+        known = (seq[k] - seq[k - lag - 1] == lag + 1) & (speeds > 0.5)
+        k, speeds = k[known], speeds[known]
+        if len(k) < _FEWEST_MOVING:
+            continue
+        slow, fast = np.quantile(speeds, (0.05, 0.95))
+        off = np.sort(measured[k] - desired[k - lag])
+        inside = math.ceil(_COPY_SHARE * len(k))
+        width = (off[inside - 1 :] - off[: len(k) - inside + 1]).min()
+        if fast - slow > _COPY_SPEEDS and width <= own_rad:
+            return True
+    return False
+
+
+def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[Fault]:
+    shares: dict[str, float] = {}
+    for joint, name in enumerate(names):
+        # Steps coarser than described take a joint several ticks each.
+        gaps = np.diff(np.unique(samples.measured[:, joint]))
+        # Two values of one step, computed in two ways, differ by rounding.
+        coarser = float(gaps.min(initial=np.inf, where=gaps > 1e-9))
+        share = held_share(samples, joint, max(step_rad, coarser))
+        # Readings that are held: of the ticks in which a joint goes a step a tick and more, over so
+        # many ticks on each side, more than this share read the same as the tick before.  Held for
+        # two ticks it is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions 0.24
+        # at most.
+        if share > 0.4:
+            shares[name] = share
+    if shares:
+        most = max(shares.values())
+        yield Fault.of("held", f"{', '.join(shares)} in up to {most:.0%} of ticks", most)
+
+
+def _without_turns(angles: Array) -> tuple[Array, Ints]:
+    """Remove jumps of whole turns from angles; return them and the jumps of each joint.
+
+    Most stay as they are: the first may be one of those that are off.
+    """
+    steps = np.diff(angles, axis=0, prepend=angles[:1])
+    turns = np.round(steps / math.tau)
+    turns[np.abs(steps - math.tau * turns) >= 0.5] = 0.0
+    off = np.cumsum(turns, axis=0)
+    whole = angles - math.tau * (off - np.round(np.median(off, axis=0)))
+    return whole, np.count_nonzero(turns, axis=0)
+
+
+def _turned(name: str, jumps: int, turns: int) -> Fault:
+    detail = f"{name} jumps {jumps} times" if jumps else f"{name} reads {turns:+d} turns"
+    return Fault.of("turn", detail, float(jumps + abs(turns)))
+
+
+def _begun(desired: Array, rad: float) -> int:
+    """Count ticks whose command, (n,) or any of (n, J), is further than ``rad`` from the first.
+
+    A joint follows some ticks later; of a few, nothing is known.
+    """
+    away = np.abs(desired - desired[0]) > rad
+    return int(np.count_nonzero(away if away.ndim == 1 else away.any(axis=1)))
+
+
+def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
+    """Return whose command every joint follows, if that is another joint's; else None."""
+    joints = measured.shape[1]
+    # Joints whose orders are all tried.
+    if not 2 <= joints <= 4 or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
+        return None
+    if min(_begun(commanded, _COMMANDED_RAD) for commanded in desired.T) < _FEWEST_MOVING:
+        return None
+    apart = np.full((joints, joints), np.inf)
+    for back in range(min(6, len(measured) - 1) + 1):
+        off = measured[back:, :, None] - desired[: len(desired) - back, None, :]
+        apart = np.minimum(apart, np.median(np.abs(off), axis=0))
+
+    def far(order: tuple[int, ...]) -> float:
+        return max(float(apart[i, of]) for i, of in enumerate(order))
+
+    own = tuple(range(joints))
+    best = min(itertools.permutations(own), key=far)
+    # Readings that follow another joint's command: so much nearer than their own, and this near.
+    if best == own or far(best) > min(0.2, 0.35 * far(own)):
+        return None
+    return best
+
+
+def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[Fault]:
+    """Judge one joint by its command; ``begun``: ticks since any of its leg's commands changed."""
+    commanded = float(np.ptp(desired))
+    followed = _begun(desired, _COMMANDED_RAD) >= _FEWEST_MOVING
+    moved = float(np.ptp(measured))
+    still = moved == 0.0 if commanded < _WIDE_RAD else moved < 0.05 * commanded
+    if followed and still:
+        within = "" if moved == 0.0 else f" within {moved:.3f} rad"
+        yield Fault.of(
+            "frozen",
+            f"{name} reads {np.median(measured):.3f} rad all the time{within}, its command moves "
+            f"by {commanded:.2f} rad",
+            commanded,
+        )
+        return
+    off = float(np.median(np.abs(measured - desired)))
+    if followed and _runs_backwards(measured, desired):
+        yield Fault.of("backwards", name, moved)
+    elif off > _FAR_RAD and not begun:
+        yield Fault.of("far-still", f"{name} by {off:.2f} rad", off, "still")
+    elif off > _FAR_RAD and begun >= _FEWEST_MOVING:
+        yield Fault.of("far", f"{name} by {off:.2f} rad in the median", off)
+    glitches, to = _glitches(measured)
+    if glitches:
+        where = "" if to is None else f", to {to:.3f} rad"
+        count = f"{name} {glitches} of {len(measured)}{where}"
+        yield Fault.of("glitches", count, glitches, total=len(measured))
+
+
+def _glitches(measured: Array) -> tuple[int, float | None]:
+    """Count readings that leave the joint's path for a tick or two; return their usual value."""
+    values = measured[stray_readings(measured[:, None])[:, 0]]
+    if not len(values):
+        return 0, None
+    value, times = Counter(values.tolist()).most_common(1)[0]
+    return len(values), value if 2 * times > len(values) else None
+
+
+def _steps(measured: Array, name: str, quantum_rad: float) -> Iterator[Fault]:
+    found = position_step(measured, quantum_rad)
+    if found is None or abs(found / quantum_rad - 1.0) <= STEP_TOLERANCE:
+        return
+    if abs(found / quantum_rad * (math.pi / 180.0) - 1.0) <= STEP_TOLERANCE:
+        steps = f"{name} steps by {found:.3g}, robot.toml says {quantum_rad:g}"
+        yield Fault.of("units-steps", steps)
+        return
+    steps = f"{name} steps by {found:.4g} rad"
+    yield Fault.of("quantum", steps, found, quantum_rad=quantum_rad)
+
+
+def _runs_backwards(measured: Array, desired: Array) -> bool:
+    """Return whether positions fall while commands rise; False for a joint that hardly moves."""
+    if min(np.ptp(measured), np.ptp(desired)) < 2 * _COMMANDED_RAD:
+        return False
+    return float(np.corrcoef(measured, desired)[0, 1]) < -0.7

@@ -1,0 +1,133 @@
+"""Has the newest motion of all legs judged when it is time; a finding needs two in a row."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+import numpy as np
+
+from adaptive_contact.checks.conventions.motion import LegMotion
+from adaptive_contact.core.detect.layout import KEPT
+from adaptive_contact.core.detect.leg_batch import LegPlace
+from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
+from adaptive_contact.robot import Leg, Robot
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionJob:
+    """Describes a judgement of all legs' motion, for any process."""
+
+    leg: str  # name of the watch
+    number: int
+    judge: Callable[[Mapping[str, LegMotion]], object]
+    motions: Mapping[str, LegMotion]
+
+    def run(self) -> object:
+        """Judge the motion."""
+        return self.judge(self.motions)
+
+
+class Finding(Protocol):
+    """Defines what a judgement may find of a leg."""
+
+    def agrees(self, other: Self | None) -> bool:
+        """Return whether another judgement has found the same."""
+
+
+FindingT = TypeVar("FindingT", bound=Finding)
+
+
+class Track(Generic[FindingT]):
+    """Follows what the motion of one leg shows."""
+
+    def __init__(self, place: LegPlace) -> None:
+        self.finding: FindingT | None = None  # what two judgements in a row have found
+        self.settled = False  # nothing more is looked for
+        self._suspected: FindingT | None = None  # by the last judgement alone
+        self._place = place
+
+    @property
+    def begun(self) -> bool:
+        """Return whether the leg has had samples."""
+        return bool(self._place.leg.kept_n)
+
+    @property
+    def motion(self) -> LegMotion:
+        """Copies of its newest samples; none once it is settled."""
+        place, count = self._place, self._place.leg.kept_n
+        most = 0 if self.settled else KEPT
+        at = np.arange(max(count - most, 0), count) % KEPT
+        t_ns, seq, phase = place.batch.kept_stamps[place.row, at].T
+        measured, desired = np.split(place.batch.kept_angles[place.row, at], 2, axis=1)
+        swing = None if (phase < 0).any() else phase == 1
+        # Counted from the first, as numbers of any size are.
+        return LegMotion(t_ns.copy(), measured.copy(), desired.copy(), swing, seq - seq[:1])
+
+    def take(self, found: FindingT | None, *, right: bool = False) -> None:
+        """Take what a judgement has found; ``right``: that nothing is wrong."""
+        if right or (found is not None and found.agrees(self._suspected)):
+            self.finding = found
+        self._suspected = found
+
+
+class Watch(abc.ABC, Generic[FindingT]):
+    """Has a robot's motion judged when it is time.
+
+    Args:
+        robot: its description.
+        refitter: makes the judgements.
+        name: no leg has it.
+        times_s: when it is time, s of samples.
+        judge: judges all legs' motion; a function that can be pickled.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        refitter: Refitter | None,
+        name: str,
+        times_s: Sequence[float],
+        judge: Callable[[Mapping[str, LegMotion]], object],
+    ) -> None:
+        self._robot, self._name, self._judge = robot, name, judge
+        self._refitter = InlineRefitter() if refitter is None else refitter
+        self._tracks: dict[str, Track[FindingT]] = {}
+        self._times = [round(time / robot.period_s) for time in times_s]
+        self._pending: int | None = None
+        self._ticks = self._jobs = 0
+
+    def track(self, leg: Leg, place: LegPlace) -> Track[FindingT] | None:
+        """Make the track of a leg with arrays; None for one that is not described."""
+        if leg.id not in self._robot.leg_ids:
+            return None
+        self._tracks[leg.id] = Track(place)
+        return self._tracks[leg.id]
+
+    def look(self) -> None:
+        """Start a judgement if it is due after this tick, and take its result when it is there."""
+        self._ticks += 1
+        if self._pending is None:
+            self._ask()
+        if self._pending is not None:
+            found = self._refitter.collect(self._name, self._pending)
+            if found is not None:
+                self._pending = None
+                self._conclude(found)
+
+    def _ask(self) -> None:
+        if not self._times or self._ticks < self._times[0]:
+            return
+        del self._times[0]
+        if all(track.settled for track in self._tracks.values()):
+            return
+        self._jobs += 1
+        self._pending = self._jobs
+        motions = {leg: track.motion for leg, track in self._tracks.items() if track.begun}
+        self._refitter.submit(MotionJob(self._name, self._jobs, self._judge, motions))
+
+    @abc.abstractmethod
+    def _conclude(self, found: Any) -> None:
+        """Take a judgement."""
