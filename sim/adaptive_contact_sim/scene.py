@@ -121,14 +121,6 @@ def set_surface(
     )
 
 
-def on_a_stand(height_m: float) -> mujoco.MjSpec:
-    """The hexapod with its body fixed so high over the origin; no ground."""
-    spec = mujoco.MjSpec.from_string(robot_xml())
-    spec.delete(spec.joint("body"))
-    spec.body("body").pos = [0.0, 0.0, height_m]
-    return spec
-
-
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
     """Sky, floor pattern, lights: for pictures only."""
     spec.add_texture(

@@ -15,39 +15,23 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.score import LegOutcome, Summary, summarise
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.pose import PoseSettings, Workspace
-from adaptive_contact_sim.simulation import SimulationSettings
-from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_sim.pose import Workspace
 from adaptive_contact_studies.evaluate import play, score_run
-from adaptive_contact_studies.training import PlannedRun, record_all
+from adaptive_contact_studies.training import PlannedRun, planned_run, record_all
 from adaptive_contact_studies.work import Work
 
 
-def _pose(
-    row: str, seed: int, seconds: float, workspace: Workspace, probability: float
-) -> PlannedRun:
-    motion = PoseSettings(
-        legs=LEGS,
-        workspace=workspace,
-        obstacles=ObstacleSettings(probability=probability),
+def _pose(row: str, seed: int, seconds: float, workspace: Workspace, share: float) -> PlannedRun:
+    obstacles = ObstacleSettings(probability=share)
+    return planned_run(
+        row, "hexapod", seed, seconds, legs=LEGS, workspace=workspace, obstacles=obstacles
     )
-    return PlannedRun(row, SimulationSettings(motion=motion, seed=seed), seconds)
-
-
-def _walk(row: str, seed: int, seconds: float) -> PlannedRun:
-    settings = SimulationSettings(
-        motion=WalkSettings(gait="tripod", stop_on="truth", react_ms=60.0),
-        terrain=TerrainSettings(kind="rough"),
-        seed=seed,
-    )
-    return PlannedRun(row, settings, seconds)
 
 
 HEADLINE_RUNS: Final = (
-    _walk("walk_rough", 2001, 600.0),
-    _walk("walk_rough", 2002, 600.0),
-    _walk("walk_rough", 2003, 600.0),
+    planned_run("walk_rough", "hexapod", 2001, 600.0, "rough"),
+    planned_run("walk_rough", "hexapod", 2002, 600.0, "rough"),
+    planned_run("walk_rough", "hexapod", 2003, 600.0, "rough"),
     _pose("pose_free", 2011, 1500.0, "paper", 0.0),
     _pose("pose_free", 2012, 1500.0, "whole", 0.0),
     _pose("pose_contacts", 2021, 400.0, "paper", 0.5),

@@ -11,19 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from adaptive_contact.fit.recordings import untouched
 from adaptive_contact.fit.train import Stretch, Training, learn
-from adaptive_contact_sim.arrays import Run, record_arrays
+from adaptive_contact_sim.arrays import Run, record_run
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.robots import simulated_robot
-from adaptive_contact_sim.simulation import SimulationSettings
-from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.terrain import TerrainKind
 from adaptive_contact_studies.work import SIMULATOR, Work, rests_on
 
 
@@ -35,52 +33,46 @@ class PlannedRun(NamedTuple):
     seconds: float
 
 
-def _pose(name: str, seed: int, seconds: float, motion: PoseSettings) -> PlannedRun:
-    return PlannedRun(name, SimulationSettings(motion=motion, seed=seed), seconds)
-
-
-def _walk(
-    name: str, seed: int, seconds: float, motion: WalkSettings, terrain: TerrainKind
+def planned_run(
+    name: str,
+    robot: str,
+    seed: int,
+    seconds: float,
+    terrain: TerrainKind | None = None,
+    **changes: Any,
 ) -> PlannedRun:
-    ground = TerrainSettings(kind=terrain)
-    return PlannedRun(name, SimulationSettings(motion=motion, seed=seed, terrain=ground), seconds)
-
-
-def _other(
-    name: str, robot: str, seed: int, seconds: float, terrain: TerrainKind | None, **changes: Any
-) -> PlannedRun:
-    """A run of another robot: its own settings, some of its motion's changed."""
-    gait = changes.get("gait")
-    settings = SimulationSettings.of(robot, "pose" if terrain is None else "walk", gait)
+    """Plan a run: a robot's own settings, some of its motion's changed; without ground a pose."""
+    mode: Literal["pose", "walk"] = "pose" if terrain is None else "walk"
+    settings = SimulationSettings.of(robot, mode, changes.get("gait"))
     motion = replace(settings.motion, **changes)
     ground = settings.terrain if terrain is None else replace(settings.terrain, kind=terrain)
     return PlannedRun(name, replace(settings, motion=motion, terrain=ground, seed=seed), seconds)
 
 
 _HEXAPOD: Final = (
-    _pose("pose, paper's subspaces", 1001, 900.0, PoseSettings(legs=LEGS)),
-    _pose("pose, whole reach", 1002, 1200.0, PoseSettings(legs=LEGS, workspace="whole")),
-    _pose("pose, slow descents", 1003, 900.0, PoseSettings(legs=LEGS, approach="slow")),
-    _pose("pose, level swings", 1004, 450.0, PoseSettings(legs=LEGS, approach="forward")),
-    _walk("tripod, rough", 1011, 600.0, WalkSettings(gait="tripod"), "rough"),
-    _walk("ripple, rough", 1012, 600.0, WalkSettings(gait="ripple"), "rough"),
-    _walk("wave, rough", 1013, 600.0, WalkSettings(gait="wave"), "rough"),
-    _walk("tripod, steps", 1014, 300.0, WalkSettings(gait="tripod"), "steps"),
+    planned_run("pose, paper's subspaces", "hexapod", 1001, 900.0, legs=LEGS),
+    planned_run("pose, whole reach", "hexapod", 1002, 1200.0, legs=LEGS, workspace="whole"),
+    planned_run("pose, slow descents", "hexapod", 1003, 900.0, legs=LEGS, approach="slow"),
+    planned_run("pose, level swings", "hexapod", 1004, 450.0, legs=LEGS, approach="forward"),
+    planned_run("tripod, rough", "hexapod", 1011, 600.0, "rough", gait="tripod"),
+    planned_run("ripple, rough", "hexapod", 1012, 600.0, "rough", gait="ripple"),
+    planned_run("wave, rough", "hexapod", 1013, 600.0, "rough", gait="wave"),
+    planned_run("tripod, steps", "hexapod", 1014, 300.0, "steps", gait="tripod"),
 )
 _QUADRUPED12: Final = (
-    _other("trot, rough", "quadruped12", 2001, 400.0, "rough", gait="trot"),
-    _other("slow trot, rough", "quadruped12", 2002, 400.0, "rough", gait="trot", swing_s=0.36),
-    _other("trot, steps", "quadruped12", 2003, 200.0, "steps", gait="trot"),
-    _other("walk, rough", "quadruped12", 2011, 600.0, "rough", gait="walk"),
-    _other("fast walk, rough", "quadruped12", 2012, 400.0, "rough", gait="walk", swing_s=0.45),
-    _other("walk, steps", "quadruped12", 2013, 200.0, "steps", gait="walk"),
+    planned_run("trot, rough", "quadruped12", 2001, 400.0, "rough", gait="trot"),
+    planned_run("slow trot, rough", "quadruped12", 2002, 400.0, "rough", gait="trot", swing_s=0.36),
+    planned_run("trot, steps", "quadruped12", 2003, 200.0, "steps", gait="trot"),
+    planned_run("walk, rough", "quadruped12", 2011, 600.0, "rough", gait="walk"),
+    planned_run("fast walk, rough", "quadruped12", 2012, 400.0, "rough", gait="walk", swing_s=0.45),
+    planned_run("walk, steps", "quadruped12", 2013, 200.0, "steps", gait="walk"),
 )
 _LEG5: Final = (
-    _other("pose", "leg5", 3001, 900.0, None),
-    _other("pose, fast", "leg5", 3002, 600.0, None, segment_ticks=13),
-    _other("pose, long swings", "leg5", 3003, 600.0, None, segment_ticks=30),
-    _other("pose, straight in the joints", "leg5", 3004, 600.0, None, path="joint"),
-    _other("pose, slow descents", "leg5", 3005, 600.0, None, approach="slow"),
+    planned_run("pose", "leg5", 3001, 900.0),
+    planned_run("pose, fast", "leg5", 3002, 600.0, segment_ticks=13),
+    planned_run("pose, long swings", "leg5", 3003, 600.0, segment_ticks=30),
+    planned_run("pose, straight in the joints", "leg5", 3004, 600.0, path="joint"),
+    planned_run("pose, slow descents", "leg5", 3005, 600.0, approach="slow"),
 )
 TRAINING_RUNS: Final = {"hexapod": _HEXAPOD, "quadruped12": _QUADRUPED12, "leg5": _LEG5}
 
@@ -99,8 +91,9 @@ def stretch_of(run: Run, leg: str, period_s: float = 0.02) -> Stretch:
 
 @rests_on(*SIMULATOR)
 def recorded(_: Work, spec: PlannedRun) -> Run:
-    """Record a run."""
-    return record_arrays(spec.settings, spec.seconds)
+    """Record a run; of one in pose the legs that move."""
+    legs = getattr(spec.settings.motion, "legs", None)
+    return record_run(Simulation(spec.settings), spec.seconds, legs=legs)
 
 
 def record_all(work: Work, runs: Sequence[PlannedRun]) -> list[Run]:

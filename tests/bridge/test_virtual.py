@@ -23,9 +23,7 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_ports
-from adaptive_contact_sim.virtual.horns import Horns
-from adaptive_contact_sim.virtual.passive import PassiveBackend
-from adaptive_contact_sim.virtual.physics import GaitedBackend, LocalSource
+from adaptive_contact_sim.virtual.backend import GaitedBackend, Horns, LocalSource, PassiveBackend
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
 from quadruped import LEGS, recorded

@@ -1,8 +1,46 @@
-"""What moves behind the virtual servos."""
+"""What moves behind the virtual servos: a robot on a stand, or one that walks by itself.
+
+On a stand goals come from the bus only.  The body is fixed; all legs hang free, or reach the floor
+where the stand is low enough.  Physics runs in steps of 1 ms as time goes by, so a goal written at
+any moment acts from that moment on.
+
+A robot that walks by itself is the simulation of ``adaptive-contact sim``, untouched: same
+settings, same samples and truth.  Each tick's physics is made a tick ahead and kept step by step,
+so that a reading at any moment sees the robot as it is then.  It is made in a process of its own:
+in one process the engine and the bus would wait for each other, as the interpreter serves one at a
+time, and a reading that comes 5 ms late is no reading.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+import contextlib
+import dataclasses
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol, Self
+
+import mujoco
+import numpy as np
+
+from adaptive_contact.arrays import Array
+from adaptive_contact.bridge.plan import PortPlan
+from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
+from adaptive_contact_sim.elements import N_SERVOS
+from adaptive_contact_sim.plant import Plant
+from adaptive_contact_sim.scene import robot_xml
+from adaptive_contact_sim.servo import QUANTUM_RAD, manufactured
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
+from adaptive_contact_sim.terrain import HARD_SOLREF
+
+STEP_S: Final = 0.001
+# Further behind than this, lost time is let go.
+LET_GO_S: Final = 0.5
 
 
 class Backend(Protocol):
@@ -42,3 +80,307 @@ class Backend(Protocol):
     def set_slope(self, index: int, slope_rad: float) -> None:
         """Set the position error at which a servo drives with all it has."""
         return
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Horns:
+    """Mounting of a robot's servos, in the order of the simulator's joints.
+
+    A joint's angle is ``direction * horn + offset``, as in ``robot.toml``.
+    """
+
+    direction: Array  # (n,) 1 or -1
+    offset_rad: Array  # (n,) joint angle with the horn in its centre
+
+    @classmethod
+    def of(cls, plans: Sequence[PortPlan], order: Sequence[tuple[str, str]]) -> Horns:
+        """Take them from what a description says.
+
+        Args:
+            plans: the robot's ports.
+            order: (leg, joint) of every simulated joint.
+
+        Raises:
+            ConfigurationError: the description lacks one of them.
+        """
+        known = {
+            (leg.id, joint.name): joint
+            for plan in plans
+            for leg in plan.legs
+            for joint in leg.joints
+        }
+        missing = [f"{leg} {joint}" for leg, joint in order if (leg, joint) not in known]
+        if missing:
+            raise ConfigurationError(
+                f"the description has no servo for {', '.join(missing)}; give the simulated "
+                "robot's own robot.toml, or one with the same legs and joints"
+            )
+        joints = [known[pair] for pair in order]
+        return cls(
+            np.array([float(joint.direction) for joint in joints]),
+            np.array([joint.offset_rad for joint in joints]),
+        )
+
+    def horn(self, index: int, joint_rad: float) -> float:
+        """Horn angle of a joint angle."""
+        return float(self.direction[index] * (joint_rad - self.offset_rad[index]))
+
+    def joint(self, index: int, horn_rad: float) -> float:
+        """Joint angle of a horn angle."""
+        return float(self.direction[index] * horn_rad + self.offset_rad[index])
+
+
+class _OnHorns(Backend):
+    """Joints whose angles and speeds, (n,), are read through their horns."""
+
+    def __init__(self, horns: Horns, angles: Array, speeds: Array) -> None:
+        self._horns, self._angles, self._speeds = horns, angles, speeds
+
+    def angle(self, index: int) -> float:
+        """Angle of a servo's horn, rad."""
+        return self._horns.horn(index, float(self._angles[index]))
+
+    def speed(self, index: int) -> float:
+        """Speed of a servo's horn, rad/s."""
+        return float(self._horns.direction[index] * self._speeds[index])
+
+
+class PassiveBackend(_OnHorns):
+    """A hexapod on a stand; a backend of virtual servos.
+
+    Args:
+        horns: how the servos are mounted.
+        height_m: of the body over the floor.
+    """
+
+    # Of the body over the floor, with the legs out of reach of it.
+    def __init__(self, horns: Horns, *, height_m: float = 1.0) -> None:
+        self.plant = Plant(_on_a_stand(height_m), manufactured(0), period_s=STEP_S)
+        super().__init__(horns, self.plant.joint_angles, self.plant.joint_speeds)
+        self._goal = np.zeros(N_SERVOS)  # stretched out level
+        self._on = np.zeros(N_SERVOS, dtype=np.bool_)
+        self._start_s: float | None = None
+        self.plant.joint_angles[:] = 0.0
+        mujoco.mj_forward(self.plant.model, self.plant.data)
+        self._written: Array | None = None
+
+    def advance(self, now_s: float) -> float:
+        """Bring the robot up to a moment."""
+        if self._start_s is None:
+            self._start_s = now_s
+        behind = int((now_s - self._start_s) / STEP_S) - self.plant.steps
+        if behind * STEP_S > LET_GO_S:
+            self._start_s += behind * STEP_S
+            behind = 0
+        for _ in range(min(behind, 5)):  # Steps made at one call: more would keep the bus waiting.
+            self._step()
+        return float(self._start_s + (self.plant.steps + 1) * STEP_S)
+
+    def set_goal(self, index: int, angle_rad: float) -> None:
+        """Write a servo's goal."""
+        self._goal[index] = self._horns.joint(index, angle_rad)
+
+    def set_torque(self, index: int, on: bool) -> None:
+        """Switch a servo's drive on or off."""
+        self._on[index] = on
+
+    def set_slope(self, index: int, slope_rad: float) -> None:
+        """Set a servo's compliance slope."""
+        self.plant.servos.parameters.slope_steps[index] = slope_rad / QUANTUM_RAD
+        self.plant.servos.refresh()
+
+    def _step(self) -> None:
+        """Make one physics step; a servo without torque has its goal where it is."""
+        plant = self.plant
+        target = np.where(self._on, self._goal, plant.joint_angles)
+        if self._written is None or not np.array_equal(target, self._written):
+            plant.servos.write_goal(target)
+            self._written = target
+        plant.advance()
+
+
+def _on_a_stand(height_m: float) -> mujoco.MjModel:
+    """The robot with its body fixed over a hard floor."""
+    spec = mujoco.MjSpec.from_string(robot_xml())
+    spec.delete(spec.joint("body"))
+    spec.body("body").pos = [0.0, 0.0, height_m]
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[2.0, 2.0, 0.1],
+        contype=0,
+        conaffinity=1,
+        friction=[0.9, 0.005, 0.0001],
+        solref=list(HARD_SOLREF),
+    )
+    return spec.compile()
+
+
+class MadeTick(NamedTuple):
+    """One control tick of a simulation."""
+
+    # angles, speeds: (20, 18) rad and rad/s in the servos' frames, after each physics step
+    angles: Array
+    speeds: Array
+    goals: Array  # (18,) rad, in force from the tick's start on
+
+
+class LocalSource:
+    """Makes ticks here and now."""
+
+    def __init__(
+        self, settings: SimulationSettings, on_tick: Callable[[Tick], None] = lambda _: None
+    ) -> None:
+        self.sim = Simulation(settings)
+        self.on_tick = on_tick
+        self._rows: list[tuple[Array, Array]] = []
+        plant = self.sim.plant
+        plant.on_step = lambda: self._rows.append(
+            (plant.joint_angles.copy(), plant.joint_speeds.copy())
+        )
+
+    def begin(self, epoch_ns: int) -> None:
+        """Take up the time stamp of tick 0; the tick is made when it is taken."""
+        if epoch_ns != self.sim.settings.epoch_ns:
+            self.sim.settings = dataclasses.replace(self.sim.settings, epoch_ns=epoch_ns)
+
+    def take(self) -> MadeTick:
+        """Make the next tick."""
+        self._rows.clear()
+        self.on_tick(self.sim.tick())
+        offset = self.sim.plant.servos.offset_rad
+        angles = np.stack([row[0] for row in self._rows]) + offset
+        return MadeTick(angles, np.stack([row[1] for row in self._rows]), self.sim.desired.copy())
+
+
+class ProcessSource:
+    """Has ticks made by another process; a context manager.
+
+    Args:
+        settings: what is simulated.
+        record: MCAP file of its samples and truth.
+    """
+
+    def __init__(self, settings: SimulationSettings, record: Path | None = None) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process: Any = context.Process(
+            target=_make_ticks, args=(theirs, settings, record), name="physics"
+        )
+        self._process.start()
+        theirs.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pipe.close()
+        self._process.join(5.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    def wait(self) -> None:
+        """Wait until the simulation stands, which takes a second or two."""
+        self._receive()
+
+    def begin(self, epoch_ns: int) -> None:
+        """Ask for the next tick."""
+        with contextlib.suppress(BrokenPipeError):  # `take` reports what has become of it
+            self._pipe.send(epoch_ns)
+
+    def take(self) -> MadeTick:
+        """The tick that was asked for."""
+        made = self._receive()
+        assert isinstance(made, MadeTick)
+        return made
+
+    def _receive(self) -> object:
+        try:
+            got = self._pipe.recv()
+        except (EOFError, ConnectionResetError):
+            raise SimulationDivergedError(
+                "the physics ended unexpectedly; see the lines above, and report them"
+            ) from None
+        if isinstance(got, Exception):
+            raise got
+        return got
+
+
+def _make_ticks(pipe: Connection, settings: SimulationSettings, record: Path | None) -> None:
+    """Make ticks as they are asked for; the target of the spawned process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the bus ends us, when it has ended
+    _stand_back()
+    with ExitStack() as stack:
+        try:
+            source = LocalSource(settings)
+            if record is not None:
+                from adaptive_contact_sim.recorder import TickRecorder
+
+                source.on_tick = stack.enter_context(TickRecorder(record, source.sim)).write
+            pipe.send("ready")
+            while True:
+                source.begin(pipe.recv())
+                pipe.send(source.take())
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            return  # the bus has ended
+        except Exception as error:
+            with contextlib.suppress(BrokenPipeError):
+                pipe.send(error)
+
+
+def _stand_back() -> None:
+    """Let real-time physics never keep the bus from running."""
+    if os.sched_getscheduler(0) == os.SCHED_RR:
+        first = os.sched_getparam(0).sched_priority
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(max(first - 5, 1)))
+
+
+class GaitedBackend(_OnHorns):
+    """A walking simulation as a set of servos: its own controller writes goals, with torque on.
+
+    Args:
+        source: of the simulation's ticks.
+        horns: how the servos are mounted.
+        period_s: control tick.
+    """
+
+    def __init__(
+        self, source: LocalSource | ProcessSource, horns: Horns, *, period_s: float = 0.02
+    ) -> None:
+        super().__init__(horns, np.zeros(N_SERVOS), np.zeros(N_SERVOS))
+        self._source = source
+        self._period_s = period_s
+        self._made: MadeTick | None = None
+        self._start_s, self._epoch_ns = 0.0, 0
+        self._tick = 0
+
+    def advance(self, now_s: float) -> float:
+        """Bring the robot up to a moment."""
+        if self._made is None:
+            self._let_begin(now_s)
+            self._source.begin(self._epoch_ns)
+            self._made = self._source.take()
+            self._source.begin(self._epoch_ns)
+        start = self._start_s + self._tick * self._period_s
+        if now_s - start > LET_GO_S:
+            self._let_begin(now_s)
+            start = now_s
+        while now_s >= start + self._period_s:
+            self._made = self._source.take()
+            self._tick += 1
+            start += self._period_s
+            self._source.begin(self._epoch_ns)
+        at = min(int((now_s - start) / STEP_S), len(self._made.angles) - 1)
+        self._angles, self._speeds = self._made.angles[at], self._made.speeds[at]
+        return start + self._period_s
+
+    def goal(self, index: int) -> float | None:
+        """The goal in force, of the robot's own controller."""
+        made = self._made
+        return self._horns.horn(index, 0.0 if made is None else float(made.goals[index]))
+
+    def _let_begin(self, now_s: float) -> None:
+        """Let the present tick be now, by the monotonic clock and in the time stamps to come."""
+        self._start_s = now_s - self._tick * self._period_s
+        self._epoch_ns = time.time_ns() - round(self._tick * self._period_s * 1e9)

@@ -24,10 +24,13 @@ from adaptive_contact_sim.virtual.assembly import (
     check_faults,
     with_ports,
 )
-from adaptive_contact_sim.virtual.backend import Backend
-from adaptive_contact_sim.virtual.horns import Horns
-from adaptive_contact_sim.virtual.passive import PassiveBackend
-from adaptive_contact_sim.virtual.physics import GaitedBackend, ProcessSource
+from adaptive_contact_sim.virtual.backend import (
+    Backend,
+    GaitedBackend,
+    Horns,
+    PassiveBackend,
+    ProcessSource,
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import dataclasses
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -28,8 +28,8 @@ from adaptive_contact.arrays import Array
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact_studies.paper.data import Stream, join, load, record_all
-from adaptive_contact_studies.paper.plan import Plan
+from adaptive_contact_studies.paper.data import Stream, streams_of
+from adaptive_contact_studies.paper.plan import PAPER_LEG, Plan
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, free_rows, residual_unit
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
@@ -113,9 +113,11 @@ class Comparison:
     difference: float  # largest difference of a coefficient, raw units
 
 
-def compare(stream: Stream, library: Library, threshold: float, *, repeats: int = 3) -> Comparison:
-    """Time both fits of the free rows of a stream; the better of ``repeats``, CPU time."""
-    windows = free_rows(stream, library).windows
+def compare(
+    streams: Sequence[Stream], library: Library, threshold: float, *, repeats: int = 3
+) -> Comparison:
+    """Time both fits of the free rows of some streams; the better of ``repeats``, CPU time."""
+    windows = free_rows(streams, library).windows
     theta, library_s = _timed(
         lambda: library.evaluate(windows.measured, windows.desired, windows.preview), repeats
     )
@@ -159,11 +161,9 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
 @rests_on(*SIMULATOR, *LEARNER, "adaptive_contact_studies.paper.rows")
 def compare_all(work: Work, plan: Plan) -> list[Comparison]:
     """Both libraries, at a λ that keeps nearly every term and one that leaves the sparse model."""
-    pieces = plan.paper_pieces("train")
-    record_all(work, "the paper's dataset", pieces)
-    stream, robot = join([load(work, piece) for piece in pieces]), shipped_robot()
+    streams, robot = streams_of(work, plan.paper_runs("train")), shipped_robot()
     return [
-        compare(stream, leg_library(robot, robot.leg(stream.leg), name, window), threshold)
+        compare(streams, leg_library(robot, robot.leg(PAPER_LEG), name, window), threshold)
         for name, window, threshold in _COMPARED
     ]
 

@@ -78,7 +78,7 @@ class Prediction(NamedTuple):
     increment: Array  # (n, J) rad, the movement predicted from k - 1 to k
 
     @classmethod
-    def of(cls, model: LegModel | None, measured: Array, desired: Array) -> Self:
+    def of(cls, model: LegModel, measured: Array, desired: Array) -> Self:
         """Of the readings and commands of a stream, (n, J) rad each."""
         predicted = predictions(model, measured, desired)
         increment = np.full_like(measured, np.nan)
@@ -98,13 +98,13 @@ class Evidence:
     @classmethod
     def of(cls, robot: Robot, stream: Stream, models: Mapping[str, LegModel]) -> Self:
         """Of a stream and the models of its leg-run."""
-        measured, desired = stream.measured, stream.desired
+        measured, desired = stream.arrays.measured, stream.arrays.desired
         heading = directions(desired, robot.leg(stream.leg))
         return cls(
             stream,
-            Motion(measured, desired, swing_ticks(stream.swing), heading),
+            Motion(measured, desired, swing_ticks(stream.arrays.swing), heading),
             {name: Prediction.of(model, measured, desired) for name, model in models.items()},
-            find_swings(stream.run.t_ns, stream.swing).of_tick,
+            find_swings(stream.run.t_ns, stream.arrays.swing).of_tick,
         )
 
     @property
@@ -307,7 +307,7 @@ class Detector(NamedTuple):
 
 def _ratio(model: str) -> Callable[[Bench, Evidence], Array]:
     def statistic(bench: Bench, evidence: Evidence) -> Array:
-        noise = bench.noise[model][evidence.stream.piece.leg_run.name]
+        noise = bench.noise[model][evidence.stream.leg_run]
         return likelihood_ratio(
             evidence.motion, evidence.predictions[model], noise, bench.quantum_rad
         )
@@ -357,7 +357,7 @@ def tune_bench(robot: Robot, free: Sequence[Evidence], touch: Sequence[Evidence]
     lag = int(np.argmin([np.sqrt(np.nanmean(np.square(errors))) for errors in lags]))
     own: dict[str, list[Evidence]] = {}
     for e in free:
-        own.setdefault(e.stream.piece.leg_run.name, []).append(e)
+        own.setdefault(e.stream.leg_run, []).append(e)
     noise = {
         model: {name: _joined_noise(of, model, robot.quantum_rad) for name, of in own.items()}
         for model in MODELS

@@ -9,7 +9,6 @@ apart.  What it reports as a contact it does not learn, so that no threshold of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -17,22 +16,24 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.core.leg_learner import ContactLearner
-from adaptive_contact.fit.train import learn
+from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.model import Baseline, LegModel, LibraryName, Window
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.score import Events, LegStream
+from adaptive_contact.score import Events, LegOutcome, LegStream, match
 from adaptive_contact_studies.evaluate import feed, leg_stream, samples_of
-from adaptive_contact_studies.paper.data import Stream, load
+from adaptive_contact_studies.paper.data import Stream, streams_of
 from adaptive_contact_studies.paper.detectors import (
     DETECTORS,
     MODELS,
     Bench,
     Evidence,
     alarm_ticks,
+    alarms,
     tune_bench,
 )
-from adaptive_contact_studies.paper.plan import GantrySettings, Piece, Plan, Role
+from adaptive_contact_studies.paper.plan import Plan, Role
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW
+from adaptive_contact_studies.training import PlannedRun
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 # Swept thresholds, over those of the aim, 15 to a decade.  Far below it: a heavy tail sets an aim's
@@ -54,16 +55,19 @@ class Learned(NamedTuple):
 
 
 class Job(NamedTuple):
-    """Pieces that are read and predicted together."""
+    """Runs that are read and predicted together."""
 
     plan: Plan
-    pieces: tuple[Piece, ...]
+    role: Role
+    runs: tuple[PlannedRun, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluated:
-    """What detectors made of a piece."""
+    """What detectors made of a stream."""
 
+    kind: str  # how the leg moves and what it meets
+    leg_run: str
     truth: LegStream  # as the score takes it
     swing: Ints  # (n,) number of the swing
     descending: Mask  # (n,) the command in force is past the lift
@@ -75,6 +79,19 @@ class Evaluated:
     squares: dict[str, Array]  # by model, (J,) sums of the residuals' squares on free ticks
     rows: dict[str, int]  # how many those are
 
+    @property
+    def slow(self) -> bool:
+        """Whether the leg approaches slowly."""
+        return self.kind == "hard slow"
+
+    def outcome(self, name: str, factor: float = 1.0) -> LegOutcome:
+        """A detector's events against the truth, of a stream with contacts."""
+        events = self.events
+        if name != DEFAULT:
+            scores = self.scores[name]
+            events = alarms(self.truth.t_ns, scores, self.swing, factor, self.descending)
+        return match(self.truth, events)
+
 
 @rests_on(*_SOURCES)
 def learned(work: Work, item: tuple[Plan, int]) -> Learned:
@@ -83,11 +100,10 @@ def learned(work: Work, item: tuple[Plan, int]) -> Learned:
     robot = shipped_robot()
 
     def fit(roles: tuple[Role, ...], library: LibraryName, **options: Any) -> Baseline:
-        streams: dict[str, list[Stream]] = {leg: [] for leg in plan.legs}
-        for piece in (p for role in roles for p in plan.pieces(role)):
-            if piece.leg_run.robot_seed == seed:
-                streams[piece.leg_run.leg].append(load(work, piece))
-        stretches = {leg: [s.stretch for s in own] for leg, own in streams.items()}
+        runs = [run for role in roles for run in plan.runs(role) if run.settings.robot_seed == seed]
+        stretches: dict[str, list[Stretch]] = {}
+        for stream in streams_of(work, runs):
+            stretches.setdefault(stream.leg, []).append(stream.stretch)
         origin = f"experiments, robot {seed}"
         return learn(robot, stretches, origin=origin, library=library, **options).baseline
 
@@ -96,7 +112,8 @@ def learned(work: Work, item: tuple[Plan, int]) -> Learned:
     # study, where all thresholds predict alike.
     paper = fit(("train",), "paper", window=PAPER_WINDOW, threshold=0.5)
     models = {
-        leg: {"servo": servo.legs[leg].model, "paper": paper.legs[leg].model} for leg in plan.legs
+        leg: {"servo": known.model, "paper": paper.legs[leg].model}
+        for leg, known in servo.legs.items()
     }
     return Learned(models, fit(("train", "tune"), "servo", window=Window()))
 
@@ -105,51 +122,44 @@ def learned(work: Work, item: tuple[Plan, int]) -> Learned:
 def tuned(work: Work, plan: Plan) -> Bench:
     """Choose lag, noise, tails and joints on tuning streams."""
     robot = shipped_robot()
-    evidence = [_evidence(work, plan, robot, load(work, p)) for p in plan.pieces("tune")]
-    touch = [e.stream.piece.kind in plan.tune_touch_s for e in evidence]
+    streams = streams_of(work, plan.runs("tune"))
+    evidence = [_evidence(work, plan, robot, stream) for stream in streams]
+    touch = [e.stream.planned.name in plan.tune_touch_s for e in evidence]
     quiet, touched = (
         [e for e, t in zip(evidence, touch, strict=True) if t is which] for which in (False, True)
     )
     return tune_bench(robot, quiet, touched)
 
 
-def jobs_of(plan: Plan, pieces: Sequence[Piece]) -> list[Job]:
-    """Pieces in groups: some runs of one hung-up robot, or all of one leg-run.
+def jobs_of(plan: Plan, role: Role) -> list[Job]:
+    """The runs of a role, six at a time.
 
     Learners side by side share what a tick costs once: eighteen take half the time of three.
     """
-    groups: dict[str, list[Piece]] = {}
-    runs: dict[int, dict[str, int]] = {}
-    for piece in pieces:
-        name = f"{piece.role} {piece.leg_run.name}"
-        if isinstance(piece.settings, GantrySettings):
-            known = runs.setdefault(piece.leg_run.robot_seed, {})
-            run = known.setdefault(repr(piece.settings), len(known))
-            # Three runs of six streams are evaluated side by side.
-            name = f"{piece.role} {piece.leg_run.robot_seed} {run // 3}"
-        groups.setdefault(name, []).append(piece)
-    return [Job(plan, tuple(group)) for group in groups.values()]
+    runs = plan.runs(role)
+    return [Job(plan, role, tuple(runs[i : i + 6])) for i in range(0, len(runs), 6)]
 
 
 @rests_on(*_SOURCES)
 def evaluate(work: Work, job: Job) -> list[Evaluated]:
-    """Evaluate the pieces of a job."""
+    """Evaluate the streams of a job."""
     robot, bench = shipped_robot(), work.one(tuned, job.plan)
-    streams = [load(work, piece) for piece in job.pieces]
-    baselines = [
-        work.one(learned, (job.plan, s.piece.leg_run.robot_seed)).baseline for s in streams
+    streams = streams_of(work, job.runs)
+    learners = [
+        ContactLearner(robot, s.leg, _learned_of(work, job.plan, s).baseline) for s in streams
     ]
-    learners = [ContactLearner(robot, s.leg, b) for s, b in zip(streams, baselines, strict=True)]
     played = feed(learners, [samples_of(s.run, s.leg) for s in streams])
+    quiet = job.role != "touch"
     found = []
     for stream, events in zip(streams, played, strict=True):
         own = _evidence(work, job.plan, robot, stream)
         scores = {name: bench.score(name, own) for name in DETECTORS}
-        quiet = stream.piece.role != "touch"
         residuals = {name: own.predictions[name].residual[own.free] for name in MODELS}
         known = {name: r[np.isfinite(r).all(axis=1)] for name, r in residuals.items()}
         found.append(
             Evaluated(
+                kind=stream.planned.name,
+                leg_run=stream.leg_run,
                 truth=leg_stream(stream.run, stream.leg, robot),
                 swing=own.swing_of_tick,
                 descending=own.descending,
@@ -163,9 +173,12 @@ def evaluate(work: Work, job: Job) -> list[Evaluated]:
     return found
 
 
+def _learned_of(work: Work, plan: Plan, stream: Stream) -> Learned:
+    return work.one(learned, (plan, stream.planned.settings.robot_seed))
+
+
 def _evidence(work: Work, plan: Plan, robot: Robot, stream: Stream) -> Evidence:
-    run = stream.piece.leg_run
-    return Evidence.of(robot, stream, work.one(learned, (plan, run.robot_seed)).models[run.leg])
+    return Evidence.of(robot, stream, _learned_of(work, plan, stream).models[stream.leg])
 
 
 def _sweep(own: Evidence, score: Array) -> Ints:

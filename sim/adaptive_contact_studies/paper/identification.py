@@ -21,12 +21,11 @@ from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_lib
 from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_studies.paper.compression import RIDGE, PaperFit, paper_fit
-from adaptive_contact_studies.paper.data import Stream, join, load
-from adaptive_contact_studies.paper.plan import Plan
+from adaptive_contact_studies.paper.data import Stream, streams_of
+from adaptive_contact_studies.paper.plan import PAPER_LEG, Plan
 from adaptive_contact_studies.paper.rows import (
     PAPER_WINDOW,
     FreeRows,
-    blockwise,
     factor_of,
     free_rows,
     noise_floor,
@@ -79,7 +78,7 @@ def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
     """Fit at every λ, with errors on held-out swings of the training set and on the test set."""
     robot = shipped_robot()
     train, test = paper_streams(work, sweep.plan)
-    library = leg_library(robot, robot.leg(train.leg), sweep.library, sweep.window)
+    library = leg_library(robot, robot.leg(PAPER_LEG), sweep.library, sweep.window)
     rows, held = free_rows(train, library), free_rows(test, library)
     if sweep.unit is None:
         fitted, scale, target = rows.windows, 1.0, rows.windows.increment
@@ -109,7 +108,7 @@ def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
             "held_out_rms": _held_out(folds, fit_of, ends, scale),
         }
         for name, windows in (("train", rows.windows), ("test", held.windows)):
-            predicted = blockwise(library, _in_unit(windows, scale), fit.coefficients) / scale
+            predicted = library.evaluate(*_in_unit(windows, scale)[:3]) @ fit.coefficients / scale
             if sweep.unit is None:  # increments
                 point[name] = _scores(windows, windows.measured[:, 0] + predicted, states=None)
             else:
@@ -137,24 +136,23 @@ def identification(work: Work, plan: Plan) -> dict[str, Any]:
     sweeps = work.each("sweeps of λ", swept, sweeps_of(plan))
     robot = shipped_robot()
     train, test = paper_streams(work, plan)
-    library = leg_library(robot, robot.leg(train.leg), "paper", PAPER_WINDOW)
+    library = leg_library(robot, robot.leg(PAPER_LEG), "paper", PAPER_WINDOW)
     rows, held = free_rows(train, library), free_rows(test, library)
     return {
         "rows": {"train": len(rows.swing), "test": len(held.swing)},
         "floor_deg": float(np.degrees(noise_floor())),
-        "reading_noise_deg": rms_deg(test.measured - test.arrays.angle),
+        "reading_noise_deg": rms_deg(
+            np.concatenate([stream.arrays.measured - stream.arrays.angle for stream in test])
+        ),
         "naive": _scores(held.windows, held.windows.measured[:, 0], states=None),
         "sweeps": [sweep for sweep in sweeps if sweep["unit"]],
         "selection": [sweep for sweep in sweeps if not sweep["unit"]],
     }
 
 
-def paper_streams(work: Work, plan: Plan) -> tuple[Stream, Stream]:
-    """The paper's training and test segments, each as one stream."""
-    train, test = (
-        join([load(work, piece) for piece in plan.paper_pieces(role)]) for role in ("train", "tune")
-    )
-    return train, test
+def paper_streams(work: Work, plan: Plan) -> tuple[list[Stream], list[Stream]]:
+    """The paper's training and test segments."""
+    return streams_of(work, plan.paper_runs("train")), streams_of(work, plan.paper_runs("tune"))
 
 
 def sparsest_of(points: Iterable[dict[str, Any]]) -> float | None:

@@ -1,87 +1,32 @@
 """What is simulated for what: the seeds, sizes and settings of every experiment.
 
 Training, tuning and reporting never share a seed.  A *leg-run* is one leg of one manufactured
-robot: its servos differ from every other's, and it has models of its own.
+robot: its servos differ from every other's, and it has models of its own.  But for the paper's own
+dataset, the legs of a tripod move together while the robot stands on the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Final, Literal
 
-from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import Approach, ObstacleSettings
 from adaptive_contact_sim.pose import PERIOD_S, PoseSettings
+from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
 from adaptive_contact_sim.simulation import SimulationSettings
+from adaptive_contact_studies.training import PlannedRun
 
-# What a stretch is for: learning, choosing settings, false alarms (`free` hung up by the body,
-# `stand` as in the paper), collisions.
-Role = Literal["train", "tune", "free", "stand", "touch"]
+# What a run is for: learning, choosing settings, false alarms, collisions.
+Role = Literal["train", "tune", "free", "touch"]
 
 # Soft ground: foam, turf, packed soil under a foot of 8 mm radius (assumed range of the simulator).
 STIFFNESS_N_M: Final = (300.0, 1000.0, 3000.0)
 # Seeds by role: ranges that cannot meet.
-_SEEDS: Final = {
-    "train": 1_000_000,
-    "tune": 2_000_000,
-    "free": 3_000_000,
-    "touch": 4_000_000,
-    "stand": 5_000_000,
-}
+_SEEDS: Final = {"train": 1_000_000, "tune": 2_000_000, "free": 3_000_000, "touch": 4_000_000}
 # Those of the paper's dataset, below all others.
 _PAPER_SEEDS: Final = {"train": 100_000, "tune": 200_000}
-
-
-@dataclass(frozen=True)
-class LegRun:
-    """One leg of one robot."""
-
-    robot_seed: int
-    leg: str
-
-    @property
-    def name(self) -> str:
-        """Such as ``0-rf``."""
-        return f"{self.robot_seed}-{self.leg}"
-
-
-@dataclass(frozen=True)
-class GantrySettings:
-    """A robot hung up by its body, every leg moving."""
-
-    # what each leg does, (6,)
-    motions: tuple[PoseSettings, ...] = tuple(PoseSettings(legs=(leg,)) for leg in LEGS)
-    # seed, robot_seed: as in `SimulationSettings`
-    seed: int = 0
-    robot_seed: int = 0
-    encoder: EncoderSettings = field(default_factory=EncoderSettings)  # reading noise and faults
-
-
-class Shot(NamedTuple):
-    """One simulation: what it is of, how long it takes, and the legs that are kept."""
-
-    settings: SimulationSettings | GantrySettings
-    seconds: float
-    legs: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Piece:
-    """One stretch of simulation of one leg."""
-
-    leg_run: LegRun  # whose
-    role: Role  # what it is for
-    kind: str  # how the leg moves and what it meets
-    seconds: float  # simulated
-    settings: SimulationSettings | GantrySettings  # all that decides it
-
-    @property
-    def shot(self) -> Shot:
-        """The simulation that it is of: six pieces of a robot hung up share one."""
-        hung = isinstance(self.settings, GantrySettings)
-        return Shot(self.settings, self.seconds, LEGS if hung else (self.leg_run.leg,))
+PAPER_LEG: Final = "rf"
 
 
 @dataclass(frozen=True)
@@ -89,96 +34,67 @@ class Plan:
     """How much of everything."""
 
     name: Literal["full", "quick"]  # ``full`` or ``quick``
-    robots: tuple[int, ...]  # seeds of the robots; each has the `legs`
-    legs: tuple[str, ...]
+    robots: tuple[int, ...]  # seeds of the robots
+    tripods: tuple[tuple[str, ...], ...]  # legs that move together, of each robot
     # train_segments, test_segments: the paper's dataset (4.1), one leg of robot 0
     train_segments: int
     test_segments: int
-    # train_s, tune_s: free motion per leg-run by kind, s
+    # of each tripod by kind, s: free motion to learn from, to tune with, and to report
     train_s: dict[str, float]
     tune_s: dict[str, float]
-    # train_hung_s, tune_hung_s: the same of every robot hung up by its body, s
-    train_hung_s: dict[str, float]
-    tune_hung_s: dict[str, float]
-    free_s: dict[str, float]  # reported free motion by kind, s, of every robot hung up by its body
-    stand_s: dict[str, float]  # the same per leg-run, standing on five legs
-    touch_s: dict[str, float]  # reported collisions per leg-run by kind, s
-    # collisions per leg-run by kind, s, on which baselines choose their settings
+    free_s: dict[str, float]
+    touch_s: dict[str, float]  # likewise, reported collisions
+    # likewise, collisions on which baselines choose their settings
     tune_touch_s: dict[str, float]
     seed: int = 0
 
     @property
-    def leg_runs(self) -> tuple[LegRun, ...]:
-        """Every leg of every robot."""
-        return tuple(LegRun(robot, leg) for robot in self.robots for leg in self.legs)
+    def leg_runs(self) -> int:
+        """How many: every leg of every robot."""
+        return len(self.robots) * sum(map(len, self.tripods))
 
-    def pieces(self, role: Role) -> list[Piece]:
-        """All stretches of a role."""
-        found = self._hung_up(role)
-        if role == "free":
-            return found
-        for index, leg_run in enumerate(self.leg_runs):
-            base = self._base(role) + 1000 * index
-            for seed, (kind, seconds) in enumerate(_parts(self._times(role)), base):
-                settings = SimulationSettings(
-                    motion=_motion(leg_run.leg, kind), seed=seed, robot_seed=leg_run.robot_seed
-                )
-                found.append(Piece(leg_run, role, kind, seconds, settings))
+    def runs(self, role: Role) -> list[PlannedRun]:
+        """All runs of a role, by the kind of motion."""
+        times = {
+            "train": self.train_s,
+            "tune": self.tune_s | self.tune_touch_s,
+            "free": self.free_s,
+            "touch": self.touch_s,
+        }[role]
+        groups = [(robot, tripod) for robot in self.robots for tripod in self.tripods]
+        found = []
+        for index, (robot, tripod) in enumerate(groups):
+            base = _SEEDS[role] + 10_000_000 * self.seed + 1000 * index
+            for seed, (kind, seconds) in enumerate(_parts(times), base):
+                poses = tuple(_motion(leg, kind) for leg in tripod)
+                settings = SimulationSettings(PoseGroupSettings(poses), seed, robot)
+                found.append(PlannedRun(kind, settings, seconds))
         return found
 
-    def paper_pieces(self, role: Literal["train", "tune"]) -> list[Piece]:
+    def paper_runs(self, role: Literal["train", "tune"]) -> list[PlannedRun]:
         """The paper's own dataset (4.1): both subspaces, one leg, the segments asked for.
 
         In parts, so that every core has one to simulate; each begins with the leg standing.
         """
         segments = self.train_segments if role == "train" else self.test_segments
-        leg_run = LegRun(self.robots[0], "rf")
-        motion = PoseSettings(legs=(leg_run.leg,), workspace="paper")
+        motion = PoseSettings(legs=(PAPER_LEG,))
         trials = segments // 2
         parts = max(1, round(segments / 500))  # simulated at a time
+        first = _PAPER_SEEDS[role] + 1000 * self.seed
         found = []
         for part in range(parts):
             own = trials * (part + 1) // parts - trials * part // parts
-            settings = SimulationSettings(
-                motion=motion,
-                seed=_PAPER_SEEDS[role] + 1000 * self.seed + part,
-                robot_seed=leg_run.robot_seed,
-            )
             # A trial in pose is ascent, descent and hold; before the first, the leg rises.
-            ticks = own * 23 + 50
-            found.append(Piece(leg_run, role, "paper", ticks * PERIOD_S, settings))
+            seconds = (own * 23 + 50) * PERIOD_S
+            settings = SimulationSettings(motion, first + part, self.robots[0])
+            found.append(PlannedRun("paper", settings, seconds))
         return found
-
-    def _hung_up(self, role: Role) -> list[Piece]:
-        """Free motion of whole robots: six pieces share their settings and one simulation."""
-        times = {"free": self.free_s, "train": self.train_hung_s, "tune": self.tune_hung_s}
-        found: list[Piece] = []
-        for robot in self.robots:
-            # Below 900,000 of a role's seeds lie those of its leg-runs.
-            base = self._base(role) + 1000 * robot + (0 if role == "free" else 900_000)
-            for seed, (kind, seconds) in enumerate(_parts(times.get(role, {})), base):
-                motions = tuple(_motion(leg, kind) for leg in LEGS)
-                settings = GantrySettings(motions=motions, seed=seed, robot_seed=robot)
-                found += [
-                    Piece(LegRun(robot, leg), role, kind, seconds, settings) for leg in self.legs
-                ]
-        return found
-
-    def _base(self, role: Role) -> int:
-        return _SEEDS[role] + 10_000_000 * self.seed
-
-    def _times(self, role: Role) -> dict[str, float]:
-        if role == "train":
-            return self.train_s
-        if role == "tune":
-            return self.tune_s | self.tune_touch_s
-        return self.stand_s if role == "stand" else self.touch_s
 
 
 def _parts(times: dict[str, float]) -> Iterator[tuple[str, float]]:
-    """The pieces that so much of every kind is simulated in: kind and length, s."""
+    """The runs that so much of every kind is simulated in: kind and length, s."""
     for kind, seconds in times.items():
-        # Pieces of this many simulated seconds: long enough to be worth a process's time, short
+        # Runs of this many simulated seconds: long enough to be worth a process's time, short
         # enough that an interruption loses little.
         parts = max(1, round(seconds / 300.0))
         yield from [(kind, seconds / parts)] * parts
@@ -213,34 +129,28 @@ _TOUCH_S: Final = {
     "graze": 40.0,
 }
 
-# 24 leg-runs; four robots x 5,250 s x six legs hold a little more than 5.4 million swing ticks.
+# 24 leg-runs; eight tripods x 5,500 s x three legs hold a little more than 5.4 million swing ticks.
 FULL: Final = Plan(
     name="full",
     robots=(0, 1, 2, 3),
-    legs=LEGS,
+    tripods=TRIPODS,
     train_segments=5000,
     test_segments=1000,
-    train_s={"descent": 160.0, "slow": 60.0, "forward": 40.0},
-    tune_s={"descent": 100.0, "slow": 40.0, "forward": 25.0},
-    train_hung_s={"descent": 600.0, "slow": 150.0, "forward": 150.0},
-    tune_hung_s={"descent": 300.0, "slow": 75.0, "forward": 75.0},
-    free_s={"descent": 3700.0, "slow": 800.0, "forward": 800.0},
-    stand_s={"descent": 210.0, "slow": 50.0, "forward": 50.0},
+    train_s={"descent": 760.0, "slow": 210.0, "forward": 190.0},
+    tune_s={"descent": 400.0, "slow": 115.0, "forward": 100.0},
+    free_s={"descent": 3800.0, "slow": 850.0, "forward": 850.0},
     touch_s=_TOUCH_S,
     tune_touch_s={"hard": 40.0, "hard forward": 20.0},
 )
 QUICK: Final = Plan(
     name="quick",
     robots=(0,),
-    legs=("rf", "lm", "rr"),
+    tripods=TRIPODS[1:],
     train_segments=1500,
     test_segments=400,
     train_s=FULL.train_s,
     tune_s=FULL.tune_s,
-    train_hung_s=FULL.train_hung_s,
-    tune_hung_s=FULL.tune_hung_s,
-    free_s={"descent": 240.0, "slow": 60.0, "forward": 60.0},
-    stand_s={"descent": 60.0, "slow": 20.0, "forward": 20.0},
+    free_s={"descent": 300.0, "slow": 80.0, "forward": 80.0},
     touch_s={kind: 0.6 * seconds for kind, seconds in _TOUCH_S.items()},
-    tune_touch_s={"hard": 40.0, "hard forward": 20.0},
+    tune_touch_s=FULL.tune_touch_s,
 )

@@ -126,7 +126,7 @@ def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
     if found := results.get("detection"):
         row = found["figures"]["default"]["rows"]["headline"]
-        alarms = found["figures"]["default"]["false_alarms"]["all"]
+        alarms = found["figures"]["default"]["false_alarms"]["free"]
         low, high = row["interval"]
         enough = row["touches"] >= _TOUCHES
         add(
@@ -157,7 +157,7 @@ def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         what = "servo law's models as fitted (the default starts from such), standing, judged ticks"
         run, worst = found["worst_leg_run"]
         for where, rms in (
-            ("all leg-runs pooled", found["residual_deg"]["stand"]["servo"]),
+            ("all leg-runs pooled", found["residual_deg"]["servo"]),
             (f"the worst leg-run ({run})", worst),
         ):
             floor(f"{what}, {where}", [v / math.degrees(noise_floor()) for v in rms])
@@ -216,7 +216,7 @@ def _sweep(figure: Figure, data: Any) -> None:
 def _roc(figure: Figure, data: Any) -> None:
     """Headline recall against false alarms; whole, and from 90 % on."""
     whole, upper = figure.subplots(1, 2)
-    hours = data["figures"]["default"]["false_alarms"]["all"]["hours"]
+    hours = data["figures"]["default"]["false_alarms"]["free"]["hours"]
     for axes in (whole, upper):
         for name, title in data["detectors"].items():
             _curve(axes, name, title, data["figures"][name])
@@ -236,7 +236,7 @@ def _roc(figure: Figure, data: Any) -> None:
 def _curve(axes: Axes, name: str, title: str, figures: Any) -> None:
     """A detector's curve, and the point at which it runs."""
     colour, style, width = _LOOKS[name]
-    own = {"recall": figures["rows"]["headline"]["recall"], **figures["false_alarms"]["all"]}
+    own = {"recall": figures["rows"]["headline"]["recall"], **figures["false_alarms"]["free"]}
     points = [p for p in figures["roc"] if p["per_hour"] is not None]
     # What was never seen is drawn where half an alarm would be.
     x, y = (

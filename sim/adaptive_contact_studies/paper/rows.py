@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,8 +18,6 @@ from adaptive_contact_studies.paper.data import Stream
 
 # N, N', M of the paper's model; the paper does not print its own (see the window study).
 PAPER_WINDOW: Final = Window(past_measured=2, past_desired=2, preview=1)
-# Rows whose regressors are held at once: 295 doubles each, some tens of megabytes.
-BLOCK: Final = 20_000
 
 
 class FreeRows(NamedTuple):
@@ -29,16 +27,19 @@ class FreeRows(NamedTuple):
     swing: Ints  # (n,) number of the swing each lies in, for folds
 
 
-def free_rows(stream: Stream, library: Library) -> FreeRows:
-    """Windows whose tick and successor are free swing ticks, of finite values throughout."""
-    cut = stack(stream.measured, stream.desired, library.window)
-    use = stream.swing & stream.stretch.free
-    usable = use[cut.tick] & use[cut.tick + 1]
-    for part in cut[:4]:
-        usable &= np.isfinite(part).all(axis=tuple(range(1, part.ndim)))
-    rows = np.flatnonzero(usable)
-    number = np.cumsum(np.diff(stream.swing.astype(int), prepend=0) == 1)
-    return FreeRows(pick(cut, rows), number[cut.tick[rows]])
+def free_rows(streams: Sequence[Stream], library: Library) -> FreeRows:
+    """Windows of a leg's streams, one after the other, whose tick and next one are free swing."""
+    windows, numbers, swings = [], [], 0
+    for stream in streams:
+        leg = stream.arrays
+        cut = stack(leg.measured, leg.desired, library.window)
+        use = leg.swing & stream.stretch.free
+        rows = np.flatnonzero(use[cut.tick] & use[cut.tick + 1])
+        number = swings + np.cumsum(np.diff(leg.swing.astype(int), prepend=0) == 1)
+        windows.append(pick(cut, rows))
+        numbers.append(number[cut.tick[rows]])
+        swings = int(number[-1])
+    return FreeRows(Rows(*map(np.concatenate, zip(*windows, strict=True))), np.concatenate(numbers))
 
 
 def pick(windows: Rows, which: NDArray[Any]) -> Rows:
@@ -46,39 +47,18 @@ def pick(windows: Rows, which: NDArray[Any]) -> Rows:
     return Rows(*(part[which] for part in windows))
 
 
-def thetas(library: Library, windows: Rows) -> Iterator[tuple[slice, Array]]:
-    """Θ of some rows at a time, and which, so that it never stands whole in memory."""
-    for start in range(0, len(windows.tick), BLOCK):
-        part = slice(start, start + BLOCK)
-        yield part, library.evaluate(*(values[part] for values in windows[:3]))
-
-
-def blockwise(library: Library, windows: Rows, coefficients: Array) -> Array:
-    """(n, q) movements that (p, q) coefficients predict for n windows."""
-    out = np.empty((len(windows.tick), coefficients.shape[1]))
-    for part, theta in thetas(library, windows):
-        out[part] = theta @ coefficients
-    return out
-
-
-def predictions(model: LegModel | None, measured: Array, desired: Array) -> Array:
-    """(n, J) rad, the positions predicted one tick before; NaN where nothing predicts them.
-
-    That is without a model, and where the window was not full.
-    """
+def predictions(model: LegModel, measured: Array, desired: Array) -> Array:
+    """(n, J) rad, the positions predicted one tick before; NaN where the window was not full."""
     out = np.full_like(measured, np.nan)
-    if model is not None:
-        cut = stack(measured, desired, model.library.window)
-        moved = blockwise(model.library, cut, model.coefficients)
-        out[cut.tick + 1] = cut.measured[:, 0] + moved
+    cut = stack(measured, desired, model.library.window)
+    out[cut.tick + 1] = cut.measured[:, 0] + model.increment(*cut[:3])
     return out
 
 
 def factor_of(library: Library, windows: Rows, target: Array) -> Factor:
     """The compressed regression of windows on a target, (n, q)."""
     factor = Factor(library.size, target.shape[1])
-    for part, theta in thetas(library, windows):
-        factor.add(theta, target[part])
+    factor.add(library.evaluate(*windows[:3]), target)
     return factor
 
 

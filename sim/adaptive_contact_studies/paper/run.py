@@ -5,20 +5,21 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import msgspec
 
 from adaptive_contact_studies.paper.compression import compare_all
-from adaptive_contact_studies.paper.data import load, record_all
+from adaptive_contact_studies.paper.data import streams_of
 from adaptive_contact_studies.paper.detection import detection
 from adaptive_contact_studies.paper.evaluation import evaluate, jobs_of, learned, tuned
 from adaptive_contact_studies.paper.identification import identification
 from adaptive_contact_studies.paper.plan import Plan, Role
+from adaptive_contact_studies.training import record_all
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 
 STAGES: Final = ("dataset", "identification", "compression", "detection")
-_REPORTED: Final[tuple[Role, ...]] = ("touch", "stand", "free")
+_REPORTED: Final[tuple[Role, ...]] = ("touch", "free")
 
 
 def run_paper(work: Work, plan: Plan, stages: Sequence[str] = STAGES) -> dict[str, Any]:
@@ -42,8 +43,7 @@ def run_paper(work: Work, plan: Plan, stages: Sequence[str] = STAGES) -> dict[st
         "learner": digest(*LEARNER),
     }
     if {*stages} - {"detection"}:
-        paper = [piece for role in ("train", "tune") for piece in plan.paper_pieces(role)]
-        record_all(work, "the paper's dataset", paper)
+        record_all(work, [*plan.paper_runs("train"), *plan.paper_runs("tune")])
     for stage in stages:
         match stage:
             case "dataset":
@@ -61,11 +61,11 @@ def run_paper(work: Work, plan: Plan, stages: Sequence[str] = STAGES) -> dict[st
 
 def _dataset(work: Work, plan: Plan) -> dict[str, Any]:
     """The paper's two datasets (4.1)."""
-    streams = [load(work, p) for role in ("train", "tune") for p in plan.paper_pieces(role)]
+    streams = streams_of(work, [*plan.paper_runs("train"), *plan.paper_runs("tune")])
     return {
         "leg": streams[0].leg,
         "segments": [plan.train_segments, plan.test_segments],
-        "ticks": sum(len(stream.swing) for stream in streams),
+        "ticks": sum(len(stream.run.t_ns) for stream in streams),
         # At time 0 the leg stands: that is where it comes from, no touch.
         "touches": sum(o.t_ns > 0 for stream in streams for o in stream.arrays.onsets),
     }
@@ -73,11 +73,10 @@ def _dataset(work: Work, plan: Plan) -> dict[str, Any]:
 
 def _detection(work: Work, plan: Plan) -> dict[str, Any]:
     """What ten trials cannot show."""
-    pieces = [p for role in ("train", "tune", *_REPORTED) for p in plan.pieces(role)]
-    record_all(work, "collisions and free motion", pieces)
+    record_all(work, [run for role in get_args(Role) for run in plan.runs(role)])
     work.each("learning the legs of each robot", learned, [(plan, robot) for robot in plan.robots])
     work.each("choosing lags, joints and thresholds on tuning streams", tuned, [plan])
-    jobs = [job for role in _REPORTED for job in jobs_of(plan, plan.pieces(role))]
+    jobs = [job for role in _REPORTED for job in jobs_of(plan, role)]
     what = "every detector on every stream"
-    found = work.each(what, evaluate, jobs, lambda job: len(job.pieces))
+    found = work.each(what, evaluate, jobs, lambda job: len(job.runs))
     return detection(plan, jobs, found)

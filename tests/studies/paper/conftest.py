@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact_sim import ObstacleSettings, PoseSettings, SimulationSettings
-from adaptive_contact_studies.paper.data import Stream, load
-from adaptive_contact_studies.paper.plan import LegRun, Piece
+from adaptive_contact_sim import PoseSettings, SimulationSettings
+from adaptive_contact_studies.paper.data import Stream, streams_of
+from adaptive_contact_studies.training import PlannedRun
 from adaptive_contact_studies.work import Work
 
 
@@ -18,6 +18,6 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="session")
 def free_stream() -> Stream:
-    motion = PoseSettings(obstacles=ObstacleSettings(probability=0.0))
-    settings = SimulationSettings(motion=motion, seed=901)
-    return load(Work(None), Piece(LegRun(0, "rf"), "train", "paper", 120.0, settings))
+    settings = SimulationSettings(motion=PoseSettings(), seed=901)
+    (stream,) = streams_of(Work(None), [PlannedRun("paper", settings, 120.0)])
+    return stream

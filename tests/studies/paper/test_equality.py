@@ -77,7 +77,7 @@ def discrete_sindy(
 
 def system(robot: Robot, stream: Stream, name: str, window: Window):
     library = leg_library(robot, robot.leg("rf"), name, window)
-    windows = free_rows(stream, library).windows
+    windows = free_rows([stream], library).windows
     n = len(windows.tick)
     state = windows.measured.reshape(n, -1)
     control = np.concatenate([windows.desired.reshape(n, -1), windows.preview.reshape(n, -1)], 1)
@@ -93,7 +93,7 @@ def system(robot: Robot, stream: Stream, name: str, window: Window):
         ("paper", SMALL, 0.1, False),
         ("paper", SMALL, 10.0, True),
         ("paper", PAPER, 0.0, False),
-        ("paper", PAPER, 10.0, True),
+        ("paper", PAPER, 20.0, True),
     ],
 )
 def test_our_fit_equals_discrete_sindy(

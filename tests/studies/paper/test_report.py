@@ -22,21 +22,14 @@ from adaptive_contact_studies.work import Work
 
 TINY = dataclasses.replace(
     QUICK,
-    legs=("rf", "lm"),
     train_segments=120,
     test_segments=60,
-    train_s={"descent": 20.0},
-    tune_s={"descent": 10.0},
-    train_hung_s={"descent": 20.0},
-    tune_hung_s={"descent": 15.0},
-    free_s={"descent": 10.0},
-    stand_s={"descent": 8.0},
+    train_s={"descent": 40.0},
+    tune_s={"descent": 25.0},
+    free_s={"descent": 18.0},
     touch_s={"hard": 20.0, "hard slow": 12.0},
     tune_touch_s={"hard": 10.0},
 )
-
-
-YES, NO, OPEN = "yes", "**no**", "–"
 
 
 def test_an_unknown_stage_is_one_line(tmp_path: Path) -> None:
