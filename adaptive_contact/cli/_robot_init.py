@@ -16,8 +16,9 @@ from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
+from adaptive_contact.robot.description import MAX_JOINTS
 from adaptive_contact.robot.kinematics import Vector
-from adaptive_contact.robot.load import MAX_JOINTS, recorded_as
+from adaptive_contact.robot.load import recorded_as
 from adaptive_contact.robot.urdf import UrdfLegs, read_urdf
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import is_leg_id

@@ -12,7 +12,8 @@ from msgspec import Meta
 
 from adaptive_contact.model.peaks import LEAST_TICKS
 from adaptive_contact.model.tail import MIN_EXCEEDANCES, SHAPE_RANGE
-from adaptive_contact.robot.load import MAX_JOINTS, MAX_LEGS
+from adaptive_contact.robot.description import MAX_JOINTS
+from adaptive_contact.robot.load import MAX_LEGS
 
 # Of anything: coefficients have up to 7.3, factors of a domain 375, readings 12.
 MOST: Final = 1e6

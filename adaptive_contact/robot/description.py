@@ -18,9 +18,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
+from msgspec import Meta
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot.kinematics import AXES, Chain, Vector, straight
@@ -90,6 +91,22 @@ def angles_text(directions: Sequence[int], offsets_rad: Sequence[float], table: 
     return text
 
 
+# Bounds of what a file may hold; NaN is outside of them all.  Lengths, offsets and coordinates are
+# 5 m at most, angles a turn each way.
+Angle = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
+Metres = Annotated[float, Meta(ge=-5.0, le=5.0)]
+Place = tuple[Metres, Metres, Metres]
+Sign = Literal[1, -1]
+Step = Annotated[float, Meta(ge=1e-6, le=0.2)]
+Text = Annotated[str, Meta(min_length=1, max_length=1000)]
+# A Dynamixel bus: 253 is reserved, 254 is broadcast.
+ServoId = Annotated[int, Meta(ge=0, le=252)]
+MAX_JOINTS: Final = 16  # of a sample
+Joints = Meta(min_length=1, max_length=MAX_JOINTS)
+# Names of ROS: chunks of letters, digits and '_' that begin with no digit.
+_CHUNK: Final = r"(?:[A-Za-z_]|\{leg\})(?:[A-Za-z0-9_]|\{leg\})*"
+Topic = Annotated[str, Meta(pattern=rf"^/{_CHUNK}(?:/{_CHUNK})*\Z")]
+
 AxisWord = Literal["roll", "pitch", "yaw"]
 # A word, or a direction in the leg's frame with all angles 0.
 Axis = AxisWord | Vector
@@ -111,23 +128,23 @@ ROBOT_HOUR_TICKS: Final = 540_000
 class Mount(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Places a leg on the body: position in metres, yaw of its zero direction in rad."""
 
-    xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    yaw_rad: float = 0.0
+    xyz_m: Place = (0.0, 0.0, 0.0)
+    yaw_rad: Angle = 0.0
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Holds the joint limits, (J,) rad each."""
 
-    lower_rad: tuple[float, ...]
-    upper_rad: tuple[float, ...]
+    lower_rad: tuple[Angle, ...]
+    upper_rad: tuple[Angle, ...]
 
 
 class Angles(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Converts a source's angles to the description's: ``direction * wire + offset``."""
 
-    directions: tuple[int, ...] | None = None  # (J,) 1 or -1; all 1 where absent
+    directions: tuple[Sign, ...] | None = None  # (J,) all 1 where absent
     # (J,) the description's angle of a joint whose source says 0; all 0 where absent
-    offsets_rad: tuple[float, ...] | None = None
+    offsets_rad: tuple[Angle, ...] | None = None
 
 
 class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -137,14 +154,15 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     centre being those of its horn.
     """
 
-    ids: tuple[int, ...]  # (J,) on the bus
+    ids: tuple[ServoId, ...]  # (J,) on the bus
     # of all of them, or their family, such as ``XL-330``; or (J,), one of each
     model: str | tuple[str, ...] = "AX-12A"
-    directions: tuple[int, ...] | None = None  # (J,) 1 or -1
+    directions: tuple[Sign, ...] | None = None  # (J,)
     # (J,) angle of the joint with the horn in its centre
-    offsets_rad: tuple[float, ...] | None = None
+    offsets_rad: tuple[Angle, ...] | None = None
     port: str | None = None  # name of a ``[port.NAME]``; may be left out where there is one
-    max_step_rad: float = 0.15  # how far the bridge lets a goal move in one control tick
+    # how far the bridge lets a goal move in one control tick
+    max_step_rad: Annotated[float, Meta(ge=1e-3, le=1.0)] = 0.15
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -155,14 +173,15 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class LegRos2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Holds a leg's names in ROS 2."""
 
-    joints: tuple[str, ...]  # (J,) ROS names of the leg's joints, in the order of ``joints``
+    # (J,) ROS names of the leg's joints, in the order of ``joints``
+    joints: tuple[Annotated[str, Meta(min_length=1)], ...]
     # state, command, phase, truth: topics of this leg alone, instead of those of ``[ros2]``
-    state: str | None = None
-    command: str | None = None
+    state: Topic | None = None
+    command: Topic | None = None
     # joints of this leg's command topic, in the order of its values
     command_joints: tuple[str, ...] | None = None
-    phase: str | None = None
-    truth: str | None = None
+    phase: Topic | None = None
+    truth: Topic | None = None
 
 
 class Ros2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -173,16 +192,19 @@ class Ros2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     # ``control_msgs/JointTrajectoryControllerState``, which holds readings and commands, or
     # ``sensor_msgs/JointState``, which holds readings
-    state: str | None = None
-    command: str | None = None  # where the commands are, if ``state`` holds readings only
+    state: Topic | None = None
+    command: Topic | None = None  # where the commands are, if ``state`` holds readings only
     # the joints of a command topic that names none, in the order of its values
     command_joints: tuple[str, ...] | None = None
-    phase: str | None = None  # ``std_msgs/Bool``, true in swing
-    truth: str | None = None  # ``std_msgs/Bool`` of a foot switch, used from bags only
+    phase: Topic | None = None  # ``std_msgs/Bool``, true in swing
+    truth: Topic | None = None  # ``std_msgs/Bool`` of a foot switch, used from bags only
     # of the ROS 2 that is talked to; Humble writes no type hashes into keys
     distro: Literal["humble", "iron", "jazzy", "kilted", "lyrical", "rolling"] = "jazzy"
-    domain: int = 0  # ``ROS_DOMAIN_ID``
-    node: str = "adaptive_contact"  # name of the gateway's node; its topics begin with it
+    # ``ROS_DOMAIN_ID``: ROS 2 maps it to UDP ports; beyond 232 there are none left
+    domain: Annotated[int, Meta(ge=0, le=232)] = 0
+    node: Annotated[str, Meta(pattern=r"^[A-Za-z_]\w*\Z")] = (
+        "adaptive_contact"  # name of the gateway's node; its topics begin with it
+    )
 
 
 class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -190,27 +212,28 @@ class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     # position error at which the drive saturates (AX-12A: compliance slope 32 of 1023 steps over
     # 300 degrees, 0.164 rad).  The library offers its neighbours too, so a rough value is enough.
-    slope_rad: float = 0.164
+    slope_rad: Annotated[float, Meta(ge=1e-3, le=math.pi)] = 0.164
 
 
 class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Holds the owner's settings of the detector."""
 
-    false_alarms_per_hour: float = 1.0  # target per robot-hour (540,000 swing leg-ticks)
+    # target per robot-hour (540,000 swing leg-ticks)
+    false_alarms_per_hour: Annotated[float, Meta(ge=1e-3, le=1e4)] = 1.0
 
 
 class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     """Describes one leg: its joints from the body outwards, and what is known of them."""
 
     id: str
-    joints: tuple[str, ...]
+    joints: Annotated[tuple[Text, ...], Joints]
     # (J,) m, of links that lie along x with all angles 0
-    lengths_m: tuple[float, ...] | None = None
+    lengths_m: tuple[Annotated[float, Meta(gt=0.0, le=5.0)], ...] | None = None
     axes: tuple[Axis, ...] | None = None  # (J,) of the joints, with all angles 0
     # (J,) m from each joint to the next, the last to the foot's tip, with all angles 0; in place of
     # ``lengths_m``
-    origins_m: tuple[Vector, ...] | None = None
-    quantum_rad: float | None = None
+    origins_m: tuple[Place, ...] | None = None
+    quantum_rad: Step | None = None
     mount: Mount = Mount()
     limits: Limits | None = None
     servos: ServoBus | None = None
@@ -277,13 +300,14 @@ Protocol = Literal[1, 2, "sts", "scs"]
 class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Describes a serial port of the bridge."""
 
-    device: str  # such as ``/dev/ttyUSB0``
+    device: Text  # such as ``/dev/ttyUSB0``
     baud: int = 1_000_000  # bits per second
     protocol: Protocol = 1
     fast: bool = False  # read with fast sync read (X-series, firmware 45 or newer)
-    timeout_ms: float = 5.0  # how long an answer may take beyond its bytes
+    # how long an answer may take beyond its bytes
+    timeout_ms: Annotated[float, Meta(ge=0.5, le=100.0)] = 5.0
     # ids of servos that are no joint of a leg, such as a head's: they are left alone
-    ignore: tuple[int, ...] = ()
+    ignore: tuple[ServoId, ...] = ()
 
 
 class Robot(msgspec.Struct, frozen=True):

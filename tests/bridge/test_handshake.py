@@ -119,7 +119,7 @@ def planned(text: str):
     ("old", "new", "words"),
     [
         ("ids = [1, 2]", "ids = [1, 1]", "servo id 1 is used twice"),
-        ("ids = [1, 2]", "ids = [1, 300]", "ids are 0 to 252"),
+        ("ids = [1, 2]", "ids = [1, 300]", "is 300; expected at most 252"),
         ("ids = [1, 2]", 'ids = [1, 2], model = "AX-21A"', "did you mean 'AX-1"),
         ("ids = [1, 2]", 'ids = [1, 2], model = "XL-330"', "uses protocol 2"),
         ("ids = [1, 2]", 'ids = [1, 2], port = "b"', "no such \\[port.NAME\\] \\(a\\)"),
@@ -311,7 +311,7 @@ def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:
 @pytest.mark.parametrize(
     ("port", "message"),
     [
-        ({"ignore": [253]}, "[port.main] ignore has 253; ids are 0 to 252"),
+        ({"ignore": [253]}, "port.ignore[0] is 253; expected at most 252"),
         ({"ignore": [2]}, "servo id 2 is in ignore of [port.main], too"),
         ({"ignore": ["x"]}, "ignore"),
         ({"ignroe": [2]}, "did you mean"),

@@ -104,7 +104,9 @@ def test_what_is_missing_is_said_in_one_line(words: tuple[str, ...], message: st
 
 def test_a_urdf_in_millimetres_is_named() -> None:
     Path("mm.urdf").write_text(quadruped().replace("-0.16", "-160"))
-    with pytest.raises(ConfigurationError, match=r"^mm.urdf: .*origins_m is .*expected metres"):
+    with pytest.raises(
+        ConfigurationError, match=r"^mm.urdf: .*origins_m\[1\]\[2\] is -160.0; expected .* m"
+    ):
         invoke("robot", "init", "--urdf", "mm.urdf", "--legs", FEET, *STEPS)
 
 

@@ -49,7 +49,9 @@ def test_a_step_may_be_left_out(own: str, known: bool) -> None:
 def test_a_robot_has_as_many_legs_as_a_service_can_follow() -> None:
     more = "".join(f'[[leg]]\nid = "l{n}"\njoints = ["a"]\n' for n in range(63))
     assert len(parse_robot(GOOD + more, source="x").legs) == 64
-    with pytest.raises(ConfigurationError, match=r"x: 65 \[\[leg\]\]; expected 64 at most: give"):
+    with pytest.raises(
+        ConfigurationError, match="leg has a length of 65; expected at most 64: give"
+    ):
         parse_robot(GOOD + more + '[[leg]]\nid = "one-more"\njoints = ["a"]\n', source="x")
 
 
@@ -80,17 +82,21 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
             "expected roll, pitch, yaw, or a direction such as [0, 1, 0]",
         ),
         ("[[leg]]", "[detector]\nleg = 3\n[[leg]]", "or as a table of its own"),
-        ("period_s = 0.02", "period_s = 0.02\nperiods = 1", "did you mean `period_s`?"),
+        ("period_s = 0.02", "period_s = 0.02\nperiods = 1", "did you mean 'period_s'?"),
         ("quantum_rad = 0.00511", "quantum_rad = 0", "quantum_rad is 0"),
         ('id = "rf"', 'id = "r*"', "an id is 1 to 32 letters"),
-        ('["coxa", "femur", "tibia"]', "[]", "joints is empty"),
+        ('["coxa", "femur", "tibia"]', "[]", "joints has a length of 0; expected at least 1"),
         ('["coxa", "femur", "tibia"]', '["a", "a", "b"]', "repeat a name"),
         ("[0.052, 0.066, 0.138]", "[0.052, 0.066]", "lengths_m has 2 values for 3 joints"),
-        ("[0.052, 0.066, 0.138]", "[0.052, -1, 0.138]", "expected metres"),
+        (
+            "[0.052, 0.066, 0.138]",
+            "[0.052, -1, 0.138]",
+            "lengths_m[1] is -1; expected more than 0 m",
+        ),
         (
             "lengths_m = [0.052, 0.066, 0.138]",
             'lengths_m = [0.1, 0.1, 0.1]\naxes = ["yaw", "yaw", "yaw"]',
-            "no joint pitches, so that its foot never rises; leave lengths_m out",
+            "no joint raises the foot; look at axes, or leave lengths_m out",
         ),
         *(
             (
@@ -137,7 +143,7 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
         (
             "lengths_m = [0.052, 0.066, 0.138]",
             "origins_m = [[0.1, 0, 0], [0.1, nan, 0], [0.1, 0, 0]]",
-            "expected metres, up to 5",
+            "origins_m[1][1] is nan; expected at least -5 m",
         ),
         (
             "lengths_m = [0.052, 0.066, 0.138]",
@@ -154,14 +160,18 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
         ("[[leg]]", "[servo]\nslope_rad = 0\n[[leg]]", "slope_rad is 0"),
         ('id = "rf"', "id = 3", 'leg[0].id is a whole number; expected a text ("...")'),
         ("period_s = 0.02", 'period_s = "fast"', "robot.period_s is a text"),
-        ('"mybot"', '"  "', "[robot] name is empty"),
+        ('"mybot"', '"  "', "[robot] name is '  '; expected letters"),
         ('"mybot"', '"my\\u001bbot"', "expected letters that can be printed"),
-        ('"femur"', '""', "'rf': the name of a joint is empty"),
+        ('"femur"', '""', "leg[0].joints[1] has a length of 0"),
         ('"femur"', '"fe\\nmur"', "expected letters that can be printed"),
-        ("lengths_m", "mount = { xyz_m = [nan, 0, 0] }\nlengths_m", "mount.xyz_m is [nan, 0.0"),
-        ("lengths_m", "mount = { xyz_m = [90, 60, 0] }\nlengths_m", "expected metres, up to 5"),
-        ("lengths_m", "mount = { yaw_rad = 90 }\nlengths_m", "yaw_rad is 90.0; expected -6.28"),
-        ("[[leg]]", '[port.a]\ndevice = ""\n[[leg]]', "[port.a] device is empty"),
+        ("lengths_m", "mount = { xyz_m = [nan, 0, 0] }\nlengths_m", "mount.xyz_m[0] is nan"),
+        ("lengths_m", "mount = { xyz_m = [90, 60, 0] }\nlengths_m", "expected at most 5 m"),
+        (
+            "lengths_m",
+            "mount = { yaw_rad = 90 }\nlengths_m",
+            "yaw_rad is 90; expected at most 6.28319 rad",
+        ),
+        ("[[leg]]", '[port.a]\ndevice = ""\n[[leg]]', "port.device has a length of 0"),
         ("[[leg]]", '[port.a]\ndevice = "/\\u0000"\n[[leg]]', "letters that can be printed"),
         ("[[leg]]", '[port.a]\ndevice = "x"\nprotocol = 3\n[[leg]]', "expected 1 (AX"),
         ("[[leg]]", '[ros2]\ndistro = "foxy"\n[[leg]]', "expected humble, iron, jazzy"),
@@ -302,9 +312,12 @@ def test_there_and_back_is_where_it_was(
     ("text", "found"),
     [
         ("angles = { directions = [1, -1] }", "angles.directions"),
-        ("angles = { directions = [1, 0, 1] }", "use 1 or -1"),
-        ("angles = { offsets_rad = [0.0, nan, 0.0] }", "angles.offsets_rad has nan"),
-        (f"angles = {{ offsets_rad = [0.0, {math.degrees(1.0)}, 0.0] }}", "-6.28 to 6.28"),
+        ("angles = { directions = [1, 0, 1] }", r"directions\[1\] is 0; expected 1 or -1"),
+        ("angles = { offsets_rad = [0.0, nan, 0.0] }", r"angles.offsets_rad\[1\] is nan"),
+        (
+            f"angles = {{ offsets_rad = [0.0, {math.degrees(1.0)}, 0.0] }}",
+            "expected at most 6.28319 rad, not degrees",
+        ),
         ("angles = { direction = [1, 1, 1] }", "directions"),
     ],
 )

@@ -344,7 +344,7 @@ def test_complaints_are_counted_and_said_now_and_then() -> None:
         (f'{STATE}\ndistro = "foxy"', "distro"),
         (f'{STATE}\nphase = "/swing"', "write {leg} into it"),
         (f'{BOTH}\ncommand_joints = ["lf_c"]', "command_joints lacks lf_f, lf_t"),
-        ('stat = "/x"', "did you mean `state`"),
+        ('stat = "/x"', "did you mean 'state'"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(ros2: str, says: str) -> None:
