@@ -22,7 +22,6 @@ from adaptive_contact.robot.kinematics import (
     axis_text,
     foot,
     inverse,
-    link_angles,
 )
 from adaptive_contact.robot.load import load_robot, parse_robot, shipped_robot
 
@@ -44,7 +43,6 @@ __all__ = [
     "axis_text",
     "foot",
     "inverse",
-    "link_angles",
     "load_robot",
     "parse_robot",
     "shipped_robot",

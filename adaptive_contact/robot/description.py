@@ -282,7 +282,7 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
             return []
         (x, y, z), yaw = self.mount.xyz_m, self.mount.yaw_rad
         cos, sin = math.cos(yaw), math.sin(yaw)
-        points = [(0.0, 0.0, 0.0), *(chain.point(q) for chain in self._chains)]
+        points = [(0.0, 0.0, 0.0), *(chain.point(q[: len(chain.axes)]) for chain in self._chains)]
         return [[x + cos * a - sin * b, y + sin * a + cos * b, z + c] for a, b, c in points]
 
 

@@ -28,7 +28,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 from adaptive_contact.arrays import Array, ArrayLike, Mask, np
 from adaptive_contact.errors import ConfigurationError
@@ -103,8 +103,6 @@ class Chain:
     @cached_property
     def lifts(self) -> Mask:
         """Return whether each joint, (J,), can raise the foot at all; a yaw on top cannot."""
-        if self.is_straight:
-            return self._pitched
         joints = len(self.axes)
         # Multiples of irrational steps: spread over all postures, the same each time.
         # Postures that are looked at to find out; no joint is at a singularity in all of them.
@@ -112,76 +110,35 @@ class Chain:
         # A joint that raises the foot by less than this share of the leg's reach per rad does not.
         return np.asarray(np.abs(self.height_gradients(at)).max(axis=0) > 1e-9 * self.reach_m)
 
-    @cached_property
-    def _pitched(self) -> Mask:
-        return np.array([axis == "pitch" for axis in self.axes])
-
-    @cached_property
-    def _lengths(self) -> tuple[float, ...]:
-        return tuple(origin[0] for origin in self.origins_m)
-
     def foot(self, q: ArrayLike) -> Array:
         """Compute the foot's position in the leg's frame, (..., J) rad to (..., 3) m."""
         angles = np.asarray(q, dtype=np.float64)
-        if not self.is_straight:
-            place = np.zeros((*angles.shape[:-1], 3))
-            for i in range(len(self.axes) - 1, -1, -1):
-                place = turned(place + self.origins_m[i], self.vectors[i], angles[..., i])
-            return place
-        # A column for each coordinate: sums along rows of three cost numpy more than the sines.
-        pitch = yaw = x = y = z = np.zeros(())
-        cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
-        for i, (length, axis) in enumerate(zip(self._lengths, self.axes, strict=True)):
-            if axis == "pitch":
-                pitch = pitch + angles[..., i]
-            else:
-                yaw = yaw + angles[..., i]
-                cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
-            reach = length * np.cos(pitch)
-            x = x + reach * cos_yaw
-            y = y + reach * sin_yaw
-            z = z + length * np.sin(pitch)
-        place = np.empty((*angles.shape[:-1], 3))
-        place[..., 0], place[..., 1], place[..., 2] = x, y, z
-        return place
+        columns = [*np.moveaxis(angles, -1, 0)]
+        return np.asarray(np.stack(self._tip(columns, np.cos, np.sin), axis=-1))
 
     def point(self, q: Sequence[float]) -> Vector:
-        """Compute the foot's position in one posture, m, equal to ``foot(q)``; for control ticks.
+        """Compute the foot's position in one posture, m, equal to ``foot(q)``.
 
         Plain floats; for so few of them numpy's call overhead is twenty times the arithmetic.
         """
-        if not self.is_straight:
-            x = y = z = 0.0
-            for i in range(len(self.axes) - 1, -1, -1):
-                origin, (a, b, c) = self.origins_m[i], self.axis_vectors[i]
-                x, y, z = x + origin[0], y + origin[1], z + origin[2]
-                cos, sin = math.cos(q[i]), math.sin(q[i])
-                along = (a * x + b * y + c * z) * (1.0 - cos)
-                x, y, z = (
-                    x * cos + (b * z - c * y) * sin + a * along,
-                    y * cos + (c * x - a * z) * sin + b * along,
-                    z * cos + (a * y - b * x) * sin + c * along,
-                )
-            return x, y, z
-        lengths = self._lengths
-        pitch = yaw = x = y = z = 0.0
-        if self.axes[0] == "yaw" and "yaw" not in self.axes[1:]:  # nearly all: in one plane
-            reach = lengths[0]
-            for i in range(1, len(self.axes)):
-                pitch += q[i]
-                reach += lengths[i] * math.cos(pitch)
-                z += lengths[i] * math.sin(pitch)
-            return reach * math.cos(q[0]), reach * math.sin(q[0]), z
-        for angle, length, axis in zip(q, lengths, self.axes, strict=True):
-            if axis == "pitch":
-                pitch += angle
-            else:
-                yaw += angle
-            reach = length * math.cos(pitch)
-            x += reach * math.cos(yaw)
-            y += reach * math.sin(yaw)
-            z += length * math.sin(pitch)
+        x, y, z = self._tip(q, math.cos, math.sin)
         return x, y, z
+
+    def _tip(self, q: Sequence[Any], cosine: Any, sine: Any) -> list[Any]:
+        """Turn the way to the foot about one joint after the other, from the foot inwards."""
+        x = y = z = 0.0 * q[0]
+        for angle, origin, (a, b, c) in zip(
+            reversed(q), reversed(self.origins_m), reversed(self.axis_vectors), strict=True
+        ):
+            cos, sin = cosine(angle), sine(angle)
+            x, y, z = x + origin[0], y + origin[1], z + origin[2]
+            along = (a * x + b * y + c * z) * (1.0 - cos)
+            x, y, z = (
+                x * cos + (b * z - c * y) * sin + a * along,
+                y * cos + (c * x - a * z) * sin + b * along,
+                z * cos + (a * y - b * x) * sin + c * along,
+            )
+        return [x, y, z]
 
     @cached_property
     def axis_vectors(self) -> tuple[Vector, ...]:
@@ -193,14 +150,9 @@ class Chain:
 
         The third row of the leg's Jacobian; 0 for a joint whose axis is upright.
         """
-        angles = np.asarray(q, dtype=np.float64)
-        if not self.is_straight:
-            points, axes = self.frames(angles)
-            arm = points[..., -1:, :] - points[..., :-1, :]
-            return np.asarray(axes[..., 0] * arm[..., 1] - axes[..., 1] * arm[..., 0])
-        reach = np.asarray(self._lengths, dtype=np.float64) * np.cos(link_angles(q, self.axes))
-        beyond = np.cumsum(reach[..., ::-1], axis=-1)[..., ::-1]
-        return np.asarray(np.where(self._pitched, beyond, 0.0))
+        points, axes = self.frames(q)
+        arm = points[..., -1:, :] - points[..., :-1, :]
+        return np.asarray(axes[..., 0] * arm[..., 1] - axes[..., 1] * arm[..., 0])
 
     def frames(self, q: ArrayLike) -> tuple[Array, Array]:
         """Compute the joints' positions and directions in the leg's frame.
@@ -212,18 +164,12 @@ class Chain:
             (..., J + 1, 3) m, the joints and the foot; (..., J, 3), the axes as they stand.
         """
         angles = np.asarray(q, dtype=np.float64)
-        joints = len(self.axes)
-        points = [np.zeros((*angles.shape[:-1], 3))]
-        axes = []
-        for i in range(joints):
-            axis = np.broadcast_to(self.vectors[i], points[0].shape)
-            link = np.broadcast_to(np.array(self.origins_m[i]), points[0].shape)
-            link = turned(link, self.vectors[i], angles[..., i])
-            for k in range(i - 1, -1, -1):
-                axis = turned(axis, self.vectors[k], angles[..., k])
-                link = turned(link, self.vectors[k], angles[..., k])
-            axes.append(axis)
-            points.append(points[-1] + link)
+        turn = np.eye(3)
+        points, axes = [np.zeros((*angles.shape[:-1], 3))], []
+        for i, axis in enumerate(self.vectors):
+            axes.append(np.broadcast_to(turn @ axis, points[0].shape))
+            turn = turn @ rotation(axis, angles[..., i])
+            points.append(points[-1] + turn @ np.array(self.origins_m[i]))
         return np.stack(points, axis=-2), np.stack(axes, axis=-2)
 
 
@@ -237,31 +183,18 @@ def straight(lengths_m: Sequence[float], axes: Sequence[str | Vector]) -> Chain:
     return Chain(tuple(axes), tuple((float(length), 0.0, 0.0) for length in lengths_m))
 
 
-def link_angles(q: ArrayLike, axes: Sequence[str | Vector]) -> Array:
-    """Return every link's pitch over the leg's horizon, for yaws, then pitches.
-
-    Args:
-        q: (..., J) rad joint angles.
-        axes: (J,) ``yaw`` or ``pitch`` per joint.
-
-    Returns:
-        (..., J) rad; a yaw joint's own link keeps the pitch of the link before it.
-    """
-    angles = np.asarray(q, dtype=np.float64)
-    pitch = np.array([1.0 if axis == "pitch" else 0.0 for axis in axes])
-    return np.cumsum(angles * pitch, axis=-1)
-
-
 def foot(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str | Vector]) -> Array:
     """Compute the foot of a :func:`straight` chain, (..., J) rad to (..., 3) m."""
     return straight(lengths_m, axes).foot(q)
 
 
-def turned(vectors: Array, axis: Array, angles: Array) -> Array:
-    """Rotate vectors, (..., 3), about an axis by angles, (...) rad (Rodrigues)."""
-    cos, sin = np.cos(angles)[..., None], np.sin(angles)[..., None]
-    along = (vectors @ axis)[..., None] * (1.0 - cos)
-    return np.asarray(vectors * cos + np.cross(axis, vectors) * sin + axis * along)
+def rotation(axis: ArrayLike, angles: ArrayLike) -> Array:
+    """Return the matrices, (..., 3, 3), that turn about a unit vector by (...) rad (Rodrigues)."""
+    x, y, z = np.asarray(axis, dtype=np.float64)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = np.asarray(angles, dtype=np.float64)[..., None, None]
+    turn = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+    return np.asarray(turn)
 
 
 def inverse(point_m: ArrayLike, lengths_m: Sequence[float]) -> Array:

@@ -28,7 +28,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import read_file
 from adaptive_contact.printable import did_you_mean, printable
 from adaptive_contact.robot.description import Leg, Limits, Mount
-from adaptive_contact.robot.kinematics import Vector, turned
+from adaptive_contact.robot.kinematics import Vector, rotation
 
 MOST_BYTES: Final = 8_000_000
 MOST_DEPTH: Final = 64
@@ -463,10 +463,8 @@ def _shown(joint: _Joint) -> str:
 
 def _rotation(rpy: Vector) -> Array:
     """Return the (3, 3) matrix of fixed-axis roll, pitch and yaw."""
-    rows = np.eye(3)
-    for axis, angle in zip(np.eye(3), rpy, strict=True):
-        rows = turned(rows, axis, np.asarray(angle))
-    return rows.T
+    roll, pitch, yaw = (rotation(axis, angle) for axis, angle in zip(np.eye(3), rpy, strict=True))
+    return yaw @ pitch @ roll
 
 
 def _written(vector: Array) -> Vector:

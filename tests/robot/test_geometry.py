@@ -16,7 +16,6 @@ from adaptive_contact.robot import (
     Mount,
     foot,
     inverse,
-    link_angles,
 )
 from adaptive_contact.robot.kinematics import AXES as WORDS
 from adaptive_contact.robot.kinematics import straight
@@ -44,10 +43,6 @@ def test_out_of_reach_is_nan() -> None:
 def test_the_inverse_wants_three_links() -> None:
     with pytest.raises(ConfigurationError, match="needs 3 links, found 2"):
         inverse([0.1, 0, 0], (0.1, 0.1))
-
-
-def test_link_angles_add_pitches_only() -> None:
-    np.testing.assert_allclose(link_angles([0.5, 0.2, -1.0], AXES), [0.0, 0.2, -0.8])
 
 
 def by_matrices(q: list[float], chain: Chain) -> np.ndarray:
