@@ -34,10 +34,9 @@ _RUN: Final = "Run"
 _OUT: Final = "Output"
 _ROBOT: Final = "Robot"
 
-# Of the motions, each with a default of its own.
 ReactOption = Annotated[
     float | None,
-    option("--react-ms", "From a touch to the leg's stop. [walk 60, pose never]", panel=_ROBOT),
+    option("--react-ms", "From a touch to the leg's stop. [60]", panel=_ROBOT),
 ]
 
 

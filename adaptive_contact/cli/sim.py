@@ -86,7 +86,6 @@ def pose(
     path: Annotated[
         str | None, option("--path", "In which coordinates paths are straight.", "cartesian|joint")
     ] = None,
-    react_ms: ReactOption = None,
     run: RunOptions,
     network: opt.Network,
     json: opt.JsonPayloadOption = False,
@@ -97,7 +96,7 @@ def pose(
     with needs_simulator():
         from adaptive_contact_sim import PoseSettings, simulated_robot
 
-    changes = given(approach=approach, workspace=workspace, path=path, react_ms=react_ms)
+    changes = given(approach=approach, workspace=workspace, path=path)
     base, motion = run.base(PoseSettings)
     if leg is not None:
         layout = simulated_robot(base.settings.robot).layout

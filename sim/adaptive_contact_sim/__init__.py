@@ -13,7 +13,6 @@ from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroupSettings
-from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.scenario import (
     Scenario,
@@ -45,7 +44,6 @@ __all__ = [
     "load_scenario",
     "parse_drift",
     "record_arrays",
-    "record_file",
     "run",
     "shipped_scenarios",
     "simulated_robot",

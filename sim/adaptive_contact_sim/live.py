@@ -17,7 +17,9 @@ from dataclasses import dataclass
 from threading import Event
 from typing import TYPE_CHECKING
 
+from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.wire import (
     ALL_CONTACT,
     SIM_DRIFT,
@@ -114,8 +116,6 @@ def run_live(
     ticks = math.inf if seconds is None else round(seconds / sim.settings.period_s)
     learners = None
     if link is None and _listens(sim):
-        from adaptive_contact_sim.learners import InProcess
-
         learners = InProcess(sim)
     with contextlib.nullcontext() if link is None else contextlib.closing(_Wire(sim, link)) as wire:
         while sim.ticks < ticks and not stop.is_set():
@@ -130,6 +130,29 @@ def run_live(
             if not pace.wait(stop):
                 break
     return Outcome(sim.time_s, pace.elapsed_s, sim.ticks, pace.late)
+
+
+class InProcess:
+    """The service's learners in this process: a tick's events reach the gait before its next.
+
+    Args:
+        sim: whose legs they are; they begin with its shipped baseline, as `serve` does.
+        mode: what they may do to follow the legs.
+    """
+
+    def __init__(self, sim: Simulation, mode: LearnerMode = LearnerMode.FULL) -> None:
+        from adaptive_contact import LearnerBank  # learners take a while to load
+
+        robot = sim.robot.description
+        self._sim = sim
+        self._bank = LearnerBank(robot, shipped_baseline(robot.name), mode=mode)
+
+    def take(self, tick: Tick) -> list[ContactEvent]:
+        """Take in a tick's samples, and pass the events on to the gait."""
+        events = self._bank.update(tick.samples)
+        for event in events:
+            self._sim.notify_contact(event.leg, event.contact)
+        return events
 
 
 class _Wire:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.files import write_file
-from adaptive_contact_sim.elements import Elements
 from adaptive_contact_sim.simulation import Simulation
 
 
@@ -51,50 +50,13 @@ class Moment(NamedTuple):
         )
 
 
-class Stage:
-    """The scene of a simulation, on which moments are set up."""
-
-    def __init__(self, sim: Simulation) -> None:
-        self.model = sim.scene(looks=True)  # the simulation's own may be without
-        self.elements = Elements.resolve(self.model, sim.layout)
-        self.terrain = sim.terrain
-        self.data = mujoco.MjData(self.model)
-        self.touching: Mask = np.zeros(0, dtype=np.bool_)
-        self.set(Moment.of(sim))
-
-    def set(self, moment: Moment) -> None:
-        """Set up a moment."""
-        self.data.qpos[:] = moment.configuration
-        self.data.mocap_pos[:] = moment.mocap_m
-        self.data.mocap_quat[:] = moment.mocap_quaternion
-        self.touching = moment.touching
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
-
-    @property
-    def position_m(self) -> Array:
-        """(3,) of the body."""
-        return np.asarray(self.data.xpos[self.elements.body])
-
-    @property
-    def rotation(self) -> Array:
-        """(3, 3) of the body."""
-        return np.asarray(self.data.xmat[self.elements.body].reshape(3, 3))
-
-    @property
-    def feet_m(self) -> Array:
-        """(L, 3) of the feet."""
-        return np.asarray(self.data.site_xpos[self.elements.foot_sites])
-
-
 Pixels = NDArray[np.uint8]
 
 _EGL: Final = "run: apt install libegl1 libgl1-mesa-dri"
 
 
-class EnginePainter:
-    """The engine's own renderer, offscreen on EGL.
+class Painter:
+    """The engine's own renderer, offscreen on EGL, for moments of a simulation that has looks.
 
     EGL is asked for by itself, not through ``MUJOCO_GL``, which is read once when mujoco is
     imported and would have to be set before.
@@ -103,8 +65,10 @@ class EnginePainter:
         ConfigurationError: EGL is missing or does not work.
     """
 
-    def __init__(self, stage: Stage, width: int, height: int) -> None:
-        model = stage.model
+    def __init__(self, sim: Simulation, width: int, height: int) -> None:
+        model = self._model = sim.plant.model
+        self._data = mujoco.MjData(model)
+        self._body = sim.plant.elements.body
         # Everything that can go wrong here is the machine's OpenGL: a missing library shows as
         # ImportError or AttributeError, a missing device as RuntimeError or an EGLError.
         try:
@@ -131,22 +95,26 @@ class EnginePainter:
         self._camera.distance = 0.95
         self._camera.azimuth = 128.0
         self._camera.elevation = -20.0
-        self._camera.lookat[:] = stage.position_m
+        self._camera.lookat[:] = sim.plant.body_pose()[0]
         self._camera.lookat[2] = 0.07
         self._image = np.zeros((height, width, 3), dtype=np.uint8)
-        self._toes = [model.geom(f"{leg}_toe").id for leg in stage.elements.layout.legs]
+        self._toes = [model.geom(f"{leg}_toe").id for leg in sim.layout.legs]
         model.geom_matid[self._toes] = -1
 
-    def paint(self, stage: Stage) -> Pixels:
-        """Paint what is set up, feet that touch in red."""
-        model, data = stage.model, stage.data
+    def paint(self, moment: Moment) -> Pixels:
+        """Paint a moment, feet that touch in red."""
+        model, data = self._model, self._data
+        data.qpos[:] = moment.configuration
+        data.mocap_pos[:], data.mocap_quat[:] = moment.mocap_m, moment.mocap_quaternion
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
         model.geom_rgba[self._toes] = np.where(
-            stage.touching[:, None], (0.93, 0.16, 0.14, 1.0), (0.16, 0.55, 0.88, 1.0)
+            moment.touching[:, None], (0.93, 0.16, 0.14, 1.0), (0.16, 0.55, 0.88, 1.0)
         )
-        centre = stage.position_m
         # The camera follows the body with this lag, in frames, so that steps do not shake the
         # picture.
-        self._camera.lookat[:2] += (centre[:2] - self._camera.lookat[:2]) / 8.0
+        self._camera.lookat[:2] += (data.xpos[self._body, :2] - self._camera.lookat[:2]) / 8.0
         self._context.make_current()
         mujoco.mjv_updateScene(
             model,
@@ -201,8 +169,7 @@ class Film:
         # Painting takes three times the time that was filmed, and a gif grows by 0.3 MB per second.
         self._most = round(300.0 / self._frame_s)
         self._sim = sim
-        self._stage = Stage(sim)
-        self._painter = EnginePainter(self._stage, self._width, self._height)
+        self._painter = Painter(sim, self._width, self._height)
         self._moments: list[Moment] = []
 
     def __enter__(self) -> Self:
@@ -245,8 +212,7 @@ class Film:
         from PIL import Image as PILImage
         from PIL import ImageDraw
 
-        self._stage.set(moment)
-        picture = PILImage.fromarray(self._painter.paint(self._stage))
+        picture = PILImage.fromarray(self._painter.paint(moment))
         draw = ImageDraw.Draw(picture)
         size = max(12, self._height // 32)
         for i, line in enumerate(moment.caption):

@@ -93,8 +93,6 @@ class PoseSettings:
     # `descent`; `slow` (2 to 10 cm/s); `forward` (a level swing against a post); `graze`
     # (along a steep face)
     approach: Approach = "descent"
-    # how long the command goes on after a touch; None for the whole segment
-    react_ms: float | None = None
     obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)  # what is in the way
     # how far above an obstacle the foot is when it comes, at least: more than a sole that is tilted
     # reaches below the foot's point
@@ -146,11 +144,8 @@ class _Plan:
     points: Array  # (n, 3) m, leg frame
     ascent: int  # ticks of ascent
     swing: int  # ticks of swing; the rest is hold
-    rest: Array | None = None  # (J,) rad, what joints beyond three follow at the top
     obstacle: float | None = None  # share of the descent at which to touch
     tick: int = 0
-    touched_step: int | None = None
-    frozen: Array | None = None
 
 
 class PoseMotion:
@@ -188,7 +183,7 @@ class PoseMotion:
                     f"of {len(self._rest)} joints"
                 )
         self._plan = self._step_up()
-        # Always one plan ahead, so that a preview reaches past the end of a trial.
+        # Always one plan ahead: the order of draws is part of what a seed means.
         self._upcoming = self._next_plan()
 
     @property
@@ -199,7 +194,7 @@ class PoseMotion:
     def step(self, world: World) -> Goal:
         """Goals for this tick."""
         if self._plan.tick >= len(self._plan.joints):
-            self._begin_upcoming()
+            self._plan, self._upcoming = self._upcoming, self._next_plan()
         plan, leg = self._plan, self.leg
         if plan.tick == 0:
             self._course.assign(leg)
@@ -213,28 +208,12 @@ class PoseMotion:
             self._course.clear()
         goal = self._goals.copy()
         goal[leg] = plan.joints[plan.tick]
-        if descending and self.settings.react_ms is not None:
-            self._react(plan, world, leg)
-        if plan.frozen is not None:
-            goal[leg] = plan.frozen
-            swinging = False
         self._goals = goal
         plan.tick += 1
         phase: list[Literal["swing", "stance"]] = ["stance"] * len(self._legs)
         if swinging:
             phase[leg] = "swing"
         return Goal(goal, tuple(phase))
-
-    def _react(self, plan: _Plan, world: World, leg: int) -> None:
-        """Stop the leg some time after a touch; the command until then goes on."""
-        assert self.settings.react_ms is not None
-        touched = world.touch_step[leg]
-        if touched is not None and plan.touched_step is None:
-            plan.touched_step = touched
-        if plan.touched_step is not None and plan.frozen is None:
-            since = (world.step - plan.touched_step) * world.step_s
-            if since >= self.settings.react_ms / 1000.0:
-                plan.frozen = self._goals[leg].copy()
 
     def _raise_obstacle(self, plan: _Plan, world: World) -> None:
         """Put an obstacle on a descent, given where body and foot really are.
@@ -272,24 +251,6 @@ class PoseMotion:
         )
 
     # -- plans ---------------------------------------------------------------------------------
-
-    def _begin_upcoming(self) -> None:
-        """Go on to the next plan, and make the one after it."""
-        last, plan = self._plan, self._upcoming
-        if last.frozen is not None and plan.leg == last.leg:
-            # The leg stopped short of where this plan was to start.
-            start = self._geometry.feet(last.frozen)
-            if plan.ascent:
-                rests = None if plan.rest is None else (last.frozen, plan.rest)
-                points, joints = self._line(
-                    start, plan.points[plan.ascent - 1], plan.ascent, self.settings.path, rests
-                )
-                plan.points[: plan.ascent], plan.joints[: plan.ascent] = points, joints
-            else:
-                plan.points = _arc(start, plan.points[-1])
-                plan.joints = self._geometry.joints(plan.points)
-        self._plan = plan
-        self._upcoming = self._next_plan()
 
     def _next_plan(self) -> _Plan:
         if self._trials_left > 0:
@@ -360,7 +321,6 @@ class PoseMotion:
             points=np.concatenate([up_points, down_points, np.repeat(end[None], hold, axis=0)]),
             ascent=n,
             swing=n + down,
-            rest=rest,
             obstacle=self._course.share() if self._course.wanted() else None,
         )
 

@@ -16,7 +16,7 @@ from adaptive_contact.wire import (
     servo_key,
     truth_key,
 )
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
+from adaptive_contact_sim.simulation import Simulation, Tick
 
 
 class TickRecorder:
@@ -79,20 +79,3 @@ class TickRecorder:
     def write_event(self, event: ContactEvent) -> None:
         """Append an event; to be called when the gait gets it."""
         self._writer.write_message(contact_key(event.leg), event, self._sim.t_ns)
-
-
-def record_file(settings: SimulationSettings, seconds: float, path: str | Path) -> int:
-    """Simulate as fast as possible into a recording.
-
-    Returns:
-        Number of control ticks.
-
-    Raises:
-        RecordingError: the file cannot be written.
-        SimulationDivergedError: the physics blew up; the file holds all until then.
-    """
-    sim = Simulation(settings)
-    with TickRecorder(Path(path), sim) as recorder:
-        for tick in sim.run(seconds):
-            recorder.write(tick)
-    return sim.ticks

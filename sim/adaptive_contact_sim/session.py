@@ -72,7 +72,7 @@ def run(
         # Live samples carry wall clock times, and a run number that grows from start to start.
         now_ns = time.time_ns()
         settings = replace(settings, epoch_ns=now_ns, run=now_ns // 1_000_000)
-    sim = Simulation(settings)
+    sim = Simulation(settings, looks=plan.render is not None)
     touches: Counter[str] = Counter()
     with ExitStack() as stack:
         looks: list[Look] = []

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple, TypeAlias
 
-import mujoco
 import numpy as np
 
 from adaptive_contact.errors import ConfigurationError
@@ -108,6 +107,11 @@ class Tick(NamedTuple):
 class Simulation:
     """A running simulation.
 
+    Args:
+        settings: what is simulated.
+        parameters: the robot's servos; drawn from the settings where left out.
+        looks: with all that is only there to be seen; it comes to the same, bit for bit.
+
     Raises:
         ConfigurationError: the settings do not fit together.
     """
@@ -116,6 +120,8 @@ class Simulation:
         self,
         settings: SimulationSettings,
         parameters: ServoParameters | None = None,
+        *,
+        looks: bool = False,
     ) -> None:
         self.settings = settings
         self.robot = simulated_robot(settings.robot)
@@ -132,8 +138,20 @@ class Simulation:
         if parameters is None:
             nominal = self.robot.servo.of(self.layout.n_servos)
             parameters = manufactured(settings.robot_seed, nominal)
+        motion = settings.motion
+        owners: tuple[str | None, ...] = ()
+        if isinstance(motion, PoseGroupSettings):
+            owners = motion.legs
+        elif isinstance(motion, PoseSettings):
+            owners = (None,)
         self.plant = Plant(
-            self.scene(looks=False),
+            build(
+                self.terrain,
+                obstacles=owners,
+                looks=looks,
+                name=settings.robot,
+                layout=self.layout,
+            ),
             parameters,
             period_s=settings.period_s,
             layout=self.layout,
@@ -199,18 +217,6 @@ class Simulation:
     def time_s(self) -> float:
         """Simulated time since tick 0."""
         return self.ticks * self.settings.period_s
-
-    def scene(self, *, looks: bool) -> mujoco.MjModel:
-        """Compile the robot, its ground and its obstacles, as they are before the run."""
-        motion = self.settings.motion
-        owners: tuple[str | None, ...] = (None,) if isinstance(motion, PoseSettings) else ()
-        return build(
-            self.terrain,
-            obstacles=motion.legs if isinstance(motion, PoseGroupSettings) else owners,
-            looks=looks,
-            name=self.settings.robot,
-            layout=self.layout,
-        )
 
     def inject(self, drift: Drift) -> None:
         """Let a drift begin now.

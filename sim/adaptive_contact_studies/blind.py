@@ -2,7 +2,7 @@
 
 The same ground is walked with five ways to end a swing, before and after a drift.  Body tilt, the
 touches' force, swings that were stopped in the air, distance and work come from the simulator's
-truth; events from learners in this process (:class:`~adaptive_contact_sim.learners.InProcess`), so
+truth; events from learners in this process (:class:`~adaptive_contact_sim.live.InProcess`), so
 that a walk depends on no clock.
 
 Two of the five need no sensor.  A *fixed trajectory* is planned to the ground that it expects: the
@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.core.learn.mode import LearnerMode
-from adaptive_contact_sim.learners import InProcess
+from adaptive_contact_sim.live import InProcess
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkMotion
 from adaptive_contact_studies.show.colours import BLUE, GREEN, GREY, ORANGE, RED

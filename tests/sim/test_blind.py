@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import (
     SIM_BODY,
     BodyPose,
@@ -22,14 +20,13 @@ from adaptive_contact.wire import (
     servo_key,
 )
 from adaptive_contact_sim import (
-    RunPlan,
     Simulation,
     SimulationSettings,
     TerrainSettings,
     WalkSettings,
-    run,
 )
-from adaptive_contact_sim.learners import InProcess
+from adaptive_contact_sim.live import InProcess
+from tests.sim.touches import recorded
 
 ROUGH = SimulationSettings(
     motion=WalkSettings(stop_on="service"), terrain=TerrainSettings(kind="rough"), seed=4
@@ -39,17 +36,8 @@ HIGH = SimulationSettings(
 )
 
 
-def recorded(settings: SimulationSettings, path: Path) -> dict[str, list]:
-    """What a walk of 8 s without a network leaves, by key."""
-    run(RunPlan(settings, 8.0, None, None, record=path), threading.Event())
-    by_key: dict[str, list] = {}
-    for record in read_recording(path):
-        by_key.setdefault(record.key, []).append(record)
-    return by_key
-
-
 def test_a_walk_on_events_needs_no_network_and_is_the_same_again(tmp_path: Path) -> None:
-    first, again = (recorded(ROUGH, tmp_path / name) for name in ("a.mcap", "b.mcap"))
+    first, again = (recorded(ROUGH, 8.0, tmp_path / name) for name in ("a.mcap", "b.mcap"))
     assert first == again
     stops = 0
     for leg in ("lf", "rm"):
@@ -71,7 +59,7 @@ def test_a_walk_on_events_needs_no_network_and_is_the_same_again(tmp_path: Path)
 
 def test_a_recording_has_the_bodys_pose(tmp_path: Path) -> None:
     settings = replace(ROUGH, motion=WalkSettings())
-    records = recorded(settings, tmp_path / "w.mcap")[SIM_BODY]
+    records = recorded(settings, 8.0, tmp_path / "w.mcap")[SIM_BODY]
     poses = [decode(r.payload, BodyPose, r.encoding) for r in records]
     sim = Simulation(settings)
     for pose, record in zip(poses, records, strict=True):

@@ -82,8 +82,8 @@ def test_an_offline_pose_is_pictured(tmp_path: Path) -> None:
     result = RUN.invoke(
         app,
         ["pose", "--offline", "--seconds", "2", "--leg", "all", "--obstacles", "0.5", "--soft",
-         "0.5", "--approach", "slow", "--workspace", "whole", "--path", "joint", "--react-ms",
-         "60", "--render", str(picture)],
+         "0.5", "--approach", "slow", "--workspace", "whole", "--path", "joint", "--render",
+         str(picture)],
     )  # fmt: skip
     if isinstance(result.exception, ConfigurationError) and "libegl1" in str(result.exception):
         pytest.skip(f"no EGL on this machine: {result.exception}")

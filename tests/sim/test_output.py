@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError, RecordingError
-from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ContactTruth, Drift, ServoSample, decode, servo_key, truth_key
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.picture import EnginePainter, Film, Stage
+from adaptive_contact_sim.picture import Film, Moment, Painter
 from adaptive_contact_sim.pose import PoseSettings
-from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
+from tests.sim.touches import recorded
 
 WALK = SimulationSettings(
     motion=WalkSettings(),
@@ -32,11 +31,7 @@ HITS = SimulationSettings(
 
 
 def test_a_recording_is_the_run(tmp_path: Path) -> None:
-    path = tmp_path / "walk.mcap"
-    assert record_file(WALK, 3.0, path) == 150
-    by_key: dict[str, list] = {}
-    for record in read_recording(path):
-        by_key.setdefault(record.key, []).append(record)
+    by_key = recorded(WALK, 3.0, tmp_path / "walk.mcap")
     expected_truth: dict[str, list[ContactTruth]] = {}
     for k, tick in enumerate(Simulation(WALK).run(3.0)):
         for leg, sample in tick.samples.items():
@@ -54,12 +49,12 @@ def test_a_recording_is_the_run(tmp_path: Path) -> None:
 
 def test_a_recording_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot be written"):
-        record_file(WALK, 1.0, tmp_path / "none" / "walk.mcap")
+        recorded(WALK, 1.0, tmp_path / "none" / "walk.mcap")
 
 
-def engine_or_skip(stage: Stage) -> EnginePainter:
+def engine_or_skip(sim: Simulation) -> Painter:
     try:
-        return EnginePainter(stage, 320, 240)
+        return Painter(sim, 320, 240)
     except ConfigurationError as error:
         pytest.skip(f"no EGL on this machine: {error}")
 
@@ -69,12 +64,11 @@ def seen(image: np.ndarray, colour: tuple[int, int, int], tolerance: int = 60) -
 
 
 def test_pictures_show_which_feet_touch() -> None:
-    sim = Simulation(HITS)
+    sim = Simulation(HITS, looks=True)
     for _ in range(63):  # rf is in the air, high up
         sim.advance()
-    stage = Stage(sim)
-    painter = engine_or_skip(stage)
-    image = painter.paint(stage)
+    painter = engine_or_skip(sim)
+    image = painter.paint(Moment.of(sim))
     painter.close()
     assert image.shape == (240, 320, 3)
     assert image.dtype == np.uint8

@@ -94,20 +94,6 @@ def test_obstacles_are_met_on_descents(approach: str) -> None:
     assert longest < (140 if approach == "slow" else 35)
 
 
-def test_react_stops_the_command_and_ends_the_swing() -> None:
-    motion = PoseSettings(react_ms=60.0, obstacles=ObstacleSettings(probability=1.0))
-    run = record_arrays(SimulationSettings(motion=motion, seed=4), 25.0)
-    leg, checked = run.legs["rf"], 0
-    for begin, end in swings_of(leg.swing)[:-1]:
-        touched = [k for k, _ in touches_of(run, "rf") if begin + 10 <= k < end]
-        if touched and end - begin < 20:
-            # Three samples after the touch still say swing, and the command goes on.
-            assert 3 <= end - touched[0] - 1 <= 4
-            assert np.array_equal(leg.desired[end], leg.desired[end - 1])
-            checked += 1
-    assert checked > 15
-
-
 def test_legs_take_turns_without_a_swing_between() -> None:
     motion = PoseSettings(legs=LEGS, trials_per_turn=3)
     run = record_arrays(SimulationSettings(motion=motion), 25.0)

@@ -19,12 +19,11 @@ from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.legs import ChainLegs
 from adaptive_contact_sim.pose import PoseSettings
-from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.robots import ROBOTS, simulated_robot
 from adaptive_contact_sim.scenario import parse_drift, parse_scenario
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
-from tests.sim.touches import touches_of
+from tests.sim.touches import recorded, touches_of
 
 
 @functools.cache
@@ -129,7 +128,7 @@ def test_a_recording_names_its_robot(ours: Any, tmp_path: Path) -> None:
     plates = dataclasses.replace(base.motion.obstacles, probability=0.6)
     motion = dataclasses.replace(base.motion, obstacles=plates)
     path, events = tmp_path / "leg.mcap", tmp_path / "leg.jsonl"
-    record_file(dataclasses.replace(base, motion=motion, seed=31), 60.0, path)
+    recorded(dataclasses.replace(base, motion=motion, seed=31), 60.0, path)
     out = []
     for arguments in (
         ("replay", str(path), "--events", str(events)),

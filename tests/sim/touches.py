@@ -1,7 +1,21 @@
-"""Ticks of touches in runs of the simulator."""
+"""Runs of the simulator, and ticks of touches in them."""
 
+import threading
+from pathlib import Path
+
+from adaptive_contact.service.recording import Record, read_recording
 from adaptive_contact.wire import ContactTruth
+from adaptive_contact_sim import RunPlan, SimulationSettings, run
 from adaptive_contact_sim.arrays import Run
+
+
+def recorded(settings: SimulationSettings, seconds: float, path: Path) -> dict[str, list[Record]]:
+    """Record a run without a network; what it leaves, by key."""
+    run(RunPlan(settings, seconds, None, None, record=path), threading.Event())
+    by_key: dict[str, list[Record]] = {}
+    for record in read_recording(path):
+        by_key.setdefault(record.key, []).append(record)
+    return by_key
 
 
 def tick_of(run: Run, change: ContactTruth) -> int:
