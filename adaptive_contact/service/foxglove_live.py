@@ -1,8 +1,6 @@
 """Shows a running robot in Foxglove: a channel per key, over Foxglove's own websocket protocol.
 
-Topics, schemas and bytes are those of a recording.  One kind of channel is added: a
-leg's ``trace`` has a message per tick, with the prediction and the test ratio.  The service is
-asked for them only while a client shows one.
+Topics, schemas and bytes are those of a recording.
 
 The contact of a leg that is not known any more is withdrawn, by an event that is made here where
 the service cannot send one.
@@ -25,32 +23,28 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING, Final, Self
 
-from adaptive_contact.errors import ConfigurationError, LinkError, needs
+from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.service.known_contacts import KnownContacts
 from adaptive_contact.service.link import Link, Received
 from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_class, schema_name
-from adaptive_contact.service.trace import TraceReader
 from adaptive_contact.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
     ALL_SERVO,
+    ALL_STATE,
     ALL_TRUTH,
     HEARTBEAT,
     MAX_PAYLOAD_BYTES,
     ContactEvent,
     Heartbeat,
-    LegTrace,
     Message,
     Reject,
     Rejected,
-    ServoSample,
     bridge_status_key,
     command_key,
     contact_key,
     decode,
-    leg_of_key,
-    trace_key,
 )
 
 if TYPE_CHECKING:
@@ -61,23 +55,14 @@ DEFAULT_PORT: Final = 8765
 # Messages that wait to be encoded: at 64 legs and 200 Hz more than a second.
 _MOST_WAITING: Final = 20_000
 _STREAMS: Final = (
-    HEARTBEAT, ALL_SERVO, ALL_LEARNER, ALL_TRUTH, command_key("*"), bridge_status_key("*"),
-)  # fmt: skip
-
-
-class JudgedTick(Message, frozen=True, kw_only=True):
-    """Holds a tick of a leg as its learner judged it; one entry of a LegTrace."""
-
-    # t_ns, seq: of the sample
-    t_ns: int
-    seq: int
-    swing: bool | None  # whether the sample says so, or else its commands; None where nothing does
-    # desired, measured: (J,) rad, in the source's angles
-    desired: list[float]
-    measured: list[float]
-    # (J,) rad, what ``measured`` was expected to be; None where it was not judged
-    predicted: list[float] | None
-    test_ratio: float | None  # statistic over threshold, above 1 for a contact; None likewise
+    HEARTBEAT,
+    ALL_SERVO,
+    ALL_STATE,
+    ALL_LEARNER,
+    ALL_TRUTH,
+    command_key("*"),
+    bridge_status_key("*"),
+)
 
 
 class FoxgloveServer:
@@ -122,9 +107,6 @@ class FoxgloveServer:
         self._channels: dict[str, Channel] = {}
         self._waiting: queue.Queue[Received] = queue.Queue(_MOST_WAITING)
         self._known = KnownContacts()
-        self._offsets_ns: dict[str, int] = {}
-        self._stop = threading.Event()
-        self._asker = threading.Thread(target=self._ask, name="foxglove-ticks", daemon=True)
 
     def __enter__(self) -> Self:
         return self
@@ -134,9 +116,6 @@ class FoxgloveServer:
 
     def close(self) -> None:
         """End the server; calling it twice is safe."""
-        self._stop.set()
-        if self._asker.is_alive():
-            self._asker.join(2.0)
         self._server.stop()
 
     def run(self, stop: threading.Event) -> None:
@@ -145,7 +124,6 @@ class FoxgloveServer:
             self._link.subscribe(key, self._enqueue, history=True)
         for key in _STREAMS:
             self._link.subscribe(key, self._enqueue)
-        self._asker.start()
         while not stop.is_set():
             with contextlib.suppress(queue.Empty):
                 self._show_received(self._waiting.get(timeout=0.1))
@@ -170,12 +148,7 @@ class FoxgloveServer:
         if isinstance(message, Rejected):
             self.left_out[received.key, message.reason.value] += 1
             return
-        leg = leg_of_key(received.key)
-        if isinstance(message, ServoSample) and leg is not None:
-            # Its ticks are put on the same clock, so that both lie on each other in a plot.
-            self._offsets_ns[leg] = arrived_ns - message.t_ns
-            self._channel(trace_key(leg), JudgedTick)
-        elif isinstance(message, Heartbeat):
+        if isinstance(message, Heartbeat):
             self._known.heartbeat(message, received.arrival_ns)
         elif isinstance(message, ContactEvent):
             for event in self._known.event(message, time.monotonic_ns()):
@@ -206,36 +179,6 @@ class FoxgloveServer:
             self.left_out[key, Reject.OUT_OF_RANGE.value] += 1
             return
         self.shown += 1
-
-    # -- ticks -------------------------------------------------------------------------------------
-
-    def _ask(self) -> None:
-        reader = TraceReader(self._link)
-        while not self._stop.wait(0.1):
-            wanted = {
-                leg
-                for leg in list(self._offsets_ns)
-                if (channel := self._channels.get(trace_key(leg))) and channel.has_sinks()
-            }
-            if not wanted:
-                continue
-            try:
-                traces = reader.ask()
-            except LinkError:
-                continue
-            for trace in traces:
-                if trace.leg in wanted:
-                    self._show_ticks(trace)
-
-    def _show_ticks(self, trace: LegTrace) -> None:
-        offset_ns = self._offsets_ns[trace.leg]
-        now_ns = time.time_ns()
-        names = JudgedTick.__struct_fields__  # as the trace has them, one list each
-        for values in zip(*(getattr(trace, name) for name in names), strict=False):
-            tick = JudgedTick(**dict(zip(names, values, strict=True)))
-            # A tick placed further from now was taken before its source's clock jumped.
-            if abs(tick.t_ns + offset_ns - now_ns) <= 60_000_000_000:
-                self._show(trace_key(trace.leg), tick, tick.t_ns + offset_ns)
 
 
 def check_installed() -> None:

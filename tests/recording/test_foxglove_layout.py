@@ -16,7 +16,6 @@ import msgspec
 import pytest
 
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact.service.foxglove_live import JudgedTick
 from adaptive_contact.service.recording.scene import BODY, Scene
 from adaptive_contact.service.recording.schemas import kind_of_key, parts_of
 from adaptive_contact.wire import ServoSample, servo_key
@@ -40,7 +39,7 @@ def field_of(path: str) -> Any:
     parsed = re.fullmatch(r"(?P<topic>[\w/]+)(?P<fields>(?:\.\w+(?:\[\d+\])?)+)", path)
     assert parsed is not None, path
     topic = parsed["topic"]
-    kind: Any = JudgedTick if topic.endswith("/trace") else kind_of_key(topic)
+    kind: Any = kind_of_key(topic)
     assert kind is not None, f"{topic} is no key of the contract"
     for name, index in re.findall(r"\.(\w+)(\[\d+\])?", parsed["fields"]):
         assert issubclass(kind, msgspec.Struct), path

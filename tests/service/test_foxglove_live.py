@@ -7,7 +7,6 @@ import json
 import struct
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -19,17 +18,15 @@ from websockets.typing import Subprotocol
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
-from adaptive_contact.service.link import Link, Request, client_settings
+from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import (
     HEARTBEAT,
     ContactEvent,
     Heartbeat,
     LegHeartbeat,
-    LegTrace,
     ServoSample,
     contact_key,
     servo_key,
-    trace_key,
 )
 
 # A tick of a source whose clock began some days ago.
@@ -42,17 +39,6 @@ EVENT = ContactEvent(
     residual=[0.5, -0.25], model_version=3,
 )  # fmt: skip
 BEAT = LegHeartbeat(t_ns=T_NS, age_s=0.0, contact=True)
-TRACE = LegTrace(
-    leg="lf",
-    number=12,
-    t_ns=[T_NS - 20_000_000, T_NS],
-    seq=[6, 7],
-    swing=[None, True],
-    measured=[[0.0, 0.0], [0.1, 0.2]],
-    desired=[[0.0, 0.0], [0.3, 0.4]],
-    predicted=[None, [0.15, 0.25]],
-    test_ratio=[None, 1.5],
-)
 
 
 class Client:
@@ -179,38 +165,6 @@ def test_keys_are_topics_and_messages_keep_their_values(source: Source, client: 
     while topic != "robot/leg/lf/contact":
         topic, _, event = client.message()
     assert (event.contact, event.score, event.onset_ns) == (True, 1.5, T_NS - 5)
-
-
-def test_ticks_come_one_by_one_and_only_for_those_who_look(
-    router: Link, source: Source, client: Client
-) -> None:
-    asked: list[str | None] = []
-
-    def answer(request: Request) -> None:
-        asked.append(request.parameter("after"))
-        request.reply(TRACE, trace_key("lf"))
-        request.close()
-
-    router.queryable(trace_key("*"), answer)
-    client.subscribe("robot/leg/lf/servo")
-    client.message()
-    assert not asked, "the service keeps ticks while it is asked, and nobody looks at them"
-    client.subscribe("robot/leg/lf/trace")
-    ticks: list[tuple[int, Any]] = []
-    while len(ticks) < 2:
-        topic, time_ns, message = client.message()
-        if topic == "robot/leg/lf/trace":
-            ticks.append((time_ns, message))
-    (before_ns, unjudged), (after_ns, judged) = ticks
-    assert (unjudged.seq, unjudged.HasField("swing"), unjudged.HasField("test_ratio")) == (
-        *(6, False, False),
-    )
-    assert list(unjudged.predicted) == []
-    assert (judged.seq, judged.swing, judged.test_ratio) == (7, True, 1.5)
-    assert (list(judged.predicted), list(judged.measured)) == ([0.15, 0.25], [0.1, 0.2])
-    assert after_ns - before_ns == 20_000_000
-    assert abs(after_ns - time.time_ns()) < 60 * 10**9, "on this computer's clock"
-    assert asked[0] is None
 
 
 def test_what_cannot_be_read_is_counted(

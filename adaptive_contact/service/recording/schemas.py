@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 # Key without its namespace -> its message.  A leg's trace is left out: it answers a query, so no
-# recording has it, and viewers cannot draw a list of ticks.  Foxglove gets its ticks one by one
-# (:class:`~adaptive_contact.service.foxglove_live.JudgedTick`).
+# recording has it, and viewers cannot draw a list of ticks.
 _OF_LEG: Final = {name: kind for name, kind in LEG_MESSAGES.items() if kind is not LegTrace}
 _KEY: Final = re.compile(
     rf"(?:^|/)robot/(?:leg/[^/]+/(?P<leg>{'|'.join(_OF_LEG)})"
