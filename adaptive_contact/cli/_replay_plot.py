@@ -118,12 +118,8 @@ def _leg(trace: LegTrace, room: int, spans: int) -> dict[str, Any]:
 
 def _joints(trace: LegTrace, room: int) -> dict[str, Any]:
     """Convert the joints' curves to ms and tenths of a mrad; None where not judged."""
-    curves = trace.curves
-    if curves is None or not len(curves.t_ns):
-        return {"joints": [], "curve_ms": []}
-    angles = curves.angles
+    angles = trace.angles
     step = max(1, math.ceil(angles.size / room))
-    t_s = trace.t_s[0] + (np.array(curves.t_ns[::step]) - curves.t_ns[0]) / 1e9
     none = -(2**31)
     lists = np.where(np.isfinite(angles), np.round(angles * 1e4), none).astype(int)[::step]
     named = [
@@ -133,9 +129,9 @@ def _joints(trace: LegTrace, room: int) -> dict[str, Any]:
             "desired": lists[:, 1, j].tolist(),
             "predicted": [None if x == none else x for x in lists[:, 2, j].tolist()],
         }
-        for j, name in enumerate(curves.joints)
+        for j, name in enumerate(trace.joints)
     ]
-    return {"joints": named, "curve_ms": np.round(t_s * 1000).astype(int).tolist()}
+    return {"joints": named, "curve_ms": np.round(trace.t_s[::step] * 1000).astype(int).tolist()}
 
 
 def _merged(spans: Spans, room: int) -> list[list[int]]:

@@ -22,7 +22,6 @@ from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
-import msgpack
 import msgspec
 import numpy as np
 
@@ -36,13 +35,15 @@ from adaptive_contact.service.recording import Record
 from adaptive_contact.service.settings import SILENT_AFTER_S
 from adaptive_contact.service.trace import Judged, judged_tick
 from adaptive_contact.wire import (
+    JSON,
+    MSGPACK,
     ContactEvent,
     Reject,
     Rejected,
     ServoSample,
     decode,
+    encode,
     is_json,
-    json_text,
     leg_of_key,
 )
 
@@ -160,7 +161,7 @@ class WirePlayer:
         self._everything = everything
         self._keep_run = keep_run
         self._base = run
-        self._runs: dict[object, int] = {}
+        self._runs: dict[int | None, int] = {}
         self._publishers: dict[str, Publisher] = {}
         self.counts = Counts()
         self.sent: collections.Counter[str] = collections.Counter()
@@ -223,21 +224,12 @@ class WirePlayer:
 
     def _with_new_run(self, payload: bytes, encoding: str) -> bytes:
         """Give a sample a new ``run``; bytes that are no sample stay as they are."""
-        json = is_json(payload, encoding)
-        try:
-            fields = msgspec.json.decode(json_text(payload)) if json else msgpack.unpackb(payload)
-        except (ValueError, msgpack.UnpackException, msgspec.DecodeError, RecursionError):
+        sample = decode(payload, ServoSample, encoding)
+        if isinstance(sample, Rejected):
             return payload
-        if not isinstance(fields, dict):
-            return payload
-        run = fields.get("run")
-        if not isinstance(run, int | None):
-            return payload
-        fields["run"] = self._base + self._runs.setdefault(run, len(self._runs))
-        try:
-            return msgspec.json.encode(fields) if json else msgspec.msgpack.encode(fields)
-        except (TypeError, ValueError, OverflowError):  # a type that samples do not have
-            return payload
+        run = self._base + self._runs.setdefault(sample.run, len(self._runs))
+        fresh = msgspec.structs.replace(sample, run=run)
+        return encode(fresh, JSON if is_json(payload, encoding) else MSGPACK)
 
 
 Spans = list[tuple[float, float]]
@@ -266,50 +258,39 @@ class LegTrace:
     contact: Spans  # spans of reported contact
     truth: Spans | None  # spans of true contact; None where the recording has no truth
     touches: tuple[Touch, ...]  # what is to be looked at, in order of time
+    joints: Sequence[str]  # their names
+    angles: Array  # (n, 3, J) rad, measured, desired and predicted, in the source's; NaN if not
     note: str | None = None  # why touches were not judged, where they were not
-    curves: Curves | None = None
 
 
-class Curves:
-    """Stores angles of one leg's joints; in a long recording every second, fourth ... tick."""
+class _Ticks:
+    """Stores the ticks of one leg."""
 
     def __init__(self, joints: Sequence[str]) -> None:
-        self.joints = tuple(joints)
+        self.joints = joints
+        # t_ns, ratio, p, angles: as of LegTrace, the angles row by row
         self.t_ns = array("q")
-        self._rows = array("f")
-        self._width = 3 * len(joints)
-        self._step = 1
-        self._ticks = 0
+        self.ratio = array("d")
+        self.p = array("d")
+        self.angles = array("f")
 
-    def add(self, t_ns: int, *angles: Sequence[float]) -> None:
-        """Append a tick: (J,) rad measured, desired and predicted, in the source's angles."""
-        row = [angle for of in angles for angle in of]
-        self._ticks += 1
-        if self._ticks % self._step or len(row) != self._width:
-            return
-        self.t_ns.append(t_ns)
-        self._rows.extend(row)
-        # 400 s at 50 Hz.
-        if len(self.t_ns) >= 20_000:
-            self._rows = array("f", self.angles[1::2].ravel().tolist())
-            self.t_ns = self.t_ns[1::2]
-            self._step *= 2
-
-    @property
-    def angles(self) -> Array:
-        """Return measured, desired and predicted angles, (n, 3, J) rad; NaN if not judged."""
-        return np.array(self._rows, dtype=np.float64).reshape(-1, 3, len(self.joints))
+    def add(self, sample: ServoSample, judged: Judged | None, p: float | None) -> None:
+        """Append a tick."""
+        unknown = [np.nan] * len(self.joints)
+        self.t_ns.append(sample.t_ns)
+        self.ratio.append(np.nan if judged is None else judged.test_ratio)
+        self.p.append(np.nan if p is None else p)
+        predicted = unknown if judged is None else judged.predicted
+        for row in (sample.measured, sample.desired, predicted):
+            self.angles.extend(row if len(row) == len(unknown) else unknown)
 
 
 class TraceBank:
-    """Records each tick's test ratio around a bank; used in place of the bank of a replay."""
+    """Records how each tick was judged, around a bank; used in place of the bank of a replay."""
 
     def __init__(self, bank: LearnerBank) -> None:
         self._bank = bank
-        self._t_ns: dict[str, array[int]] = {}
-        self._ratio: dict[str, array[float]] = {}
-        self._p: dict[str, array[float]] = {}
-        self._curves: dict[str, Curves] = {}
+        self._ticks: dict[str, _Ticks] = {}
         self._events: list[ContactEvent] = []
 
     def learner(self, leg: str, joints: int | None = None, /) -> object | None:
@@ -318,49 +299,37 @@ class TraceBank:
 
     def update(self, samples: Mapping[str, ServoSample], /) -> list[ContactEvent]:
         """Update the bank by samples, and record how each was judged."""
-        before = {leg: self._judged_ns(leg) for leg in samples}
+        robot = self._bank.robot
+        learners = {leg: self._bank.learner(leg) for leg in samples}
+        known = {leg: learner for leg, learner in learners.items() if learner is not None}
+        before = {leg: learner.place.leg.t_ns for leg, learner in known.items()}
         events = self._bank.judge(samples)
-        for leg, sample in samples.items():
-            learner = self._bank.learner(leg)
-            if learner is None:
-                continue
-            used = self._judged_ns(leg) != before[leg]
+        for leg, learner in known.items():
+            sample = samples[leg]
+            if leg not in self._ticks:
+                numbers = [f"joint {j}" for j in range(len(sample.measured))]
+                named = robot.leg(leg).joints if leg in robot.leg_ids else numbers
+                self._ticks[leg] = _Ticks(named)
+            used = learner.place.leg.t_ns != before[leg]
             judged = judged_tick(learner, sample) if used else None
-            ratio = np.nan if judged is None else judged.test_ratio
-            self._t_ns.setdefault(leg, array("q")).append(sample.t_ns)
-            self._ratio.setdefault(leg, array("d")).append(ratio)
-            p = learner.state.p if used else None
-            self._p.setdefault(leg, array("d")).append(np.nan if p is None else p)
-            self._draw(leg, sample, judged)
+            self._ticks[leg].add(sample, judged, learner.state.p if used else None)
         self._bank.finish()
         self._events += events
         return events
-
-    def _draw(self, leg: str, sample: ServoSample, judged: Judged | None) -> None:
-        if leg not in self._curves:
-            numbers = [f"joint {j}" for j in range(len(sample.measured))]
-            robot = self._bank.robot
-            named = robot.leg(leg).joints if leg in robot.leg_ids else numbers
-            self._curves[leg] = Curves(named)
-        predicted = [np.nan] * len(sample.measured) if judged is None else judged.predicted
-        self._curves[leg].add(sample.t_ns, sample.measured, sample.desired, predicted)
-
-    def _judged_ns(self, leg: str) -> int:
-        """Return the time of the leg's newest accepted sample, ns; -1 without a learner."""
-        learner = self._bank.learner(leg)
-        return -1 if learner is None else learner.place.leg.t_ns
 
     def traces(self, recorded: TracedRecords) -> list[LegTrace]:
         """Combine what was decided with what the recording says."""
         gathered = recorded.gathered
         gathered.replace_events(self._events)
-        legs = [leg for leg in gathered.legs if leg in self._t_ns]
-        start_ns = min((self._t_ns[leg][0] for leg in legs), default=0)
+        legs = [leg for leg in gathered.legs if leg in self._ticks]
+        start_ns = min((self._ticks[leg].t_ns[0] for leg in legs), default=0)
         return [self._trace(leg, gathered, start_ns) for leg in legs]
 
     def _trace(self, leg: str, gathered: Gatherer, start_ns: int) -> LegTrace:
-        t_ns = np.array(self._t_ns[leg], dtype=np.int64)
-        ratio = np.array(self._ratio[leg], dtype=np.float64)
+        ticks = self._ticks[leg]
+        t_ns = np.array(ticks.t_ns, dtype=np.int64)
+        ratio = np.array(ticks.ratio, dtype=np.float64)
+        angles = np.array(ticks.angles, dtype=np.float64)
         events = [event for event in self._events if event.leg == leg]
         end_ns = int(t_ns.max(initial=start_ns))
         # Nothing is known from a leg's last sample on until something is said of it again.
@@ -394,13 +363,14 @@ class TraceBank:
             leg=leg,
             t_s=(t_ns - start_ns) / _NS_PER_S,
             ratio=ratio,
-            p=np.array(self._p[leg], dtype=np.float64),
+            p=np.array(ticks.p, dtype=np.float64),
             stance=stance,
             contact=reported,
             truth=truth,
             touches=tuple(touches),
+            joints=ticks.joints,
+            angles=angles.reshape(len(t_ns), 3, -1),
             note=note,
-            curves=self._curves[leg],
         )
 
 
