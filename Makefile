@@ -9,7 +9,6 @@ SEED   ?= 1
 MINUTES ?= 30
 HOURS ?= 300
 KILLS ?= 100
-LEGS ?= 64
 DATA ?= recordings
 REV ?= HEAD
 # Of `make same`: AGAINST another revision, a TOLERANCE, ONLY some recordings, fields to IGNORE.
@@ -29,7 +28,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all uncompiled check bench scenarios baseline soak fuzz kills links many unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second honest
+.PHONY: help env demo test test-all uncompiled check bench scenarios baseline soak fuzz kills links unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second honest
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -96,10 +95,6 @@ unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments tha
 links: env  ## 1 to 64 links that are cut or hang, up to 130 viewers that stop reading: events within 0.75 s
 	LINKS=1,4,20,64 VIEWERS=10,130 LONGEST_S=0.75 $(BIN)/python -m pytest -s -p no:cacheprovider \
 	  tests/service/test_hung_links.py
-
-many: env  ## LEGS legs of one robot.toml at 50 Hz for MINUTES: losses, latency, memory, shares of a core
-	PYTHONPATH=tests $(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many \
-	  $(MANY_OPTIONS)
 
 golden: env  ## what golden recordings are to give, made again: in a commit of its own, with scores before and after
 	PYTHONPATH=tests $(BIN)/python -m same --golden $(ONLY)

@@ -117,19 +117,6 @@ def address_of(key: str) -> Address | None:
     return Address("/" + "/".join(parts[1:-2]), _ros_name(parts[-2]), parts[-1])
 
 
-def publishers(domain: int) -> str:
-    """Return the key expression of the tokens of all publishers."""
-    return f"@ros2_lv/{domain}/*/*/*/MP/*/*/*/*/*/*/*"
-
-
-def published(token: str) -> Address | None:
-    """Return the address that a publisher's token names; None for another token."""
-    parts = token.split("/")
-    if len(parts) != 13 or parts[5] != "MP":
-        return None
-    return Address(parts[9].replace("%", "/"), _ros_name(parts[10]), parts[11])
-
-
 def publisher_id(token: str) -> bytes:
     """Return the id of a publisher (16 bytes) by its token.
 

@@ -111,9 +111,9 @@ class EventPublisher:
         """Count links that miss events, and say what became of them."""
         now_ns = self._dropped_ns = time.monotonic_ns()
         self.cut_off += links
-        times = self._throttle.passes(what, now_ns, links)
-        if times is not None:
-            _log.warning(f"{what}: their subscribers hang or are gone", links=times)
+        self._throttle.warn(
+            what, now_ns, f"{what}: their subscribers hang or are gone", times=links
+        )
 
     def dropped_within(self, now_ns: int, span_ns: int) -> bool:
         """Return whether a link was dropped or lost in the last ``span_ns``."""
@@ -166,16 +166,12 @@ class EventPublisher:
             self.lost += 1
         kind = type(fault).__name__
         why = str(fault) if isinstance(fault, LinkError) else f"{kind}: {fault}"
-        times = self._throttle.passes(kind, time.monotonic_ns())
-        if times is not None:
-            _log.warning("contact events lost", why=why, times=times)
+        self._throttle.warn(kind, time.monotonic_ns(), "contact events lost", why=why)
 
     def _slow(self, began_ns: int, done_ns: int) -> None:
         late = self._held_ns() < began_ns
         self.slow += 1
         self.late += late
         who = _COMPUTER if late else _SUBSCRIBER
-        times = self._throttle.passes(who, done_ns)
-        if times is not None:
-            for_ms = round((done_ns - began_ns) / 1e6)
-            _log.warning("contact events held up", by=who, for_ms=for_ms, times=times)
+        for_ms = round((done_ns - began_ns) / 1e6)
+        self._throttle.warn(who, done_ns, "contact events held up", by=who, for_ms=for_ms)

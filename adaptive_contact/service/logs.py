@@ -131,6 +131,14 @@ class LogThrottle:
             self._kinds.popitem(last=False)
         return held + times
 
+    def warn(
+        self, kind: Hashable, now_ns: int, what: str, *, times: int = 1, **facts: object
+    ) -> None:
+        """Log a warning, and how many it stands for, unless one of its kind has just passed."""
+        stands_for = self.passes(kind, now_ns, times)
+        if stands_for is not None:
+            _log.warning(what, times=stands_for, **facts)
+
 
 class FaultLog:
     """Logs a fault of each leg a minute, and how many came since the last one logged."""

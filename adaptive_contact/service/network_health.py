@@ -93,8 +93,8 @@ class UnreadKeys:
             self._found = {}
         found = dict(self._found)
         for key, question in found.items():
-            if self._throttle.passes(key, now_ns) is not None:
-                _log.warning("a key is read by nobody", key=key, question=question)
+            what = "a key is read by nobody"
+            self._throttle.warn(key, now_ns, what, key=key, question=question)
         return found
 
     def _receive(self, received: Received) -> None:
@@ -127,14 +127,14 @@ class NetworkHealth:
             return
         self._due_ns = now_ns + 1_000_000_000
         rival = self._rivals.note(now_ns)
-        if rival is not None and self._throttle.passes("rival", now_ns) is not None:
-            _log.warning("not alone", why=rival)
+        if rival is not None:
+            self._throttle.warn("rival", now_ns, "not alone", why=rival)
         connected = self._link.is_connected()
         where = " or ".join(map(shown, self._link.joins))
         apart = None if connected else f"no router joined at {where}; trying on"
         full = self._full()
-        if full is not None and self._throttle.passes("full", now_ns) is not None:
-            _log.warning("no room for another session", why=full)
+        if full is not None:
+            self._throttle.warn("full", now_ns, "no room for another session", why=full)
         self.note = "; ".join(filter(None, (rival, apart, full))) or None
         if connected and not self._connected:
             _log.info("router is back" if self._joined else "router joined")

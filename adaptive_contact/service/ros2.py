@@ -435,23 +435,12 @@ class Gateway:
         return self._report.diagnose(time.time_ns(), learners, valid, counts, trouble)
 
     def _report_silent(self) -> None:
-        """Print which legs have had no sample, and who publishes on their topics."""
-        seen = [
-            address
-            for token in self._ros.alive(rmw.publishers(self._node.domain))
-            if (address := rmw.published(token)) is not None
-        ]
+        """Print of which legs there has been no sample, and their topics."""
         silent = self.intake.silent
-        for topic, types in self._topics.items():
+        for topic in self._topics:
             legs = [leg for leg in silent if topic in self.intake.topics_of(leg)]
-            if not legs:
-                continue
-            there = sorted({address.type for address in seen if address.topic == topic})
-            if there:
-                what = f"publishers of {', '.join(there)} are there"
-            else:
-                near = sorted({address.topic for address in seen if address.type in types})
-                what = "nobody publishes there"
-                if near:
-                    what += f"; {' or '.join(types)} is on {', '.join(near[:4])}"
-            self._say(f"{topic}: no sample of legs {', '.join(legs)} yet; {what}")
+            if legs:
+                self._say(
+                    f"{topic}: no sample of legs {', '.join(legs)} yet; compare robot.toml with "
+                    "`ros2 topic list -t`"
+                )

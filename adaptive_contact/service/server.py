@@ -546,6 +546,5 @@ class Service:
     def _warn(
         self, what: str, reason: Reject, now_ns: int, *, times: int = 1, **facts: str
     ) -> None:
-        stands_for = self._throttle.passes((what, reason, facts.get("leg")), now_ns, times)
-        if stands_for is not None:
-            _log.warning(what, reason=reason.value, times=stands_for, **facts)
+        kind = (what, reason, facts.get("leg"))
+        self._throttle.warn(kind, now_ns, what, times=times, reason=reason.value, **facts)

@@ -202,7 +202,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "words",
     [
-        *("help", "env", "check", "wheel", "many LEGS=4 MINUTES=0.1", "kills KILLS=2"),
+        *("help", "env", "check", "wheel", "kills KILLS=2"),
         *("golden ONLY=leg5", "clean VENV=nosuch"),
     ],
 )

@@ -35,17 +35,6 @@ def test_tokens_are_those_of_the_design() -> None:
     )
 
 
-def test_publishers_are_found_by_their_tokens() -> None:
-    node = rmw.Node(0, "aa", "talker")
-    address = rmw.Address("/a/chatter", STRING, HASH)
-    token = node.endpoint_token("MP", 3, address, rmw.LATCHED)
-    assert zenoh.KeyExpr(rmw.publishers(0)).includes(zenoh.KeyExpr(token))
-    assert rmw.published(token) == address
-    assert rmw.published(node.token) is None
-    listens = node.endpoint_token("MS", 3, address, rmw.STREAM)
-    assert rmw.published(listens) is None
-
-
 def test_attachments_are_what_zenoh_serializes() -> None:
     publisher = bytes(range(1, 17))
     made = rmw.Attachment(42, 1_700_000_000_000_000_000, publisher)

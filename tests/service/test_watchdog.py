@@ -205,7 +205,7 @@ def test_slow_puts_and_closed_links_are_counted(
     assert ("subscriber" in held["by"]) is not late
     assert (lost["event"], lost["why"], lost["times"]) == ("contact events lost", "closed", 1)
     assert dropped["event"].startswith("links dropped that held up contact events")
-    assert dropped["links"] == 3
+    assert dropped["times"] == 3
 
 
 def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:

@@ -182,9 +182,7 @@ class StateKeeper:
         hanging = self._hanging
         if hanging is not None:
             with self._counting:
-                passed = self._throttle.passes("hangs", time.monotonic_ns())
-            if passed is not None:
-                _log.warning("state not saved", why=hanging)
+                self._throttle.warn("hangs", time.monotonic_ns(), "state not saved", why=hanging)
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until everything taken is on disk; False when it is not in time."""
@@ -285,6 +283,4 @@ class StateKeeper:
         with self._counting:
             self._failed += 1
             self._error = f"{leg} not saved in {self._store.shown}: {why}"
-            stands_for = self._throttle.passes("failed", time.monotonic_ns())
-        if stands_for is not None:
-            _log.warning("state not saved", leg=leg, why=why, times=stands_for)
+            self._throttle.warn("failed", time.monotonic_ns(), "state not saved", leg=leg, why=why)
