@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import msgspec
 
@@ -120,19 +120,19 @@ def _refuse_unknown(
 
 T = TypeVar("T")
 
-_TOP = (
-    "about",
-    "mode",
-    "robot",
-    "seconds",
-    "seed",
-    "robot_seed",
-    "drift",
-    "pose",
-    "walk",
-    "terrain",
-    "encoder",
-)
+
+class _File(msgspec.Struct):
+    mode: str = ""
+    about: str = ""
+    robot: str = "hexapod"
+    seconds: Annotated[float, msgspec.Meta(gt=0, le=1e6)] | None = None
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    robot_seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    drift: list[dict[str, Any]] = []
+    pose: dict[str, Any] = {}
+    walk: dict[str, Any] = {}
+    terrain: dict[str, Any] = {}
+    encoder: dict[str, Any] = {}
 
 
 @dataclass(frozen=True)
@@ -185,63 +185,47 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
 
 
 def _scenario_of(table: Mapping[str, Any], name: str, source: str) -> Scenario:
-    _refuse_unknown(table, _TOP, source, "unknown setting")
-    mode = table.get("mode")
-    if mode not in ("pose", "walk"):
-        raise ConfigurationError(f'{source}: mode is {mode!r}; expected "pose" or "walk"')
+    _refuse_unknown(table, _File.__struct_fields__, source, "unknown setting")
+    try:
+        file = msgspec.convert(table, _File)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError(f"{source}: {error}") from error
+    mode: Literal["pose", "walk"] = "pose" if file.mode == "pose" else "walk"
+    if file.mode != mode:
+        raise ConfigurationError(f'{source}: mode is {file.mode!r}; expected "pose" or "walk"')
     other = "walk" if mode == "pose" else "pose"
     if other in table or (mode == "pose" and "terrain" in table):
         found = other if other in table else "terrain"
         raise ConfigurationError(
             f"{source}: has a table [{found}], but mode is {mode!r}; remove one"
         )
-    where, own = f"{source}: [{mode}]", table.get(mode, {})
-    robot = table.get("robot", "hexapod")
-    if not isinstance(robot, str):
-        raise ConfigurationError(f"{source}: robot is {robot!r}; expected a name")
+    own = file.pose if mode == "pose" else file.walk
+    # A gait that is none is reported by what reads it.
+    gait = next((known for known in GAITS if known == own.get("gait")), None)
     try:
-        # A gait that is not a table is reported by what reads it.
-        gait = own.get("gait") if isinstance(own, dict) else None
-        base = SimulationSettings.of(
-            robot, "pose" if mode == "pose" else "walk", gait if gait in [*GAITS] else None
-        )
+        base = SimulationSettings.of(file.robot, mode, gait)
     except ConfigurationError as error:
         raise ConfigurationError(f"{source}: {error}") from error
-    motion: MotionSettings = _settings(own, base.motion, where)
-    seconds = table.get("seconds")
-    number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
-    if seconds is not None and not (number and 0 < seconds <= 1e6):
-        raise ConfigurationError(f"{source}: seconds is {seconds!r}; expected 0 to 1000000 s")
-    drift = table.get("drift", [])
-    if not isinstance(drift, list) or not all(isinstance(d, dict) for d in drift):
-        raise ConfigurationError(f"{source}: drift is not a list of tables; write [[drift]]")
-    layout = simulated_robot(robot).layout
+    motion: MotionSettings = _settings(own, base.motion, f"{source}: [{mode}]")
+    layout = simulated_robot(file.robot).layout
     settings = replace(
         base,
         motion=motion,
-        seed=_whole(table, "seed", source),
-        robot_seed=_whole(table, "robot_seed", source),
-        terrain=_settings(table.get("terrain", {}), base.terrain, f"{source}: [terrain]"),
-        encoder=_settings(table.get("encoder", {}), base.encoder, f"{source}: [encoder]"),
+        seed=file.seed,
+        robot_seed=file.robot_seed,
+        terrain=_settings(file.terrain, base.terrain, f"{source}: [terrain]"),
+        encoder=_settings(file.encoder, base.encoder, f"{source}: [encoder]"),
         drift=tuple(
             drift_from(d, where=f"{source}: [[drift]] {i}", layout=layout)
-            for i, d in enumerate(drift, start=1)
+            for i, d in enumerate(file.drift, start=1)
         ),
     )
-    about = table.get("about", "")
-    return Scenario(
-        name=name,
-        about=about if isinstance(about, str) else "",
-        seconds=None if seconds is None else float(seconds),
-        settings=settings,
-    )
+    return Scenario(name, file.about, file.seconds, settings)
 
 
-def _settings(table: Any, base: T, where: str) -> T:
+def _settings(table: Mapping[str, Any], base: T, where: str) -> T:
     """Change settings by their table, its own checks included."""
     kind = type(base)
-    if not isinstance(table, dict):
-        raise ConfigurationError(f"{where} is not a table; write its settings below {where[-20:]}")
     known = msgspec.inspect.type_info(kind)
     assert isinstance(known, msgspec.inspect.DataclassType)
     _refuse_unknown(table, [entry.name for entry in known.fields], where, "unknown setting")
@@ -250,12 +234,3 @@ def _settings(table: Any, base: T, where: str) -> T:
         return replace(base, **{name: getattr(given, name) for name in table})  # type: ignore[type-var]
     except (msgspec.ValidationError, ConfigurationError) as error:
         raise ConfigurationError(f"{where}: {error}") from error
-
-
-def _whole(table: Mapping[str, Any], name: str, source: str) -> int:
-    value = table.get(name, 0)
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise ConfigurationError(
-            f"{source}: {name} is {value!r}; expected a whole number, 0 or more"
-        )
-    return value

@@ -23,18 +23,18 @@ from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Baseline
-from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
+from adaptive_contact.score.summary import AlarmFigures
 from adaptive_contact_bullet.gait import GAITS
 from adaptive_contact_bullet.plant import Ground, Kind
 from adaptive_contact_bullet.record import Drift, Plan, Recorded, record
 from adaptive_contact_bullet.robots import SHAPES
 from adaptive_contact_studies.evaluate import feed, samples_of, score_run
+from adaptive_contact_studies.show.pages import found_of, per_hour, percent, row
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.work import LEARNER, Work, rests_on
 
 _ENGINE: Final = "adaptive_contact_bullet"
 _SECONDS: Final = 900.0
-_PARTS: Final = 3  # of a run, whose recalls are compared
 _FITS_S: Final = (0.0, 60.0, 240.0)  # free swings before; 0 for nothing
 _WALKS: Final[tuple[tuple[str, str, Kind], ...]] = (
     ("hexapod", "tripod", "hard"),
@@ -87,8 +87,7 @@ class Trial:
 class Found(NamedTuple):
     """What the product did in a trial; counts of all legs."""
 
-    touches: tuple[int, ...]  # by parts of the run
-    found: tuple[int, ...]
+    touches: int
     seen: int  # touches with a twin that the observer finds
     seen_found: int  # of those, that the product found
     twins: int
@@ -96,7 +95,6 @@ class Found(NamedTuple):
     judged: int  # ticks
     learned: int  # ticks
     learned_touching: int
-    free: int  # ticks of swings that touch nothing
     hung_alarms: int  # after the first swings
     valid_alarms: int  # of those, by a leg that was `valid`
 
@@ -160,14 +158,10 @@ def tried(work: Work, trial: Trial) -> Found | None:
     told = feed(learners, [samples_of(run, leg) for leg in robot.leg_ids], drain)
     events = dict(zip(robot.leg_ids, told, strict=True))
     outcomes = score_run(run, robot, events)
-    touches, found = np.zeros(_PARTS, int), np.zeros(_PARTS, int)
-    seen = seen_found = alarms = judged = count = touching = free_ticks = hung = valid = 0
-    span = run.t_ns[-1] - run.t_ns[0] + 1
+    touches = seen = seen_found = alarms = judged = count = touching = hung = valid = 0
     for outcome in outcomes:
         own, arrays = outcome.touches, run.legs[outcome.leg]
-        part = ((own.onset_ns - run.t_ns[0]) * _PARTS // span)[own.counted]
-        touches += np.bincount(part, minlength=_PARTS)
-        found += np.bincount(part, own.found[own.counted], minlength=_PARTS).astype(int)
+        touches += int(own.counted.sum())
         twins = np.array(
             [o.onset_ns for o in made.observed if o.leg == outcome.leg and o.ratio > 1.0]
         )
@@ -179,15 +173,13 @@ def tried(work: Work, trial: Trial) -> Found | None:
         judged += int(outcome.swings.judged.sum() + outcome.swings.judged_after.sum())
         at = np.searchsorted(run.t_ns, learned[outcome.leg])
         count, touching = count + len(at), touching + int(arrays.contact[at].sum())
-        free_ticks += int((arrays.swing & ~arrays.contact).sum())
         hung += int((outcome.alarm_swing >= _HUNG_SWINGS).sum())
         begun = outcome.swings.start_ns[min(_HUNG_SWINGS, len(outcome.swings.start_ns) - 1)]
         valid += sum(
             e.contact and e.status == "valid" and e.t_ns >= begun for e in events[outcome.leg]
         )
     return Found(
-        tuple(touches.tolist()), tuple(found.tolist()), seen, seen_found, len(made.observed),
-        alarms, judged, count, touching, free_ticks, hung, valid,
+        touches, seen, seen_found, len(made.observed), alarms, judged, count, touching, hung, valid
     )  # fmt: skip
 
 
@@ -195,9 +187,8 @@ def table(made: Sequence[tuple[Trial, Found | None]]) -> str:
     """Write what was found as Markdown: walks and drifts, then what hangs."""
     head = [
         "| robot, gait, ground | start | touches | observer | found of the observer's (95 %) "
-        "| recall by thirds | false alarms per robot-hour | ticks learned that touch "
-        "| free ticks learned |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| false alarms per robot-hour | ticks learned that touch |",
+        "|---|---|---|---|---|---|---|",
     ]
     rows = [_row(trial, found) for trial, found in made if not trial.hangs]
     hung = [
@@ -218,32 +209,21 @@ def _start(trial: Trial) -> str:
 def _row(trial: Trial, found: Found | None) -> str:
     name = f"{trial.robot}, {trial.gait}, {'plates' if trial.robot == 'arm' else trial.ground}"
     if found is None:
-        return f"| {name} | {_start(trial)} | no baseline could be fitted" + " | |" * 3 + " |"
-    thirds = ", ".join(
-        f"{100 * hit / all_:.0f}" if all_ else "–"
-        for hit, all_ in zip(found.found, found.touches, strict=True)
-    )
-    of_seen = "–"
-    if found.seen:
-        low, high = (100 * end for end in clopper_pearson(found.seen_found, found.seen))
-        of_seen = f"{100 * found.seen_found / found.seen:.1f} % ({low:.1f} to {high:.1f})"
-    per_hour = AlarmFigures.of(found.alarms, max(found.judged, 1))
-    cells = [
-        name, _start(trial), str(sum(found.touches)), f"{found.seen} of {sum(found.touches)}",
-        of_seen, f"{thirds} %",
-        f"{per_hour.per_hour:.0f} ({per_hour.interval.low:.0f} to {per_hour.interval.high:.0f})",
-        f"{100 * found.learned_touching / max(found.learned, 1):.2f} %",
-        f"{100 * (found.learned - found.learned_touching) / max(found.free, 1):.0f} %",
-    ]  # fmt: skip
-    return "| " + " | ".join(cells) + " |"
+        return row(name, _start(trial), "no baseline could be fitted", *[""] * 4)
+    return row(
+        name, _start(trial), str(found.touches), f"{found.seen} of {found.touches}",
+        found_of(found.seen_found, found.seen), per_hour(found.alarms, found.judged),
+        percent(found.learned_touching / max(found.learned, 1), 2),
+    )  # fmt: skip
 
 
 def _hung(trial: Trial, found: Found | None) -> str:
-    name = f"| {trial.robot}, {trial.gait} | {_start(trial)} |"
+    name = f"{trial.robot}, {trial.gait}"
     if found is None:
-        return f"{name} no baseline could be fitted | |"
-    per_hour = AlarmFigures.of(found.hung_alarms, max(found.judged, 1))
-    return f"{name} {per_hour.per_hour:.0f} ({found.hung_alarms}) | {found.valid_alarms} |"
+        return row(name, _start(trial), "no baseline could be fitted", "")
+    rate = AlarmFigures.of(found.hung_alarms, max(found.judged, 1)).per_hour
+    shown = f"{rate:.0f} ({found.hung_alarms})"
+    return row(name, _start(trial), shown, str(found.valid_alarms))
 
 
 def main(arguments: list[str]) -> int:

@@ -50,8 +50,7 @@ _HUNG: Final = (
     "bullet-quadruped trot-planned none", "bullet-arm steps none", "leg5 pose none",
 )  # fmt: skip
 _BINS: Final = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
-_LOST_S: Final = 0.06
-_LOST_BELOW: Final = (0.45, 0.2, 0.05)
+_LASTS_S: Final = 0.06  # of a lift-off
 
 
 class Leg(NamedTuple):
@@ -166,30 +165,13 @@ def judged(leg: Leg, weights: Array) -> Array:
 
 def released_ms(leg: Leg, p: Array) -> list[float]:
     """How long after each true lift-off the state says so, of lift-offs that last."""
-    truth, ticks = leg.truth, round(_LOST_S / leg.period_s)
+    truth, ticks = leg.truth, round(_LASTS_S / leg.period_s)
     late = []
     for k in np.flatnonzero(truth[:-1] & ~truth[1:]) + 1:
         if leg.known[k - 1] and not truth[k : k + ticks].any() and k + 50 < len(p):
             said = np.flatnonzero(~(p[k : k + 50] > ON))
             late.append(1e3 * leg.period_s * (said[0] if len(said) else 50))
     return late
-
-
-def lost_supports(leg: Leg, p: Array, below: float) -> tuple[int, int, int, int]:
-    """Count supports lost in stance: all, of these seen; said, of these true."""
-
-    def spans(mask: Mask) -> list[tuple[int, int]]:
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-        found = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-        # between ticks of the same stance
-        return [(a, b) for a, b in found if leg.stance[max(a - 3, 0) : b + 3].all()]
-
-    ticks = round(_LOST_S / leg.period_s)
-    gone, said = spans(~leg.truth & leg.known), spans((p < below) & leg.known)
-    lasting = [(a, b) for a, b in gone if b - a >= ticks]
-    seen = sum(any(c < b + 2 and a < d for c, d in said) for a, b in lasting)
-    true = sum(any(c < b + 2 and a < d for a, b in gone) for c, d in said)
-    return len(lasting), seen, len(said), true
 
 
 def table(legs: Sequence[Leg], hung: Sequence[Leg]) -> str:
@@ -200,7 +182,6 @@ def table(legs: Sequence[Leg], hung: Sequence[Leg]) -> str:
         "| truly loaded where p is below 0.1, 0.3, 0.5, 0.7, 0.9, 1 |",
         "|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
-    lost = np.zeros((len(_LOST_BELOW), 4), dtype=int)
     robots = dict.fromkeys(leg.robot for leg in legs)
     weights = {
         robot: fitted([leg for leg in legs if leg.robot != robot] or legs) for robot in robots
@@ -227,23 +208,11 @@ def table(legs: Sequence[Leg], hung: Sequence[Leg]) -> str:
             + " | ".join(f"{one:.1f} %" for one in right)
             + f" | {np.square(p - truth).mean():.3f} | {release} ms | {', '.join(share)} % |"
         )
-        if own[0].robot.startswith(("hexapod", "bullet-hexapod", "quadruped12")):
-            for row, below in zip(lost, _LOST_BELOW, strict=True):
-                row += np.sum(
-                    [lost_supports(*pair, below) for pair in zip(own, ps, strict=True)], 0
-                )
     lines += ["", "| hangs | ticks in touch | known |", "|---|---|---|"]
     for walk in dict.fromkeys(leg.walk for leg in hung):
         p = np.concatenate([leg.p for leg in hung if leg.walk == walk])
         touching, known_share = 100 * np.mean(p > 0.5), 100 * np.mean(~np.isnan(p))
         lines.append(f"| {walk} | {touching:.2f} % | {known_share:.1f} % |")
-    lines += [
-        "",
-        "| support lost for 60 ms and more | seen | of those said, true |",
-        "|---|---|---|",
-    ]
-    for below, (all_, seen, said, true) in zip(_LOST_BELOW, lost.tolist(), strict=True):
-        lines.append(f"| p below {below} | {seen} of {all_} | {true} of {said} |")
     if len(robots) > 1:
         every = ", ".join(f"{w:.2f}" for w in fitted(legs))
         lines += ["", f"Weights of all robots: {every}."]

@@ -8,7 +8,7 @@ shipped one, or one fitted to free swings of the same drawn leg.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,7 +18,6 @@ from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import LegOutcome
-from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
@@ -28,6 +27,7 @@ from adaptive_contact_sim.servo import ServoParameters, manufactured
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_studies.evaluate import play, score_run
 from adaptive_contact_studies.family.legs import LEG, DrawnLeg, Motion, draw_leg, record
+from adaptive_contact_studies.show.pages import found_of, per_hour, row
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
@@ -192,15 +192,16 @@ def _row(kind: str, legs: Sequence[LegTrial]) -> str:
     chances = [np.inf if leg.first is None else leg.chances for leg in legs]
     without = [leg.without for leg in legs]
     known = [leg.known for leg in legs if leg.known]
-    cells = [
+    both = (without, known)
+    late = [[leg.later for leg in of] for of in both]
+    return row(
         kind, str(len(legs)), _middle(first) + (f" ({never} none)" if never else ""),
         _middle(chances),
-        *(_share([(leg.touches, leg.found) for leg in of]) for of in (without, known)),
-        _alarms(without, sum(leg.ticks for leg in legs)),
-        _alarms(known, sum(leg.ticks for leg in legs if leg.known)),
-        *(_share([leg.later for leg in of]) for of in (without, known)),
-    ]  # fmt: skip
-    return "| " + " | ".join(cells) + " |"
+        *(found_of(sum(leg.found for leg in of), sum(leg.touches for leg in of)) for of in both),
+        per_hour(sum(leg.alarms for leg in without), sum(leg.ticks for leg in legs)),
+        per_hour(sum(leg.alarms for leg in known), sum(leg.ticks for leg in legs if leg.known)),
+        *(found_of(sum(hits for _, hits in of), sum(all_ for all_, _ in of)) for of in late),
+    )  # fmt: skip
 
 
 def _middle(values: Sequence[float]) -> str:
@@ -209,16 +210,3 @@ def _middle(values: Sequence[float]) -> str:
         for value in np.quantile(values, (0.5, 0.95), method="higher")
     )
     return f"{middle} / {late}"
-
-
-def _alarms(legs: Iterable[Figures], ticks: int) -> str:
-    found = AlarmFigures.of(sum(leg.alarms for leg in legs), max(ticks, 1))
-    return f"{found.per_hour:.0f} ({found.interval.low:.0f} to {found.interval.high:.0f})"
-
-
-def _share(pairs: Sequence[tuple[int, int]]) -> str:
-    touches, found = (sum(column) for column in zip(*pairs, strict=True))
-    if not touches:
-        return ""
-    ends = clopper_pearson(found, touches)
-    return f"{100 * found / touches:.1f} % ({100 * ends.low:.1f} to {100 * ends.high:.1f})"

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.files import cannot_write, write_file
+from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
 
 # Stands where there is no number.
 NONE: Final = "–"
@@ -34,6 +35,25 @@ def percent(value: float | None, digits: int = 1) -> str:
 def interval(ends: Sequence[float | None]) -> str:
     """Both ends of an interval of shares, in per cent."""
     return NONE if None in ends else "–".join(map(share, ends))
+
+
+def found_of(found: int, of: int) -> str:
+    """A share of touches with its interval, such as ``97.2 % (95.1 to 98.4)``."""
+    if not of:
+        return NONE
+    low, high = clopper_pearson(found, of)
+    return f"{percent(found / of)} ({share(low)} to {share(high)})"
+
+
+def per_hour(alarms: int, ticks: int) -> str:
+    """False alarms per robot-hour with their interval, such as ``32 (20 to 47)``."""
+    rate = AlarmFigures.of(alarms, max(ticks, 1))
+    return f"{rate.per_hour:.0f} ({rate.interval.low:.0f} to {rate.interval.high:.0f})"
+
+
+def row(*cells: str) -> str:
+    """A row of a table in Markdown."""
+    return f"| {' | '.join(cells)} |"
 
 
 def per_joint(values: Sequence[float | str | None] | None, digits: int = 2, form: str = "f") -> str:
