@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from adaptive_contact.ros2.problems import CdrError, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
@@ -13,9 +11,6 @@ from adaptive_contact.ros2.types import (
     Types,
     typestore,
 )
-
-READER = Types()
-STORES = {state: typestore(state) for state in ("jazzy", "2023", "humble", "old")}
 
 # From C sources that rosidl_generator_c wrote (Iron and Kilted).
 GENERATED = {
@@ -91,58 +86,3 @@ def test_damage_is_refused_or_read(messages, joints) -> None:
         except CdrError:
             refused += 1
     assert refused > 300
-
-
-@pytest.mark.parametrize("state", ["jazzy", "2023", "humble", "old"])
-@settings(max_examples=25)
-@given(data=st.data())
-def test_states_are_read_as_rosbags_reads_them(state: str, data: st.DataObject) -> None:
-    store = STORES[state]
-    types = store.types
-    numbers = st.lists(st.floats(allow_nan=False), max_size=5)
-    texts = st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0")), max_size=4)
-    seconds = st.integers(-(2**31), 2**31 - 1)
-    nanoseconds = st.integers(0, 2**32 - 1)
-    duration = types["builtin_interfaces/msg/Duration"](sec=1, nanosec=2)
-
-    def point() -> object:
-        lists = [np.array(data.draw(numbers), dtype=np.float64) for _ in range(4)]
-        return types["trajectory_msgs/msg/JointTrajectoryPoint"](*lists, duration)
-
-    def multi() -> object:
-        vector = types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0)
-        turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-        place = types["geometry_msgs/msg/Transform"](vector, turn)
-        twist = types["geometry_msgs/msg/Twist"](vector, vector)
-        few = st.integers(0, 2)
-        return types["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"](
-            [place] * data.draw(few), [twist] * data.draw(few), [twist] * data.draw(few), duration
-        )
-
-    values: dict[str, object] = {}
-    for name, _ in store.fielddefs[RosType.CONTROLLER_STATE][1]:
-        if name == "header":
-            stamp = types["builtin_interfaces/msg/Time"](data.draw(seconds), data.draw(nanoseconds))
-            frame = data.draw(st.text(st.characters(codec="utf-8", exclude_characters="\0")))
-            values[name] = types["std_msgs/msg/Header"](stamp, frame)
-        elif name.endswith("joint_names"):
-            values[name] = data.draw(texts)
-        elif name == "speed_scaling_factor":
-            values[name] = 1.0
-        else:
-            values[name] = multi() if name.startswith("multi_dof") else point()
-    little = data.draw(st.booleans())
-    made = types[RosType.CONTROLLER_STATE](**values)
-    payload = bytes(store.serialize_cdr(made, RosType.CONTROLLER_STATE, little_endian=little))
-    read = READER.decode(
-        RosType.CONTROLLER_STATE, store.hash_rihs01(RosType.CONTROLLER_STATE), payload
-    )
-    stamp = values["header"].stamp
-    assert read.header.stamp == stamp
-    assert list(read.joint_names) == values["joint_names"]
-    for mine, name, old in (
-        (read.feedback, "feedback", "actual"),
-        (read.reference, "reference", "desired"),
-    ):
-        known = [values[n].positions.tolist() for n in (name, old) if n in values]
-        assert list(mine.positions) == next((p for p in known if p), [])

@@ -8,8 +8,6 @@ from typing import Any
 
 import pytest
 import zenoh
-from hypothesis import given
-from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.settings import client_settings, router_settings
@@ -34,34 +32,6 @@ from adaptive_contact.service.transport import DEFAULTS, configure, keys_of
 )
 def test_keys_are_found(text: str, keys: set[str]) -> None:
     assert keys_of(text) == keys
-
-
-def paths(tree: Any, at: str = "") -> set[str]:
-    if not isinstance(tree, dict):
-        return set()
-    found = set()
-    for key, value in tree.items():
-        found |= {at + key} | paths(value, f"{at}{key}/")
-    return found
-
-
-# Zenoh refuses a file that has one of these separators in a string.
-text = st.text(st.characters(codec="utf-8", exclude_characters="\u2028\u2029"))
-values = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(-1e9, 1e9) | text,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(text, inner, max_size=3),
-)
-
-
-@given(st.dictionaries(text, values, max_size=4))
-def test_keys_are_those_that_json_has(tree: dict[str, Any]) -> None:
-    for indent in (None, 2):
-        assert keys_of(json.dumps(tree, indent=indent, ensure_ascii=False)) == paths(tree)
-
-
-@given(st.text(alphabet="{}[]:,'\"/*\\ab1 \n", max_size=40))
-def test_no_text_raises(text: str) -> None:
-    keys_of(text)
 
 
 def nested(path: str, value: object) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import pytest
-
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.status import Latency
 
@@ -29,8 +27,3 @@ def test_a_throttle_forgets_rather_than_grows() -> None:
         assert throttle.passes(kind, kind) == 1
     assert throttle.passes(9_999, 10_000) is None
     assert throttle.passes(9_999 - 256, 10_000) == 1, "forgotten: it passes within its period"
-
-
-@pytest.mark.parametrize("times", [1, 7])
-def test_a_line_stands_for_what_happened_at_once(times: int) -> None:
-    assert LogThrottle().passes("x", 5, times=times) == times

@@ -17,10 +17,8 @@ from typing import Any
 
 import pytest
 
-import adaptive_contact_models
 from adaptive_contact.cli import _compiling
-from adaptive_contact.cli._options import learned_of
-from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact.robot import Robot
 from adaptive_contact.service.link import Link, router_settings
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.watch import View
@@ -232,30 +230,6 @@ def feed(link: Link, leg: str, sample: Sample, first: int, last: int, **fields: 
 
 
 @pytest.mark.e2e
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_what_was_learned_survives_and_what_passed_meanwhile_is_counted(
-    serve: Any, join: Join, inbox: Any, sample: Sample, tmp_path: Path, number: int
-) -> None:
-    folder = str(tmp_path / "kept")
-    first = serve("--state", folder)
-    link = join(first.endpoint)
-    feed(link, "rf", sample, 1, 20, run=5)
-    assert learner(link, inbox, "rf", lambda status: status.ticks == 20).contacts == 10
-    if number == signal.SIGKILL:
-        kept = inbox(ServiceStatus).hears(link, SERVICE_STATUS, history=True)
-        kept.wait(lambda items: items[-1].state is not None and items[-1].state.saved > 0, 40.0)
-    assert first.stop(number) == (0 if number == signal.SIGTERM else -number)
-    second = serve("--state", folder)
-    assert "state restored" in second.log.read_text()
-    link = join(second.endpoint)
-    feed(link, "rf", sample, 31, 40, run=5)
-    status = learner(link, inbox, "rf", lambda status: status.ticks == 10)
-    assert status.contacts == 15, "the learner went on from where it was"
-    assert status.missed == 10, "21 to 30 passed while nobody listened"
-    assert second.stop() == 0
-
-
-@pytest.mark.e2e
 def test_a_second_service_says_so_and_does_not_save(
     serve: Any, join: Join, inbox: Any, tmp_path: Path
 ) -> None:
@@ -276,32 +250,6 @@ def test_a_second_service_says_so_and_does_not_save(
     got.items.clear()
     got.wait(lambda items: items[-1].note is None)
     assert first.stop() == 0
-
-
-@pytest.mark.e2e
-def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(
-    serve: Any, join: Join, sample: Sample, inbox: Any, state: Any, tmp_path: Path
-) -> None:
-    folder = tmp_path / os.fsdecode(b"kept\xff")
-    shown = str(tmp_path / "kept\N{REPLACEMENT CHARACTER}")
-    served = serve("--state", str(folder))
-    link = join(served.endpoint)
-    kept = inbox(ServiceStatus).hears(link, SERVICE_STATUS, history=True)
-    assert kept.wait(2)[-1].state.folder == f"{shown}/mini"
-    feed(link, "rf", sample, 1, 4)
-    learner(link, inbox, "rf", lambda status: status.ticks == 4)
-    assert served.stop() == 0
-    rows = json.loads(state("show", "--state", str(folder), "--json")[1])
-    assert rows
-    assert all(row["file"].startswith(f"{shown}/mini/rf-") for row in rows)
-    assert state("reset", "--state", str(folder), "--yes")[1] == f"forgot {len(rows)} files\n"
-    assert state("show", "--state", str(folder))[1] == f"no state in {shown}\n"
-
-    baseline = tmp_path / os.fsdecode(b"base\xff.json")
-    source = Path(adaptive_contact_models.__file__).parent / "hexapod" / "baseline.json"
-    baseline.write_bytes(source.read_bytes())
-    _, origin = learned_of(shipped_robot(), None, baseline)
-    assert origin == str(tmp_path / "base\N{REPLACEMENT CHARACTER}.json")
 
 
 @pytest.mark.e2e

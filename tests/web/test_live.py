@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -13,16 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from adaptive_contact.service.link import Link, Received, client_settings
+from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.recording import Recording
 from adaptive_contact.wire import (
-    ALL_CONTACT,
-    ContactEvent,
     LearnerStatus,
-    LegTrace,
-    decode,
     learner_key,
-    trace_key,
 )
 from programs import Program
 from waiting import until
@@ -101,48 +95,6 @@ def tab(robot: Robot, browser: Chromium) -> Iterator[Tab]:
     one.wait("document.querySelectorAll('.leg').length === 6 && state.now > 0")
     yield one
     one.close()
-
-
-def test_a_trace_is_what_the_learner_judged(robot: Robot) -> None:
-    """Its prediction and ratio at an event's tick are those of the event."""
-    events: dict[tuple[str, int], ContactEvent] = {}
-
-    def take(received: Received) -> None:
-        event = decode(received.payload, ContactEvent, received.encoding)
-        if event.contact:
-            events[event.leg, event.seq] = event
-
-    compared: set[str] = set()
-    judged: dict[tuple[str, int], tuple[list[float], list[float] | None, float | None]] = {}
-    numbers: dict[str, list[int]] = {leg: [] for leg in LEGS}
-    after = -1
-    with Link.open(client_settings([robot.endpoint])) as link:
-        link.subscribe(ALL_CONTACT, take)
-        until = time.monotonic() + 60
-        while compared != set(LEGS):
-            assert time.monotonic() < until, compared
-            for reply in link.query(f"{trace_key('*')}?after={after}"):
-                trace = decode(reply.payload, LegTrace, reply.encoding)
-                after = max(after, trace.number)
-                rows = zip(
-                    trace.seq, trace.measured, trace.predicted, trace.test_ratio, strict=True
-                )
-                for seq, measured, predicted, ratio in rows:
-                    judged[trace.leg, seq] = measured, predicted, ratio
-                numbers[trace.leg] += trace.seq
-            for key in events.keys() & judged.keys():
-                measured, predicted, ratio = judged[key]
-                if predicted is None:  # two ticks in one go, on a busy machine
-                    continue
-                residual = [m - p for m, p in zip(measured, predicted, strict=True)]
-                assert residual == pytest.approx(events[key].residual, abs=1e-9)
-                assert ratio > 0.9, "a contact is decided where the ratio is above 1"
-                compared.add(key[0])
-            time.sleep(0.1)
-    for leg, seqs in numbers.items():
-        assert len(seqs) == len(set(seqs)), f"{leg}: no tick comes twice"
-        assert seqs == sorted(seqs)
-        assert len(seqs) > 20
 
 
 def test_nothing_is_answered_to_who_asks_for_everything(robot: Robot) -> None:
