@@ -116,8 +116,6 @@ class Intake:
         self._layouts: dict[str, dict[tuple[str, ...], list[tuple[_LegState, list[int]]]]] = {}
         self._no_command_ticks = round(_NO_COMMAND_S / robot.period_s)
         self._offset_ns: int | None = None
-        # Switches that closed or opened before any stamp was seen.
-        self._early: list[tuple[_LegState, bool, Origin]] = []
         for leg in robot.legs:
             if leg.ros2 is not None:
                 self._map(leg, self._legs[leg.id])
@@ -209,9 +207,6 @@ class Intake:
         made: list[tuple[str, Message]] = []
         if roles.states and type_name in STATES:
             made += self._states(topic, type_name, message, origin)
-            for leg, touches, early in self._early if self._offset_ns is not None else ():
-                made += self._truth(leg, touches, early)
-            self._early.clear()
         if roles.commands and type_name in COMMANDS:
             self._commands(topic, type_name, message, roles)
         if type_name in FLAGS:
@@ -463,11 +458,7 @@ class Intake:
 
     def _truth(self, leg: _LegState, touches: bool, origin: Origin) -> list[tuple[str, Message]]:
         """Return a change of a foot switch, on the clock of the samples' stamps."""
-        if self._offset_ns is None:
-            if len(self._early) < len(self._legs):
-                self._early.append((leg, touches, origin))
-            return []
-        if touches == leg.touches:
+        if self._offset_ns is None or touches == leg.touches:
             return []
         leg.touches = touches
         t_ns = origin.time_ns + self._offset_ns

@@ -53,7 +53,6 @@ class Watchdog:
 
     Attributes:
         stalls: times that the worker, or the whole process, stood still for a second or more.
-        blocks: times that a put was seen to take half a second or more.
     """
 
     def __init__(
@@ -66,7 +65,7 @@ class Watchdog:
         give_up_s: float = 30.0,
         clock_s: Callable[[], float] = _since_boot_s,
     ) -> None:
-        self.stalls = self.blocks = 0
+        self.stalls = 0
         self._beat = beat
         self._blocked_ns = blocked_ns
         self._on_stall = on_stall
@@ -108,7 +107,6 @@ class Watchdog:
         blocked_s = self._blocked_ns(now_ns) / 1e9
         blocked = blocked_s >= 2 * LOOK_S
         if blocked and not self._blocked:
-            self.blocks += 1
             self._say(lambda: _log.warning("contact events are held up"))
         self._blocked = blocked
         self._blocked_looks = self._blocked_looks + 1 if blocked else 0

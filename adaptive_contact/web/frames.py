@@ -176,7 +176,6 @@ class Table:
         *,
         waiting: Finding | None = None,
         recording: dict[str, Any] | None = None,
-        untraced: bool = False,
     ) -> bytes | None:
         """Encode the table; None where it has not changed.
 
@@ -186,20 +185,12 @@ class Table:
             now_ns: monotonic.
             waiting: what stands in the way of that.
             recording: state of the newest recording; None where the page may make none.
-            untraced: samples come, and the service does not say how it judges them.
         """
         if view is None:
             found = [] if waiting is None else [waiting]
             table: dict[str, Any] = {"legs": [], "banner": _banner(found)}
         else:
             found = self._attention.look(view, statuses, now_ns)
-            if untraced:
-                remedy = (
-                    "Let this user ask for robot/leg/*/trace (docs/security.md), or bring the "
-                    "service to this version."
-                )
-                what = "the service does not answer for its ticks: nothing to draw"
-                found.append(Finding("warning", None, what, remedy))
             legs = [_leg(leg, statuses.get(leg.leg), view) for leg in view.legs]
             table = {"legs": legs, "banner": _banner(found), "service": _service(view)}
         table |= {"clock_ms": self._clock_ms, "recording": recording}

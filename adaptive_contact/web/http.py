@@ -41,7 +41,7 @@ class Refused(Exception):  # noqa: N818 - an answer
 
 def get_only() -> Refused:
     """Return the refusal of another method."""
-    return Refused(HTTPStatus.METHOD_NOT_ALLOWED, "GET only", ("Allow", "GET, HEAD"))
+    return Refused(HTTPStatus.METHOD_NOT_ALLOWED, "GET only", ("Allow", "GET"))
 
 
 class Request(NamedTuple):
@@ -78,7 +78,7 @@ async def read_request(reader: asyncio.StreamReader) -> Request:
     if len(words) != 3 or words[2] not in ("HTTP/1.1", "HTTP/1.0"):
         raise Refused(HTTPStatus.BAD_REQUEST, "no request of HTTP/1.1")
     method, target, _ = words
-    if method not in ("GET", "HEAD", "POST"):
+    if method not in ("GET", "POST"):
         raise get_only()
     headers = _headers(lines)
     if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
@@ -113,8 +113,6 @@ def write_answer(
     kind: str,
     body: bytes | None,
     headers: tuple[tuple[str, str], ...] = (),
-    *,
-    head_only: bool = False,
 ) -> None:
     """Write an answer; without a body what follows is a stream."""
     lines = [f"HTTP/1.1 {status.value} {status.phrase}", f"Content-Type: {kind}"]
@@ -123,5 +121,5 @@ def write_answer(
     lines += [f"{name}: {value}" for name, value in (*_SECURITY, *headers)]
     lines += ["Connection: close", "", ""]
     writer.write("\r\n".join(lines).encode("latin-1"))
-    if body is not None and not head_only:
+    if body is not None:
         writer.write(body)

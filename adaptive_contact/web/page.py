@@ -30,8 +30,6 @@ from adaptive_contact.web.server import Site, WebSettings
 from adaptive_contact.wire import LegTrace, ModelReport, Rejected, decode, model_key
 
 FRAME_S: Final = 0.1
-# Legs whose samples come, and no answer for so many questions: the service knows no such question.
-_UNANSWERED: Final = 30
 _END_S: Final = 2.0
 
 
@@ -60,8 +58,6 @@ class LivePage:
         self._reader: TraceReader | None = None
         self._traces: deque[tuple[LegTrace, int]] = deque()  # and when they came
         self._view: View | None = None
-        self._unanswered = 0  # questions in a row
-        self._models: dict[str, tuple[float, bytes | None]] = {}
         self._asking = asyncio.Lock()
         self._closed = False
         self._fault: BaseException | None = None
@@ -148,15 +144,7 @@ class LivePage:
 
     async def _model(self, leg: str) -> bytes | None:
         async with self._asking:  # one question at a time, however many browsers ask
-            now_s = time.monotonic()
-            kept = self._models.get(leg)
-            # A model changes once in minutes, and a hundred browsers may look at it.
-            if kept is None or now_s - kept[0] > 1.0:
-                if len(self._models) > 64:
-                    self._models.clear()
-                asked = asyncio.get_running_loop().run_in_executor(None, self._ask_model, leg)
-                self._models[leg] = (now_s, await asked)
-            return self._models[leg][1]
+            return await asyncio.get_running_loop().run_in_executor(None, self._ask_model, leg)
 
     async def _do(self, path: str, query: Mapping[str, str]) -> bytes:
         """Do one of :data:`~.server.ACTIONS`; return the state of the recording."""
@@ -228,7 +216,6 @@ class LivePage:
                     time.monotonic_ns(),
                     waiting=self._waiting,
                     recording=None if self._recordings is None else self._recordings.state(),
-                    untraced=self._unanswered > _UNANSWERED,
                 )
             frame = self._frames.frame(time.monotonic_ns())
             self._loop.call_soon_threadsafe(self._site.history.push, frame, table)
@@ -241,13 +228,9 @@ class LivePage:
     def _ask(self) -> None:
         """Ask the service for the ticks since the last question, where one is there."""
         while not self._stop.wait(FRAME_S):
-            view, traces = self._view, []
+            view = self._view
             if self._reader is None or view is None or not view.alive or not view.connected:
-                self._unanswered = 0
                 continue
             with contextlib.suppress(LinkError):
                 traces = self._reader.ask()
-            self._traces.extend((trace, time.monotonic_ns()) for trace in traces)
-            answered = any(trace.t_ns for trace in traces)
-            samples_come = any(leg.rate_hz for leg in view.legs)
-            self._unanswered = self._unanswered + 1 if samples_come and not answered else 0
+                self._traces.extend((trace, time.monotonic_ns()) for trace in traces)

@@ -281,15 +281,12 @@ class Site:
         oldest.cancel()
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        head_only = False
         try:
-            request = await read_request(reader)
-            head_only = request.method == "HEAD"
-            await self._answer(request, reader, writer)
+            await self._answer(await read_request(reader), reader, writer)
         except Refused as refused:
             body = f"{refused.line}\n".encode()
             kind = "text/plain; charset=utf-8"
-            write_answer(writer, refused.status, kind, body, refused.headers, head_only=head_only)
+            write_answer(writer, refused.status, kind, body, refused.headers)
             if writer.can_write_eof():  # what a stranger still sends is not reset before it is read
                 writer.write_eof()
 
@@ -299,7 +296,6 @@ class Site:
         self._check_origin(request)
         self._check_token(request)
         self._admit()
-        head_only = request.method == "HEAD"
         if request.method == "POST":
             if request.path not in ACTIONS:
                 raise get_only()
@@ -312,14 +308,12 @@ class Site:
             body, kind = self._files[request.path]
         elif request.path == "/model":
             body, kind = await self._model(request.query.get("leg", "")), "application/json"
-        elif request.path == "/stream" and head_only:
-            body, kind = b"", "text/event-stream"
         elif request.path == "/stream":
             await self._stream(request, reader, writer)
             return
         else:
             raise Refused(HTTPStatus.NOT_FOUND, "no such page; there is /")
-        write_answer(writer, HTTPStatus.OK, kind, body, head_only=head_only)
+        write_answer(writer, HTTPStatus.OK, kind, body)
 
     def _admit(self) -> None:
         """Count a connection among those that have shown the token."""

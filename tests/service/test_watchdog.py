@@ -140,8 +140,7 @@ def test_a_put_that_blocks_is_told_once() -> None:
         for blocked_s in (0.1, 0.6, 0.9, 0.0, 0.7):
             bench.blocked_ns = int(blocked_s * S)
             bench.look(1, beat=True)
-    assert bench.dog.blocks == 2
-    assert {line["event"] for line in logs} == {"contact events are held up"}
+    assert [line["event"] for line in logs] == ["contact events are held up"] * 2
 
 
 def test_a_put_that_blocks_for_half_a_minute_is_the_end() -> None:

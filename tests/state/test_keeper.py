@@ -17,7 +17,6 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.robot import parse_robot, shipped_robot
 from adaptive_contact.service.state import Record, StateStore, settings_digest
-from adaptive_contact.service.state import keeper as keeper_module
 from adaptive_contact.service.state.format import Position
 from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.state.store import NEWEST
@@ -235,32 +234,6 @@ def test_the_end_waits_for_a_slow_disk_and_is_over_before_the_service_is_killed(
     # All else takes two seconds, and a subscriber that hangs one.
     assert waits[0] > 1.0
     assert waits[0] + 3.0 < float(killed[1])
-
-
-def test_a_disk_that_does_not_answer_is_told(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A card that dies neither saves nor fails: nobody would ever hear of it."""
-    monkeypatch.setattr(keeper_module, "HANGS_S", 0.01)
-    keeper, desk = folder.begin()
-    writing, go_on, _ = slowed(folder, monkeypatch)
-    with capture_logs() as logs:
-        desk.hear()
-        keeper.snapshot(desk, 0)
-        assert writing.wait(60)
-        error = until(lambda: keeper.facts.error)
-        for _ in range(3):
-            keeper.snapshot(desk, 0)
-        assert error.startswith(f"rf not saved in {folder.store.shown}: the disk has not answered")
-        # Threads of tests before this one may still log.
-        own = [line for line in logs if folder.store.shown in str(line.get("why"))]
-        assert [(line["event"], line["log_level"]) for line in own] == [
-            ("state not saved", "warning")
-        ]
-        go_on.set()
-        assert keeper.flush(5)
-    assert keeper.facts.error is None
-    assert keeper.facts.failed == 0
 
 
 def test_a_full_disk_is_told_once_and_tried_again(

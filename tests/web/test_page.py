@@ -68,27 +68,6 @@ class Service:
         )
 
 
-def test_a_service_that_does_not_answer_for_its_ticks_is_named(
-    router: Link, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(page, "_UNANSWERED", 3)
-    with (
-        Link.open(client_settings(router.endpoints)) as own,
-        Link.open(client_settings(router.endpoints)) as link,
-        LivePage(WebSettings()) as live,
-    ):
-        service = Service(own)
-        live.follow(link)
-
-        def named(found: dict[str, Any]) -> bool:
-            service.say()
-            return "does not answer for its ticks" in str(found.get("banner"))
-
-        found = events(live.url, named)
-        (entry,) = found["banner"]
-        assert "docs/security.md" in entry["do"]
-
-
 def test_answers_of_strangers_stop_nothing(router: Link) -> None:
     """Payloads that are none, of another leg, of numbers beyond all numbers."""
     good = LegTrace(

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 _log = structlog.get_logger()
 
 SAVE_PERIOD_S: Final = 10.0
-# A write that takes this long is not slow, the disk does not answer.
-HANGS_S: Final = 10.0
 # Refusals listed in ServiceStatus; more than a robot has legs would not fit its 4 kB.
 _MOST: Final = 4
 _ERROR_LINE: Final = 320
@@ -77,7 +75,7 @@ class StateKeeper:
         self._counting = threading.Lock()  # the worker and the thread both see failures
         self._throttle = LogThrottle(60.0)
         self._waiting: dict[str, Record] = {}
-        self._under_way: tuple[str, int] | None = None  # leg and begin of a write, monotonic ns
+        self._under_way: str | None = None  # leg of a write
         self._ending = False
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
@@ -90,7 +88,7 @@ class StateKeeper:
     def facts(self) -> StateFacts:
         """Return folder, counts and errors, as the status publishes them."""
         more = len(self._refused) - _MOST
-        error = self._hanging or self._error
+        error = self._error
         return StateFacts(
             folder=self._store.shown,
             restored=self._restored,
@@ -179,10 +177,6 @@ class StateKeeper:
             self._waiting[endpoint.leg] = record  # replaces one that still waits
             self._changed.notify_all()
         self._start()
-        hanging = self._hanging
-        if hanging is not None:
-            with self._counting:
-                self._throttle.warn("hangs", time.monotonic_ns(), "state not saved", why=hanging)
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until everything taken is on disk; False when it is not in time."""
@@ -197,8 +191,7 @@ class StateKeeper:
         """Write what waits, as far as time allows, and unlock the folder."""
         if not self.flush(timeout_s):
             with self._changed:
-                under_way = [] if self._under_way is None else [self._under_way[0]]
-                late = " ".join(sorted({*self._waiting, *under_way}))
+                late = " ".join(sorted({*self._waiting, self._under_way or ""} - {""}))
             _log.warning("state not saved in time, the one before it stays", legs=late)
         with self._changed:
             self._ending = True
@@ -206,20 +199,6 @@ class StateKeeper:
         if self._thread is not None:
             self._thread.join(0.1)
         self._store.close()
-
-    @property
-    def _hanging(self) -> str | None:
-        """Return one line while the disk does not answer; else None."""
-        under_way = self._under_way
-        if under_way is None:
-            return None
-        leg, since_ns = under_way
-        for_s = (time.monotonic_ns() - since_ns) / 1e9
-        if for_s < HANGS_S:
-            return None
-        return (
-            f"{leg} not saved in {self._store.shown}: the disk has not answered for {for_s:.0f} s"
-        )
 
     def _start(self) -> None:
         if self._thread is None:
@@ -237,7 +216,7 @@ class StateKeeper:
                 if waits:
                     leg = next(iter(self._waiting))
                     record = self._waiting.pop(leg)
-                    self._under_way = (leg, time.monotonic_ns())
+                    self._under_way = leg
             if not waits:
                 self._reopen()
                 continue
