@@ -33,6 +33,35 @@ from adaptive_contact_sim.simulation import MotionSettings, SimulationSettings
 _EXAMPLE: Final = "friction:leg=rf,joint=femur,value=4@20s"
 
 
+def split_spec(text: str, where: str, example: str) -> tuple[dict[str, Any], str | None]:
+    """Take ``KIND:KEY=VALUE,KEY=VALUE@WHEN`` apart.
+
+    Args:
+        text: as a person writes it.
+        where: what to name in errors.
+        example: shown in errors.
+
+    Returns:
+        Its kind and settings, texts all, by name; and when it begins, None where it is left out.
+
+    Raises:
+        ConfigurationError: what was found, and what is expected.
+    """
+    spec, at, when = text.partition("@")
+    kind, colon, rest = spec.partition(":")
+    fields: dict[str, Any] = {"kind": kind.strip()}
+    for item in rest.split(",") if colon else []:
+        key, equals, value = (part.strip() for part in item.partition("="))
+        if not equals or not value:
+            raise ConfigurationError(
+                f"{where}: '{item.strip()}' is not KEY=VALUE; expected such as {example}"
+            )
+        if key in fields:
+            raise ConfigurationError(f"{where}: {key} is given twice; give it once")
+        fields[key] = value
+    return fields, when if at else None
+
+
 def parse_drift(text: str, layout: Layout = HEXAPOD) -> Injection:
     """Read one drift from its short form.
 
@@ -43,19 +72,8 @@ def parse_drift(text: str, layout: Layout = HEXAPOD) -> Injection:
         ConfigurationError: in one line, what was found and what is expected.
     """
     where = f"drift '{text}'"
-    spec, at, when = text.partition("@")
-    kind, colon, rest = spec.partition(":")
-    fields: dict[str, Any] = {"kind": kind.strip()}
-    for item in rest.split(",") if colon else []:
-        key, equals, value = (part.strip() for part in item.partition("="))
-        if not equals or not value:
-            raise ConfigurationError(
-                f"{where}: '{item.strip()}' is not KEY=VALUE; expected such as {_EXAMPLE}"
-            )
-        if key in fields:
-            raise ConfigurationError(f"{where}: {key} is given twice; give it once")
-        fields[key] = value
-    begins_s = seconds_of(when) if at else 0.0
+    fields, when = split_spec(text, where, _EXAMPLE)
+    begins_s = 0.0 if when is None else seconds_of(when)
     if begins_s is None or begins_s < 0.0:
         raise ConfigurationError(
             f"{where}: begins at '{when}'; expected a time such as 20s, 500ms or 2min"

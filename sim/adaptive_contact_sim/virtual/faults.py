@@ -16,33 +16,29 @@ hangup     the port is closed, as by a pulled cable, and back at the end
 
 from __future__ import annotations
 
-import dataclasses
-import re
-from collections.abc import Callable, Iterable
-from typing import Any, Final, Literal, cast, get_args
+from collections.abc import Iterable
+from typing import Annotated, Final, Literal, get_args
 
+import msgspec
 import numpy as np
 
 from adaptive_contact.bridge.packets import ERROR_BITS
 from adaptive_contact.bridge.tables import MODELS, ServoModel
+from adaptive_contact.durations import seconds_of
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.scenario import split_spec
 
 FaultKind = Literal["silent", "late", "flip", "stale", "error", "hangup"]
-_KINDS: Final = get_args(FaultKind)
-_FORM: Final = re.compile(
-    r"(?P<kind>[a-z]+)(?::(?P<settings>[^@]*))?"
-    r"(?:@(?P<start>\d+\.?\d*)(?:\+(?P<length>\d+\.?\d*))?)?\Z"
-)
+_LASTS: Final = {"hangup": "1"}  # s, where a fault says nothing; the others stay
 _EXAMPLE: Final = "silent:id=3@5+2"
 
 
-@dataclasses.dataclass(frozen=True)
-class FaultSpec:
+class FaultSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A fault."""
 
     kind: FaultKind  # what happens
-    servo: int | None = None  # to which, None for all
-    probability: float = 1.0  # per answer
+    servo: int | None = msgspec.field(name="id", default=None)  # to which, None for all
+    probability: Annotated[float, msgspec.Meta(ge=0, le=1)] = msgspec.field(name="p", default=1.0)
     # start_s, end_s: since the start of the bus
     start_s: float = 0.0
     end_s: float = float("inf")
@@ -62,41 +58,23 @@ def parse_fault(text: str) -> FaultSpec:
     Raises:
         ConfigurationError: it cannot be read.
     """
-    match = _FORM.match(text)
-    if match is None or match["kind"] not in _KINDS:
-        raise ConfigurationError(
-            f"fault '{text}': expected one of {', '.join(_KINDS)}, with times in seconds, such as "
-            f"{_EXAMPLE}"
-        )
-    start = float(match["start"] or 0.0)
-    spec = FaultSpec(
-        kind=cast(FaultKind, match["kind"]),
-        start_s=start,
-        end_s=start + float(match["length"]) if match["length"] else float("inf"),
-    )
-    settings: dict[str, tuple[str, Callable[[str], Any]]] = {
-        "id": ("servo", int),
-        "p": ("probability", float),
-        "ms": ("ms", float),
-        "port": ("port", str),
-        "bits": ("bits", lambda names: tuple(names.split("|"))),
-    }
+    where = f"fault '{text}'"
+    fields, when = split_spec(text, where, _EXAMPLE)
+    start, _, length = (when or "0").partition("+")
+    begins_s, lasts_s = seconds_of(start), seconds_of(length or _LASTS.get(fields["kind"], "1e9"))
+    if "bits" in fields:
+        fields["bits"] = fields["bits"].split("|")
     known = {*ERROR_BITS.values(), *(bit for model in MODELS for bit in model.error_bits.values())}
-    for part in filter(None, (match["settings"] or "").split(",")):
-        name, _, value = part.partition("=")
-        try:
-            field, convert = settings[name.strip()]
-            spec = dataclasses.replace(spec, **{field: convert(value.strip())})
-            if not 0.0 <= spec.probability <= 1.0 or not known.issuperset(spec.bits):
-                raise ValueError(value)
-        except (KeyError, ValueError):
-            raise ConfigurationError(
-                f"fault '{text}': '{part}' cannot be read; settings are id, p, ms, bits, port, "
-                f"such as {_EXAMPLE}"
-            ) from None
-    if spec.kind == "hangup" and spec.end_s == float("inf"):
-        spec = dataclasses.replace(spec, end_s=spec.start_s + 1.0)
-    return spec
+    try:
+        if begins_s is None or lasts_s is None or not known.issuperset(fields.get("bits", ())):
+            raise msgspec.ValidationError("times are in seconds, bits those of error bytes")
+        times = {"start_s": begins_s, "end_s": begins_s + lasts_s}
+        return msgspec.convert(fields | times, FaultSpec, strict=False)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError(
+            f"{where}: {error}; expected one of {', '.join(get_args(FaultKind))}, with id, p, ms, "
+            f"bits or port, such as {_EXAMPLE}"
+        ) from error
 
 
 class FaultSchedule:
