@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -11,28 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact.wire import ServoSample
-from adaptive_contact_sim.arrays import Run, record_arrays
+from adaptive_contact.score import summarise
+from adaptive_contact_sim.arrays import record_arrays
 from adaptive_contact_sim.legs import ChainLegs
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.robots import ROBOTS, simulated_robot
 from adaptive_contact_sim.scenario import parse_drift, parse_scenario
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
-from tests.sim.touches import recorded, touches_of
-
-
-@functools.cache
-def quadruped(gait: str, seconds: float) -> Run:
-    base = SimulationSettings.of("quadruped12", "walk", gait)  # type: ignore[arg-type]
-    settings = dataclasses.replace(
-        base, terrain=dataclasses.replace(base.terrain, kind="rough"), seed=11
-    )
-    return record_arrays(settings, seconds)
+from adaptive_contact_studies.evaluate import play, score_run
+from tests.sim.touches import recorded
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.6, 8, 20)])
@@ -151,33 +141,12 @@ def test_a_recording_names_its_robot(ours: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("gait", "seconds"), [("trot", 12.0), ("walk", 20.0)])
 def test_the_quadrupeds_baseline_finds_its_touches(gait: str, seconds: float) -> None:
-    run = quadruped(gait, seconds)
-    robot, baseline = shipped_robot("quadruped12"), shipped_baseline("quadruped12")
-    assert baseline is not None
-    touches = found = alarms = 0
-    for leg, stream in run.legs.items():
-        learner = ContactLearner(robot, leg, baseline)
-        begun = []
-        for k, t_ns in enumerate(run.t_ns.tolist()):
-            phase = "swing" if stream.swing[k] else "stance"
-            event = learner.update(
-                ServoSample(
-                    t_ns=t_ns,
-                    seq=k,
-                    measured=stream.measured[k].tolist(),
-                    desired=stream.desired[k].tolist(),
-                    phase=phase,  # type: ignore[arg-type]
-                )
-            )
-            if event is not None and event.contact:
-                begun.append(k)
-        # Of descents; a touch counts for an alarm in the sample before it, too.
-        every = [k for k, _ in touches_of(run, leg)]
-        onsets = [at for at in every if at > 50]  # later than standing at first
-        onsets = [at for at in onsets if stream.swing[at - 12 : at].all()]
-        near = [any(-1 <= at - onset <= 12 for at in begun) for onset in onsets]
-        touches, found = touches + len(onsets), found + sum(near)
-        alarms += sum(not any(-2 <= at - onset <= 50 for onset in every) for at in begun)
-    assert touches > 20
-    assert found >= touches - 1  # one of a walk is seen as the next swing lifts off
-    assert alarms <= 1
+    base = SimulationSettings.of("quadruped12", "walk", gait)  # type: ignore[arg-type]
+    rough = dataclasses.replace(base.terrain, kind="rough")
+    run = record_arrays(dataclasses.replace(base, terrain=rough, seed=11), seconds)
+    robot = shipped_robot("quadruped12")
+    played = play(run, robot, shipped_baseline("quadruped12"))
+    found = summarise(score_run(run, robot, played.events))
+    assert found.counted.touches > 20
+    assert found.counted.found >= found.counted.touches - 1
+    assert found.false_alarms <= 1

@@ -15,7 +15,7 @@ import typer
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import shipped_robot
 
-from .conduct import SoakPlan, Take, conduct
+from .conduct import SoakPlan, conduct
 from .verdict import judge
 
 
@@ -33,7 +33,6 @@ def soak(
     out.mkdir(parents=True, exist_ok=True)
     take = conduct(plan)
     typer.echo(take.simulator)
-    keep_heard(take, out / "heard.jsonl")  # first: a verdict may fail
     verdict = judge(take, plan, shipped_robot())
     found = dataclasses.asdict(verdict)
     text = msgspec.json.format(msgspec.json.encode(found), indent=2)
@@ -44,27 +43,6 @@ def soak(
         typer.echo(f"NOT WELL: {line}")
     if verdict.failures:
         raise typer.Exit(1)
-
-
-def keep_heard(take: Take, path: Path) -> None:
-    """Write faults and events, one JSON object per line, in order of time.
-
-    Args:
-        take: of the run.
-        path: of the file; replaced.  A fault has ``fault``, ``from_ns`` and ``to_ns``, an event
-            what was on the wire and ``heard_ns``; all but ``t_ns`` and ``onset_ns``, which are the
-            samples', are of the wall clock.
-    """
-    rows: list[tuple[int, dict[str, object]]] = [
-        (one.from_ns, {"fault": one.kind, "from_ns": one.from_ns, "to_ns": one.to_ns})
-        for one in take.broken
-    ]
-    rows += [
-        (heard_ns, {"heard_ns": heard_ns, **msgspec.to_builtins(event)})
-        for heard_ns, event in take.heard.events
-    ]
-    rows.sort(key=lambda row: row[0])
-    write_file(path, b"".join(msgspec.json.encode(row) + b"\n" for _, row in rows))
 
 
 if __name__ == "__main__":

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.status import ServiceStatus
 
-from .conduct import RECOVERY_S, Broken, Take
-
-_NS: Final = 1_000_000_000
+from .conduct import Broken, Take
 
 
 def uncounted(leg: str, seq_of: dict[int, int], take: Take) -> int:
@@ -61,25 +59,6 @@ def forgotten_s(
     if before is None or after is None:
         return float("inf")  # nobody knows
     return (before - after) * robot.period_s
-
-
-def cut_off(take: Take) -> int:
-    """Links dropped between two statuses of a service that no fault lies between or just before.
-
-    A router that is killed under a put takes the link with it; that is the plan's doing.
-    """
-    counted = 0
-    last: dict[str, tuple[int, int]] = {}
-    for at_ns, status in take.heard.services:
-        since_ns, before = last.get(status.instance, (at_ns, 0))
-        planned = any(
-            since_ns <= fault.to_ns + int(RECOVERY_S * _NS) and at_ns >= fault.from_ns
-            for fault in take.broken
-        )
-        if not planned:
-            counted += status.cut_off - before
-        last[status.instance] = (at_ns, status.cut_off)
-    return counted
 
 
 def last_words(services: Sequence[ServiceStatus]) -> list[ServiceStatus]:

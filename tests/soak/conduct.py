@@ -45,6 +45,7 @@ _DEAD_S: Final = 10.0
 # A refit under way ends before its process sees that nobody waits for it; the longest is a minute.
 _ORPHAN_S: Final = 90.0
 _NS: Final = 1_000_000_000
+_TYPES: Final = {"servo": ServoSample, "contact": ContactEvent, "learner": LearnerStatus}
 
 
 @dataclass(frozen=True)
@@ -157,9 +158,8 @@ class _Run:
         if now_s - self._memory_s >= _MEMORY_EVERY_S:
             self._memory_s = now_s
             after_s = now_s - self._service_began_s
-            pid = self.service.process.pid
-            workers_mb = sum(resident_mb(child) for child in children_of(pid))
-            self.resident.append(Resident(len(self._dead), after_s, resident_mb(pid), workers_mb))
+            mb = resident_mb(self.service.process.pid)
+            self.resident.append(Resident(len(self._dead), after_s, mb))
 
     def do(self, fault: Fault) -> None:
         """Break something, and start it again."""
@@ -214,30 +214,20 @@ class _Run:
     def _take(self, received: Received) -> None:
         now_ns = time.time_ns() - (time.monotonic_ns() - received.arrival_ns)
         kind = received.key.rsplit("/", 1)[-1]
-        payload, encoding = received.payload, received.encoding
+        type_ = ServiceStatus if received.key == SERVICE_STATUS else _TYPES[kind]
         heard = self.heard
-        if kind == "servo":
-            sample = decode(payload, ServoSample, encoding)
-            if isinstance(sample, ServoSample):
+        match decode(received.payload, type_, received.encoding):
+            case ServoSample() as sample:
                 second, lag_ns = sample.t_ns // _NS, now_ns - sample.t_ns
                 heard.lags_ns[second] = min(lag_ns, heard.lags_ns.get(second, lag_ns))
-                return
-        elif received.key == SERVICE_STATUS:
-            service = decode(payload, ServiceStatus, encoding)
-            if isinstance(service, ServiceStatus):
+            case ServiceStatus() as service:
                 heard.services.append((now_ns, service))
-                return
-        elif kind == "contact":
-            event = decode(payload, ContactEvent, encoding)
-            if isinstance(event, ContactEvent):
+            case ContactEvent() as event:
                 heard.events.append((now_ns, event))
-                return
-        else:
-            status = decode(payload, LearnerStatus, encoding)
-            if isinstance(status, LearnerStatus):
+            case LearnerStatus() as status:
                 heard.statuses.append((now_ns, status))
-                return
-        heard.unreadable += 1
+            case _:
+                heard.unreadable += 1
 
 
 def _walk(plan: SoakPlan, endpoint: str, recording: Path) -> tuple[str, ...]:

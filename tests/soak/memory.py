@@ -7,7 +7,7 @@ a life can: a plateau has none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,15 +22,11 @@ _QUANTILE: Final = 0.4
 
 
 class Resident(NamedTuple):
-    """Resident memory of a service, MB, so many seconds after its start; ``life`` counts them.
-
-    ``workers_mb`` is that of its child processes, 0 while there are none.
-    """
+    """Resident memory of a service, MB, so many seconds after its start; ``life`` counts them."""
 
     life: int
     after_s: float
     mb: float
-    workers_mb: float = 0.0
 
 
 class Grown(NamedTuple):
@@ -47,25 +43,18 @@ class Grown(NamedTuple):
     slope_mb_min: float | None
 
 
-def grown(
-    resident: Sequence[Resident], warm_up_s: float, of: Callable[[Resident], float]
-) -> list[Grown]:
-    """Growth of each life after the warm-up, for those long enough to have one.
-
-    A child process warms up from its own start on, which its first memory tells.
-    """
+def grown(resident: Sequence[Resident], warm_up_s: float) -> list[Grown]:
+    """Growth of each life after the warm-up, for those long enough to have one."""
     found = []
     for life in range(max((one.life for one in resident), default=-1) + 1):
-        rows = [(one.after_s, of(one)) for one in resident if one.life == life]
-        rows = [(after_s, mb) for after_s, mb in rows if mb > 0.0]  # false for NaN, too
-        begin_s = rows[0][0] if rows else 0.0
-        late = [row for row in rows if row[0] - begin_s >= warm_up_s]
-        if len(late) >= _FEWEST:
-            mb = [mb for _, mb in late]
-            edge = max(2, int(_EDGE * len(late)))
+        # False for NaN, too.
+        rows = [(one.after_s, one.mb) for one in resident if one.life == life and one.mb > 0.0]
+        mb = [mb for after_s, mb in rows if after_s >= warm_up_s]
+        if len(mb) >= _FEWEST:
+            edge = max(2, int(_EDGE * len(mb)))
             growth = float(np.median(mb[-edge:]) - np.median(mb[:edge]))
-            half_s = (begin_s + rows[-1][0]) / 2.0
-            found.append(Grown(growth, mb[-1], slope_of([row for row in rows if row[0] >= half_s])))
+            half = [row for row in rows if row[0] >= rows[-1][0] / 2.0]
+            found.append(Grown(growth, mb[-1], slope_of(half)))
     return found
 
 

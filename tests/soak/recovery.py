@@ -5,25 +5,17 @@ An event that comes after the fault is no recovery by itself: it has to be true.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from adaptive_contact.core.leg_learner import ContactLearner
-from adaptive_contact.model import shipped_baseline
-from adaptive_contact.robot import Robot
-from adaptive_contact.score import Events, LegOutcome, LegStream, match
+from adaptive_contact.score import LegOutcome
 from adaptive_contact.score.contacts import TruthChanges
-from adaptive_contact.service.recording import read_recording
-from adaptive_contact.wire import ContactEvent, ServoSample, decode, servo_key
+from adaptive_contact.wire import ContactEvent
 
 from .arrival import SourceClock
 from .conduct import RECOVERY_S, Broken, Take
-
-Flags = NDArray[np.bool_]
 
 # What an event takes to get here, on top of what the detector may take.
 _TRAVEL_NS: Final = 250_000_000
@@ -66,7 +58,7 @@ def recovery_of(
 ) -> tuple[float, list[str]]:
     """Seconds from the end of a fault to the last leg's first right event, and who was late.
 
-    A leg that had nothing to tell for two seconds has until the first touch of a whole swing, of
+    A leg that had nothing to report for two seconds has until the first touch of a whole swing, of
     those that count.
     """
     last_s, late = 0.0, []
@@ -77,8 +69,7 @@ def recovery_of(
         last_s = max(last_s, took_s)
         limit_ns = fault.to_ns + int(RECOVERY_S * _NS)
         if leg in by_leg:
-            asked = whole_touches(by_leg[leg], clock.of_wall(fault.to_ns))
-            limit_ns = max(limit_ns, heard_by_ns(by_leg[leg], asked, clock) or 0)
+            limit_ns = max(limit_ns, heard_by_ns(by_leg[leg], fault, clock))
         if first_ns is None or first_ns > limit_ns:
             late.append(leg)
     return last_s, late
@@ -93,92 +84,12 @@ def first_right_ns(
     return next(heard, None)
 
 
-def whole_touches(outcome: LegOutcome, from_ns: int) -> Flags:
-    """Touches that count, of swings that began after a time: (touches,)."""
+def heard_by_ns(outcome: LegOutcome, fault: Broken, clock: SourceClock) -> int:
+    """By when the first touch that counts of a swing after a fault had to be heard; 0 for none."""
     touches = outcome.touches
-    return np.asarray((outcome.swings.start_ns[touches.swing] > from_ns) & touches.counted)
-
-
-def heard_by_ns(outcome: LegOutcome, asked: Flags, clock: SourceClock) -> int | None:
-    """By when the event of the first of some touches had to be heard, ns of the wall.
-
-    Args:
-        outcome: of a leg.
-        asked: (touches,) which of its touches.
-        clock: of the samples.
-
-    Returns:
-        None where none is asked for.
-    """
-    touches = outcome.touches
-    which = np.flatnonzero(asked)
+    begun = outcome.swings.start_ns[touches.swing] > clock.of_wall(fault.to_ns)
+    which = np.flatnonzero(begun & touches.counted)
     if not len(which):
-        return None
+        return 0
     latest = int(touches.onset_ns[which[0]] + touches.window_ns[which[0]])
     return latest + clock.lag_ns(latest) + _TRAVEL_NS
-
-
-# -- What a service that nobody broke would have told of a leg: the same learner, the same sa
-
-
-def unbroken(recording: Path, stream: LegStream, robot: Robot, until_ns: int) -> LegOutcome:
-    """Take a new learner through a leg's samples.
-
-    As the simulator sent them: what a service lost on the way is not lost here.  Its refits take
-    effect where the service's do, unless the service's process was late.
-
-    Args:
-        recording: of the samples.
-        stream: the leg, with its truth.
-        robot: its description.
-        until_ns: time of the last sample that is asked for.
-
-    Returns:
-        The touches, all that the stream holds; later ones are not found.
-    """
-    learner = ContactLearner(robot, stream.leg, shipped_baseline(robot.name))
-    key = servo_key(stream.leg)
-    told: list[ContactEvent] = []
-    for record in read_recording(recording):
-        if record.key != key:
-            continue
-        sample = decode(record.payload, ServoSample, record.encoding)
-        if not isinstance(sample, ServoSample):
-            continue
-        if sample.t_ns > until_ns:
-            break
-        event = learner.update(sample)
-        if event is not None:
-            told.append(event)
-    return match(stream, Events.of(told))
-
-
-def missed_anyway(
-    outcome: LegOutcome,
-    without_fault: Callable[[int], LegOutcome],
-    fault: Broken,
-    first_right_ns: int | None,
-    clock: SourceClock,
-) -> bool:
-    """Whether a leg that was late after a fault would have been as late without it.
-
-    It has until the first touch that a learner without the fault finds, and no longer: what comes
-    late, or never, is the fault's doing all the same.
-
-    Args:
-        outcome: of the leg's events, as they were heard.
-        without_fault: the same stream, by a learner that was not broken, up to a samples' time.
-        fault: which.
-        first_right_ns: when the leg's first right event was heard, ns of the wall.
-        clock: of the samples.
-    """
-    from_ns = clock.of_wall(fault.to_ns)
-    asked = whole_touches(outcome, from_ns)
-    found = np.flatnonzero(asked & outcome.touches.found)
-    if first_right_ns is None or not len(found):
-        return False  # never right again
-    touches = outcome.touches
-    until_ns = int(touches.onset_ns[found[0]] + touches.window_ns[found[0]])
-    other = without_fault(until_ns)
-    limit_ns = heard_by_ns(other, asked & other.touches.found, clock)
-    return limit_ns is not None and first_right_ns <= limit_ns

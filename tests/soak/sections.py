@@ -64,7 +64,6 @@ class Section:
         ramp: a drift is under way in it.
         ticks: swing leg-ticks judged.
         touches, missed: of all legs, and of rows that count (docs/scoring.md).
-        others, others_missed: of the rows that do not.
         false_alarms: of all legs.
         releases, wrong_releases: told, and told of a leg that stood loaded.
     """
@@ -74,8 +73,6 @@ class Section:
     ticks: int
     touches: int
     missed: int
-    others: int
-    others_missed: int
     false_alarms: int
     releases: int
     wrong_releases: int
@@ -147,8 +144,6 @@ def judge_sections(
                 ticks=sum(int(o.swings.judged[inside(o.swings.start_ns)].sum()) for o in outcomes),
                 touches=int(np.sum(counted)),
                 missed=int(np.sum(counted & ~hit)),
-                others=int(np.sum(~counted)),
-                others_missed=int(np.sum(~counted & ~hit)),
                 false_alarms=sum(int(np.sum(inside(o.alarms_ns))) for o in outcomes),
                 releases=sum(int(np.sum(inside(one.t_ns))) for one in releases),
                 wrong_releases=sum(int(np.sum(inside(one.t_ns[one.wrong]))) for one in releases),

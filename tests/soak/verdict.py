@@ -7,7 +7,6 @@ missed must together be the ticks that the source has gone through, whoever was 
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections import Counter
 from typing import Any, Final
 
@@ -17,7 +16,6 @@ from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key
 
 from .accounts import (
-    cut_off,
     forgotten_s,
     inconsistent,
     last_words,
@@ -27,7 +25,7 @@ from .accounts import (
 from .arrival import Arrivals, SourceClock, judge_arrivals
 from .conduct import SoakPlan, Take
 from .memory import Grown, Resident, grown
-from .recovery import first_right_ns, missed_anyway, recovery_of, right_events, unbroken
+from .recovery import recovery_of, right_events
 from .sections import (
     Section,
     judge_releases,
@@ -75,16 +73,12 @@ class Verdict:
         recovery_s: from there until every leg's first right event was heard here; infinite where
             one never was.
         late_legs: those for whom that was later than 2 s and than their first whole swing.
-        late_anyway: those of them whose touches until then the same learner misses without the
-            fault, too.
         memory_mb: of each life of the service.
-        worker_mb: the same of its child processes.
-        resident: what both are computed from.
+        resident: what it is computed from.
         left_behind: child processes that a killed service left for good.
         forgotten_s: per kill of the service, what it had learned and not saved, of the worst leg.
         refits: promoted, refused, rolled back.
         events, events_lost: heard here; lost by the service because a subscriber hung.
-        cut_off: links of subscribers that the service dropped, not counting those near a fault.
         state: saves and failures of all lives, legs restored and states refused at the restart.
         p99_ms: arrival of the deciding sample to its event being sent, at the end.
         failures: lines on what is not as it should be.
@@ -104,16 +98,13 @@ class Verdict:
     outage_s: list[float]
     recovery_s: list[float]
     late_legs: list[list[str]]
-    late_anyway: list[list[str]]
     memory_mb: list[Grown]
-    worker_mb: list[Grown]
     resident: tuple[Resident, ...]
     left_behind: int
     forgotten_s: list[float]
     refits: dict[str, int]
     events: int
     events_lost: int
-    cut_off: int
     state: dict[str, Any]
     p99_ms: float | None
     failures: list[str]
@@ -162,21 +153,6 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
     errors += [("wrong release", one.leg, one.t_ns[one.wrong]) for one in releases]
     right = right_events(take, outcomes, {leg: one.truth for leg, one in streams.items()})
     back = [recovery_of(fault, robot.leg_ids, right, outcomes, clock) for fault in take.broken]
-    anyway = [
-        [
-            leg
-            for leg in late
-            if leg in streams
-            and missed_anyway(
-                next(one for one in outcomes if one.leg == leg),
-                functools.partial(unbroken, take.recording, streams[leg], robot),
-                fault,
-                first_right_ns(fault, right[leg], clock),
-                clock,
-            )
-        ]
-        for fault, (_, late) in zip(take.broken, back, strict=True)
-    ]
     shaken = [(one.begin_ns, one.end_ns) for one in windows_of(faults, (), epoch_ns)]
 
     newest = {status.leg: status for _, status in take.heard.statuses}
@@ -212,9 +188,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         outage_s=[(fault.to_ns - fault.from_ns) / _NS for fault in take.broken],
         recovery_s=[recovery_s for recovery_s, _ in back],
         late_legs=[late for _, late in back],
-        late_anyway=anyway,
-        memory_mb=grown(take.resident, plan.warm_up_s, lambda one: one.mb),
-        worker_mb=grown(take.resident, plan.warm_up_s, lambda one: one.workers_mb),
+        memory_mb=grown(take.resident, plan.warm_up_s),
         resident=take.resident,
         left_behind=take.left_behind,
         forgotten_s=[
@@ -225,7 +199,6 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         refits=dict(refits),
         events=len(take.heard.events),
         events_lost=sum(one.events_lost for one in services),
-        cut_off=cut_off(take),
         state=state_of(services),
         p99_ms=None if latency is None else latency.p99,
         failures=[],
@@ -245,8 +218,6 @@ def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
         lines.append(f"{found.uncounted} samples lost without being counted")
     if found.events_lost:
         lines.append(f"{found.events_lost} events lost")
-    if found.cut_off:
-        lines.append(f"{found.cut_off} times a subscriber was cut off without a fault")
     if not found.arrivals.events:
         lines.append("not one event was timed")
     if found.arrivals.late > max(FORGIVEN, LATE_SHARE * found.arrivals.events):
@@ -255,12 +226,9 @@ def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
         )
     if len(found.recovery_s) != len(plan.faults):
         lines.append(f"{len(found.recovery_s)} faults came about, of {len(plan.faults)} planned")
-    for recovery_s, late, anyway in zip(
-        found.recovery_s, found.late_legs, found.late_anyway, strict=True
-    ):
-        by_fault = [leg for leg in late if leg not in anyway]
-        if by_fault:
-            lines.append(f"a fault took {recovery_s:.2f} s to recover from: {' '.join(by_fault)}")
+    for recovery_s, late in zip(found.recovery_s, found.late_legs, strict=True):
+        if late:
+            lines.append(f"a fault took {recovery_s:.2f} s to recover from: {' '.join(late)}")
     promoted = found.refits.get("promoted", 0)
     if not promoted + found.refits.get("refused", 0):
         lines.append("no refit came to an end, be it promoted or refused")
@@ -302,17 +270,13 @@ def _memory_failures(found: Verdict, plan: SoakPlan) -> list[str]:
     lives = 1 + sum(fault.kind == "service" for fault in plan.faults)
     if len(found.memory_mb) != lives:
         lines.append(f"memory is known of {len(found.memory_mb)} lives of the service, of {lives}")
-    if not found.worker_mb:
-        lines.append("memory of the service's child processes is not known")
-    for whose, rows in (("the service", found.memory_mb), ("its children", found.worker_mb)):
-        for life, one in enumerate(rows):
-            if not one.growth_mb <= MEMORY_MB:
-                lines.append(f"life {life + 1}: {whose} grew by {one.growth_mb:.1f} MB")
-            if one.slope_mb_min is not None and not one.slope_mb_min <= SLOPE_MB_MIN:
-                lines.append(
-                    f"life {life + 1}: {whose} still grew by {one.slope_mb_min:.2f} MB/min at the "
-                    "end"
-                )
+    for life, one in enumerate(found.memory_mb, start=1):
+        if not one.growth_mb <= MEMORY_MB:
+            lines.append(f"life {life}: the service grew by {one.growth_mb:.1f} MB")
+        if one.slope_mb_min is not None and not one.slope_mb_min <= SLOPE_MB_MIN:
+            lines.append(
+                f"life {life}: the service still grew by {one.slope_mb_min:.2f} MB/min at the end"
+            )
     if found.left_behind:
         lines.append(f"{found.left_behind} child processes outlived the service that was killed")
     return lines

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,28 +12,6 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest, rests_on
-
-LIMIT_S = 120.0
-# Work that a terminal's Ctrl-C, or a kill, ends in its midst; each item says when it was done.
-PROGRAM = """
-import os, signal, sys, time
-from pathlib import Path
-from adaptive_contact_studies.scenarios import staging  # a module of the package
-from adaptive_contact_studies.work import Work
-signal.signal(signal.SIGINT, signal.default_int_handler)
-
-def slow(work, number):
-    time.sleep(0.3 if number < 4 else int(sys.argv[2]))
-    os.write(1, f"{number}\\n".encode())
-    return number
-
-if __name__ == "__main__":
-    import program
-    try:
-        Work(Path(sys.argv[1]), 2).each("slow", program.slow, range(8))
-    except KeyboardInterrupt:
-        print("stopped")
-"""
 
 
 def square(_: Work, number: int) -> float:
@@ -102,7 +78,7 @@ def test_processes_give_the_same_in_one_thread_each() -> None:
 
 
 def test_all_that_decides_what_a_learner_does_is_among_its_sources() -> None:
-    """Whatever the bank of learners imports, but messages, files and errors."""
+    """Whatever the bank of learners imports, but messages, files, errors and their words."""
     code = """
 import sys
 import adaptive_contact.core.bank
@@ -114,32 +90,7 @@ print("\\n".join(name for name in sys.modules if name.startswith("adaptive_conta
     )
     imported = {".".join(name.split(".")[:2]) for name in done.stdout.split()}
     others = imported - set(LEARNER)
-    assert others <= {f"adaptive_contact.{name}" for name in ("errors", "files", "wire")}
+    assert others <= {
+        f"adaptive_contact.{name}" for name in ("errors", "files", "printable", "wire")
+    }
     assert digest(*SIMULATOR) != digest(*LEARNER)
-
-
-def test_a_run_that_is_stopped_leaves_no_worker_and_keeps_what_was_done(tmp_path: Path) -> None:
-    """Workers hold their parent's pipe: it is at its end when the last of them is gone.
-
-    After Ctrl-C none ends what it is at.  What a killed parent leaves is joblib's affair.
-    """
-    (tmp_path / "program.py").write_text(PROGRAM)
-    process = subprocess.Popen(
-        [sys.executable, "program.py", "out", "600"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        stdout=subprocess.PIPE,
-        bufsize=0,  # a reader that takes two lines at once would hide the second from `select`
-        start_new_session=True,
-    )
-    try:
-        for _ in range(4):
-            assert select.select([process.stdout], [], [], LIMIT_S)[0], "no worker came up"
-            process.stdout.readline()
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers, too
-        said, _ = process.communicate(timeout=LIMIT_S)
-    finally:
-        process.kill()
-    assert said.endswith(b"stopped\n")
-    kept = list((tmp_path / "out").rglob("output.pkl"))
-    assert len(kept) >= 3
