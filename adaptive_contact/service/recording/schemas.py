@@ -33,7 +33,6 @@ from adaptive_contact.wire import (
 )
 
 if TYPE_CHECKING:
-    from google.protobuf.descriptor import Descriptor, FieldDescriptor
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 # Key without its namespace -> its message.  A leg's trace is left out: it answers a query, so no
@@ -97,8 +96,10 @@ def parts_of(annotation: Any) -> tuple[Any, tuple[Any, ...], bool]:
 
 # -- protobuf --------------------------------------------------------------------------------------
 
-# Turns a value of a struct's field into what a protobuf message takes, and back.
+# Turns a value of a struct's field into what a protobuf message takes, or back.
 _Convert = Callable[[Any], Any]
+# Both ways; None where protobuf has the same value.
+_Ways = tuple[_Convert | None, _Convert | None]
 
 
 @functools.cache
@@ -110,11 +111,7 @@ def protobuf_class(kind: type[Message]) -> tuple[bytes, Callable[[Message], byte
         ValueError for what the form cannot say: an integer of more than 64 bits, and an empty list
         where None is allowed.
     """
-    file = descriptor_pb2.FileDescriptorProto(
-        name=f"{_PACKAGE}/{kind.__name__}.proto", package=_PACKAGE, syntax="proto3"
-    )
-    convert = _add_message(file.message_type.add(name=kind.__name__), kind, f".{_PACKAGE}")
-    described = descriptor_pb2.FileDescriptorSet(file=[file])
+    described, convert, _ = _described(kind)
     made = _message_class(described, kind)
 
     def to_bytes(message: Message) -> bytes:
@@ -137,9 +134,10 @@ def protobuf_reader(kind: type[Message], descriptors: bytes) -> Callable[[bytes]
     try:
         described = descriptor_pb2.FileDescriptorSet.FromString(descriptors)
         made = _message_class(described, kind)
-        convert = _reverse(kind, made.DESCRIPTOR)
     except _BAD as error:
         raise ValueError(str(error)) from error
+
+    convert = _described(kind)[2]
 
     def to_msgpack(payload: bytes) -> bytes:
         try:
@@ -162,30 +160,55 @@ def _message_class(described: FileDescriptorSet, kind: type[Message]) -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema_name(kind)))
 
 
-def _add_message(proto: DescriptorProto, struct: type[msgspec.Struct], scope: str) -> _Convert:
+@functools.cache
+def _described(kind: type[Message]) -> tuple[FileDescriptorSet, _Convert, _Convert]:
+    """Describe a message; return its file, and what turns it into the form and back."""
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"{_PACKAGE}/{kind.__name__}.proto", package=_PACKAGE, syntax="proto3"
+    )
+    ways = _add_message(file.message_type.add(name=kind.__name__), kind, f".{_PACKAGE}")
+    return descriptor_pb2.FileDescriptorSet(file=[file]), *ways
+
+
+def _add_message(
+    proto: DescriptorProto, struct: type[msgspec.Struct], scope: str
+) -> tuple[_Convert, _Convert]:
     """Describe a struct, and the types of its fields."""
     scope = f"{scope}.{proto.name}"
     hints = get_type_hints(struct)
-    converters = [
-        (field.name, _add_field(proto, field.name, number, hints[field.name], scope))
-        for number, field in enumerate(msgspec.structs.fields(struct), 1)
-    ]
+    fields: list[tuple[str, bool, bool, _Convert | None, _Convert | None]] = []
+    for number, name in enumerate(struct.__struct_fields__, 1):
+        origin, _, optional = parts_of(hints[name])
+        ways = _add_field(proto, name, number, hints[name], scope)
+        fields.append((name, optional, origin in (list, dict), *ways))
 
-    def convert(value: Any) -> dict[str, Any]:
-        found = ((name, getattr(value, name), change) for name, change in converters)
+    def to_form(value: Any) -> dict[str, Any]:
+        found = ((name, getattr(value, name), change) for name, _, _, change, _ in fields)
         return {
             name: change(part) if change else part
             for name, part, change in found
             if part is not None
         }
 
-    return convert
+    def back(message: Any) -> dict[str, Any]:
+        made: dict[str, Any] = {}
+        for name, optional, many, _, change in fields:
+            held = getattr(message, name, None)
+            if held is None:  # an older contract lacks the field
+                continue
+            if optional and not (held if many else message.HasField(name)):
+                made[name] = None  # also in a field that has no default
+            else:
+                made[name] = change(held) if change else held
+        return made
+
+    return to_form, back
 
 
 def _add_field(
     proto: DescriptorProto, name: str, number: int, annotation: Any, scope: str
-) -> _Convert | None:
-    """Add a field; return how to convert its values, None if protobuf takes them as they are."""
+) -> _Ways:
+    """Add a field; return how to convert its values."""
     origin, arguments, optional = parts_of(annotation)
     field = proto.field.add(name=name, number=number, label=Field.LABEL_OPTIONAL, json_name=name)
     many = origin in (list, dict)
@@ -199,27 +222,30 @@ def _add_field(
         field.type, field.type_name = Field.TYPE_MESSAGE, below
         if origin is dict:
             _add_field(part, "key", 1, arguments[0], below)
-            value = _add_field(part, "value", 2, arguments[1], below)
-            return lambda held: [
-                {"key": k, "value": value(v) if value else v} for k, v in held.items()
-            ]
-        rows = _add_field(part, "values", 1, item, below)
-        return _filled(
-            lambda held: [{"values": rows(row) if rows else row} for row in held], optional
-        )
+            to, back = _add_field(part, "value", 2, arguments[1], below)
+            return (
+                lambda held: [{"key": k, "value": to(v) if to else v} for k, v in held.items()],
+                lambda held: {e.key: back(e.value) if back else e.value for e in held},
+            )
+        to, back = _add_field(part, "values", 1, item, below)
+        rows = _filled(lambda held: [{"values": to(r) if to else r} for r in held], optional)
+        return rows, lambda held: [back(row.values) if back else row.values for row in held]
     if inner in _SCALARS or inner is Literal:
         field.type = _SCALARS.get(inner, Field.TYPE_STRING)
         if optional and not many:
             field.proto3_optional = True
             field.oneof_index = len(proto.oneof_decl)
             proto.oneof_decl.add(name=f"_{name}")
-        return _filled(list, optional) if many and optional else None
+        return _filled(list, optional) if many and optional else None, list if many else None
     if inner.__name__ not in {nested.name for nested in proto.nested_type}:
-        convert = _add_message(proto.nested_type.add(name=inner.__name__), inner, scope)
+        described = proto.nested_type.add(name=inner.__name__)
     else:  # another field of the same type
-        convert = _add_message(DescriptorProto(name=inner.__name__), inner, scope)
+        described = DescriptorProto(name=inner.__name__)
+    one_to, one_back = _add_message(described, inner, scope)
     field.type, field.type_name = Field.TYPE_MESSAGE, f"{scope}.{inner.__name__}"
-    return (lambda held: [convert(part) for part in held]) if many else convert
+    if not many:
+        return one_to, one_back
+    return lambda held: [one_to(p) for p in held], lambda held: [one_back(p) for p in held]
 
 
 def _filled(convert: _Convert, optional: bool) -> _Convert:
@@ -231,46 +257,3 @@ def _filled(convert: _Convert, optional: bool) -> _Convert:
         return convert(held)
 
     return checked
-
-
-def _reverse(struct: type[msgspec.Struct], described: Descriptor) -> _Convert:
-    """Turn a protobuf message into the map of a struct."""
-    hints = get_type_hints(struct)
-    fields: list[tuple[str, _Convert | None, bool, bool]] = []
-    for field in msgspec.structs.fields(struct):
-        there = described.fields_by_name.get(field.name)
-        if there is not None:
-            optional = parts_of(hints[field.name])[2]
-            change = _reverse_field(hints[field.name], there)
-            fields.append((field.name, change, optional, there.has_presence))
-
-    def convert(message: Any) -> dict[str, Any]:
-        made: dict[str, Any] = {}
-        for name, change, optional, presence in fields:
-            held = getattr(message, name)
-            if optional and not (message.HasField(name) if presence else held):
-                made[name] = None  # also in a field that has no default
-            else:
-                made[name] = change(held) if change else held
-        return made
-
-    return convert
-
-
-def _reverse_field(annotation: Any, there: FieldDescriptor) -> _Convert | None:
-    origin, arguments, _ = parts_of(annotation)
-    if origin is dict:
-        value = _reverse_field(arguments[1], there.message_type.fields_by_name["value"])
-        return lambda held: {e.key: value(e.value) if value else e.value for e in held}
-    if origin is list:
-        inner = parts_of(arguments[0])[0]
-        if inner is list:
-            rows = _reverse_field(arguments[0], there.message_type.fields_by_name["values"])
-            return lambda held: [(rows or list)(row.values) for row in held]
-        if isinstance(inner, type) and issubclass(inner, msgspec.Struct):
-            each = _reverse(inner, there.message_type)
-            return lambda held: [each(part) for part in held]
-        return list
-    if isinstance(origin, type) and issubclass(origin, msgspec.Struct):
-        return _reverse(origin, there.message_type)
-    return None
