@@ -13,7 +13,8 @@ from typing import Final
 import msgspec
 
 from adaptive_contact.robot import AngleFrame, Robot
-from adaptive_contact.wire import Message
+from adaptive_contact.wire import HEARTBEAT, LEG_MESSAGES, Heartbeat, Message, Rejected, decode
+from adaptive_contact.wire.received import Received
 
 _NS_PER_MS: Final = 1e6
 
@@ -131,3 +132,13 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
     tick_latency: LatencyMs | None = None
     # arrival of the deciding sample to its event being published
     event_latency: LatencyMs | None = None
+
+
+_OF_SERVICE: Final[dict[str, type[Message]]] = {SERVICE_STATUS: ServiceStatus, HEARTBEAT: Heartbeat}
+
+
+def message_of(received: Received) -> Message | Rejected:
+    """Decode what came on a key of the service or of a leg."""
+    name = received.key.rpartition("/")[2]
+    kind = _OF_SERVICE.get(received.key) or LEG_MESSAGES[name]
+    return decode(received.payload, kind, received.encoding)

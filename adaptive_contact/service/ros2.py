@@ -33,6 +33,7 @@ from adaptive_contact.ros2.types import Types
 from adaptive_contact.service.known_contacts import KnownContacts
 from adaptive_contact.service.link import Arrivals, Declared, Link, Publisher, Received
 from adaptive_contact.service.settings import REMEDY, Finding
+from adaptive_contact.status import message_of
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -43,7 +44,6 @@ from adaptive_contact.wire import (
     LearnerStatus,
     LegState,
     ServoSample,
-    decode,
     leg_of_key,
     servo_key,
 )
@@ -172,7 +172,7 @@ class Gateway:
         self._known = KnownContacts()
         self._heard_s: float | None = None  # when the last heartbeat came
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._learners: dict[str, Received] = {}
+        self._learners: dict[str, LearnerStatus] = {}
         self._asked_states: Declared | None = None  # subscription, while somebody in ROS 2 has one
         self._numbers = itertools.count(1)
         self._shown: set[str] = set()
@@ -252,8 +252,9 @@ class Gateway:
 
     def note_learner(self, received: Received) -> None:
         """Store the newest status of a leg's learner, for the diagnostics."""
-        if leg_of_key(received.key) in self._legs:
-            self._learners[received.key] = received
+        status = message_of(received)
+        if isinstance(status, LearnerStatus) and status.leg in self._legs:
+            self._learners[status.leg] = status
 
     # -- ROS 2 to the service ----------------------------------------------------------------------
 
@@ -315,12 +316,18 @@ class Gateway:
     def _relay(self, received: Received | None, stop: threading.Event) -> None:
         """Pass on what has arrived, and what follows from time passing."""
         now_ns = time.monotonic_ns()
-        of_state = received is not None and received.key.endswith("/state")
-        events = [] if received is None or of_state else self._take(received, now_ns)
+        message = None if received is None else message_of(received)
+        events: list[ContactEvent] = []
+        if isinstance(message, Heartbeat) and received is not None:
+            self._heard_s = self._now_s()
+            self._known.heartbeat(message, received.arrival_ns)
+        elif isinstance(message, ContactEvent) and message.leg in self._of_leg:
+            self.events += 1
+            events = self._known.event(message, now_ns)
         events += self._known.look(now_ns)
         try:
-            if received is not None and of_state:
-                self._relay_state(received)
+            if isinstance(message, LegState) and received is not None:
+                self._relay_state(leg_of_key(received.key), message)
             for event in events:
                 changed = self._report.change(event)
                 if changed is not None:
@@ -342,26 +349,11 @@ class Gateway:
             self._asked_states.close()
             self._asked_states = None
 
-    def _relay_state(self, received: Received) -> None:
-        leg, state = leg_of_key(received.key), decode(received.payload, LegState, received.encoding)
-        if leg in self._of_leg and isinstance(state, LegState):
+    def _relay_state(self, leg: str | None, state: LegState) -> None:
+        if leg in self._of_leg:
             whole = self._report.state(leg, state)
             if whole is not None:
                 self._states.put(whole)
-
-    def _take(self, received: Received, now_ns: int) -> list[ContactEvent]:
-        """Process a heartbeat or an event; return the events to pass on."""
-        if received.key == HEARTBEAT:
-            heartbeat = decode(received.payload, Heartbeat, received.encoding)
-            if isinstance(heartbeat, Heartbeat):
-                self._heard_s = self._now_s()
-                self._known.heartbeat(heartbeat, received.arrival_ns)
-            return []
-        event = decode(received.payload, ContactEvent, received.encoding)
-        if not isinstance(event, ContactEvent) or event.leg not in self._of_leg:
-            return []
-        self.events += 1
-        return self._known.event(event, now_ns)
 
     def _valid(self, now_ns: int) -> frozenset[str]:
         return frozenset(leg for leg in self._legs if self._known.is_known(leg, now_ns))
@@ -421,11 +413,7 @@ class Gateway:
 
     def diagnosis(self, trouble: str | None) -> bytes:
         """Encode what ``/diagnostics`` shows; ``trouble`` is the gateway's own."""
-        learners = {}
-        for received in list(self._learners.values()):
-            status = decode(received.payload, LearnerStatus, received.encoding)
-            if isinstance(status, LearnerStatus) and status.leg in self._legs:
-                learners[status.leg] = status
+        learners = dict(self._learners)
         counts: dict[str, object] = {"samples": self.relayed, "events": self.events}
         counts |= {
             f"{topic} {reason}": times

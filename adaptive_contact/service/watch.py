@@ -19,23 +19,20 @@ import msgspec
 
 from adaptive_contact.service.known_contacts import KnownContacts
 from adaptive_contact.service.settings import SERVICE_TOKEN
-from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, ServiceStatus, message_of
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
     ALL_STATE,
     ALL_TRUTH,
     HEARTBEAT,
-    LEG_MESSAGES,
     MAX_PAYLOAD_BYTES,
     ContactEvent,
     ContactTruth,
     Heartbeat,
     LearnerStatus,
     LegState,
-    Message,
     Status,
-    decode,
     leg_of_key,
 )
 from adaptive_contact.wire.received import Received
@@ -382,7 +379,6 @@ def _rate(ticks: list[tuple[int, int]]) -> float | None:
     return (ticks[-1][1] - ticks[0][1]) / ((ticks[-1][0] - ticks[0][0]) / 1e9)
 
 
-_OF_SERVICE: Final[dict[str, type[Message]]] = {SERVICE_STATUS: ServiceStatus, HEARTBEAT: Heartbeat}
 OnContact = Callable[[str, ContactEvent | ContactTruth], None]
 
 
@@ -427,9 +423,7 @@ class Feed:
         return self.watch.view(now_ns, alive=self._alive, connected=self._link.is_connected())
 
     def _take(self, received: Received) -> None:
-        name = received.key.rsplit("/", 1)[-1]
-        kind = _OF_SERVICE.get(received.key) or LEG_MESSAGES[name]
-        message = decode(received.payload, kind, received.encoding)
+        message = message_of(received)
         leg = leg_of_key(received.key)
         if isinstance(message, ServiceStatus):
             self.watch.service(message)
