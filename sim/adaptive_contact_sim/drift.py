@@ -12,13 +12,12 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift, DriftKind, DriftShape
 from adaptive_contact_sim.elements import HEXAPOD, Layout
-
-Array = NDArray[np.float64]
+from adaptive_contact_sim.limits import check_number, check_word
 
 # A random walk takes a step this often, s.
 _WALK_STEP_S: Final = 0.1
@@ -62,8 +61,7 @@ def check(drift: Drift, layout: Layout | None = None) -> None:
     Raises:
         ConfigurationError: what was found, and what is expected.
     """
-    if drift.kind not in KINDS:
-        raise ConfigurationError(f"no drift '{drift.kind}'; kinds are {', '.join(KINDS)}")
+    check_word("drift", drift.kind, KINDS)
     kind = KINDS[drift.kind]
     if layout is not None:
         layout.servo_indices(drift.leg, drift.joint)
@@ -74,12 +72,8 @@ def check(drift: Drift, layout: Layout | None = None) -> None:
             f"{drift.kind} of {drift.value:g} {kind.unit}; expected {kind.low:g} to {kind.high:g} "
             f"{kind.unit} ({kind.nominal:g} is nominal, {kind.usual} usual)"
         )
-    if drift.shape not in get_args(DriftShape):
-        raise ConfigurationError(
-            f"no shape '{drift.shape}'; shapes are {', '.join(get_args(DriftShape))}"
-        )
-    if not 0.0 <= drift.duration_s <= 1e6:
-        raise ConfigurationError(f"drift lasting {drift.duration_s} s; expected 0 to 1000000 s")
+    check_word("shape", drift.shape, get_args(DriftShape))
+    check_number("a drift's duration", drift.duration_s, 0.0, 1e6, "s")
     if drift.shape != "step" and drift.duration_s == 0.0:
         raise ConfigurationError(
             f"a {drift.shape} needs a duration above 0 s; give duration=SECONDS"
@@ -100,7 +94,7 @@ class _Course:
         self._before = before[self.joints]
         self._walk = _walk(drift) if drift.shape == "walk" else None
 
-    def release(self, joints: NDArray[np.intp]) -> None:
+    def release(self, joints: Ints) -> None:
         """Give up joints that another drift takes."""
         keep = ~np.isin(self.joints, joints)
         self.joints, self._before = self.joints[keep], self._before[keep]

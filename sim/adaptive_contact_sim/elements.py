@@ -13,11 +13,9 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Ints
 from adaptive_contact.errors import ConfigurationError
-
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Layout:
         """(leg, joint) of all, in order."""
         return [(leg, joint) for leg in self.legs for joint in self.joints]
 
-    def servo_indices(self, leg: str | None, joint: str | None) -> IntArray:
+    def servo_indices(self, leg: str | None, joint: str | None) -> Ints:
         """Indices of the servos meant by a leg and a joint, None standing for all.
 
         Raises:
@@ -78,11 +76,11 @@ class Elements:
     touch: slice  # slice of the touch sensors in `sensordata`, part fastest
     body: int  # id of the base
     floats: bool  # whether the base moves freely; otherwise it hangs on the world
-    foot_sites: IntArray  # (L,) ids of the foot points
-    payloads: IntArray  # (L,) body ids of the masses at the foot ends
-    geom_leg: IntArray  # (ngeom,) leg of a geom that collides, -1 for others
-    geom_part: IntArray  # (ngeom,) index into the layout's parts, -1 for others
-    leg_geoms: tuple[IntArray, ...]  # per leg, ids of its colliding geoms
+    foot_sites: Ints  # (L,) ids of the foot points
+    payloads: Ints  # (L,) body ids of the masses at the foot ends
+    geom_leg: Ints  # (ngeom,) leg of a geom that collides, -1 for others
+    geom_part: Ints  # (ngeom,) index into the layout's parts, -1 for others
+    leg_geoms: tuple[Ints, ...]  # per leg, ids of its colliding geoms
 
     @classmethod
     def resolve(cls, model: mujoco.MjModel, layout: Layout = HEXAPOD) -> Elements:

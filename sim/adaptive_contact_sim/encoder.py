@@ -13,14 +13,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.arrays import Array, Mask
 from adaptive_contact_sim.elements import N_SERVOS
+from adaptive_contact_sim.limits import check_number
 from adaptive_contact_sim.servo import QUANTUM_RAD
-
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -35,22 +32,15 @@ class EncoderSettings:
 
     def __post_init__(self) -> None:
         for name in ("dropped", "repeated", "bogus"):
-            value = getattr(self, name)
-            if not 0.0 <= value <= 0.5:
-                raise ConfigurationError(
-                    f"probability of {name} readings is {value}; expected 0 to 0.5"
-                )
-        if not 0.0 <= self.noise_steps <= 10.0:
-            raise ConfigurationError(
-                f"reading noise is {self.noise_steps} steps; expected 0 to 10 (a servo has 0.5)"
-            )
+            check_number(f"probability of {name} readings", getattr(self, name), 0.0, 0.5)
+        check_number("reading noise", self.noise_steps, 0.0, 10.0, "steps")
 
 
 class Reading(NamedTuple):
     """One tick's positions: (S,) rad, and (S,) whether each is known to be good."""
 
     angle_rad: Array
-    valid: BoolArray
+    valid: Mask
 
 
 class Encoder:

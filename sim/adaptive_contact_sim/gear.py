@@ -19,11 +19,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array, Ints
 from adaptive_contact_sim.servo import ServoBank
-
-Array = NDArray[np.float64]
 
 # Teeth: 1.5 N*m bends them by 0.6 degrees (assumed).  Link and rotor on this spring swing at
 # 470 rad/s at most (tibia), well inside what a 1 ms symplectic step follows.
@@ -73,7 +71,7 @@ class GearTrain:
         return bool(self._index.size)
 
     @property
-    def joints(self) -> NDArray[np.intp]:
+    def joints(self) -> Ints:
         """Indices of the joints that have backlash."""
         return self._index
 

@@ -8,13 +8,14 @@ not on it, as a leg under load lags and its body tilts.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import mujoco
 import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.limits import check_number, check_word
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.scene import (
     OBSTACLE_TOP_M,
@@ -43,13 +44,10 @@ class ObstacleSettings:
     where: tuple[float, float] = (0.05, 0.6)
 
     def __post_init__(self) -> None:
-        for name, value in (("obstacle", self.probability), ("soft obstacle", self.soft)):
-            if not 0.0 <= value <= 1.0:
-                raise ConfigurationError(f"{name} probability is {value}; expected 0 to 1")
-        if not self.shapes or any(shape not in _SHAPES for shape in self.shapes):
-            raise ConfigurationError(
-                f"obstacle shapes are {list(self.shapes)}; expected some of {', '.join(_SHAPES)}"
-            )
+        check_number("obstacle probability", self.probability, 0.0, 1.0)
+        check_number("soft obstacle probability", self.soft, 0.0, 1.0)
+        for shape in self.shapes:
+            check_word("obstacle shape", shape, _SHAPES)
         low, high = self.where
         if not 0.0 < low <= high <= 1.0:
             raise ConfigurationError(
@@ -109,10 +107,6 @@ class ObstacleCourse:
             inward: (3,) unit vector from the foot towards the body, level.
             approach: how the leg comes.
         """
-        if approach not in get_args(Approach):
-            raise ConfigurationError(
-                f"no approach '{approach}'; approaches are {', '.join(get_args(Approach))}"
-            )
         rng = self._rng
         along = motion_m / max(float(np.linalg.norm(motion_m)), 1e-9)
         yaw = rng.uniform(-np.pi, np.pi)

@@ -25,6 +25,7 @@ from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import Geometry
+from adaptive_contact_sim.limits import check_number, check_word
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
 
@@ -104,35 +105,19 @@ class PoseSettings:
     def __post_init__(self) -> None:
         if not self.legs:
             raise ConfigurationError("there is no leg to move; expected one or more")
-        if self.workspace not in WORKSPACES:
-            raise ConfigurationError(
-                f"no workspace '{self.workspace}'; workspaces are {', '.join(WORKSPACES)}"
-            )
-        if self.approach not in get_args(Approach):
-            raise ConfigurationError(
-                f"no approach '{self.approach}'; approaches are {', '.join(get_args(Approach))}"
-            )
+        check_word("workspace", self.workspace, WORKSPACES)
+        check_word("approach", self.approach, get_args(Approach))
+        check_word("path", self.path, get_args(Path))
         if self.workspace == "hung" and self.approach not in ("descent", "slow"):
             raise ConfigurationError(
                 f"approach '{self.approach}' is not of a leg that hangs; expected descent or slow"
             )
-        if self.path not in ("cartesian", "joint"):
-            raise ConfigurationError(f"path is '{self.path}'; expected cartesian or joint")
-        if not 4 <= self.segment_ticks <= 500 or not 1 <= self.hold_ticks <= 500:
-            raise ConfigurationError(
-                f"segments of {self.segment_ticks} ticks with holds of {self.hold_ticks}; expected "
-                "4 to 500, and 1 to 500"
-            )
-        if not 0.0 < self.clear_m <= 0.1:
-            raise ConfigurationError(
-                f"obstacles come {self.clear_m:g} m below a foot; expected above 0, to 0.1 m"
-            )
-        if not all(0.0 <= width <= math.pi for width in self.vary_rad):
-            raise ConfigurationError(
-                f"postures vary by {list(self.vary_rad)} rad; expected 0 to pi of each joint"
-            )
-        if self.trials_per_turn < 1:
-            raise ConfigurationError(f"{self.trials_per_turn} trials per turn; expected at least 1")
+        check_number("ticks of a segment", self.segment_ticks, 4, 500)
+        check_number("ticks of a hold", self.hold_ticks, 1, 500)
+        check_number("clearance over obstacles", self.clear_m, 0.001, 0.1, "m")
+        for width in self.vary_rad:
+            check_number("width of postures", width, 0.0, math.pi, "rad")
+        check_number("trials per turn", self.trials_per_turn, 1, 100_000)
 
 
 @dataclass(eq=False)

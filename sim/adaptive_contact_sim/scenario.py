@@ -48,9 +48,9 @@ def split_spec(text: str, where: str, example: str) -> tuple[dict[str, Any], str
         ConfigurationError: what was found, and what is expected.
     """
     spec, at, when = text.partition("@")
-    kind, colon, rest = spec.partition(":")
+    kind, _, rest = spec.partition(":")
     fields: dict[str, Any] = {"kind": kind.strip()}
-    for item in rest.split(",") if colon else []:
+    for item in rest.split(",") if rest.strip() else ():
         key, equals, value = (part.strip() for part in item.partition("="))
         if not equals or not value:
             raise ConfigurationError(

@@ -12,11 +12,10 @@ from typing import Final, Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.arrays import Array, Mask
+from adaptive_contact_sim.limits import check_number, check_word
 
-Array = NDArray[np.float64]
 TerrainKind = Literal["flat", "steps", "rough", "soft", "holes"]
 
 # Hard ground: a contact settles in 4 ms, twice the shortest the 1 ms step allows twice over.
@@ -49,20 +48,10 @@ class TerrainSettings:
     seed: int | None = None  # of the heights; None for the run's
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(TerrainKind):
-            raise ConfigurationError(
-                f"no terrain '{self.kind}'; terrains are {', '.join(get_args(TerrainKind))}"
-            )
-        if not 0.0 <= self.relief_m <= 0.08:
-            raise ConfigurationError(
-                f"terrain relief is {self.relief_m} m; expected 0 to 0.08 m (legs lift about 5 cm)"
-            )
-        if not 0.0 <= self.holes <= 0.5:
-            raise ConfigurationError(f"a share of {self.holes} of holes; expected 0 to 0.5")
-        if not 100.0 <= self.stiffness_n_m <= 100_000.0:
-            raise ConfigurationError(
-                f"ground stiffness is {self.stiffness_n_m} N/m; expected 100 to 100000 N/m"
-            )
+        check_word("terrain", self.kind, get_args(TerrainKind))
+        check_number("terrain relief", self.relief_m, 0.0, 0.08, "m")  # legs lift about 5 cm
+        check_number("share of holes", self.holes, 0.0, 0.5)
+        check_number("ground stiffness", self.stiffness_n_m, 100.0, 100_000.0, "N/m")
 
 
 class Terrain:
@@ -209,7 +198,7 @@ def _rough(cells: int, relief_m: float, rng: np.random.Generator) -> Array:
     return np.asarray((heights + 2.0) / 4.0 * relief_m)
 
 
-def _holes(cells: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _holes(cells: int, share: float, rng: np.random.Generator) -> Mask:
     """(cells, cells) which points of a field lie in a hole; squares, up to the share."""
     sunk = np.zeros((cells, cells), dtype=np.bool_)
     middle = np.hypot(*np.meshgrid(*2 * [(np.arange(cells) - cells / 2) * _CELL_M]))

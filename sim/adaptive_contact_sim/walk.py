@@ -28,6 +28,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
 from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Sway, Swings
 from adaptive_contact_sim.legs import Geometry
+from adaptive_contact_sim.limits import check_number, check_word
 from adaptive_contact_sim.motion import Goal, World
 
 StopOn = Literal["truth", "service", "never"]
@@ -77,16 +78,9 @@ class WalkSettings:
     raise_m: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.gait not in GAITS:
-            raise ConfigurationError(f"no gait '{self.gait}'; gaits are {', '.join(GAITS)}")
-        if self.stop_on not in get_args(StopOn):
-            raise ConfigurationError(
-                f"stop-on '{self.stop_on}'; expected one of {', '.join(get_args(StopOn))}"
-            )
-        if self.phase not in get_args(PhaseOf):
-            raise ConfigurationError(
-                f"phase '{self.phase}'; expected one of {', '.join(get_args(PhaseOf))}"
-            )
+        check_word("gait", self.gait, GAITS)
+        check_word("stop-on", self.stop_on, get_args(StopOn))
+        check_word("phase", self.phase, get_args(PhaseOf))
         if self.phase == "planned" and self.stop_on == "service":
             raise ConfigurationError(
                 "a planned descent is stopped by nothing, found stop-on 'service'; leave out one"
@@ -110,11 +104,8 @@ class WalkSettings:
             ("reaction time", self.react_ms, 0.0, 1000.0, "ms"),
             ("raise after a strike", self.raise_m, 0.0, 0.05, "m"),
         )
-        for name, value, low, high, unit in ranges:
-            if not low <= value <= high:
-                raise ConfigurationError(
-                    f"{name} is {value:g} {unit}; expected {low:g} to {high:g} {unit}".rstrip()
-                )
+        for limits in ranges:
+            check_number(*limits)
         if not 0.01 <= self.depth_m[0] <= self.depth_m[1] <= 0.06:
             raise ConfigurationError(
                 f"descents aim {self.depth_m[0]:g} to {self.depth_m[1]:g} m below the ground; "

@@ -206,7 +206,7 @@ def test_lost_ticks_are_told_with_what_to_do() -> None:
         (("bridge", "virtual", "--ports", "9"), "9 ports for 6 legs"),
         (("bridge", "virtual", "--config", "quadruped", "--ports", "2"), "has ports of its own"),
         (("bridge", "virtual", "--write-config", "/nonexist/x.toml"), "another --write-config"),
-        (("bridge", "virtual", "--fault", "silent@1.2.3"), "times in seconds, such as"),
+        (("bridge", "virtual", "--fault", "silent@1.2.3"), "times are in seconds"),
         (("bridge", "virtual", "--fault", "silent:id=99"), "there is no such servo; ids are 1, 2"),
         (("bridge", "virtual", "--fault", "hangup:port=x"), "there is no such port; there are p"),
     ],

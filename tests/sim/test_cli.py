@@ -104,8 +104,8 @@ def test_options_change_a_scenario() -> None:
     [
         (("walk", "--offline"), "give --seconds"),
         (("walk", "--offline", "--seconds", "0"), "expected above 0"),
-        (("walk", "--gait", "gallop", "--offline"), "gaits are tripod"),
-        (("walk", "--terrain", "sand", "--offline"), "terrains are"),
+        (("walk", "--gait", "gallop", "--offline"), "expected one of tripod"),
+        (("walk", "--terrain", "sand", "--offline"), "expected one of"),
         (("walk", "--stop-on", "luck"), "truth, service, never"),
         (("walk", "--raise-m", "0.2", "--offline", "--seconds", "1"), "expected 0 to 0.05 m"),
         (("walk", "--speed", "fast"), "expected a factor above 0"),

@@ -24,15 +24,13 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation
 from adaptive_contact_studies.scenarios.spec import Staging
-
-Array = NDArray[np.float64]
 
 SPRING_N_M: Final = 3000.0
 # About half of critical for the 60 g that move with a foot: it must not ring through the gait.
