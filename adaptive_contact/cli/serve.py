@@ -125,7 +125,6 @@ def serve(
             say(_ready_line(link, robot, origin))
             refitter.start()
             service.run(stop)
-            service.log_figures()
         finally:
             refitter.close()
             if not link.close():

@@ -327,7 +327,7 @@ class Link:
                     return cls(zenoh.open(config), settings, facts)
             except zenoh.ZError as error:
                 if settings.mode == "router":
-                    raise LinkError(router_failure(config, facts, error)) from error
+                    raise LinkError(router_failure(facts, error)) from error
             if not settings.wait:
                 raise NoRouterError(finding)
             if finding != reported:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import secrets
 import threading
 from collections import deque
-from typing import Final
 
 import structlog
 
@@ -25,16 +24,14 @@ from adaptive_contact.wire.received import Received
 
 _log = structlog.get_logger()
 
-_REMEMBERED: Final = 8
-
 
 class PeerServices:
     """Listens for other services."""
 
     def __init__(self, link: Link) -> None:
         self.instance = secrets.token_hex(4)  # our own mark, for our own status
-        self._statuses: deque[Received] = deque(maxlen=4 * _REMEMBERED)
-        self._seen: dict[str, tuple[int, ServiceStatus]] = {}
+        self._statuses: deque[Received] = deque(maxlen=32)
+        self._other: tuple[int, ServiceStatus] | None = None  # the newest, and when it came
         link.subscribe(SERVICE_STATUS, self._receive)
 
     def _receive(self, received: Received) -> None:
@@ -47,19 +44,11 @@ class PeerServices:
             received = self._statuses.popleft()
             status = decode(received.payload, ServiceStatus, received.encoding)
             if isinstance(status, ServiceStatus) and status.instance != self.instance:
-                self._seen.pop(status.instance, None)
-                self._seen[status.instance] = (received.arrival_ns, status)
-                if len(self._seen) > _REMEMBERED:  # another program makes them up
-                    del self._seen[next(iter(self._seen))]
-        self._seen = {
-            # A service sends its status once a second.
-            mark: seen
-            for mark, seen in self._seen.items()
-            if now_ns - seen[0] < 3_000_000_000
-        }
-        if not self._seen:
+                self._other = (received.arrival_ns, status)
+        # A service sends its status once a second.
+        if self._other is None or now_ns - self._other[0] >= 3_000_000_000:
             return None
-        _, other = next(reversed(self._seen.values()))
+        other = self._other[1]
         return (
             f"another service runs here for robot {other.robot[:32]} (up {other.uptime_s:.0f} s): "
             "every event comes twice; stop one of them, or give each robot a --namespace"

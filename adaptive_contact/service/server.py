@@ -90,7 +90,6 @@ class Sweeper:
 
 # Period in which statuses are checked for a change; also the longest delay of a stop.
 _LOOK_NS: Final = 100_000_000
-_LATENCY_LOG_NS: Final = 60_000_000_000
 # How long the status's note shows a dropped link, or a leg without room.
 _REPORTED_NS: Final = 30_000_000_000
 # End of a key that asks for a leg's ticks rather than for its model.
@@ -164,7 +163,6 @@ class Service:
         self._heartbeat = link.publisher(HEARTBEAT)
         self._look_ns = self._status_ns = self._note_ns = now_ns
         self._amiss: list[bool] = []  # which complaints the last status had
-        self._latency_ns = now_ns + _LATENCY_LOG_NS
         self._visited = 0
         for leg in robot.legs:
             joints, learner = len(leg.joints), bank.make(leg.id, len(leg.joints))
@@ -293,9 +291,6 @@ class Service:
             lonely = any(one is not None and not one.received_samples for one in endpoints)
             self._stray_keys = self._strays.look(lonely=lonely, now_ns=now_ns)
             self._status.put(self.status(now_ns))
-        if now_ns >= self._latency_ns:
-            self._latency_ns = now_ns + _LATENCY_LOG_NS
-            self.log_figures()
 
     def status(self, now_ns: int) -> ServiceStatus:
         """Return the state of the service."""
@@ -345,15 +340,6 @@ class Service:
             )
         held = self._publisher.held_up(now_ns)
         return self._network.note, held, dropped, failing, full
-
-    def log_figures(self) -> None:
-        """Log what was done and how fast."""
-        figures: dict[str, object] = {"samples": self._samples, "events": self._events}
-        for name, latency in (("tick", self._ticks_latency), ("event", self._event_latency)):
-            found = latency.quantiles()
-            if found is not None:
-                figures[f"{name}_ms"] = f"p50 {found.p50:.2f} p99 {found.p99:.2f}"
-        _log.info("figures", **figures)
 
     # -- one round ------------------------------------------------------------------------
 

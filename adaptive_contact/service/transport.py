@@ -115,28 +115,18 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     return config, facts
 
 
-def router_failure(config: zenoh.Config, facts: Facts, error: zenoh.ZError) -> str:
-    """Explain in one line why a router could not be opened, and which option to correct."""
-    if facts.connect and _opens_alone(config):
-        where = ", ".join(map(shown, facts.connect))
-        return f"cannot join {where}: {first_line(error)}; give another router with --connect"
+def router_failure(facts: Facts, error: zenoh.ZError) -> str:
+    """Explain in one line why a router could not be opened, and by which option to correct it."""
     where = ", ".join(map(shown, facts.listen))
     if "Address already in use" in str(error):
         return (
             f"cannot listen on {where}: the address is in use, probably by another router; "
             "join it with --connect, or give a free one with --listen"
         )
+    if facts.connect:
+        joins = ", ".join(map(shown, facts.connect))
+        where = f"{where}, or join {joins} (--connect)"
     return f"cannot listen on {where}: {first_line(error)}"
-
-
-def _opens_alone(config: zenoh.Config) -> bool:
-    """Return whether a router opens that joins no other: Zenoh does not name what it refuses."""
-    _insert(config, "connect/endpoints", [])
-    try:
-        zenoh.open(config).close()
-    except zenoh.ZError:
-        return False
-    return True
 
 
 def first_line(error: zenoh.ZError) -> str:

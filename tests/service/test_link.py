@@ -242,9 +242,8 @@ def test_a_waiting_client_tells_why_once_and_can_be_stopped() -> None:
 
 def test_the_endpoint_that_cannot_be_is_named_with_its_option(router: Link) -> None:
     wrong = "udp/224.0.0.225:7498"
-    with pytest.raises(LinkError, match=rf"^cannot join {wrong}: .* with --connect$") as caught:
+    with pytest.raises(LinkError, match=rf", or join {wrong} \(--connect\): "):
         Link.open(router_settings(["127.0.0.1:0"], [wrong]))
-    assert "listen" not in str(caught.value)
     used = router.endpoints[0]
     with pytest.raises(LinkError, match=f"cannot listen on {used}: the address is in use"):
         Link.open(router_settings([used], [wrong]))

@@ -73,7 +73,7 @@ def test_json_in_json_out_and_structured_logs(
     learner.wait(lambda items: any(status.ticks == 2 for status in items))
     assert served.stop() == 0
     lines = [json.loads(line) for line in served.log.read_text().splitlines()]
-    assert {"leg status", "figures"} <= {line["message"] for line in lines}
+    assert "leg status" in {line["message"] for line in lines}
 
 
 @pytest.mark.e2e
