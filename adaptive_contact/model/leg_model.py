@@ -13,7 +13,6 @@ import numpy as np
 from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.library import ChangeLibrary, Library
-from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import MAX_ANGLE_RAD, ModelReport, ModelTerm
 
@@ -57,10 +56,6 @@ class LegModel:
             (..., J) rad, to be added to ``measured[..., 0, :]``.
         """
         return self.library.evaluate(measured, desired, preview) @ self.coefficients
-
-    def residual(self, rows: Rows) -> Array:
-        """Compute (n, J) rad, measured minus predicted, for windows cut from a stream."""
-        return rows.increment - self.increment(rows.measured, rows.desired, rows.preview)
 
     def equations(self, digits: int = 4) -> list[str]:
         """Write one equation per joint as text, its largest coefficients first."""

@@ -43,12 +43,7 @@ def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE)
         successes: 0 to ``trials``.
         trials: without any, the interval is 0 to 1: nothing is known.
         confidence: two-sided.
-
-    Raises:
-        ValueError: the counts are not 0 <= successes <= trials.
     """
-    if not 0 <= successes <= trials:
-        raise ValueError(f"{successes} of {trials} is no share; expected 0 <= successes <= trials")
     tail = (1.0 - confidence) / 2.0
     low = (
         scipy.special.betaincinv(successes, trials - successes + 1, tail) if successes > 0 else 0.0
@@ -62,13 +57,7 @@ def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE)
 
 
 def poisson_mean(count: int) -> Interval:
-    """Compute the interval of the mean of a Poisson variable of which ``count`` was seen.
-
-    Raises:
-        ValueError: the count is negative.
-    """
-    if count < 0:
-        raise ValueError(f"a count cannot be {count}; expected 0 or more")
+    """Compute the interval of the mean of a Poisson variable of which ``count`` was seen."""
     tail = (1.0 - CONFIDENCE) / 2.0
     low = scipy.special.gammaincinv(count, tail) if count > 0 else 0.0
     return Interval(float(low), float(scipy.special.gammaincinv(count + 1, 1.0 - tail)))

@@ -59,15 +59,6 @@ def test_stlsq_on_the_factor_equals_stlsq_on_the_rows(threshold: float) -> None:
     np.testing.assert_allclose(fit.coefficients, expected, atol=1e-8)
 
 
-def test_known_terms_are_found() -> None:
-    theta, target, truth = rows(3, 2000, 20, 2)
-    fit = fit_sparse(factor_of(theta, target), FitSettings(threshold=0.05))
-    scale = np.sqrt(np.square(theta).mean(axis=0))
-    visible = np.abs(truth) * scale[:, None] > 0.1
-    assert (fit.support >= visible).all()
-    np.testing.assert_allclose(fit.coefficients[visible], truth[visible], rtol=0.1)
-
-
 def test_merging_equals_adding_and_order_does_not_matter() -> None:
     theta, target, _ = rows(1, 90, 6, 2)
     whole = factor_of(theta, target, 1)

@@ -127,16 +127,6 @@ def test_every_term_of_the_servo_library_is_what_its_name_says(window: Window) -
     assert values == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-def test_the_servo_law_saturates() -> None:
-    library = Library("servo", ("a",), ("pitch",), slope_rad=0.1)
-    x, u = np.zeros((4, 1)), np.full((4, 1), 0.05)
-    for error, drive in [(0.05, 0.5), (0.1, 1.0), (3.0, 1.0), (-3.0, -1.0)]:
-        u[0] = error
-        values = dict(zip(library.names, library.evaluate(x, u, np.zeros((0, 1))), strict=True))
-        assert values["sat(e_a/s)"] == pytest.approx(drive)
-        assert values["sat(e⁻_a/s)"] == pytest.approx(0.5)
-
-
 def test_settings_are_checked() -> None:
     with pytest.raises(ConfigurationError, match="past_measured is 99"):
         Window(past_measured=99)
@@ -220,18 +210,6 @@ def test_the_plain_terms_come_first_and_are_the_same() -> None:
     np.testing.assert_array_equal(theta[:, : LEG.size], LEG.evaluate(*stacked))
     one_by_one = np.array([library.evaluate(*window) for window in windows])
     np.testing.assert_allclose(theta, one_by_one, rtol=0, atol=1e-12)
-
-
-def test_half_as_stiff_is_the_first_model_at_twice_the_slope() -> None:
-    library = changing(LEG, 3)
-    law = np.array([name.startswith("sat(") for name in LEG.names])
-    softer = dataclasses.replace(LEG, slope_rad=2.0 * LEG.slope_rad)
-    for seed in range(10):
-        window = window_of(library, seed)
-        change = np.where(law, softer.evaluate(*window) - LEG.evaluate(*window), 0.0)
-        np.testing.assert_allclose(
-            library.evaluate(*window)[-3:], change @ library.first, rtol=0, atol=1e-14
-        )
 
 
 @pytest.mark.parametrize("name", ["paper", "linear"])

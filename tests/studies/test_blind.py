@@ -50,12 +50,6 @@ def test_after_a_drift_the_learned_model_keeps_the_body_level(service: Trace) ->
     assert after[1].in_air > 0.5 * after[1].swings
 
 
-def test_a_walk_is_the_same_again(service: Trace) -> None:
-    again = walk("service")
-    for name in ("tilt_deg", "position_m", "work_j", "force_n", "stops", "touches"):
-        assert (getattr(again, name) == getattr(service, name)).all(), name
-
-
 def test_all_ways_walk_the_same_ground_from_the_same_stand() -> None:
     found = compare(Work(), SETTINGS, 3.0, [21, 22])
     assert found.drift_s == DRIFT_S
