@@ -62,24 +62,6 @@ def coefficients(found: object) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class Stubborn:
-    """A job that ends, or holds up, the process that does it, so many times."""
-
-    leg: str
-    number: int
-    tries: str
-    allowed: int
-
-    def run(self) -> str:
-        path = Path(self.tries)
-        count = len(path.read_text()) if path.exists() else 0
-        path.write_text("x" * (count + 1))
-        if count < self.allowed:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return "done"
-
-
-@dataclasses.dataclass(frozen=True)
 class Large(RefitJob):
     """A fit of so many rows that the pipe does not hold it."""
 
@@ -127,10 +109,10 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Stubborn, Large, Deadly, Noted, Standing):
+    for kind in (Large, Deadly, Noted, Standing):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
-    made = ProcessRefitter(timeout_s=20.0)
+    made = ProcessRefitter(timeout_s=120.0)
     yield made
     made.close()
 
@@ -201,7 +183,7 @@ def test_the_result_is_that_of_a_refit_in_line(
 @pytest.mark.e2e
 def test_a_replay_waits_for_its_results() -> None:
     inline = InlineRefitter()
-    with contextlib.closing(WaitingRefitter(timeout_s=20.0)) as refitter:
+    with contextlib.closing(WaitingRefitter(timeout_s=120.0)) as refitter:
         for number in (1, 2):
             for leg in ("rf", "lf"):
                 inline.submit(job(leg, number))
@@ -221,15 +203,6 @@ def test_a_replay_without_refits_leaves_no_process(
 
 
 @pytest.mark.e2e
-def test_a_job_that_kills_its_process_once_is_repeated(
-    refitter: ProcessRefitter, tmp_path: Path
-) -> None:
-    refitter.submit(Stubborn("rf", 1, str(tmp_path / "tries"), allowed=1))
-    assert wait(refitter, "rf", 1) == "done"
-    assert refitter.failures == 0
-
-
-@pytest.mark.e2e
 def test_a_process_that_hangs_before_a_large_job_is_replaced(
     refitter: ProcessRefitter,
     started: list[subprocess.Popen[bytes]],
@@ -241,7 +214,7 @@ def test_a_process_that_hangs_before_a_large_job_is_replaced(
     start = start_process
 
     def patient() -> subprocess.Popen[bytes]:
-        refitter.timeout_s = 20.0  # the next one has to import everything first
+        refitter.timeout_s = 120.0  # the next one has to import everything first
         return start()
 
     monkeypatch.setattr(refits, "start_process", patient)
@@ -282,7 +255,7 @@ def test_processes_that_hang_are_given_up(
     assert [process.wait(60) for process in started] == [-signal.SIGKILL] * 2
     # The next job has a process of its own again.
     monkeypatch.setattr(refits, "start_process", start)
-    refitter.timeout_s = 20.0
+    refitter.timeout_s = 120.0
     assert refitted(refitter, job("rf", 2)).status is FitStatus.OK
 
 
@@ -369,7 +342,7 @@ def test_one_that_was_started_before_is_used_and_ended(
     started: list[subprocess.Popen[bytes]],
 ) -> None:
     process = start_process()
-    with contextlib.closing(ProcessRefitter(timeout_s=20.0, process=process)) as refitter:
+    with contextlib.closing(ProcessRefitter(timeout_s=120.0, process=process)) as refitter:
         assert refitted(refitter, job("rf", 1)).status is FitStatus.OK
     assert not started, "no other was needed"
     assert process.wait(60) == -signal.SIGKILL

@@ -150,27 +150,6 @@ def test_statuses_once_a_second_and_at_each_change(
     assert all(status.leg == "lf" for status in found)
 
 
-def test_a_leg_falls_silent_and_comes_back(step: Lockstep, inbox: Any, sample: Sample) -> None:
-    got = statuses(step, inbox, "lf")
-    tokens = inbox()
-    step.client.watch_tokens("robot/leg/*", tokens)
-    step.work(0, lf=sample(0), rf=sample(0))
-    assert got.wait(1)[0].status == "valid"
-    tokens.wait(2)  # a subscriber that comes late is told the newest state alone
-    for ms in range(20, 620, 20):
-        step.work(ms * MS, rf=sample(ms))
-    silent = got.wait(2)[1]
-    assert silent.status == "silent"
-    assert silent.note.startswith("no sample for 0.5") or silent.note.startswith(
-        "no sample for 0.6"
-    )
-    step.work(800 * MS, lf=sample(31), rf=sample(640))
-    assert got.wait(3)[2].status == "valid"
-    changes = tokens.wait(lambda items: sum(key == "robot/leg/lf" for key, _ in items) >= 3)
-    assert [alive for key, alive in changes if key == "robot/leg/lf"] == [True, False, True]
-    assert all(alive for key, alive in changes if key == "robot/leg/rf")
-
-
 def test_a_leg_that_never_spoke_is_silent_from_the_start(step: Lockstep, inbox: Any) -> None:
     got = statuses(step, inbox, "rf")
     step.work(1200 * MS)
@@ -249,6 +228,33 @@ def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
         assert full.legs["extra"].described is False
         assert "no room for another leg that is not described" in full.note
         told.wait(lambda items: len(items[-1].legs) == fake.MAX_LEGS == len(bank.legs))
+
+
+def test_a_learner_that_is_being_made_holds_up_no_event(
+    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
+    sample: Sample, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Who invents legs costs those that are described nothing."""
+    bank = fake.FakeBank(robot)
+    service = Service(router, bank, robot, baseline=None, now_ns=time.monotonic_ns())
+    making, go_on, make = threading.Event(), threading.Event(), bank.make
+
+    def slow(leg: str, joints: int) -> object:
+        making.set()
+        assert go_on.wait(60)
+        return make(leg, joints)
+
+    monkeypatch.setattr(bank, "make", slow)
+    client, events = join(router.endpoints[0]), inbox(ContactEvent)
+    client.subscribe(ALL_CONTACT, events)
+    client.query(SERVICE_STATUS)
+    with at_work(service, go_on):
+        client.publisher(servo_key("extra")).put(sample(1, contact=True))
+        assert making.wait(60)
+        client.publisher(servo_key("lf")).put(sample(1, contact=True))
+        assert events.wait(1)[0].leg == "lf"
+        go_on.set()
+        assert events.wait(2)[1].leg == "extra"
 
 
 def test_described_legs_only(
