@@ -15,13 +15,15 @@ Reference:
 from __future__ import annotations
 
 import dataclasses
+import graphlib
 import itertools
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
-from xml.parsers import expat
+from xml.etree import ElementTree
+from xml.parsers.expat import errors
 
 from adaptive_contact.arrays import Array, np
 from adaptive_contact.errors import ConfigurationError
@@ -38,6 +40,8 @@ _LONGEST_PATH: Final = 100
 _TURNING: Final = ("revolute", "continuous")
 _NO_LEG_S: Final = ("fixed", "floating", "planar")
 _KINDS: Final = (*_TURNING, *_NO_LEG_S, "prismatic")
+# What only stands below <robot> until xacro has run, with any prefix or none.
+_XACRO: Final = ("arg", "if", "include", "macro", "property", "unless")
 # Digits of what is written, m and parts of an axis: files have pi with as few.
 _DIGITS: Final = 6
 _SNAP: Final = 2e-5
@@ -50,15 +54,14 @@ _FOOT: Final = re.compile("foot|feet|toe|sole|tip|ankle", re.IGNORECASE)
 class _Joint:
     name: str
     kind: str
-    line: int
-    parent: str = ""
-    child: str = ""
-    xyz: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
-    axis: Vector = (1.0, 0.0, 0.0)
-    lower: float = 0.0
-    upper: float = 0.0
-    mimics: str | None = None
+    parent: str
+    child: str
+    xyz: Vector
+    rpy: Vector
+    axis: Vector
+    lower: float
+    upper: float
+    mimics: str | None
 
     @property
     def limits(self) -> tuple[float, float] | None:
@@ -86,6 +89,32 @@ class UrdfLegs:
     notes: tuple[str, ...]  # for a person, one line each
 
 
+class _Builder(ElementTree.TreeBuilder):
+    """Builds the tree of a document that is no danger to do so."""
+
+    depth = 0
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ElementTree.Element:  # type: ignore[override]
+        self.depth += 1
+        if self.depth > MOST_DEPTH:
+            raise _RefusedError(f"nested more than {MOST_DEPTH} deep; expected a URDF")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ElementTree.Element:
+        self.depth -= 1
+        return super().end(tag)
+
+    def doctype(self, name: str, *_: object) -> None:
+        raise _RefusedError(
+            f"has <!DOCTYPE {printable(name)}>; expected a URDF's <robot>, with no DOCTYPE and so "
+            "no entities: remove it"
+        )
+
+
+class _RefusedError(Exception):
+    """Ends the parser early; says why."""
+
+
 class Urdf:
     """Reads the links and joints of a URDF.
 
@@ -99,25 +128,10 @@ class Urdf:
 
     def __init__(self, data: bytes, source: str) -> None:
         self.source = source
-        self.name = ""
-        self.links: list[str] = []
-        self._joints: list[_Joint] = []
-        self._open: list[str] = []
-        parser = expat.ParserCreate()
-        self._line: Callable[[], int] = lambda: parser.CurrentLineNumber
-        parser.StartElementHandler = self._start
-        parser.EndElementHandler = lambda _: self._open.pop()
-        parser.StartDoctypeDeclHandler = self._refuse_doctype
-        try:
-            parser.Parse(data, True)
-        except (expat.ExpatError, LookupError, ValueError) as error:
-            # The latter two are of an encoding that the parser does not know.
-            code = error.code if isinstance(error, expat.ExpatError) else 0
-            reason = expat.errors.messages.get(code, printable(str(error)))
-            raise self._error(
-                f"line {self._line()}: no XML that can be read ({reason}); expected a URDF: "
-                "correct the line, or save the file as UTF-8"
-            ) from error
+        root = self._parsed(data)
+        self.name = printable(root.get("name", "")).strip()
+        self.links = [self._named(link) for link in root.iterfind("link")]
+        self._joints = [self._joint(joint) for joint in root.iterfind("joint")]
         self._moved: set[str] = set()  # links that joints move
         self._parents = self._tree()
 
@@ -188,102 +202,90 @@ class Urdf:
 
     # -- the file ----------------------------------------------------------------------------------
 
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        depth = len(self._open)
-        line = self._line()
-        if depth >= MOST_DEPTH:
-            raise self._error(f"line {line}: nested more than {MOST_DEPTH} deep; expected a URDF")
-        of_joint = depth == 2 and self._open[1] == "joint"
-        text = " ".join(attributes.values()) if depth == 1 or of_joint else ""
-        if (
-            tag.startswith("xacro:")
-            or "${" in text
-            or "$(" in text
-            # What only stands below <robot> until xacro has run, with any prefix or none.
-            or (
-                depth == 1
-                and tag.rpartition(":")[2]
-                in ("arg", "if", "include", "macro", "property", "unless")
-            )
-        ):
+    def _parsed(self, data: bytes) -> ElementTree.Element:
+        try:
+            root = ElementTree.fromstring(data, ElementTree.XMLParser(target=_Builder()))
+        except _RefusedError as refused:
+            raise self._error(str(refused)) from None
+        except (ElementTree.ParseError, LookupError, ValueError) as error:
+            # The latter two are of an encoding that the parser does not know.
+            code, (line, _) = 0, getattr(error, "position", (1, 0))
+            if isinstance(error, ElementTree.ParseError):
+                code = error.code
+            reason = errors.messages.get(code, printable(str(error)))
             raise self._error(
-                f"line {line}: <{printable(tag)}> is xacro, not expanded; run `xacro FILE > "
-                "robot.urdf` where ROS is installed, and give that file"
+                f"line {line}: no XML that can be read ({reason}); expected a URDF: "
+                "correct the line, or save the file as UTF-8"
+            ) from error
+        if root.tag != "robot":
+            raise self._error(
+                f"begins with <{printable(root.tag)}>; expected a URDF's <robot>: give a URDF, or "
+                "write axes and origins_m by hand (docs/robot.md)"
             )
-        if depth == 0:
-            if tag != "robot":
-                raise self._error(
-                    f"begins with <{printable(tag)}>; expected a URDF's <robot>: give a URDF, or "
-                    "write axes and origins_m by hand (docs/robot.md)"
-                )
-            self.name = printable(attributes.get("name", "")).strip()
-        self._open.append(tag)
-        if depth == 1 and tag == "link":
-            self.links.append(self._named(tag, attributes, line))
-        elif depth == 1 and tag == "joint":
-            self._add_joint(attributes, line)
-        elif of_joint:
-            self._fill(self._joints[-1], tag, attributes, line)
+        left = [element for element in root.iter() if "xacro" in element.tag]
+        left += [element for element in root if element.tag.rpartition("}")[2] in _XACRO]
+        for element in (*root, *root.iterfind("joint/*")):
+            text = " ".join(element.attrib.values())
+            left += [element] if "${" in text or "$(" in text else []
+        if left:
+            raise self._error(
+                f"<{printable(left[0].tag.rpartition('}')[2])}> is xacro, not expanded; run "
+                "`xacro FILE > robot.urdf` where ROS is installed, and give that file"
+            )
+        return root
 
-    def _refuse_doctype(self, root: str, *_: object) -> None:
-        raise self._error(
-            f"line {self._line()}: has <!DOCTYPE {printable(root)}>; expected a URDF's <robot>, "
-            "with no DOCTYPE and so no entities: remove it"
-        )
-
-    def _named(self, tag: str, attributes: Mapping[str, str], line: int) -> str:
-        name = attributes.get("name", "").strip()
+    def _named(self, element: ElementTree.Element) -> str:
+        name = element.get("name", "").strip()
         if not name:
-            raise self._error(f"line {line}: a <{tag}> has no name; give it one")
+            raise self._error(f"a <{element.tag}> has no name; give it one")
         if not name.isprintable():
-            raise self._error(f"line {line}: <{tag}> has a name that cannot be printed; rename it")
+            raise self._error(f"a <{element.tag}> has a name that cannot be printed; rename it")
         return name
 
-    def _add_joint(self, attributes: Mapping[str, str], line: int) -> None:
-        name, kind = self._named("joint", attributes, line), attributes.get("type", "")
+    def _joint(self, element: ElementTree.Element) -> _Joint:
+        name, kind = self._named(element), element.get("type", "")
         if kind not in _KINDS:
             raise self._error(
-                f"line {line}: joint '{name}' has type '{printable(kind)}'; expected one of "
-                f"{', '.join(_KINDS)}"
+                f"joint '{name}' has type '{printable(kind)}'; expected one of {', '.join(_KINDS)}"
             )
-        self._joints.append(_Joint(name, kind, line))
+        parts = {part.tag: part.attrib for part in element}
 
-    def _fill(self, joint: _Joint, tag: str, attributes: Mapping[str, str], line: int) -> None:
-        if tag in ("parent", "child"):
-            setattr(joint, tag, attributes.get("link", "").strip())
-        elif tag == "origin":
-            joint.xyz = self._vector(joint, attributes, "xyz", line)
-            joint.rpy = self._vector(joint, attributes, "rpy", line)
-        elif tag == "axis" and "xyz" in attributes:
-            joint.axis = self._vector(joint, attributes, "xyz", line)
-        elif tag == "limit" and joint.kind == "revolute":
-            joint.lower, joint.upper = (
-                self._number(joint, attributes.get(end, "0"), end, line)
-                for end in ("lower", "upper")
-            )
-        elif tag == "mimic":
-            joint.mimics = attributes.get("joint", "")
+        def numbers(tag: str, key: str, otherwise: str) -> list[float]:
+            return self._numbers(name, key, parts.get(tag, {}).get(key, otherwise))
 
-    def _vector(self, joint: _Joint, attributes: Mapping[str, str], name: str, line: int) -> Vector:
-        parts = attributes.get(name, "0 0 0").split()
-        values = [self._number(joint, part, name, line) for part in parts]
-        if len(values) != 3:
-            raise self._error(
-                f"line {line}: joint '{joint.name}': {name} has {len(values)} numbers; expected 3"
-            )
-        return values[0], values[1], values[2]
+        def vector(tag: str, key: str, otherwise: str = "0 0 0") -> Vector:
+            values = numbers(tag, key, otherwise)
+            if len(values) != 3:
+                raise self._error(f"joint '{name}': {key} has {len(values)} numbers; expected 3")
+            return values[0], values[1], values[2]
 
-    def _number(self, joint: _Joint, text: str, name: str, line: int) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise self._error(
-                f"line {line}: joint '{joint.name}': {name} has {printable(text)!r}; expected a "
-                "number such as 0.05"
-            )
-        return value
+        turns = kind == "revolute"
+        return _Joint(
+            name,
+            kind,
+            parent=parts.get("parent", {}).get("link", "").strip(),
+            child=parts.get("child", {}).get("link", "").strip(),
+            xyz=vector("origin", "xyz"),
+            rpy=vector("origin", "rpy"),
+            axis=vector("axis", "xyz", "1 0 0"),
+            lower=sum(numbers("limit", "lower", "0")) if turns else 0.0,
+            upper=sum(numbers("limit", "upper", "0")) if turns else 0.0,
+            mimics=parts["mimic"].get("joint", "") if "mimic" in parts else None,
+        )
+
+    def _numbers(self, joint: str, key: str, text: str) -> list[float]:
+        values = []
+        for part in text.split():
+            try:
+                values.append(float(part))
+            except ValueError:
+                values.append(math.nan)
+            if not math.isfinite(values[-1]):
+                raise self._error(
+                    f"joint '{joint}': {key} has {printable(part)!r}; expected a number such as "
+                    "0.05"
+                )
+        return values
 
     # -- the tree ----------------------------------------------------------------------------------
 
@@ -303,31 +305,27 @@ class Urdf:
             for end, link in (("parent", joint.parent), ("child", joint.child)):
                 if link not in known:
                     raise self._error(
-                        f"line {joint.line}: joint '{joint.name}' has the {end} link "
+                        f"joint '{joint.name}' has the {end} link "
                         f"'{printable(link)}'; there is no such <link>"
                     )
             if joint.child in parents:
                 raise self._error(
-                    f"line {joint.line}: link '{joint.child}' hangs on joint "
+                    f"link '{joint.child}' hangs on joint "
                     f"'{parents[joint.child].name}' and on joint '{joint.name}'; expected a tree: "
                     "a loop (a parallel linkage) is no chain, see docs/robot.md"
                 )
             parents[joint.child] = joint
-        ends_in_a_root: set[str] = set()
-        for link in parents:
-            way: dict[str, None] = {}  # in order
-            while link in parents and link not in ends_in_a_root:
-                if link in way:
-                    circle = ", ".join(sorted(list(way)[list(way).index(link) :]))
-                    raise self._error(
-                        f"links {circle} hang on each other in a circle; expected a tree of links"
-                    )
-                way[link] = None
-                link = parents[link].parent
-            ends_in_a_root.update(way)
-            for below in reversed(way):
-                if parents[below].kind in _TURNING or parents[below].parent in self._moved:
-                    self._moved.add(below)
+        below = {link: (joint.parent,) for link, joint in parents.items()}
+        try:
+            order = [*graphlib.TopologicalSorter(below).static_order()]
+        except graphlib.CycleError as error:
+            circle = ", ".join(sorted(set(error.args[1])))
+            raise self._error(
+                f"links {circle} hang on each other in a circle; expected a tree of links"
+            ) from error
+        for link in filter(parents.get, order):
+            if parents[link].kind in _TURNING or parents[link].parent in self._moved:
+                self._moved.add(link)
         return parents
 
     def _path(self, leg: str, link: str) -> list[_Joint]:
@@ -391,7 +389,7 @@ class Urdf:
                 if not 1e-6 <= length < math.inf:
                     shown = " ".join(f"{part:g}" for part in joint.axis)
                     raise self._error(
-                        f"line {joint.line}: joint '{joint.name}' has the axis {shown}; expected a "
+                        f"joint '{joint.name}' has the axis {shown}; expected a "
                         "direction such as 0 1 0"
                     )
                 joints.append(joint)
@@ -427,7 +425,7 @@ class Urdf:
         return made
 
     def _check_kind(self, leg: str, joint: _Joint) -> None:
-        where = f"line {joint.line}: leg '{leg}': joint '{joint.name}'"
+        where = f"leg '{leg}': joint '{joint.name}'"
         if joint.kind not in (*_TURNING, "fixed"):
             raise self._error(
                 f"{where} is {joint.kind}; expected revolute, continuous or fixed in a leg: give "

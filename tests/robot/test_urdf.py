@@ -250,7 +250,7 @@ def test_a_body_that_is_upside_down_is_doubted() -> None:
         (
             b'<robot xmlns:xacro="x"><xacro:macro name="leg"/></robot>',
             "foot",
-            "<xacro:macro> is xacro, not expanded; run `xacro FILE > robot.urdf`",
+            "<macro> is xacro, not expanded; run `xacro FILE > robot.urdf`",
         ),
         (
             robot_of(HIP.replace('xyz="0.2', 'xyz="${length}'), THIGH, KNEE, FOOT),
@@ -260,7 +260,7 @@ def test_a_body_that_is_upside_down_is_doubted() -> None:
         (
             b'<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:property name="a"/></robot>',
             "foot",
-            "<x:property> is xacro",
+            "<property> is xacro",
         ),
         (b'<robot><macro name="leg"/></robot>', "foot", "<macro> is xacro"),
         (robot_of(HIP.replace('link="body', 'link="${of}body')), "hip", "<parent> is xacro"),
