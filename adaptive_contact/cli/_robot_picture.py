@@ -24,10 +24,8 @@ _TOP: Final = 62
 _MARGIN: Final = 40
 _HEADING: Final = 80
 _LINE: Final = 15
-_ROWS, _COLUMNS = 2, 4
 _COLOURS: Final = ("#1f6fb4", "#c8691b", "#3b8a3f", "#8a3b86", "#a33c3c", "#5d6d7e")
 _GREY, _PALE, _INK = "#7f8c8d", "#d5d8dc", "#2c3e50"
-_ZERO_PX: Final = 62
 _HEAD_PX: Final = 6
 # A joint's turn is drawn where its axis points this much towards the eye, and from a link that is
 # no shorter than this share of the leg.
@@ -39,7 +37,7 @@ _Turn = tuple[int, float, int]
 
 
 class _View(NamedTuple):
-    """Describes from where a leg is seen: which ways of the body go right and up."""
+    """Describes from where legs are seen: which ways of the body go right and up."""
 
     words: str
     ways: str
@@ -50,6 +48,7 @@ class _View(NamedTuple):
 _SIDE: Final = _View("from the side", "x to the right, z up", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 _FRONT: Final = _View("from the front", "y to the right, z up", (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _ABOVE: Final = _View("from above", "x to the right, y up", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+_ROBOT: Final = _View("", "", (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
 
 
 def chain(leg: Leg, angles: Sequence[float]) -> Array:
@@ -96,13 +95,9 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
     # With mounts of so many legs given, the robot is drawn as a whole.
     placed = sum(leg.mount != Mount() for leg in legs) >= 2
     views = [(leg, view) for leg in legs for view in _views(leg, angles[leg.id], placed=placed)]
-    columns = max(-(-len(views) // _ROWS), 1)
-    rows = _ROWS
-    body = _ROWS * _CELL if placed else 0
-    if not placed:
-        columns = min(_COLUMNS, max(len(views), 1))
-        rows = -(-len(views) // columns)
-    width, height = max(body + columns * _CELL, 2 * _CELL), _TOP + max(body, rows * _CELL)
+    rows = 2 if placed else -(-len(views) // 4)
+    columns, body = -(-len(views) // max(rows, 1)), rows * _CELL * placed
+    width, height = max(body + columns * _CELL, 2 * _CELL), _TOP + rows * _CELL
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
         f'viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">',
@@ -123,64 +118,13 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
         ),
     ]
     if placed:
-        parts += _from_above(legs, angles, body)
+        parts += _panel(legs, angles, 0, body, _ROBOT)
     for k, (leg, view) in enumerate(views):
-        left, top = body + (k % columns) * _CELL, _TOP + (k // columns) * _CELL
-        parts += _panel(leg, angles[leg.id], left, top, view)
+        parts += _panel(
+            [leg], angles, body + (k % columns) * _CELL, _CELL, view, _TOP + k // columns * _CELL
+        )
     parts.append("</svg>")
     return "\n".join(parts) + "\n"
-
-
-def _from_above(
-    legs: Sequence[Leg], angles: Mapping[str, Sequence[float]], size: float
-) -> list[str]:
-    chains = {leg.id: on_body(leg, chain(leg, angles[leg.id])) for leg in legs}
-    far = max(float(np.abs(points[:, :2]).max()) for points in chains.values())
-    scale = (size / 2 - 2 * _MARGIN) / far
-    middle = size / 2, _TOP + size / 2
-
-    def at(point: Array) -> tuple[float, float]:
-        return middle[0] - scale * float(point[1]), middle[1] - scale * float(point[0])
-
-    parts = [_frame(0, _TOP, size)]
-    hull = " ".join("{:.1f},{:.1f}".format(*at(chains[leg.id][0])) for leg in _around(legs))
-    parts.append(f'<polygon points="{hull}" fill="#f4f6f7" stroke="{_PALE}" stroke-width="2"/>')
-    x, y = middle
-    parts += [
-        f'<line x1="{x:.1f}" y1="{_TOP + 62:.1f}" x2="{x:.1f}" y2="{_TOP + 22:.1f}" '
-        f'stroke="{_INK}" stroke-width="2"/>' + _head(x, _TOP + 22, np.pi / 2, _INK),
-        _text(x + 8, _TOP + 34, "front (x)", _INK, bold=True),
-        _text(12, y - 6, "left (y)", _GREY),
-        _text(size - 12, y - 6, "right", _GREY, anchor="end"),
-    ]
-    for leg in legs:
-        points = [at(point) for point in chains[leg.id]]
-        for j in range(len(leg.joints)):
-            parts.append(_link(points[j], points[j + 1], _COLOURS[j % len(_COLOURS)]))
-        if leg.joint_axes[0] == "yaw" and leg.chain is not None and leg.chain.is_straight:
-            yaw = np.pi / 2 + leg.mount.yaw_rad
-            parts += _turning(points[0], points[1], yaw, _COLOURS[0])
-        parts += _ends(points)
-        from_middle = np.array(points) - np.array(middle)
-        out = from_middle[int(np.argmax(np.hypot(*from_middle.T)))]
-        tip = out + np.array(middle)
-        out = out / max(float(np.hypot(*out)), 1.0)
-        parts.append(
-            _text(
-                tip[0] + 16 * out[0],
-                tip[1] + 16 * out[1] + 4,
-                leg.id,
-                _INK,
-                bold=True,
-                anchor="middle",
-            )
-        )
-    return parts
-
-
-def _around(legs: Sequence[Leg]) -> list[Leg]:
-    """Sort legs by where they sit around the body."""
-    return sorted(legs, key=lambda leg: float(np.arctan2(leg.mount.xyz_m[1], leg.mount.xyz_m[0])))
 
 
 def _views(leg: Leg, angles: Sequence[float], *, placed: bool) -> list[_View]:
@@ -207,33 +151,64 @@ def _own_plane(leg: Leg, angles: Sequence[float]) -> _View:
     return _View(_SIDE.words, "outwards to the right, z up", (x, y, 0.0), _SIDE.up)
 
 
-def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _View) -> list[str]:
-    assert leg.chain is not None
-    flat, turns = _flat(leg, angles, view)
+def _panel(
+    legs: Sequence[Leg],
+    angles: Mapping[str, Sequence[float]],
+    left: float,
+    size: float,
+    view: _View,
+    top: float = _TOP,
+) -> list[str]:
+    """Draw one leg, or the whole robot from above, into a square."""
+    seen = [_flat(leg, angles[leg.id], view) for leg in legs]
+    flat = np.concatenate([points for points, _ in seen])
+    whole, lines = view is _ROBOT, 0 if view is _ROBOT else len(legs[0].joints)
     # Room for arrows all around, the heading above, and the joints' lines below.
-    room = _CELL - 2 * _MARGIN, _CELL - _HEADING - _MARGIN - _LINE * len(leg.joints)
+    room = size - 2 * _MARGIN, size - _HEADING - _MARGIN - _LINE * lines
     # Never so large that a leg that stretches looks another one than a leg that stands.
-    span = np.maximum(np.ptp(flat, axis=0), 0.5 * leg.chain.reach_m)
-    scale = float((np.array(room) / span).min())
+    least_m = 0.5 * max(leg.chain.reach_m for leg in legs if leg.chain is not None)
+    scale = float((np.array(room) / np.maximum(np.ptp(flat, axis=0), least_m)).min())
+    centre = np.array([left + size / 2, top + _HEADING + room[1] / 2])
     middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
-    x0 = left + _CELL / 2 - scale * middle[0]
-    y0 = top + _HEADING + room[1] / 2 + scale * middle[1]
-    at = [(float(x0 + scale * a), float(y0 - scale * b)) for a, b in flat]
-    parts = [_frame(left, top, _CELL)]
-    parts.append(_text(left + 10, top + 20, leg.id, _INK, bold=True))
-    parts.append(_text(left + 10, top + 36, f"{_side(leg)}{view.words}", _GREY))
-    parts.append(_text(left + 10, top + 51, view.ways, _GREY))
-    for j in range(len(leg.joints)):
-        parts.append(_link(at[j], at[j + 1], _COLOURS[j % len(_COLOURS)]))
-    for j, zero_rad, way in turns:
-        parts += _turning(at[j], at[j + 1], zero_rad, _COLOURS[j % len(_COLOURS)], way)
-    if view.words == _SIDE.words:
+    parts = [
+        f'<rect x="{left + 3:.1f}" y="{top + 3:.1f}" width="{size - 6:.1f}" '
+        f'height="{size - 6:.1f}" fill="none" stroke="{_PALE}"/>'
+    ]
+    on_page = [centre + scale * (points - middle) * (1.0, -1.0) for points, _ in seen]
+    if whole:
+        order = np.argsort([np.arctan2(leg.mount.xyz_m[1], leg.mount.xyz_m[0]) for leg in legs])
+        hull = " ".join(f"{on_page[k][0][0]:.1f},{on_page[k][0][1]:.1f}" for k in order)
+        x, y = size / 2, top + 22
+        parts += [
+            f'<polygon points="{hull}" fill="#f4f6f7" stroke="{_PALE}" stroke-width="2"/>',
+            f'<line x1="{x:.1f}" y1="{y + 40:.1f}" x2="{x:.1f}" y2="{y:.1f}" stroke="{_INK}" '
+            f'stroke-width="2"/>' + _head(x, y, np.pi / 2, _INK),
+            _text(x + 8, y + 12, "front (x)", _INK, bold=True),
+            _text(12, top + size / 2, "left (y)", _GREY),
+            _text(size - 12, top + size / 2, "right", _GREY, anchor="end"),
+        ]
+    else:
+        parts += [
+            _text(left + 10, top + 20, legs[0].id, _INK, bold=True),
+            _text(left + 10, top + 36, f"{_side(legs[0])}{view.words}", _GREY),
+            _text(left + 10, top + 51, view.ways, _GREY),
+        ]
+    for leg, at, (_, turns) in zip(legs, on_page, seen, strict=True):
         for j in range(len(leg.joints)):
-            y = top + _CELL - 12 - _LINE * (len(leg.joints) - 1 - j)
-            parts.append(
-                _text(left + 10, y, _label(leg, j, angles[j]), _COLOURS[j % len(_COLOURS)])
-            )
-    return parts + _ends(at)
+            parts.append(_link(at[j], at[j + 1], _COLOURS[j % len(_COLOURS)]))
+        for j, zero_rad, way in turns:
+            parts += _turning(at[j], at[j + 1], zero_rad, _COLOURS[j % len(_COLOURS)], way)
+        parts += _ends(at)
+        if whole:
+            out = at[-1] - at[0]
+            x, y = at[-1] + 16 * out / max(float(np.hypot(*out)), 1.0)
+            parts.append(_text(x, y + 4, leg.id, _INK, bold=True, anchor="middle"))
+    if view.words == _SIDE.words:
+        for j in range(lines):
+            label = _label(legs[0], j, angles[legs[0].id][j])
+            y = top + size - 12 - _LINE * (lines - 1 - j)
+            parts.append(_text(left + 10, y, label, _COLOURS[j % len(_COLOURS)]))
+    return parts
 
 
 def _flat(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_Turn]]:
@@ -254,7 +229,7 @@ def _flat(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_
         if far.any():
             x, y = (beyond - beyond[0])[int(np.argmax(far))]
             turns.append((j, float(np.arctan2(y, x)), 1 if towards[j] > 0 else -1))
-    return seen(points), turns
+    return np.asarray(on_body(leg, points) @ plane.T), turns
 
 
 def _side(leg: Leg) -> str:
@@ -279,7 +254,7 @@ def _turning(
     end = zero_rad + way * 0.9
     x0, y0 = x + radius * np.cos(zero_rad), y - radius * np.sin(zero_rad)
     x1, y1 = x + radius * np.cos(end), y - radius * np.sin(end)
-    far = _ZERO_PX if length > _ZERO_PX else radius + _HEAD_PX
+    far = 62.0 if length > 62.0 else radius + _HEAD_PX
     ahead = end + way * np.pi / 2
     return [
         f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + far * np.cos(zero_rad):.1f}" '
@@ -320,13 +295,6 @@ def _ends(points: Sequence[tuple[float, float]]) -> list[str]:
     joints = [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{_INK}"/>' for x, y in points[:-1]]
     x, y = points[-1]
     return [*joints, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="#e74c3c"/>']
-
-
-def _frame(left: float, top: float, size: float) -> str:
-    return (
-        f'<rect x="{left + 3:.1f}" y="{top + 3:.1f}" width="{size - 6:.1f}" '
-        f'height="{size - 6:.1f}" fill="none" stroke="{_PALE}"/>'
-    )
 
 
 def _text(
