@@ -11,7 +11,7 @@ import dataclasses
 import statistics
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 from adaptive_contact.bridge.bus import Reading
 from adaptive_contact.bridge.drive import remedy
@@ -19,6 +19,8 @@ from adaptive_contact.bridge.handshake import BUSY, crowd
 from adaptive_contact.bridge.packets import FEETECH_BITS
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.wire import ServoCounts
+
+K = TypeVar("K", int, str, tuple[str, int])
 
 # Cycles without an answer in a row before a servo is called silent.
 SILENT_AFTER: Final = 3
@@ -185,24 +187,34 @@ _LATE: Final = (
 )
 
 
+class _Conditions(Generic[K]):
+    """Remembers for which servos a condition was reported, and for how many looks it differs."""
+
+    def __init__(self) -> None:
+        self.reported: set[K] = set()
+        self._looks: Counter[K] = Counter()
+
+    def update(self, now: set[K], *, begins: int = 1, ends: int = 1) -> tuple[list[K], list[K]]:
+        """Return for whom it has begun, and ended, for so many looks in a row."""
+        differ = now ^ self.reported
+        self._looks = Counter({key: self._looks[key] + 1 for key in differ})
+        begun = {key for key in differ & now if self._looks[key] >= begins}
+        ended = {key for key in differ - now if self._looks[key] >= ends}
+        self.reported = (self.reported | begun) - ended
+        return sorted(begun), sorted(ended)
+
+
 class News:
-    """Remembers what was reported of a port's servos."""
+    """Says what has changed on a port, one line each; a look is a second."""
 
     def __init__(self, plan: PortPlan) -> None:
         self._plan = plan
         self._names = {j.servo: f"{leg.id} {j.name}" for leg in plan.legs for j in leg.joints}
-        self._silent: set[int] = set()
-        self._answered: dict[int, int] = {}
-        self._busy = False
-        self._calm = 0
+        self._busy, self._silent = _Conditions[str](), _Conditions[int]()
+        self._slow, self._shut, self._shared = (_Conditions[int]() for _ in range(3))
+        self._alarms = _Conditions[tuple[str, int]]()
         self._late: dict[int, int] = {}
-        self._mute: Counter[int] = Counter()
-        self._belated: Counter[int] = Counter()
-        self._told_late: set[int] = set()
         self._foreign: dict[int, int] = {}
-        self._shared = False
-        self._shut: set[int] = set()
-        self._alarms: dict[int, frozenset[str]] = {}
 
     def lines(
         self, health: Mapping[int, ServoHealth], late: Mapping[int, int] | None = None
@@ -211,49 +223,24 @@ class News:
         said: list[str] = []
         silent = {servo for servo, record in health.items() if record.silent}
         answering = {servo for servo, record in health.items() if not record.misses}
-        self._silences(said, silent, answering, self._crowded(said, dict(late or {})))
-        by_words: dict[str, list[int]] = {}
-        for servo, record in health.items():
-            # Alarms of the servo; the others are of a packet, and counted.
-            now = frozenset(record.alarms & {*FEETECH_BITS.values(), "electrical_shock"})
-            before = self._alarms.get(servo, frozenset())
-            if now - before:
-                by_words.setdefault(", ".join(sorted(now - before)), []).append(servo)
-            elif before and not now:
-                by_words.setdefault(f"{', '.join(sorted(before))} is over", []).append(servo)
-            self._alarms[servo] = now
-        for words, servos in by_words.items():
-            self._say(said, servos, words)
-        shut = {servo for servo, record in health.items() if record.shut}
-        self._say(said, sorted(shut - self._shut), remedy(self._plan.joints[0].model))
-        self._say(said, sorted(self._shut - shut), "no longer shut down")
-        self._shut = shut
-        self._strangers(said, health)
-        return said
-
-    def _crowded(self, said: list[str], late: dict[int, int]) -> set[int]:
-        """Find out whether so many answers come late that the computer is to blame; said once.
-
-        Returns:
-            Servos of which late answers have come since the last look.
-        """
+        late = dict(late or {})
         now_late = {servo for servo, count in late.items() if count > self._late.get(servo, 0)}
         self._late = late
-        many = crowd(len(self._names))
-        if len(now_late) >= many:
-            self._calm = 0
-            if not self._busy:
-                self._busy = True
-                said.append(
-                    f"port {self._plan.name}: answers of {len(now_late)} servos come too late: "
-                    f"{BUSY}"
-                )
-        elif self._busy:
-            self._calm += 1
-            if self._calm >= 10:  # looks without a crowd of late servos: not too busy any more
-                self._busy = False
-                said.append(f"port {self._plan.name}: answers come in time again")
-        return now_late
+        self._silences(said, silent, answering, now_late)
+        # Alarms of the servo; the others are of a packet, and counted.
+        alarms = {
+            (name, servo)
+            for servo, record in health.items()
+            for name in record.alarms & {*FEETECH_BITS.values(), "electrical_shock"}
+        }
+        for found, over in zip(self._alarms.update(alarms), ("", " is over"), strict=True):
+            for name in sorted({name for name, _ in found}):
+                self._say(said, [servo for of, servo in found if of == name], name + over)
+        shut, woken = self._shut.update({s for s, record in health.items() if record.shut})
+        self._say(said, shut, remedy(self._plan.joints[0].model))
+        self._say(said, woken, "no longer shut down")
+        self._strangers(said, health)
+        return said
 
     def _silences(
         self, said: list[str], silent: set[int], answering: set[int], now_late: set[int]
@@ -263,49 +250,39 @@ class News:
         A servo whose answers come too late is neither broken nor unplugged: it is not named while
         the computer is too busy.  One of which nothing comes is, however busy the computer.
         """
-        mute, belated = silent - now_late, silent & now_late
-        for servo in self._names:
-            self._belated[servo] = self._belated[servo] + 1 if servo in belated else 0
-            self._mute[servo] = self._mute[servo] + 1 if servo in mute else 0
+        port = f"port {self._plan.name}: answers"
+        crowded = {port} if len(now_late) >= crowd(len(self._names)) else set()
+        begun, calm = self._busy.update(crowded, ends=10)
+        said += [f"{of} of {len(now_late)} servos come too late: {BUSY}" for of in begun]
+        said += [f"{of} come in time again" for of in calm]
+        busy = self._busy.reported
         # On a computer that is too busy, a servo is named after so many looks without any answer of
         # it, not even a late one; else after one.  It is asked five times a look at the least, at
-        # 50 Hz.
-        looks = 3 if self._busy else 1
-        dead = {servo for servo, count in self._mute.items() if count >= looks}
-        self._say(said, sorted(dead - self._silent), "no answer; check its cable and power")
-        if not self._busy:
-            # A servo whose answers keep coming too late, where few do, is named after so many
-            # looks.
-            slow = {servo for servo, count in self._belated.items() if count >= 3}
-            self._say(said, sorted(slow - self._told_late), _LATE.format(port=self._plan.name))
-            self._told_late |= slow
-        back = []
-        for servo in sorted(self._silent & answering):
-            self._answered[servo] = self._answered.get(servo, 0) + 1
-            # For this many looks, a second each: one that comes and goes is not a line a second.
-            if self._answered[servo] >= 2:
-                back.append(servo)
-        for servo in [*self._answered]:
-            if servo in mute or servo in back:
-                del self._answered[servo]
+        # 50 Hz.  One that comes and goes is not a line a second.
+        dead = (silent - now_late) | (self._silent.reported - answering - now_late)
+        gone, back = self._silent.update(dead, begins=3 if busy else 1, ends=2)
+        self._say(said, gone, "no answer; check its cable and power")
+        # A servo whose answers keep coming too late, where few do, is named after so many looks,
+        # once.
+        slow = set() if busy else silent & now_late
+        self._say(
+            said,
+            self._slow.update(slow | self._slow.reported, begins=3)[0],
+            _LATE.format(port=self._plan.name),
+        )
         self._say(said, back, "answers again")
-        self._silent = (self._silent | dead) - set(back)
 
     def _strangers(self, said: list[str], health: Mapping[int, ServoHealth]) -> None:
         """Report once that another program writes goals, which this one writes too."""
-        found = [
-            servo
-            for servo, record in health.items()
-            # Goals found changed since the last look, of one servo, that are another program's: a
-            # servo that has been switched off and on changes one.
-            if record.faults["foreign_goal"] - self._foreign.get(servo, 0) >= 3
-        ]
-        self._foreign = {servo: record.faults["foreign_goal"] for servo, record in health.items()}
-        if found and not self._shared:
-            self._shared = True
+        goals = {servo: record.faults["foreign_goal"] for servo, record in health.items()}
+        # Goals found changed since the last look, of one servo, that are another program's: a
+        # servo that has been switched off and on changes one.
+        found = {s for s, count in goals.items() if count - self._foreign.get(s, 0) >= 3}
+        self._foreign = goals
+        if not self._shared.reported:
             self._say(
                 said,
-                found,
+                self._shared.update(found)[0],
                 "its goals are changed by another program; end that one, see 'Two masters on one "
                 "bus' in docs/bridge.md",
             )
