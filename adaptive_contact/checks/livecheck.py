@@ -21,7 +21,7 @@ from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.checks.conventions.rigid import on_body
 from adaptive_contact.checks.findings import Fault, Finding, Level, entries
 from adaptive_contact.checks.legcheck import check_ids, check_leg
-from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, axis_text
+from adaptive_contact.robot import AngleFrame, Angles, Leg, Mount, Robot, axis_text
 from adaptive_contact.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
 from adaptive_contact.wire.received import Received
@@ -46,7 +46,7 @@ class JointView(msgspec.Struct, frozen=True, kw_only=True):
     low_rad: float
     high_rad: float
     limits_rad: tuple[float, float] | None  # of robot.toml
-    # direction, offset_rad: from the wire's angles, by `[leg.angles]`
+    # direction, offset_rad: of `[leg.angles]`, or of `[leg.servos]`, which the bridge has applied
     direction: int
     offset_rad: float
     wire_rad: float  # the newest reading as the source sends it
@@ -127,7 +127,11 @@ class LiveCheck:
         if isinstance(sample, Rejected):
             leg.refused.append(sample)
             return
-        moved = leg.take(sample)
+        self.take_sample(leg_id, sample)
+
+    def take_sample(self, leg_id: str, sample: ServoSample) -> None:
+        """Process a sample of a leg of the description."""
+        moved = self._legs[leg_id].take(sample)
         if moved is not None:
             self.moves.append(moved)
 
@@ -181,6 +185,9 @@ class _LegCheck:
         self.turned: deque[ServoSample] = deque(maxlen=_KEPT)
         self.refused: deque[Rejected] = deque(maxlen=1000)
         self._frame = AngleFrame(leg)
+        told = leg.angles or leg.servos or Angles()
+        self._signs = told.directions or (1,) * len(leg.joints)
+        self._offsets_rad = told.offsets_rad or (0.0,) * len(leg.joints)
         self._period_s = robot.period_s
         self._facts = LegFacts.of(robot, leg.id)
         self._count = 0
@@ -233,8 +240,8 @@ class _LegCheck:
                 low_rad=float(measured[:, j].min()),
                 high_rad=float(measured[:, j].max()),
                 limits_rad=None if limits is None else (limits.lower_rad[j], limits.upper_rad[j]),
-                direction=self._frame.directions[j],
-                offset_rad=self._frame.offsets_rad[j],
+                direction=self._signs[j],
+                offset_rad=self._offsets_rad[j],
                 wire_rad=self._frame.wire(newest.measured)[j],
             )
             for j, name in enumerate(leg.joints)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +16,6 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import (
     DeviceOption,
@@ -344,21 +344,29 @@ def _check_bus(
     shake_hands(plans)
     for line in compare(read_servos(plans)):
         say_note(line)
-    console = table_console(pipe_width=110)
-    with Live(console=console, refresh_per_second=10, transient=True) as table:
+    with needs("robot check", "doctor", "numpy"):
+        from adaptive_contact.checks.livecheck import LiveCheck
+
+    check, console = LiveCheck(robot), table_console(pipe_width=120)
+    taken: Counter[str] = Counter()
+    with Live(console=console, refresh_per_second=10, transient=True) as live:
 
         def look(so_far: dict[str, list[ServoSample]]) -> None:
+            for leg, rows in so_far.items():
+                for row in rows[taken[leg] :]:
+                    check.take_sample(leg, row)
+                taken[leg] = len(rows)
             if console.is_terminal:
-                recent = {leg: rows[-500:] for leg, rows in so_far.items()}
-                table.update(_joints(plans, recent))
+                live.update(legs_table(check.legs(), check.moves[-6:], console.width))
 
         samples = collect(plans, seconds, stop=stop, say=say_note, look=look)
+    look(samples)
     silent = [leg.id for leg in robot.legs if not samples.get(leg.id)]
     if silent:
         raise ConfigurationError(
             f"leg {', '.join(silent)}: not all of its servos answered; see the lines above"
         )
-    console.print(_joints(plans, samples))
+    console.print(legs_table(check.legs(), check.moves, console.width))
     if picture is not None:
         from adaptive_contact.cli._robot_picture import write_picture
 
@@ -366,33 +374,3 @@ def _check_bus(
     blank = [leg.id for leg in robot.legs if leg.chain is None]
     if blank:
         say(f"lengths_m (or origins_m) are still missing for leg {', '.join(blank)}", err=True)
-
-
-def _joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]]) -> Table:
-    """Format every joint as it is now, and how far it was moved."""
-    import numpy as np
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("leg", "joint", "id", "angle", "moved", "goal", "sign", "offset", "limits"):
-        table.add_column(column, justify="left" if column in ("leg", "joint") else "right")
-    for plan in plans:
-        for leg in plan.legs:
-            rows = samples.get(leg.id)
-            if not rows:
-                continue
-            measured = np.degrees(np.array([row.measured for row in rows]))
-            for j, joint in enumerate(leg.joints):
-                limits = f"{np.degrees(joint.lower_rad):.0f}..{np.degrees(joint.upper_rad):.0f}"
-                outside = not joint.lower_rad <= rows[-1].measured[j] <= joint.upper_rad
-                table.add_row(
-                    leg.id,
-                    joint.name,
-                    str(joint.servo),
-                    f"{measured[-1, j]:.1f}°",
-                    f"{np.ptp(measured[:, j]):.1f}°",
-                    f"{np.degrees(rows[-1].desired[j]):.1f}°",
-                    f"{joint.direction:+d}",
-                    f"{np.degrees(joint.offset_rad):.1f}°",
-                    f"{limits}°" + (" !" if outside else ""),
-                )
-    return table
