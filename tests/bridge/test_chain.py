@@ -147,29 +147,6 @@ def test_samples_commands_and_status_pass(start: Callable[..., Program], tmp_pat
 
 
 @slow
-@pytest.mark.timeout(240)
-def test_a_robot_that_its_own_controller_swings_is_learned_by_looking_on(
-    start: Callable[..., Program], tmp_path: Path
-) -> None:
-    """The simulated robot that moves all its legs by itself walks, so that its swings do end in
-    touches; how well it is learned is not asked here."""
-    ready(start(
-        "bridge", "virtual", "--dir", "bus", "--ports", "2", "--write-config", "rig.toml",
-        "--scenario", "walk-rough", "--realtime",
-    ))  # fmt: skip
-    words = ("robot", "learn", "--config", "rig.toml", "--out", "obs.json", "--realtime")
-    short = start(*words, "--seconds", "15")
-    assert short.wait(60) == 2
-    assert "run this again with --more obs.mcap" in short.lines[-1]
-    assert not (tmp_path / "obs.json").exists()
-    learn = start(*words, "--seconds", "75", "--more", "obs.mcap")
-    assert learn.wait(170) == 0, "".join(learn.lines)
-    assert (tmp_path / "obs.json").exists()
-    assert (tmp_path / "obs-2.mcap").exists()
-    assert sum("x the noise of its readings" in line for line in learn.lines) == 6
-
-
-@slow
 def test_a_ports_process_that_is_killed_is_followed_by_one_that_is_heard(
     start: Callable[..., Program],
 ) -> None:

@@ -21,7 +21,6 @@ from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import parse_robot
 from adaptive_contact_sim.virtual import VirtualServo
-from waiting import until
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
@@ -270,30 +269,6 @@ def test_a_write_counts_that_is_in_the_register(bus: Serve, model: str) -> None:
     servos[1].write = write  # type: ignore[method-assign]
     again = check_ports(plans, full=False, configure=True)
     assert again.done == ["port main: servo 2: return delay set to 0"]
-
-
-def test_a_configuration_that_is_interrupted_goes_on_where_it_ended(rig: Any) -> None:
-    r = rig(model="AX-12A", protocol=1)
-    servos = r.ports[0].servos
-    for servo in servos:
-        servo.store("return_delay", 250)
-    write = servos[3].write
-
-    def pulled(address: int, data: bytes) -> object:
-        r.fault("hangup:@0+1000000")
-        return write(address, data)
-
-    servos[3].write = pulled
-    [line] = check_ports(r.plans, full=False, configure=True).errors
-    assert "is gone" in line
-    servos[3].write = write
-    r.fault()
-    path = Path(r.plans[0].port.device)
-    until(lambda: path.exists())
-    findings = check_ports(r.plans, full=False, configure=True)
-    assert findings.errors == findings.advice == []
-    assert [servo.value("return_delay") for servo in servos] == [0] * 6
-    assert len(findings.done) in (2, 3)  # whether the fourth took it before
 
 
 def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:

@@ -57,28 +57,6 @@ def test_samples_are_a_tick_apart_and_numbered(run: Callable, kind: dict) -> Non
     assert status.cycle_ms.p50 > 0
 
 
-@pytest.mark.parametrize("kind", [AX, XL, STS, SCS])
-def test_driving_moves_what_was_asked_for_and_nothing_else(run: Callable, kind: dict) -> None:
-    r = run("drive", ticks=20, **kind)
-    assert all(servo.writes == 0 for port in r.rig.ports for servo in port.servos)
-
-    def feed(c: Any) -> bool:
-        r.command("l0", 0.3, -0.2, 5.0)
-        return bool(c.ticks) and c.ticks[-1]["l0"].measured == pytest.approx(
-            [0.3, -0.2, 1.0], abs=0.02
-        )
-
-    r.catcher.wait(feed)
-    # The other leg has neither torque nor goal from us.
-    assert all(r.rig.servo(i).writes == 0 for i in (4, 5, 6))
-    steps = [
-        abs(b - a)
-        for before, after in zip(r.catcher.ticks, r.catcher.ticks[1:], strict=False)
-        for a, b in zip(before["l0"].desired, after["l0"].desired, strict=True)
-    ]
-    assert max(steps) <= 0.15 + 0.006
-
-
 def test_the_sample_pairs_a_reading_with_the_command_written_after_it(run: Callable) -> None:
     r = run("drive", ticks=3, **XL)
 
@@ -226,25 +204,6 @@ def test_stale_readings_are_marked(run: Callable) -> None:
         return sum(1 for t in c.ticks if t["l0"].valid == [False, True, True]) >= 5
 
     r.catcher.wait(feed, 20.0)
-
-
-def test_overload_is_reported(run: Callable) -> None:
-    r = run("observe", **XL)
-    r.rig.fault("error:id=5,bits=overload")
-    r.catcher.wait(lambda c: c.statuses and "5" in c.statuses[-1].servos)
-    r.catcher.wait(lambda c: "overload" in c.statuses[-1].servos["5"].alarms)
-    assert r.catcher.ticks[-1]["l1"].valid is None  # the position is good all the same
-
-
-@pytest.mark.parametrize("kind", [AX, XL, FAST])
-def test_wrong_checksums_are_told_of_in_the_status(run: Callable, kind: dict) -> None:
-    r = run("observe", ticks=5, **kind)
-    r.rig.fault("flip:id=5,p=0.2")
-    r.catcher.wait(
-        lambda c: (
-            c.statuses and c.statuses[-1].servos.get("5", SPEAKS).faults.get("corrupt", 0) >= 3
-        )
-    )
 
 
 # -- Looking on while another controller talks on the same bus: its packets, and what they br

@@ -23,7 +23,7 @@ from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
-from adaptive_contact.robot import Leg, Limits, Mount, Port, foot, parse_robot, shipped_robot
+from adaptive_contact.robot import Leg, Limits, Mount, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ServoSample
@@ -113,31 +113,6 @@ def test_nobody_answers(rig: Callable, tmp_path: Path) -> None:
     r.fault("silent:")
     with pytest.raises(BusError, match="no servo answers"):
         find_servos("p0", str(tmp_path / "p0"), bauds=(1_000_000,))
-
-
-@pytest.mark.parametrize("name", ["hexapod", "quadruped"])
-def test_a_written_description_reads_back_the_same(name: str) -> None:
-    robot = shipped_robot(name)
-    again = parse_robot(write_robot(robot), source="written")
-    for one, other in zip(robot.legs, again.legs, strict=True):
-        assert one.joints == other.joints
-        assert one.lengths_m == other.lengths_m
-        assert one.joint_axes == other.joint_axes
-        assert one.servos.ids == other.servos.ids
-        assert one.servos.model == other.servos.model
-        assert one.mount.xyz_m == pytest.approx(other.mount.xyz_m)
-        assert one.limits.lower_rad == pytest.approx(other.limits.lower_rad)
-    assert again.ports == robot.ports
-    dotted = msgspec.structs.replace(
-        robot,
-        ports={"a.b": Port(device="/dev/x")},
-        legs=tuple(
-            msgspec.structs.replace(leg, servos=msgspec.structs.replace(leg.servos, port="a.b"))
-            for leg in robot.legs
-        ),
-    )
-    assert parse_robot(write_robot(dotted), source="written").ports == dotted.ports
-    assert (again.name, again.period_s) == (robot.name, robot.period_s)
 
 
 def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: Path) -> None:

@@ -12,10 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 
-from adaptive_contact.robot import Limits
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Command, command_key
@@ -102,70 +100,3 @@ def test_a_leg_is_held_when_commands_stop_or_the_service_dies_and_goes_on_gently
     bridge.stop()
     assert servo.drives
     assert servo.value("goal_position") == aim
-
-
-def test_the_gait_controller_goes_on_after_it_hung_and_commands_nothing_without_samples(
-    rig: Callable, start: Callable[..., Program], tmp_path: Path
-) -> None:
-    """What acts on contacts, in place of the commands above; `serve` is the router again."""
-    r = rig(**AX, legs=1)
-    [leg] = r.robot.legs
-    limits = Limits(lower_rad=(-2.5,) * 3, upper_rad=(2.5,) * 3)
-    leg = msgspec.structs.replace(leg, lengths_m=(0.052, 0.066, 0.133), limits=limits)
-    robot = str(tmp_path / "robot.toml")
-    Path(robot).write_text(write_robot(msgspec.structs.replace(r.robot, legs=(leg,))))
-    servos = [r.servo(number) for number in (1, 2, 3)]
-
-    def goals() -> list[int]:
-        return [servo.value("goal_position") for servo in servos]
-
-    def moves() -> None:
-        """Goals change; a controller that a busy computer kept from its samples starts again."""
-        nonlocal controller
-        before = goals()
-
-        def moved() -> bool:
-            nonlocal controller
-            if controller.process.poll() is not None:
-                controller = start(*steps)
-            return goals() != before
-
-        until(moved, lambda: [bridge.lines, controller.lines])
-
-    def holds() -> None:
-        """Goals come to rest, for 20 of the bridge's requests, and torque stays on."""
-        held, enough = goals(), r.requests + 20
-
-        def rest() -> bool:
-            nonlocal held, enough
-            if goals() != held:  # a line from before, or commands that were on their way
-                held, enough = goals(), r.requests + 20
-            return r.requests >= enough
-
-        until(rest, lambda: bridge.lines)
-        assert all(servo.drives for servo in servos)
-
-    service = start("serve", "--no-state", "--config", robot, "--listen", "tcp/127.0.0.1:0")
-    endpoint = service.wait_line(r"listening on (tcp/\S+?)[;,]")[1]
-    bridge = start("bridge", "dynamixel", "--drive", "--config", robot, "--connect", endpoint)
-    steps = (EXAMPLE, "--config", robot, "--leg", "l0", "--connect", endpoint, "--steps", "99")
-    controller = start(*steps)  # waits for samples
-    bridge.next_line("driving 3 servos")
-    moves()
-
-    controller.process.send_signal(signal.SIGSTOP)
-    bridge.next_line("leg l0: no command for 200 ms, holding the last goal")
-    holds()
-    controller.process.send_signal(signal.SIGCONT)
-    moves()
-    bridge.next_line("leg l0: commands are back")
-
-    service.stop(signal.SIGKILL)
-    controller.next_line("gait_controller: no sample of leg 'l0' for 1 s")
-    assert controller.wait() == 2
-    bridge.next_line("leg l0: no command for 200 ms, holding the last goal")
-    holds()
-    start("serve", "--no-state", "--config", robot, "--listen", endpoint)
-    controller = start(*steps)  # waits for the router, too
-    moves()
-    bridge.next_line("leg l0: commands are back")

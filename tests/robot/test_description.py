@@ -6,12 +6,13 @@ import math
 import re
 from pathlib import Path
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import AngleFrame, load_robot, parse_robot, shipped_robot
+from adaptive_contact.robot import AngleFrame, Port, load_robot, parse_robot, shipped_robot
 from adaptive_contact.robot.load import is_shipped, recorded_as
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.status import LegFacts
@@ -55,19 +56,20 @@ def test_a_robot_has_as_many_legs_as_a_service_can_follow() -> None:
         parse_robot(GOOD + more + '[[leg]]\nid = "one-more"\njoints = ["a"]\n', source="x")
 
 
-@pytest.mark.parametrize("joints", [1, 2, 3, 4, 6])
-def test_any_number_of_joints(joints: int) -> None:
-    names = [f"j{i}" for i in range(joints)]
-    text = GOOD.replace('["coxa", "femur", "tibia"]', str(names)).replace(
-        "[0.052, 0.066, 0.138]", str([0.1] * joints)
-    )
-    assert len(parse_robot(text, source="x").leg("rf").joint_axes) == joints
-
-
-def test_the_shipped_hexapod_has_six_legs() -> None:
-    robot = shipped_robot()
-    assert set(robot.leg_ids) == {"lf", "lm", "lr", "rf", "rm", "rr"}
-    assert all(leg.limits is not None and leg.servos is not None for leg in robot.legs)
+@pytest.mark.parametrize("name", ["hexapod", "quadruped", "quadruped12", "leg5"])
+def test_what_is_written_is_read_back(name: str) -> None:
+    robot = shipped_robot(name)
+    ports = robot.ports or {"a.b": Port(device="/dev/x")}
+    robot = msgspec.structs.replace(robot, ports=ports)
+    written = write_robot(robot)
+    again = parse_robot(written, source="written")
+    assert write_robot(again) == written
+    assert again.ports == robot.ports
+    for one, other in zip(robot.legs, again.legs, strict=True):
+        assert other.chain == one.chain
+        assert other.mount.xyz_m == one.mount.xyz_m
+        assert other.limits.upper_rad == pytest.approx(one.limits.upper_rad, abs=1e-5)
+        assert one.servos is None or other.servos.models == one.servos.models
 
 
 @pytest.mark.parametrize(

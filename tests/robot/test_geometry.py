@@ -18,7 +18,6 @@ from adaptive_contact.robot import (
     inverse,
 )
 from adaptive_contact.robot.kinematics import AXES as WORDS
-from adaptive_contact.robot.kinematics import straight
 
 LENGTHS = (0.052, 0.066, 0.138)
 AXES = ("yaw", "pitch", "pitch")
@@ -110,18 +109,6 @@ def test_the_gradient_of_any_chain_is_the_slope_of_its_matrices(
     swing.height_gradient(np.array(q), *swing.tabulate(chain), compiled)
     np.testing.assert_allclose(compiled, slopes, atol=1e-8)
     assert chain.lifts[np.abs(slopes) > 1e-6 * max(chain.reach_m, 1.0)].all()
-
-
-@given(st.lists(number(-3, 3), min_size=3, max_size=3))
-def test_a_straight_leg_is_the_chain_of_its_links(q: list[float]) -> None:
-    """As origins and vectors, which go the general way, it is the same leg."""
-    short = straight(LENGTHS, AXES)
-    rotated = Chain(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, -1.0, 0.0)), short.origins_m)
-    assert short.is_straight
-    assert not rotated.is_straight
-    np.testing.assert_allclose(rotated.foot(q), short.foot(q), atol=1e-15)
-    np.testing.assert_allclose(rotated.height_gradients(q), short.height_gradients(q), atol=1e-15)
-    assert rotated.lifts.tolist() == short.lifts.tolist() == [False, True, True]
 
 
 def test_joints_that_never_raise_the_foot_are_known() -> None:
