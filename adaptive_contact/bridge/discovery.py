@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
@@ -39,17 +40,28 @@ class Found:
 
     name: str  # of the port
     port: Port  # device, baud rate and protocol at which they answer
-    servos: dict[int, ServoModel | None]  # model by id; None for one without a control table here
-    names: dict[int, str]  # what each is, in words, by id
+    pongs: dict[int, Pong]  # by id
     # how steep each servo's controller is, by id, where it reports that
-    slopes_rad: dict[int, float] = dataclasses.field(default_factory=dict)
-    mute: tuple[int, ...] = ()  # ids of those that answer pings and no reads
+    slopes_rad: dict[int, float]
+    follows: dict[int, int]  # by secondary id: whom
+    done: tuple[str, ...] = ()  # what was written
     # ids that answer at another baud rate and protocol, by these
     elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
-    done: tuple[str, ...] = ()  # what was written
-    follows: dict[int, int] = dataclasses.field(default_factory=dict)  # by secondary id: whom
-    # ids that answer and belong to another protocol, by that
-    others: dict[Protocol, list[int]] = dataclasses.field(default_factory=dict)
+
+    @functools.cached_property
+    def servos(self) -> dict[int, ServoModel | None]:
+        """Return the models by id; None for one without a control table here."""
+        of = self.port.protocol
+        return {s: model_of_number(pong.model_number, of) for s, pong in self.pongs.items()}
+
+    @property
+    def mute(self) -> tuple[int, ...]:
+        """Return the ids of those that answer pings and no reads."""
+        return tuple(servo for servo, pong in self.pongs.items() if not pong.reads)
+
+    def words(self, servo: int) -> str:
+        """Describe a servo."""
+        return named(self.pongs[servo], self.port.protocol)
 
 
 class Wanted(NamedTuple):
@@ -119,25 +131,27 @@ def find_servos(
     # Feetech's answer the pings of protocol 1, and say what they are; protocol 1's answer theirs.
     protocols: tuple[Protocol, ...] = ("sts",) if feetech_only else (1, 2)
     places: list[Place] = [(baud, protocol) for baud in bauds for protocol in protocols]
-    found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
+    found = next(
+        (one for place in places if (one := _ask(name, device, place, ids, configure))), None
+    )
     if found is None:
         raise BusError(
             f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; "
             "check power and cable, or give the rate with --baud"
         )
-    elsewhere = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
-    most = max(elsewhere, key=lambda at: elsewhere[at], default=None)
-    if most is not None and elsewhere[most] > len(found.servos):
-        # The one that was found first is the odd one.
-        found = _ask(name, device, most, ids) or found
-    others = found.others
-    usual = max(others, key=lambda protocol: len(others[protocol]), default=None)
-    if usual is not None and 2 * len(others[usual]) > len(found.servos):
-        found = _ask(name, device, (found.port.baud, usual), ids) or found
-    return _configured(found, ids) if configure and found.mute else found
+    # The one that was found first may be the odd one: by its rate, or of another make.
+    rivals = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
+    for pong in found.pongs.values():
+        if pong.other is not None:
+            at = found.port.baud, pong.other[1]
+            rivals[at] = rivals.get(at, 0) + 2
+    most = max(rivals, key=lambda at: rivals[at], default=None)
+    if most is not None and rivals[most] > len(found.pongs):
+        found = _ask(name, device, most, ids, configure) or found
+    return found
 
 
-def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | None:
+def _ask(name: str, device: str, place: Place, ids: Sequence[int], configure: bool) -> Found | None:
     """Ask a port at one baud rate and protocol who is there; None where no servo answers."""
     port = Port(device=device, baud=place[0], protocol=place[1])
     bus = Bus(name, port)
@@ -152,49 +166,32 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | No
         late = sorted(servo for servo in bus.late if servo not in pongs and servo in (ids or row))
         if late:  # a description without them would be of another robot
             raise BusError(f"port {name}: answers of servo {_ranges(late)} come too late: {BUSY}")
-        found = _found(bus, port, pongs)
-    finally:
-        bus.close()
-    missing = [servo for servo in ids or row[1:] if servo not in found.servos]
-    return dataclasses.replace(found, elsewhere=look_elsewhere(name, port, missing))
-
-
-def _configured(found: Found, ids: Sequence[int]) -> Found:
-    """Let servos answer that answer pings only; of ``ids`` only, where there are some."""
-    bus = Bus(found.name, found.port)
-    bus.open()
-    try:
-        pongs = scan_again(bus, {}, [s for s in found.mute if s in ids or not ids])
-        done = []
-        for servo in [servo for servo, pong in pongs.items() if not pong.reads]:
-            trouble = let_answer(bus, pongs, servo)
-            done.append(f"servo {servo}: {trouble or ANSWERS_NOW}")
-        now = _found(bus, found.port, pongs)
-    finally:
-        bus.close()
-    return dataclasses.replace(
-        found,
-        servos=found.servos | now.servos,
-        names=found.names | now.names,
-        slopes_rad=found.slopes_rad | now.slopes_rad,
-        mute=tuple(s for s in found.mute if s not in pongs or s in now.mute),
-        done=tuple(done),
-        follows=found.follows | now.follows,
-    )
-
-
-def steepness(found: Iterable[Found], robot: Robot) -> dict[str, float]:
-    """Return the median slope of a robot's servos, by model, rad."""
-    by_model: dict[str, list[float]] = {}
-    for one in found:
-        ignored = robot.ports[one.name].ignore if one.name in robot.ports else one.servos
-        for servo, slope in one.slopes_rad.items():
-            if servo in ignored:
+        doubled = [servo for servo, pong in pongs.items() if pong.doubled]
+        if doubled:
+            raise BusError(
+                f"port {name}: several servos answer to id {', '.join(map(str, doubled))} (or "
+                "their line is disturbed); connect them one by one and give each an id of its own"
+            )
+        mute = [s for s, pong in pongs.items() if configure and not pong.reads]
+        done = tuple(
+            f"servo {servo}: {let_answer(bus, pongs, servo) or ANSWERS_NOW}"
+            for servo in mute
+            if servo in ids or not ids
+        )
+        slopes, follows = {}, {}
+        for servo, pong in pongs.items():
+            model = model_of_number(pong.model_number, port.protocol)
+            if model is None or not pong.reads:
                 continue
-            model = one.servos[servo]
-            assert model is not None
-            by_model.setdefault(model.name, []).append(slope)
-    return {name: round(statistics.median(slopes), 3) for name, slopes in by_model.items()}
+            if (slope := read_slope(bus, servo, model)) is not None:
+                slopes[servo] = slope
+            if (first := followed(bus, servo, model)) is not None:
+                follows[servo] = first
+    finally:
+        bus.close()
+    missing = [servo for servo in ids or row[1:] if servo not in pongs]
+    elsewhere = look_elsewhere(name, port, missing)
+    return Found(name, port, pongs, slopes, follows, done, elsewhere)
 
 
 def group(
@@ -317,7 +314,7 @@ def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
             "status return level is 0); run this once with --configure, which sets it to 2, or "
             "name the servos of the legs with --ids"
         )
-    unknown = [f"{servo} ({one.names[servo]})" for servo in ids if one.servos[servo] is None]
+    unknown = [f"{servo} ({one.words(servo)})" for servo in ids if one.servos[servo] is None]
     if unknown:
         raise BusError(
             f"port {one.name}: servo {', '.join(unknown)} is of no known model; see docs/bridge.md "
@@ -342,7 +339,7 @@ def describe(found: Iterable[Found]) -> list[str]:
     for one in found:
         models: dict[str, list[int]] = {}
         for servo, model in sorted(one.servos.items()):
-            name = model.name if model else f"unknown model ({one.names[servo]})"
+            name = model.name if model else f"unknown model ({one.words(servo)})"
             models.setdefault(name, []).append(servo)
         held = "; ".join(f"{len(ids)} x {name}, ids {_ranges(ids)}" for name, ids in models.items())
         lines.append(
@@ -366,39 +363,6 @@ def describe(found: Iterable[Found]) -> list[str]:
 
 
 # -- private -----------------------------------------------------------------------------------
-
-
-def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
-    doubled = [servo for servo, pong in pongs.items() if pong.doubled]
-    if doubled:
-        raise BusError(
-            f"port {bus.name}: several servos answer to id {', '.join(map(str, doubled))} (or "
-            "their line is disturbed); connect them one by one and give each an id of its own"
-        )
-    models = {s: model_of_number(pong.model_number, port.protocol) for s, pong in pongs.items()}
-    others: dict[Protocol, list[int]] = {}
-    for servo, pong in pongs.items():
-        if pong.other is not None:
-            others.setdefault(pong.other[1], []).append(servo)
-    slopes = {
-        servo: read_slope(bus, servo, model)
-        for servo, model in models.items()
-        if model is not None and pongs[servo].reads
-    }
-    return Found(
-        bus.name,
-        port,
-        models,
-        {servo: named(pong, port.protocol) for servo, pong in pongs.items()},
-        {servo: slope for servo, slope in slopes.items() if slope is not None},
-        tuple(servo for servo, pong in pongs.items() if not pong.reads),
-        follows={
-            servo: first
-            for servo, model in models.items()
-            if pongs[servo].reads and (first := followed(bus, servo, model)) is not None
-        },
-        others=others,
-    )
 
 
 def _quantum(models: Sequence[ServoModel]) -> float:

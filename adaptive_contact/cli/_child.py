@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import queue
 import re
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Sequence
 from typing import Final, Self
 
@@ -27,10 +27,8 @@ class Child:
 
     def __init__(self, name: str, arguments: Sequence[str]) -> None:
         self.name = name
-        self._changed = threading.Condition()
-        # Lines kept of what it says; enough to find the last one that means something.
-        self._lines: deque[str] = deque(maxlen=200)
-        self._over = False
+        self._said = ""  # the last line that is not empty
+        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # None at the end
         self._process = subprocess.Popen(
             [sys.executable, "-m", "adaptive_contact", *arguments],
             stdin=subprocess.DEVNULL,
@@ -59,14 +57,6 @@ class Child:
         """Return whether it has not ended yet."""
         return self._process.poll() is None
 
-    @property
-    def lines(self) -> list[str]:
-        """Return its last lines, without empty ones; all of them, once it has ended."""
-        if not self.running:
-            self._reader.join(_END_S)
-        with self._changed:
-            return list(self._lines)
-
     def wait_line(self, pattern: re.Pattern[str], timeout_s: float) -> re.Match[str]:
         """Wait until it says something.
 
@@ -75,31 +65,28 @@ class Child:
             timeout_s: at most; one that says it compiles gets ten minutes.
 
         Returns:
-            The match in the first line that has one.
+            The match in the first line from now on that has one.
 
         Raises:
             AdaptiveContactError: it ended, or did not say it in time.
         """
-        began_s = time.monotonic()
-        with self._changed:
-            while True:
-                # A first start compiles, for minutes beside other work.  It says so, and is alive.
-                if any(re.search(r"compiling the arithmetic", line) for line in self._lines):
-                    timeout_s = max(timeout_s, 600.0)  # a slow computer's first start
-                for line in self._lines:
-                    match = pattern.search(line)
-                    if match is not None:
-                        return match
-                left_s = began_s + timeout_s - time.monotonic()
-                if self._over or left_s <= 0.0:
-                    break
-                self._changed.wait(left_s)
-        if self._over:
-            self._process.wait(_END_S)
-            raise self.failure()
-        raise AdaptiveContactError(
-            f"{self.name} was not ready within {timeout_s:g} s; {self._last_words()}"
-        )
+        end_s = time.monotonic() + timeout_s
+        while True:
+            try:
+                line = self._lines.get(timeout=max(end_s - time.monotonic(), 0.0))
+            except queue.Empty:
+                raise AdaptiveContactError(
+                    f"{self.name} was not ready within {timeout_s:g} s; {self._last_words()}"
+                ) from None
+            if line is None:
+                self._process.wait(_END_S)
+                raise self.failure()
+            # A first start compiles, for minutes beside other work.  It says so, and is alive.
+            if "compiling the arithmetic" in line:
+                end_s = max(end_s, time.monotonic() + 600.0)
+            match = pattern.search(line)
+            if match is not None:
+                return match
 
     def check(self) -> None:
         """Raise if it has ended with a failure.
@@ -112,9 +99,9 @@ class Child:
 
     def failure(self) -> AdaptiveContactError:
         """Return why it ended, in one line."""
-        code = self._process.poll()
+        self._reader.join(_END_S)
         return AdaptiveContactError(
-            f"{self.name} ended too early (exit code {code}); {self._last_words()}"
+            f"{self.name} ended too early (exit code {self._process.poll()}); {self._last_words()}"
         )
 
     def end(self) -> None:
@@ -128,24 +115,17 @@ class Child:
                     self._process.wait(_END_S)
         finally:
             # Also when a second Ctrl-C breaks into the waiting: nothing may stay behind.
-            if self.running:
-                self._process.kill()
-                self._process.wait()
+            self._process.kill()
+            self._process.wait()
             self._reader.join(_END_S)
-            if self._process.stdout is not None and not self._reader.is_alive():
-                self._process.stdout.close()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            if line.strip():
-                with self._changed:
-                    self._lines.append(line.strip())
-                    self._changed.notify_all()
-        with self._changed:
-            self._over = True
-            self._changed.notify_all()
+        with self._process.stdout as lines:
+            for line in filter(str.strip, lines):
+                self._said = line.strip()
+                self._lines.put(self._said)
+        self._lines.put(None)
 
     def _last_words(self) -> str:
-        lines = self.lines
-        return f"its last words: {lines[-1]}" if lines else "it said nothing"
+        return f"its last words: {self._said}" if self._said else "it said nothing"

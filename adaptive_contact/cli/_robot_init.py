@@ -288,7 +288,6 @@ def _of_bus(
         describe,
         find_servos,
         group,
-        steepness,
         wanted_legs,
     )
     from adaptive_contact.bridge.tables import BAUDS
@@ -341,11 +340,6 @@ def _of_bus(
         robot = msgspec.structs.replace(robot, period_s=1.0 / wishes.rate)
     if wishes.resolution is not None:
         robot = msgspec.structs.replace(robot, quantum_rad=wishes.resolution)
-    slopes = steepness(found, robot)
-    # Slopes within this of each other are as good as one.
-    if slopes and max(slopes.values()) > 1.2 * min(slopes.values()):
-        listed = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
-        say(f"slopes differ ({listed} rad): slope_rad is between them, which is near enough")
     if read is None:
         return robot
     legs = tuple(

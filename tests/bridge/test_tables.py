@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptive_contact.bridge.discovery import find_servos, group, steepness
+from adaptive_contact.bridge.discovery import find_servos, group
 from adaptive_contact.bridge.modes import slope_rad
 from adaptive_contact.bridge.tables import MODELS, models_named, number_name
 from adaptive_contact.errors import ConfigurationError
@@ -108,7 +108,6 @@ def test_init_reads_the_slope_off_the_servos(
     found = find_servos("p0", str(tmp_path / "p0"))
     robot = parse_robot(write_robot(group([found], 3)), source="written")
     assert robot.servo.slope_rad == slope
-    assert steepness([found], robot) == {model: slope}
     assert all(servo.writes == 0 for servo in r.ports[0].servos)
 
 
@@ -121,4 +120,3 @@ def test_legs_of_other_servos_have_a_quantum_of_their_own(rig: Callable, tmp_pat
     assert robot.quantum("leg1") == pytest.approx(math.radians(300) / 1023, rel=1e-3)
     assert robot.quantum("leg2") == pytest.approx(X_STEP, rel=1e-3)
     assert robot.leg("leg2").servos.port == "xl"
-    assert sorted(steepness([one, other], robot)) == ["AX-12A", "XL330-M288"]
