@@ -177,8 +177,8 @@ def angles(leg: Leg, point_m) -> np.ndarray:
     if not np.isfinite(found).all():
         x, _, z = point_m
         raise ConfigurationError(
-            f"leg '{leg.id}' cannot reach {x:.3f} m out and {z:.3f} m up; give other --reach, "
-            "--top, --bottom"
+            f"leg '{leg.id}' cannot reach {x:.3f} m out and {z:.3f} m up; change REACH, TOP "
+            "and BOTTOM"
         )
     return found
 
@@ -209,9 +209,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--connect", action="append", help="router, such as tcp/127.0.0.1:7447")
     parser.add_argument("--namespace", help="prefix of all keys, such as hexapod1")
     parser.add_argument("--zenoh-config", type=Path, help="JSON5 file with a user or TLS")
-    parser.add_argument("--top", type=float, help="foot height of a lift, m")
-    parser.add_argument("--bottom", type=float, help="where descents aim, m")
-    parser.add_argument("--reach", type=float, help="foot from the first axis, m")
     return parser.parse_args()
 
 
@@ -220,12 +217,7 @@ def run(options: argparse.Namespace) -> None:
     robot = load_robot(options.config) if options.config else shipped_robot()
     leg = robot.leg(options.leg)
     stretched = leg.chain.reach_m if leg.chain is not None else 0.0
-    reach, up, down = (
-        share * stretched if given is None else given
-        for share, given in (
-            (REACH, options.reach), (TOP, options.top), (BOTTOM, options.bottom)
-        )
-    )  # fmt: skip
+    reach, up, down = (share * stretched for share in (REACH, TOP, BOTTOM))
     # All that may be wrong with the leg shows before anything moves.
     top, _ = angles(leg, [reach, 0.0, up]), angles(leg, [reach, 0.0, down])
     settings = client_settings(

@@ -101,7 +101,12 @@ def reset(
     found += [path for path in list_rest(root) if _is_named(path, root, robot, leg)]
     if not found:
         if robot is not None or leg is not None:
-            raise ConfigurationError(_nothing_of(state, root, robot, leg))
+            asked = [f"leg '{leg}'"] if leg else []
+            asked += [f"robot '{robot}'"] if robot else []
+            raise ConfigurationError(
+                f"nothing of {' of '.join(asked)} is kept in {shown_path(root)}; `adaptive-contact "
+                "state show` lists what is"
+            )
         say(f"nothing to forget in {shown_path(root)}")
         return
     with contextlib.ExitStack() as held:
@@ -127,17 +132,6 @@ def reset(
             except OSError as error:
                 raise ConfigurationError(f"{path}: cannot be removed ({error.strerror})") from error
     say(f"forgot {len(found)} files")
-
-
-def _nothing_of(state: Path | None, root: Path, robot: str | None, leg: str | None) -> str:
-    """Format one line for a robot or a leg that nothing is kept of, with what there is."""
-    rows = map(_row, _found(state, None, None))
-    kept = sorted({(row["robot"], row["leg"]) for row in rows if row["refused"] is None})
-    asked = " of ".join(
-        [*([f"leg '{leg}'"] if leg else []), *([f"robot '{robot}'"] if robot else [])]
-    )
-    there = ", ".join(f"{one} of {of}" for of, one in kept) or "no sound state"
-    return f"nothing of {asked} is kept in {shown_path(root)}; there is {there}"
 
 
 def _folder(state: Path | None) -> Path:
@@ -187,19 +181,20 @@ def _row(stored: Stored) -> dict[str, Any]:
     from adaptive_contact.service.state import Refused
 
     record = stored.record
-    row: dict[str, Any] = {
-        "file": shown_path(stored.path),
-        "bytes": stored.size,
-        **dict.fromkeys(("robot", "leg", "library", "settings", "model_version", "age_s")),
-        "refused": None,
-    }
+    row: dict[str, Any] = {"file": shown_path(stored.path), "bytes": stored.size}
     if isinstance(record, Refused):
-        row["refused"] = record.why
-        return row
-    identity = record.identity
-    row.update(robot=identity.robot, leg=identity.leg, library=identity.library)
-    age_s = max(0.0, (time.time_ns() - record.saved_ns) / 1e9)
-    row.update(settings=identity.settings, model_version=record.model_version, age_s=age_s)
-    if stored.path.suffix == ".refused":
-        row["refused"] = "refused by the service; the log says why"
-    return row
+        empty = dict.fromkeys(("robot", "leg", "library", "settings", "model_version", "age_s"))
+        return row | empty | {"refused": record.why}
+    known = {
+        name: getattr(record.identity, name) for name in ("robot", "leg", "library", "settings")
+    }
+    refused = stored.path.suffix == ".refused"
+    return (
+        row
+        | known
+        | {
+            "model_version": record.model_version,
+            "age_s": max(0.0, (time.time_ns() - record.saved_ns) / 1e9),
+            "refused": "refused by the service; the log says why" if refused else None,
+        }
+    )

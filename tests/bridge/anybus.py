@@ -37,50 +37,34 @@ from adaptive_contact_sim.virtual.servo import Refusal
 OWN: Final = ("at", "baud", "number", "short", "keeps")
 
 
-class Horns:
+class Horns(KinematicBackend):
     """A backend without inertia: a horn with torque is at its goal at once.
 
     What a single write does to it is all there to be seen.
     """
 
     def __init__(self, size: int) -> None:
-        self.angles = [0.0] * size
-        self.goals = [0.0] * size
-        self.on = [False] * size
+        super().__init__(size)
+        self._driven[:] = False
 
     def advance(self, now_s: float) -> float:
-        return now_s + 0.05
-
-    def angle(self, index: int) -> float:
-        return self.angles[index]
-
-    def speed(self, index: int) -> float:
-        return 0.0
+        return now_s + self._IDLE_S
 
     def set_goal(self, index: int, angle_rad: float) -> None:
-        self.goals[index] = angle_rad
-        self._go(index)
-
-    def goal(self, index: int) -> float | None:
-        return None
+        super().set_goal(index, angle_rad)
+        if self._driven[index]:
+            self._angle[index] = angle_rad
 
     def set_torque(self, index: int, on: bool) -> None:
         # Torque holds the horn until the servo says where to.
-        if on and not self.on[index]:
-            self.goals[index] = self.angles[index]
-        self.on[index] = on
-
-    def set_slope(self, index: int, slope_rad: float) -> None:
-        pass
+        if on and not self._driven[index]:
+            self._goal[index] = self._angle[index]
+        super().set_torque(index, on)
 
     def place(self, index: int, angle_rad: float) -> None:
         """Turn a horn by hand; one with torque stays."""
-        if not self.on[index]:
-            self.angles[index] = angle_rad
-
-    def _go(self, index: int) -> None:
-        if self.on[index]:
-            self.angles[index] = self.goals[index]
+        if not self._driven[index]:
+            self._angle[index] = angle_rad
 
 
 class AnyServo(VirtualServo):

@@ -93,7 +93,6 @@ def test_an_example_explains_itself_and_refuses_what_it_does_not_know(example: s
     [
         (("--leg", "zz"), "has no leg 'zz'"),
         (("--config", "/nonexist.toml"), "cannot be read"),
-        (("--reach", "0.3"), "cannot reach 0.300 m out"),
         (("--zenoh-config", "/nonexist.json5"), "/nonexist.json5"),
         (("--namespace", "a b"), "namespace 'a b' cannot be part of a key"),
     ],
