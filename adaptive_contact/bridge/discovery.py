@@ -278,11 +278,6 @@ def _chosen(
     for port, ids in wanted:
         text = ",".join(map(str, ids))
         here = [one for one in found if port in (one.name, None)]
-        if not here:
-            raise BusError(
-                f"--ids {port}:{text}: there is no port '{port}'; ports are "
-                f"{', '.join(one.name for one in found)}"
-            )
         on = [one for one in here if set(ids) <= set(one.servos)]
         if len(on) > 1:
             raise BusError(

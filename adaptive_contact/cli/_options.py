@@ -301,6 +301,15 @@ def speed_of(text: str | None) -> float | None:
     return factor
 
 
+def floats(text: str) -> tuple[float, ...]:
+    """Return the numbers between commas; none where one is no finite number."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        return ()
+    return values if all(map(math.isfinite, values)) else ()
+
+
 def check_output(
     path: Path | None, option: str, inputs: Sequence[Path | None] = (), *, force: bool
 ) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import msgspec
 
 from adaptive_contact.cli._bus import DeviceOption, devices_of
-from adaptive_contact.cli._options import ForceOption, check_output, flatten, option
+from adaptive_contact.cli._options import ForceOption, check_output, flatten, floats, option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
@@ -241,10 +241,7 @@ def _joint_names(text: str | None) -> int | tuple[str, ...]:
 
 
 def _lengths(text: str, joints: int) -> tuple[float, ...]:
-    try:
-        lengths = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        lengths = ()
+    lengths = floats(text)
     if len(lengths) != joints or not all(0.0 < length <= 5.0 for length in lengths):
         raise ConfigurationError(
             f"--lengths {text}: expected {joints} lengths in m (not mm), 5 at most, such as "
@@ -254,16 +251,10 @@ def _lengths(text: str, joints: int) -> tuple[float, ...]:
 
 
 def _points(text: str) -> list[Vector]:
-    points = []
-    for part in text.split("/"):
-        try:
-            x, y, z = (float(number) for number in part.split(","))
-        except ValueError:
-            x = y = z = float("nan")
-        if not all(abs(number) <= 5.0 for number in (x, y, z)):
-            raise ConfigurationError(f"--tip {text}: expected X,Y,Z in m, such as 0,0,-0.1")
-        points.append((x, y, z))
-    return points
+    points = [floats(part) for part in text.split("/")]
+    if not all(len(point) == 3 and max(map(abs, point)) <= 5.0 for point in points):
+        raise ConfigurationError(f"--tip {text}: expected X,Y,Z in m, such as 0,0,-0.1")
+    return [(x, y, z) for x, y, z in points]
 
 
 def _read_urdf(wishes: Wishes, path: Path, feet: Mapping[str, str]) -> UrdfLegs:

@@ -194,12 +194,9 @@ def pose_of(text: str, robot: Robot, plans: Sequence[PortPlan]) -> list[float]:
     Raises:
         ConfigurationError: it is no pose of this robot, or no leg may go there.
     """
-    try:
-        pose = [float(part) for part in text.split(",")]
-    except ValueError:
-        pose = []
+    pose = [*opt.floats(text)]
     joints = {len(leg.joints) for leg in robot.legs}
-    if joints != {len(pose)} or not all(map(math.isfinite, pose)):
+    if joints != {len(pose)}:
         raise ConfigurationError(
             f"--pose {text}: expected {' or '.join(map(str, sorted(joints)))} angles in rad, such "
             f"as {','.join(['0.1'] * max(joints))}"
