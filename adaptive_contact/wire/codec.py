@@ -139,12 +139,18 @@ def _parse(payload: bytes, encoding: str) -> object:
             max_ext_len=0,
         )
     # msgpack documents ValueError and its own subclasses of it (and UnpackException for
-    # truncated input); deep nesting raises RecursionError or StackError.
-    except (ValueError, msgpack.UnpackException, msgspec.DecodeError, RecursionError) as error:
+    # truncated input); deep nesting raises RecursionError or StackError, unhashable or absurd keys
+    # of a map TypeError or OverflowError.
+    except (
+        ValueError,
+        msgpack.UnpackException,
+        msgspec.DecodeError,
+        RecursionError,
+        TypeError,
+        OverflowError,
+    ) as error:
         if isinstance(error, msgspec.DecodeError) and _NO_JSON.search(payload):
             return Rejected(Reject.MALFORMED, "NaN or infinity, which JSON has no words for")
-        return Rejected(Reject.MALFORMED, f"{type(error).__name__}: {_one_line(str(error))}")
-    except (TypeError, OverflowError) as error:  # unhashable or absurd map keys
         return Rejected(Reject.MALFORMED, f"{type(error).__name__}: {_one_line(str(error))}")
 
 
