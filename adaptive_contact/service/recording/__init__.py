@@ -6,7 +6,7 @@ Everything else keeps its bytes and its Zenoh encoding.
 
 The file is made of small compressed chunks, each written out when it is full or a second old, so
 that a recorder that is killed loses about a second.  Reading needs no index: the records are walked
-from the front, and whatever stops the walk (the end of a cut file, a damaged chunk) ends it
+from the front, and whatever stops the walk (the end of a cut file, a wrong length) ends it
 quietly, with all that came before already given out and the reason in :attr:`Recording.damage`.
 
 A bag of ROS 2 is read as a recording, too: its messages are given out as samples of the wire
