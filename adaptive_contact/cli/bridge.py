@@ -308,7 +308,7 @@ class VirtualOptions:
             ConfigurationError: an option cannot be used.
         """
         from adaptive_contact_sim.virtual import parse_fault
-        from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_servos
+        from adaptive_contact_sim.virtual.assembly import with_servos
         from adaptive_contact_sim.virtual.session import VirtualPlan
 
         robot = opt.described_robot(self.config)
@@ -316,11 +316,8 @@ class VirtualOptions:
             robot=robot if self.servos is None else with_servos(robot, self.servos),
             directory=self.directory,
             ports=self.ports,
-            bus=VirtualSettings(
-                faults=tuple(parse_fault(text) for text in self.fault or ()),
-                seed=self.seed,
-                wire_time=self.wire_time,
-            ),
+            faults=tuple(parse_fault(text) for text in self.fault or ()),
+            wire_time=self.wire_time,
             scenario=self.scenario,
             height_m=self.height,
             seed=self.seed,

@@ -312,7 +312,7 @@ def _check_enough(leg: Leg, library: Library, rows: Rows) -> None:
 
 
 def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> Rows:
-    theta, target, where, swing, position, judged, later = [], [], [], [], [], [], []
+    parts: list[tuple[Array | Ints | Mask, ...]] = []  # of the rows, in the order of `Rows`
     swings = 0
     offset = 0
     for stretch in stretches:
@@ -332,29 +332,22 @@ def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad:
         before = stretch.desired[np.maximum(tick - 1, 0)]
         # The row of tick k predicts tick k + 1, which is what would be judged.
         heading = np.where(turned[tick + 1] > 1, AFTER, heading[tick])
-        theta.append(library.evaluate(cut.measured[rows], cut.desired[rows], cut.preview[rows]))
-        target.append(cut.increment[rows])
-        where.append(context(stretch.desired[tick], before, heading, quantum_rad))
-        swing.append(number[tick])
-        position.append(offset + tick)
-        judged.append(swing_ticks(stretch.swing)[tick + 1] > LIFT_OFF_TICKS)
-        later.append(turned[tick + 1] > 1)
+        parts.append(
+            (
+                library.evaluate(cut.measured[rows], cut.desired[rows], cut.preview[rows]),
+                cut.increment[rows],
+                context(stretch.desired[tick], before, heading, quantum_rad),
+                number[tick],
+                offset + tick,
+                swing_ticks(stretch.swing)[tick + 1] > LIFT_OFF_TICKS,
+                turned[tick + 1] > 1,
+            )
+        )
         offset += len(stretch.measured) + len(WINDOWS)
-    joints = len(leg.joints)
-    if not theta:
-        theta, target = [np.empty((0, library.size))], [np.empty((0, joints))]
-        where = swing = position = [np.empty(0, dtype=np.int64)]
-        judged = later = [np.empty(0, dtype=bool)]
-    return Rows(
-        np.concatenate(theta),
-        np.concatenate(target),
-        np.concatenate(where),
-        np.concatenate(swing),
-        np.concatenate(position),
-        np.concatenate(judged),
-        np.concatenate(later),
-        swings,
+    theta, target, where, swing, position, judged, later = map(
+        np.concatenate, zip(*parts, strict=True)
     )
+    return Rows(theta, target, where, swing, position, judged, later, swings)
 
 
 def swing_ticks(swing: Mask) -> Ints:

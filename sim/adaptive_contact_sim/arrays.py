@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.score import TruthChanges, truth_changes
 from adaptive_contact.wire import ContactTruth
-from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 
 
@@ -53,20 +52,17 @@ class Run:
     rotation: Array  # (n, 3, 3) true attitude of the body
 
 
-def record_arrays(
-    settings: SimulationSettings, seconds: float, *, parameters: ServoParameters | None = None
-) -> Run:
+def record_arrays(settings: SimulationSettings, seconds: float) -> Run:
     """Simulate as fast as possible into arrays.
 
     Args:
         settings: what to simulate.
         seconds: simulated time.
-        parameters: the robot's servos; drawn from the settings where left out.
 
     Raises:
         SimulationDivergedError: the physics blew up.
     """
-    return record_run(Simulation(settings, parameters), seconds)
+    return record_run(Simulation(settings), seconds)
 
 
 def record_run(

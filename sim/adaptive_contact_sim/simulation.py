@@ -25,7 +25,7 @@ from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
 from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.scene import build
-from adaptive_contact_sim.servo import ServoParameters, manufactured
+from adaptive_contact_sim.servo import manufactured
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings
 from adaptive_contact_sim.truth import Change, TruthTracker
 from adaptive_contact_sim.walk import WalkMotion, WalkSettings
@@ -109,20 +109,13 @@ class Simulation:
 
     Args:
         settings: what is simulated.
-        parameters: the robot's servos; drawn from the settings where left out.
         looks: with all that is only there to be seen; it comes to the same, bit for bit.
 
     Raises:
         ConfigurationError: the settings do not fit together.
     """
 
-    def __init__(
-        self,
-        settings: SimulationSettings,
-        parameters: ServoParameters | None = None,
-        *,
-        looks: bool = False,
-    ) -> None:
+    def __init__(self, settings: SimulationSettings, *, looks: bool = False) -> None:
         self.settings = settings
         self.robot = simulated_robot(settings.robot)
         self.layout = self.robot.layout
@@ -135,9 +128,7 @@ class Simulation:
         if ground.seed is None:
             ground = replace(ground, seed=settings.seed)
         self.terrain = Terrain(ground)
-        if parameters is None:
-            nominal = self.robot.servo.of(self.layout.n_servos)
-            parameters = manufactured(settings.robot_seed, nominal)
+        nominal = self.robot.servo.of(self.layout.n_servos)
         motion = settings.motion
         owners: tuple[str | None, ...] = ()
         if isinstance(motion, PoseGroupSettings):
@@ -152,7 +143,7 @@ class Simulation:
                 name=settings.robot,
                 layout=self.layout,
             ),
-            parameters,
+            manufactured(settings.robot_seed, nominal),
             period_s=settings.period_s,
             layout=self.layout,
             kind=self.robot.servo,

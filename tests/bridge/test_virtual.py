@@ -22,7 +22,7 @@ from adaptive_contact_sim.virtual import (
     VirtualServo,
     parse_fault,
 )
-from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_ports
+from adaptive_contact_sim.virtual.assembly import with_ports
 from adaptive_contact_sim.virtual.backend import GaitedBackend, Horns, LocalSource, PassiveBackend
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
@@ -222,7 +222,7 @@ def test_the_quadrupeds_description_fits_its_model() -> None:
 
 
 def test_two_buses_do_not_share_a_folder(tmp_path: Path) -> None:
-    plan = VirtualPlan(shipped_robot(), tmp_path, 1, VirtualSettings())
+    plan = VirtualPlan(shipped_robot(), tmp_path, 1)
 
     def second(_: str) -> None:
         with pytest.raises(ConfigurationError, match="in use by another virtual bus; give another"):

@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.gait import Swings
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
@@ -23,20 +22,6 @@ def walk(gait: str = "tripod", kind: str = "rough", seconds: float = 20.0, **mot
         ),
         seconds,
     )
-
-
-def test_swing_lifts_then_moves_then_comes_down() -> None:
-    feet = np.zeros((6, 3))
-    swings = Swings.at(feet)
-    swings.target_m[:] = [0.06, 0.02, -0.03]
-    swings.top_m[:] = 0.045
-    path = np.array([swings.feet(np.full(6, p))[0] for p in np.linspace(0, 1, 101)])
-    assert np.allclose(path[0], 0.0)
-    assert np.allclose(path[-1], [0.06, 0.02, -0.03])
-    assert path[:, 2].max() == pytest.approx(0.045)
-    # Most of the way forward is made in the air, well above the ground.
-    assert (path[(path[:, 0] > 0.012) & (path[:, 0] < 0.048), 2] > 0.01).all()
-    assert np.abs(np.diff(path, axis=0)).max() < 0.004
 
 
 @pytest.mark.parametrize(

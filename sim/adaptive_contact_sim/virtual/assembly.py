@@ -8,7 +8,6 @@ A virtual robot put together: ports and servos as a description says, over a bac
 
 from __future__ import annotations
 
-import dataclasses
 import gc
 import select
 import threading
@@ -86,15 +85,6 @@ class VirtualServer:
                 port.open()
 
 
-@dataclasses.dataclass(frozen=True)
-class VirtualSettings:
-    """How a virtual bus behaves."""
-
-    faults: tuple[FaultSpec, ...] = ()  # what goes wrong, and when
-    seed: int = 0  # of reading noise and faults
-    wire_time: bool = True  # let answers take as long as on a real wire
-
-
 def with_servos(robot: Robot, model: str) -> Robot:
     """A description whose servos are all of another model.
 
@@ -165,7 +155,10 @@ def assemble(
     plans: Sequence[PortPlan],
     backend: Backend,
     order: Sequence[tuple[str, str]],
-    settings: VirtualSettings,
+    faults: Sequence[FaultSpec],
+    *,
+    seed: int,
+    wire_time: bool,
 ) -> VirtualServer:
     """Make the ports of a robot, closed.
 
@@ -173,12 +166,14 @@ def assemble(
         plans: what is on which port.
         backend: what moves.
         order: (leg, joint) of the backend's servos.
-        settings: how the bus behaves.
+        faults: what goes wrong, and when.
+        seed: of reading noise and faults.
+        wire_time: let answers take as long as on a real wire.
     """
     place = {pair: i for i, pair in enumerate(order)}
-    seeds = np.random.SeedSequence(settings.seed).spawn(2)
+    seeds = np.random.SeedSequence(seed).spawn(2)
     noise_rng, fault_rng = (np.random.default_rng(seed) for seed in seeds)
-    faults = FaultSchedule(settings.faults, fault_rng)
+    schedule = FaultSchedule(faults, fault_rng)
     ports = []
     for plan in plans:
         servos = [
@@ -198,9 +193,9 @@ def assemble(
                 plan.name,
                 Path(plan.port.device),
                 servos,
-                faults,
+                schedule,
                 baud=plan.port.baud,
-                wire_time=settings.wire_time,
+                wire_time=wire_time,
             )
         )
     return VirtualServer(ports, backend)

@@ -18,12 +18,7 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact_sim.elements import HEXAPOD
 from adaptive_contact_sim.scenario import load_scenario
-from adaptive_contact_sim.virtual.assembly import (
-    VirtualSettings,
-    assemble,
-    check_faults,
-    with_ports,
-)
+from adaptive_contact_sim.virtual.assembly import assemble, check_faults, with_ports
 from adaptive_contact_sim.virtual.backend import (
     Backend,
     GaitedBackend,
@@ -31,6 +26,7 @@ from adaptive_contact_sim.virtual.backend import (
     PassiveBackend,
     ProcessSource,
 )
+from adaptive_contact_sim.virtual.faults import FaultSpec
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,11 +36,13 @@ class VirtualPlan:
     robot: Robot  # its description: ids, models, mounting of the servos
     directory: Path  # where the ports' links go
     ports: int | None  # how many, for a description without any; None for one
-    bus: VirtualSettings  # how the bus behaves
+    faults: tuple[FaultSpec, ...] = ()  # what goes wrong, and when
+    wire_time: bool = True  # let answers take as long as on a real wire
     # the robot moves by itself; None for one on a stand that the bus moves
     scenario: str | None = None
     height_m: float = 1.0  # of the stand
-    seed: int = 0  # of the scenario; 0 for the scenario's own
+    # of reading noise and faults, and of the scenario; 0 for the scenario's own
+    seed: int = 0
     seconds: float | None = None  # how long, None for until stopped
     record: Path | None = None  # MCAP file of a scenario's own samples and truth
     write_config: Path | None = None  # where to write the robot.toml of the bus
@@ -111,12 +109,14 @@ def _serve(plan: VirtualPlan, stop: threading.Event, on_start: Callable[[str], N
         if holds_content(Path(port.device)):  # a link to a terminal holds none
             raise ConfigurationError(f"{port.device} exists already, as a file; give another --dir")
     plans = plan_ports(robot)
-    check_faults(plans, plan.bus.faults)
+    check_faults(plans, plan.faults)
     if plan.write_config is not None:
         write_file(plan.write_config, write_robot(robot), advice="give another --write-config")
     with ExitStack() as stack:
         backend, pairs = _backend(plan, plans, stack)
-        server = stack.enter_context(assemble(plans, backend, pairs, plan.bus))
+        server = stack.enter_context(
+            assemble(plans, backend, pairs, plan.faults, seed=plan.seed, wire_time=plan.wire_time)
+        )
         servos = sum(len(p.joints) for p in plans)
         models = ", ".join(sorted({j.models[-1].name for p in plans for j in p.joints}))
         where = " ".join(str(port.path) for port in server.ports)

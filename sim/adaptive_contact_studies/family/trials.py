@@ -23,7 +23,6 @@ from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
 from adaptive_contact_sim.robots import simulated_robot
-from adaptive_contact_sim.servo import ServoParameters, manufactured
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_studies.evaluate import play, score_run
 from adaptive_contact_studies.family.legs import LEG, DrawnLeg, Motion, draw_leg, record
@@ -36,7 +35,6 @@ from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 KINDS: Final = {
     "hexapod walking": 10,
     "hexapod in pose, obstacles": 12,
-    "hexapod outside the family": 4,
     "quadruped12 trotting": 9,
     "leg5 in pose, plates": 24,
     "drawn legs in pose": 24,
@@ -68,7 +66,6 @@ class LegTrial(NamedTuple):
     ticks: int  # judged up to swing 100
     without: Figures  # baseline
     known: Figures | None  # the same with a baseline; None where none could be fitted
-    status: str  # at the end
 
 
 def trials(
@@ -118,7 +115,6 @@ def legs_of_run(_: Work, wanted: tuple[str, int]) -> list[LegTrial]:
                 int(swings.judged[:EARLY].sum()),
                 _figures(outcome, after),
                 _figures(known[outcome.leg], after) if known else None,
-                played.learners[outcome.leg].status.status,
             )
         )
     return found
@@ -143,8 +139,8 @@ def _recorded(kind: str, seed: int) -> tuple[Run, Robot, Baseline | None]:
         motion: Motion = "gait" if kind.endswith("stepping") else "pose"
         run = record(leg, motion, 200, seed, plates={"pose": 0.5, "gait": 0.9}[motion])
         return run, leg.robot, _own_baseline(leg, motion, seed + 50_000)
-    name, how = kind.split()[0], kind.split()[1]
-    walks = how in ("walking", "trotting", "outside")
+    name, how = kind.split()[:2]
+    walks = how in ("walking", "trotting")
     settings = SimulationSettings.of(name, "walk" if walks else "pose")
     seconds = {"hexapod": 290.0, "quadruped12": 140.0}[name] if walks else 200.0
     if kind == "hexapod in pose, obstacles":
@@ -158,23 +154,7 @@ def _recorded(kind: str, seed: int) -> tuple[Run, Robot, Baseline | None]:
         settings = dataclasses.replace(settings, motion=dataclasses.replace(pose, obstacles=plates))
     settings = dataclasses.replace(settings, seed=seed, robot_seed=seed)
     robot = simulated_robot(name).description
-    parameters = _outside(seed) if how == "outside" else None
-    run = record_arrays(settings, seconds, parameters=parameters)
-    return run, robot, shipped_baseline(robot.name)
-
-
-def _outside(seed: int) -> ServoParameters:
-    """Draw a hexapod's servos that rub and yield as none of the family does."""
-    servo = manufactured(seed)
-    # Twice the family's most friction, and half as much slope again; the family's deviate by 8 %.
-    coulomb = 0.14 * servo.stall_torque_nm
-    more = coulomb / servo.coulomb_nm
-    return dataclasses.replace(
-        servo,
-        coulomb_nm=coulomb,
-        stribeck_nm=more * servo.stribeck_nm,
-        slope_steps=1.5 * servo.slope_steps,
-    )
+    return record_arrays(settings, seconds), robot, shipped_baseline(robot.name)
 
 
 def _own_baseline(leg: DrawnLeg, motion: Motion, seed: int) -> Baseline | None:
