@@ -1,6 +1,8 @@
-"""A robot that hung and is put down: what it learned in the air hides no touch."""
+"""A robot that is put down, or lifted: what it learned before hides no touch, and makes none."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import msgspec
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 
 from adaptive_contact.core.bank import LegGroup
 from adaptive_contact.core.leg_learner import ContactLearner
+from adaptive_contact.wire import ServoSample
 
 pytest.importorskip("pybullet", reason="extra 'bullet' is not installed")
 
@@ -16,6 +19,14 @@ from adaptive_contact_studies.state import recorded
 
 pytestmark = pytest.mark.slow
 SEED = 5
+
+
+def joined(first: list[ServoSample], second: Iterable[ServoSample]) -> list[ServoSample]:
+    """Two recordings of a leg, one a second after the other."""
+    t_ns, seq = (first[-1].t_ns, first[-1].seq) if first else (0, 0)
+    return first + [
+        msgspec.structs.replace(s, t_ns=s.t_ns + t_ns + 10**9, seq=s.seq + seq + 1) for s in second
+    ]
 
 
 @pytest.mark.parametrize(
@@ -33,17 +44,9 @@ def test_it_finds_as_many_touches_as_one_that_never_hung(air: str, ground: str) 
     shares = []
     for before in (0, ticks):
         group = LegGroup([ContactLearner(robot, leg) for leg in legs])
-        streams = []
-        for leg in legs:
-            stream = list(samples_of(hung, leg))[:before]
-            t_ns, seq = (stream[-1].t_ns, stream[-1].seq) if stream else (0, 0)
-            streams.append(
-                stream
-                + [
-                    msgspec.structs.replace(s, t_ns=s.t_ns + t_ns + 10**9, seq=s.seq + seq + 1)
-                    for s in samples_of(walk, leg)
-                ]
-            )
+        streams = [
+            joined(list(samples_of(hung, leg))[:before], samples_of(walk, leg)) for leg in legs
+        ]
         found: dict[str, list[int]] = {leg: [] for leg in legs}
         for k, samples in enumerate(zip(*streams, strict=True)):
             for leg, event in zip(legs, group.advance(samples), strict=True):
@@ -60,3 +63,21 @@ def test_it_finds_as_many_touches_as_one_that_never_hung(air: str, ground: str) 
     alone, after = shares
     assert alone > 0.75
     assert after > alone - 0.05
+
+
+def test_a_walking_robot_that_is_lifted_reports_no_contacts_for_long() -> None:
+    motion = "bullet-hexapod tripod-fast"
+    walk, first = recorded(f"{motion} rough", 50.0, SEED)
+    hung, _ = recorded(f"{motion} none", 40.0, SEED)
+    early = late = swings = 0
+    for leg in walk.legs:
+        learner = ContactLearner(first.robot, leg)
+        for k, sample in enumerate(joined(list(samples_of(walk, leg)), samples_of(hung, leg))):
+            event = learner.update(sample)
+            if k >= len(walk.t_ns) and event is not None and event.contact:
+                soon = k < len(walk.t_ns) + len(hung.t_ns) // 3
+                early, late = early + soon, late + (not soon)
+        swings += learner.status.swings
+    assert swings > 300
+    assert early < 25
+    assert late <= 1

@@ -287,6 +287,8 @@ LEG: Final = np.dtype(
         ("stance_push", f8),  # the sum
         ("load", f8),  # mean push of the last stances
         ("load_n", i4),  # stances in it
+        ("carried_load", f8),  # the same while the leg carried
+        ("carried_n", i4),
         ("kept_ticks", i4),  # ticks in a row that were not judged
         ("carried", b1),  # a stance has departed from the free path
         ("hanging", b1),  # the last stances showed no load
@@ -341,8 +343,8 @@ FREE_AT: Final[int] = LEG.fields["variance_scale"][1]
 STATE: Final = (
     "foreseen", "command_m", "lowest_command_m", "highest_command_m", "high_ticks", "low_ticks",
     "push_size", "loaded_push", "misfit_size", "push_sum", "misfit", "command_odds", "pressed_n",
-    "idle_n", "stance_n", "stance_push", "load", "load_n", "kept_ticks", "carried", "hanging", "p",
-    "touches",
+    "idle_n", "stance_n", "stance_push", "load", "load_n", "carried_load",
+    "carried_n", "kept_ticks", "carried", "hanging", "p", "touches",
 )  # fmt: skip
 
 # The arrays of a `LegBatch`, as each half receives them.

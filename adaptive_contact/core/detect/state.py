@@ -64,11 +64,14 @@ IDLE_NS: Final = 20_000_000_000
 # The sum of pushes, averaged over so long after the turn and over the last stances, is the load.
 # Legs that hang are at -6 to 2.8 (eight robots of the second engine, and a real quadruped), those
 # that walk at 5 to 8, with drives that hardly give way at 1 to 5.  So a leg carries above the first
-# level; it hangs below the second, or below the third if it carried: a model that began with a
-# prior errs by so much.
+# level, and hangs below the second.
 STANCE_NS: Final = 240_000_000
 LEAST_STANCES, STANCES = 3, 8
-LOADED, UNLOADED, LIFTED = 3.0, 0.5, -3.0
+LOADED, UNLOADED = 3.0, 0.5
+# A leg that began with a prior and carried is lifted where its load is below this share of what it
+# was over so many stances.  Legs that walk stay above 0.75, over planned holes above 0.3; lifted
+# ones fall below 0.4 within a dozen stances, as in the air the model of a stance errs.
+CARRIED_STANCES, CARRIED_SHARE = 40, 0.4
 # A leg that hangs may have been put down where one stance is so much above the load.
 PUT_DOWN: Final = 1.0
 # Stances of a leg whose lifts are so far off say nothing.
@@ -84,7 +87,7 @@ OFF: Final = 0.45
 def forget_state(leg):
     """Reset the state to unknown when the source restarts; learned sizes stay."""
     leg.carried = leg.touches = False
-    leg.pressed_n = leg.idle_n = 0
+    leg.pressed_n = leg.idle_n = leg.carried_n = 0
     leg.push_sum = leg.stance_push = 0.0
     leg.stance_n = -1
     leg.p = np.nan
@@ -135,8 +138,16 @@ def follow_load(leg):
     leg.load_n = min(leg.load_n + 1, STANCES)
     leg.load += (push - leg.load) / leg.load_n
     enough = STANCES if leg.from_prior else LEAST_STANCES
-    level = LIFTED if leg.from_prior and leg.carried else UNLOADED
-    if leg.load_n >= enough and leg.load < level:
+    walks = leg.from_prior and leg.carried
+    if walks:
+        if leg.carried_n == 0 or push > CARRIED_SHARE * leg.carried_load:
+            leg.carried_n = min(leg.carried_n + 1, CARRIED_STANCES)
+            leg.carried_load += (push - leg.carried_load) / leg.carried_n
+        if leg.load > min(LOADED, CARRIED_SHARE * leg.carried_load):
+            leg.idle_n = 0
+        elif leg.load_n >= enough:
+            leg.carried, leg.carried_n, walks = False, 0, False
+    if leg.load_n >= enough and leg.load < UNLOADED and not walks:
         if leg.from_prior and not learned:
             leg.load_n = 0  # measured again, as its stances are learned from here on
         leg.hanging, leg.carried = True, False
