@@ -138,6 +138,7 @@ class InformationCheck:
         suspicion: what one look alone has found, until the next agrees.
         suspected: whether the last look found a fault, or readings that may be copies.
         unproved: whether look after look has not told the readings from a copy.
+        open_joints: those that the last such look did not tell from copies.
     """
 
     def __init__(self, joints: int, step_rad: float) -> None:
@@ -147,10 +148,16 @@ class InformationCheck:
         self.suspected = False
         self.unproved = False
         self._unclear = 0  # looks that suspected and found nothing, less those that did not
-        self._open: tuple[int, ...] = ()  # joints that the last of them did not tell from copies
+        self.open_joints: tuple[int, ...] = ()
         self._strides = deque[int](maxlen=2)  # samples at which the last swings began
         self._agreed = 0  # looks in a row that say other than `found`
         self._white = self._shown = 0  # looks in a row that left white noise; looks that did not
+
+    @property
+    def copies(self) -> tuple[int, ...]:
+        """Joints that are copies, if only by one look."""
+        found = self.found or self.suspicion
+        return found.joints if found is not None and found.kind == "copy" else ()
 
     def restart(self) -> None:
         """Forget the strides: what comes does not connect."""
@@ -228,7 +235,7 @@ class InformationCheck:
         before = self.found.joints if self.found is not None and kind == "copy" else ()
         copies = np.flatnonzero(off.rms < (COPY_STAYS if before else COPY_STEPS))
         self.suspected = bool(len(copies))
-        still, self._open = before or self._open, tuple(copies.tolist())
+        still, self.open_joints = before or self.open_joints, tuple(copies.tolist())
         # Free motion is a function of the commands: where the leg's model predicts it, or nothing
         # was in evidence that the leg had to carry, these may be its own.
         enough = max(ticks, ENOUGH_TICKS)
@@ -239,7 +246,7 @@ class InformationCheck:
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
         if still and np.isnan(off.rms[list(still)]).all():
-            self._open = still
+            self.open_joints = still
             return self.found, False  # joints that hardly move clear nothing
         run = EQUAL_STAYS if before else EQUAL_RUN
         equal, since = equal_to_commands(samples, ticks, self._step_rad, run)
@@ -493,34 +500,31 @@ def step_of(readings: Array, described_rad: float) -> float:
 class Survey(NamedTuple):
     """Holds what the looks at a recording have found."""
 
-    copies: tuple[int, ...]  # joints that are copies, by the newest ticks as one
-    strides: tuple[int, ...]  # joints that were, for some strides
+    copies: tuple[int, ...]  # joints that are copies, by the newest look that says so
+    unclear: tuple[int, ...]  # joints that were, for some strides, or are not told from copies
     old: bool
-    carries: bool  # whether the leg is known to have carried
 
 
 def survey(samples: Samples, step_rad: float) -> Survey:
     """Look at a whole recording as the tick does.
 
     Args:
-        samples: all; where swings are not known, half of :data:`ENOUGH_TICKS` passes for a stride.
+        samples: all; where swings are not known, half of :data:`ENOUGH_TICKS` passes for a stride,
+            and a leg for one that carries nothing.
         step_rad: of the encoder.
     """
     swings = samples.swings
-    check = InformationCheck(samples.measured.shape[1], step_rad)
-    n, strides, old = len(samples.seq), set[int](), False
+    check, seen, old = InformationCheck(samples.measured.shape[1], step_rad), set[int](), False
     turns = () if swings is None else np.flatnonzero(np.diff(swings.astype(np.int8))).tolist()
     looks = {at + 2: bool(swings[at + 1]) for at in turns} if swings is not None else {}
     if not looks:
-        looks = dict.fromkeys(range(ENOUGH_TICKS // 2, n + 1, ENOUGH_TICKS // 2), True)
+        every = range(ENOUGH_TICKS // 2, len(samples.seq) + 1, ENOUGH_TICKS // 2)
+        looks = dict.fromkeys(every, True)
+    light = None if turns else True
     for count, begins in looks.items():
         newest = samples.part(max(count - NEEDED_SAMPLES, 0), count)
-        if check.look(count, newest, begins=begins) and check.found is not None:
-            old |= check.found.kind == "old"
-            strides |= set(check.found.joints) if check.found.kind == "copy" else set()
-    steps = np.array([step_of(y, step_rad) for y in samples.measured[-MOST_TICKS:].T])
-    off = departure(samples, min(max(n - LAGS, 0), MOST_TICKS), steps) if n else None
-    copies = () if off is None else tuple(np.flatnonzero(off.rms < COPY_STEPS).tolist())
-    phased = swings is not None and bool(swings.any() and not swings.all())
-    carried = phased and carries(samples, steps)
-    return Survey(copies, tuple(sorted(strides - set(copies))), old, carried)
+        check.look(count, newest, begins=begins, predicted=light)
+        old |= check.found is not None and check.found.kind == "old"
+        seen |= set(check.copies)
+    seen |= set(check.open_joints if check.unproved else ())
+    return Survey(check.copies, tuple(sorted(seen - set(check.copies))), old)

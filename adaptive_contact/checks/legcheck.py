@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import combinations, pairwise
+from itertools import pairwise, permutations
 from typing import Final
 
 import numpy as np
@@ -124,28 +124,26 @@ def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[
     Yields:
         A fault of each such leg, with its id.
     """
-    moving: dict[str, Counter[tuple[float, ...]]] = {}
-    for leg, rows in samples.items():
-        # What a leg reads while it moves: (J,) angles, and how often.
-        counts = moving[leg] = Counter()
-        for before, row in pairwise(rows):
-            if len(row.measured) == len(before.measured) and any(
-                # Readings that two legs have in common among those of ticks in which a joint moves
-                # this far, rad.  Of legs that walk alike, on servos of 0.3 degrees, less than one
-                # in a hundred is.
+    # What a leg reads while it moves this far in a tick, rad.  Of legs that walk alike, on
+    # servos of 0.3 degrees, less than one such reading in a hundred is another leg's.
+    moving = {
+        leg: {
+            tuple(row.measured)
+            for before, row in pairwise(rows)
+            if any(
                 abs(new - old) > 0.01
-                for new, old in zip(row.measured, before.measured, strict=True)
-            ):
-                counts[tuple(row.measured)] += 1
-    found: dict[str, list[str]] = {}
-    for leg, other in combinations(moving, 2):
-        mine, theirs = moving[leg], moving[other]
-        shared = (mine & theirs).total()
-        if shared >= max(_FEWEST, 0.8 * min(mine.total(), theirs.total())):
-            found.setdefault(leg, []).append(other)
-            found.setdefault(other, []).append(leg)
-    for leg, others in found.items():
-        yield leg, Fault.of("twins", key=" ".join(sorted([leg, *others])))
+                for new, old in zip(row.measured, before.measured, strict=False)
+            )
+        }
+        for leg, rows in samples.items()
+    }
+    found: dict[str, set[str]] = {}
+    for one, other in permutations(moving, 2):
+        mine, theirs = moving[one], moving[other]
+        if len(mine & theirs) >= max(_FEWEST, 0.8 * min(len(mine), len(theirs))):
+            found.setdefault(one, {one}).add(other)
+    for leg, alike in found.items():
+        yield leg, Fault.of("twins", key=" ".join(sorted(alike)))
 
 
 def check_ids(published: Sequence[str], described: Sequence[str], robot: str) -> Iterator[Fault]:
@@ -349,38 +347,18 @@ def _rate(step_s: float, period_s: float) -> Fault:
 
 
 def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
-    """Yield a fault where stamps of the longest run deviate from an even grid."""
+    """Yield a fault where stamps of the longest run jitter, as the tick follows them, or burst."""
     run = Counter(s.run for s in samples).most_common(1)[0][0]
-    rows = [s for s in samples if s.run == run]
-    rate = RateWatch(round(period_s * 1e9))
-    for k, row in enumerate(rows):
-        rate.follow(row.t_ns, row.seq, restart=k == 0)
+    rate, seen = RateWatch(round(period_s * 1e9)), list[float]()
+    for row in (s for s in samples if s.run == run):
+        rate.follow(row.t_ns, row.seq, restart=not seen)
+        seen.append(rate.jitter)
+    jitter = float(np.median(seen[_FEWEST_STAMPS:] or [0.0]))
     if rate.burst:
         yield Fault.of("jitter-bursts", ticks=rate.burst)
-        return
-    if len(rows) < _FEWEST_STAMPS:
-        return
-    seq = np.array([s.seq - rows[0].seq for s in rows], dtype=np.float64)
-    at_s = np.array([s.t_ns - rows[0].t_ns for s in rows]) / 1e9
-    # A loop that sleeps for a period drifts, and a pause shifts all that come after: only what is
-    # off within a second is jitter.
-    length = max(_FEWEST_STAMPS, round(1.0 / period_s))
-    late = []
-    for begin in range(0, len(rows) - _FEWEST_STAMPS + 1, length):
-        part = slice(begin, begin + length)
-        schedule = at_s[part] - seq[part] * period_s
-        slope, start = np.polyfit(seq[part], schedule, 1)
-        late.append(schedule - slope * seq[part] - start)
-    off = np.concatenate(late)
-    robust = 1.4826 * float(np.median(np.abs(off - np.median(off))))
-    if robust <= 0.0:
-        return
-    # Beyond so many robust deviations a stamp is a pause, not jitter.
-    deviation = float(off[np.abs(off) <= 5.0 * robust].std())
-    if deviation > NOTED_JITTER * period_s:
-        share = f"{deviation / period_s:.0%} of a tick"
-        by = f"by {deviation * 1e3:.1f} ms (standard deviation; {share})"
-        yield Fault.of("jitter", by, deviation)
+    elif jitter > NOTED_JITTER:
+        by = f"by {jitter * period_s * 1e3:.1f} ms (root mean square; {jitter:.0%} of a tick)"
+        yield Fault.of("jitter", by, jitter)
 
 
 def _coarse(quantum_rad: float, who: str = "robot.toml says quantum_rad =") -> Fault:

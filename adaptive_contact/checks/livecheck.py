@@ -21,6 +21,7 @@ from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.checks.conventions.rigid import on_body
 from adaptive_contact.checks.findings import Fault, Finding, Level, entries
 from adaptive_contact.checks.legcheck import check_ids, check_leg
+from adaptive_contact.core.detect.stream import fault_of
 from adaptive_contact.robot import AngleFrame, Angles, Leg, Mount, Robot, axis_text
 from adaptive_contact.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
@@ -199,11 +200,8 @@ class _LegCheck:
         """Process a sample; return what was moved, once it rests again."""
         self.samples.append(sample)
         self._count += 1
-        joints = len(self.leg.joints)
-        values = (*sample.measured, *sample.desired)
-        if len(sample.measured) != joints or len(sample.desired) != joints:
-            return None
-        if not np.isfinite(values).all() or (sample.valid is not None and not all(sample.valid)):
+        answered = sample.valid is None or all(sample.valid)
+        if not answered or fault_of(sample, len(self.leg.joints)) is not None:
             return None
         self.turned.append(self._frame.sample(sample))
         self._recent.append(np.array(self.turned[-1].measured))

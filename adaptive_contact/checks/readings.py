@@ -17,9 +17,10 @@ from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.findings import Fault
 from adaptive_contact.checks.information import Samples, held_share, survey
 from adaptive_contact.checks.limits import Limits, find_limits
-from adaptive_contact.checks.position_step import LEAST_STEP_RAD, STEP_TOLERANCE, position_step
+from adaptive_contact.checks.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.core.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
+from adaptive_contact.robot.description import ASSUMED_STEP_RAD
 from adaptive_contact.wire import ServoSample
 from adaptive_contact.wire.messages import MAX_PREVIEW_TICKS
 
@@ -34,16 +35,8 @@ _WIDE_RAD: Final = 0.3
 # Median of |measured - desired|, rad: an AX-12A lags some 0.1 rad in fast swings; 0.4 rad over
 # seconds is a wrong zero, a wrong direction or a stalled joint.
 _FAR_RAD: Final = 0.4
-# Readings copy the command of up to _COPY_LAGS ticks before if _COPY_SHARE of the ticks in motion
-# differ from it by the same within one step, as rounding leaves, at speeds that differ by
-# _COPY_SPEEDS steps a tick.
-_COPY_LAGS: Final = 12
-_COPY_SHARE: Final = 0.98
-_COPY_SPEEDS: Final = 3.0
 # Least number of ticks that compare a joint's motion with its command's.
 _FEWEST_MOVING: Final = 50
-# Tolerance of a copy, rad, where the encoder's step is unknown and readings lie on no grid.
-_EQUAL_RAD: Final = 2e-6
 
 
 # What the service expects of a sample's fields, and whether one of so many joints has it.
@@ -110,16 +103,12 @@ def check_readings(
     phases = [s.phase for s, usable in zip(samples, kept, strict=True) if usable]
     known = None if None in phases else np.array([phase == "swing" for phase in phases])
     near = np.median(np.abs(measured - desired), axis=0) <= _FAR_RAD
-    found = survey(Samples(seq, measured, desired, known), quantum_rad or _EQUAL_RAD)
-    copies = set(found.copies)
-    # Of a leg that carried nothing, as far as is known, the readings of a stiff servo look so, too.
-    sure = copies if found.carries else set()
-    for j, (read, told) in enumerate(zip(measured.T, desired.T, strict=True)):
-        if _delayed(read, told, seq, quantum_rad):
-            sure = sure | {j}
-    for cause, joints in (("echo", sure), ("near_echo", (copies | set(found.strides)) - sure)):
+    grids = [position_step(read) or 0.0 for read in measured.T]
+    step_rad = quantum_rad or max(grids) or ASSUMED_STEP_RAD
+    found = survey(Samples(seq, measured, desired, known), step_rad)
+    for cause, joints in (("echo", found.copies), ("near_echo", found.unclear)):
         # A copy is near its command; a reading far from it has another fault.
-        of_cause = [j for j in sorted(joints) if near[j]]
+        of_cause = [j for j in joints if near[j]]
         if of_cause:
             every = len(of_cause) == len(names)
             which = None if every else ", ".join(names[j] for j in of_cause)
@@ -142,7 +131,9 @@ def check_readings(
         yield Fault.of("order", " and ".join(follows))
         return
     if quantum_rad is not None:
-        yield from _held(Samples(seq, measured, desired), names, quantum_rad)
+        # Steps coarser than described take a joint several ticks each.
+        steps = [max(quantum_rad, grid) for grid in grids]
+        yield from _held(Samples(seq, measured, desired), names, steps)
     begun = _begun(desired, 0.0)
     if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
         by_rad = float(np.ptp(measured, axis=0).max())
@@ -150,23 +141,23 @@ def check_readings(
     for j, name in enumerate(names):
         yield from _joint(measured[:, j], desired[:, j], name, begun)
         if quantum_rad is not None:
-            yield from _steps(measured[:, j], name, quantum_rad)
+            yield from _steps(grids[j], name, quantum_rad)
     if limits_rad is not None:
         yield from _beyond_limits(measured, names, limits_rad)
-    yield from _beyond_stops(measured, desired, names, quantum_rad, limits_rad)
+    yield from _beyond_stops(measured, desired, names, step_rad, limits_rad)
 
 
 def _beyond_stops(
     measured: Array,
     desired: Array,
     names: Sequence[str],
-    quantum_rad: float | None,
+    step_rad: float,
     limits_rad: Sequence[Sequence[float]] | None,
 ) -> Iterator[Fault]:
     """Name joints whose goals, (n, J) rad, go beyond where their servos stop."""
     none = Limits.none(len(names))
     said = none if limits_rad is None else Limits(*np.array(limits_rad).T)
-    ends = find_limits(None, said, none, quantum_rad or _EQUAL_RAD, measured, desired)
+    ends = find_limits(None, said, none, step_rad, measured, desired)
     reached = ends.reached(names, desired)
     if reached:
         yield Fault.of("goals", reached)
@@ -205,41 +196,11 @@ def _far_out(angles: Array) -> Array:
     return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
 
 
-def _delayed(measured: Array, desired: Array, seq: Ticks, step_rad: float | None) -> bool:
-    """Return whether a joint's readings are earlier commands, exact or rounded."""
-    fine = step_rad is not None and step_rad < LEAST_STEP_RAD  # no finer one can be found
-    own_rad = position_step(measured, step_rad) or (step_rad if fine else None) or _EQUAL_RAD
-    for lag in range(min(_COPY_LAGS, len(seq) - 2) + 1):
-        # Rows whose command ``lag`` ticks before is known, and had moved.
-        k = np.arange(lag + 1, len(seq))
-        speeds = np.abs(desired[k - lag] - desired[k - lag - 1]) / own_rad
-        known = (seq[k] - seq[k - lag - 1] == lag + 1) & (speeds > 0.5)
-        k, speeds = k[known], speeds[known]
-        if len(k) < _FEWEST_MOVING:
-            continue
-        slow, fast = np.quantile(speeds, (0.05, 0.95))
-        off = np.sort(measured[k] - desired[k - lag])
-        inside = math.ceil(_COPY_SHARE * len(k))
-        width = (off[inside - 1 :] - off[: len(k) - inside + 1]).min()
-        if fast - slow > _COPY_SPEEDS and width <= own_rad:
-            return True
-    return False
-
-
-def _held(samples: Samples, names: Sequence[str], step_rad: float) -> Iterator[Fault]:
-    shares: dict[str, float] = {}
-    for joint, name in enumerate(names):
-        # Steps coarser than described take a joint several ticks each.
-        gaps = np.diff(np.unique(samples.measured[:, joint]))
-        # Two values of one step, computed in two ways, differ by rounding.
-        coarser = float(gaps.min(initial=np.inf, where=gaps > 1e-9))
-        share = held_share(samples, joint, max(step_rad, coarser))
-        # Readings that are held: of the ticks in which a joint goes a step a tick and more, over so
-        # many ticks on each side, more than this share read the same as the tick before.  Held for
-        # two ticks it is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions 0.24
-        # at most.
-        if share > 0.4:
-            shares[name] = share
+def _held(samples: Samples, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
+    shares = {name: held_share(samples, j, steps_rad[j]) for j, name in enumerate(names)}
+    # Held for two ticks it is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions
+    # 0.24 at most.
+    shares = {name: share for name, share in shares.items() if share > 0.4}
     if shares:
         most = max(shares.values())
         yield Fault.of("held", f"{', '.join(shares)} in up to {most:.0%} of ticks", most)
@@ -334,9 +295,8 @@ def _glitches(measured: Array) -> tuple[int, float | None]:
     return len(values), value if 2 * times > len(values) else None
 
 
-def _steps(measured: Array, name: str, quantum_rad: float) -> Iterator[Fault]:
-    found = position_step(measured, quantum_rad)
-    if found is None or abs(found / quantum_rad - 1.0) <= STEP_TOLERANCE:
+def _steps(found: float, name: str, quantum_rad: float) -> Iterator[Fault]:
+    if not found or abs(found / quantum_rad - 1.0) <= STEP_TOLERANCE:
         return
     if abs(found / quantum_rad * (math.pi / 180.0) - 1.0) <= STEP_TOLERANCE:
         steps = f"{name} steps by {found:.3g}, robot.toml says {quantum_rad:g}"

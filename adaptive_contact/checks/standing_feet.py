@@ -9,9 +9,9 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
-from adaptive_contact.checks.conventions.rigid import on_body
+from adaptive_contact.checks.conventions.rigid import LAG_S, on_body
 from adaptive_contact.checks.conventions.sign_choices import LegChoices
-from adaptive_contact.checks.conventions.together import LAG_S, LOOSE, Pairs
+from adaptive_contact.checks.conventions.together import LOOSE, Pairs
 from adaptive_contact.robot import Robot
 
 

@@ -255,9 +255,7 @@ def test_one_joint_is_named() -> None:
     y[:, 1] = delayed(u, 2)[:, 1]
     check, _ = played(y, u, swing)
     assert check.found.joints == (1,)
-    assert survey(Samples(np.arange(len(y)), y, u, swing), STEP) == Survey(
-        (1,), (), old=False, carries=True
-    )
+    assert survey(Samples(np.arange(len(y)), y, u, swing), STEP) == Survey((1,), (), old=False)
 
 
 def test_lost_samples_and_spoilt_readings_hide_nothing_and_accuse_nobody() -> None:

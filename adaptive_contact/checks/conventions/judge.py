@@ -28,10 +28,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
-from adaptive_contact.checks.conventions.rigid import BETTER, FLOOR, RIGID, Reading
+from adaptive_contact.checks.conventions.rigid import BETTER, FLOOR, LAG_S, RIGID, Reading
 from adaptive_contact.checks.conventions.sign_choices import SURE_SHARE, Alone, LegChoices
 from adaptive_contact.checks.conventions.together import (
-    LAG_S,
     LOOSE,
     OPEN_RAD,
     SLOW_LAGS,

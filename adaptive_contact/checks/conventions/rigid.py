@@ -23,6 +23,9 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.robot.description import Leg
 
+# Displacements are taken over this time, s: long against the jitter of a command's rounding, short
+# against a stance.
+LAG_S: Final = 0.08
 # After a touch a controller may press the foot down for this long, s, and before the lift a
 # phase may be reported late.
 SETTLE_S: Final = 0.12

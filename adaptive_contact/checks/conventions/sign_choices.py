@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.conventions.motion import LegMotion
-from adaptive_contact.checks.conventions.rigid import Reading, Stream, pushed_up, standing
+from adaptive_contact.checks.conventions.rigid import LAG_S, Reading, Stream, pushed_up, standing
 from adaptive_contact.robot.description import Leg
 
 # A leg's foot counts as above its axis, or below, in this share of its ticks.
@@ -69,8 +69,6 @@ class LegChoices:
             plain._replace(directions=tuple(int(sign) for sign in flip)) for flip in self.flips
         ]
         self._period_s = period_s
-        # A tick is slow below this speed, rad/s: there a servo's lag is no longer that of motion.
-        self._slow = 1.0 * period_s
         self._places: dict[int, Array] = {}
 
     def look_at(self, reading: Reading) -> int:
@@ -138,23 +136,6 @@ class LegChoices:
             and (rises <= 1 - SURE_SHARE)
         )
 
-    def load_m(self, pattern: int) -> float | None:
-        """How far above its command the foot is on slow ticks, median, m; None for too few."""
-        motion = self.motion
-        moved = np.abs(np.diff(motion.measured, axis=0)).max(axis=1)
-        next_tick = np.diff(self.stream.grid) == 1
-        slow = np.flatnonzero((moved < self._slow) & next_tick)
-        if len(slow) < 50:
-            return None
-        flip = self.flips[pattern]
-        ahead = (motion.measured[slow + 1] - motion.desired[slow]) * flip
-        at = motion.measured[slow + 1] * flip
-        rise = self.chain.height_gradients(at)
-        if not self.chain.is_straight:
-            return float(np.median((rise * ahead).sum(axis=1)))
-        first = int(np.flatnonzero(self.lifts)[0])
-        return float(np.median(rise[:, first] * ahead[:, first]))
-
     def sags_rad(self) -> Array:
         """By how much the first pitch joint gives way to gravity in each hold, (m,) rad.
 
@@ -186,18 +167,17 @@ class LegChoices:
 
     def alone(self) -> Alone | None:
         """What this leg shows by itself; None for nothing that is sure."""
-        wrong, pushed = self.upside_down(0), False
-        if not wrong and self.motion.swing is None and self.below(0) <= 1 - SURE_SHARE:
-            load = self.load_m(0)
-            wrong = pushed = load is not None and load < 0
-        if not wrong:
+        upside_down = self.upside_down(0)
+        pushed = not upside_down and self.motion.swing is None and self.below(0) <= 1 - SURE_SHARE
+        if not upside_down and not pushed:
             return None
         lifting = [k for k, flip in enumerate(self.flips) if (flip[~self.lifts] > 0).all()]
         left = [k for k in lifting if not self.insane(k) and self._within(k)]
         # That all of them are turned round is the usual case: half of all robots are.
         left.sort(key=lambda k: not (self.flips[k][self.lifts] < 0).all())
         best = next((k for k in left if self.sane(k)), None)
-        if best is None:
+        lag = max(round(LAG_S / self._period_s), 1)
+        if best is None or (pushed and not self.carries(best, lag)):
             return None
         return Alone(best, tuple(k for k in left if k != best), pushed)
 

@@ -19,6 +19,7 @@ from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.conventions.rigid import (
     BETTER,
     FLOOR,
+    LAG_S,
     LEAST_ROWS,
     MOST,
     MOST_ROWS,
@@ -34,9 +35,6 @@ from adaptive_contact.checks.conventions.rigid import (
 )
 from adaptive_contact.checks.conventions.sign_choices import LegChoices
 
-# Displacements are taken over this time, s: long against the jitter of a command's rounding, short
-# against a stance.
-LAG_S: Final = 0.08
 # Feet of a slow gait go too little way in it: then it is so many times as long.
 SLOW_LAGS: Final = 3
 # rho of a description that is wrong.
