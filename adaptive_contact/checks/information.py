@@ -86,6 +86,8 @@ BAND: Final = 6
 LEAST_TRAVEL_RAD: Final = 0.02
 # What a look needs at most.
 NEEDED_SAMPLES: Final = MOST_TICKS + LAGS + OLD_TICKS
+# Of a recording with fewer beginnings and ends of swings, any ticks are judged.
+LEAST_TURNS: Final = 8
 # Readings are on a grid where so many are, to a tenth of its step.
 GRID_SHARE: Final = 0.95
 GRID_RAD: Final = 1e-5
@@ -509,17 +511,17 @@ def survey(samples: Samples, step_rad: float) -> Survey:
     """Look at a whole recording as the tick does.
 
     Args:
-        samples: all; where swings are not known, half of :data:`ENOUGH_TICKS` passes for a stride,
-            and a leg for one that carries nothing.
+        samples: all; where few swings are known, half of :data:`ENOUGH_TICKS` passes for a stride,
+            and where none is, a leg for one that carries nothing.
         step_rad: of the encoder.
     """
-    swings = samples.swings
+    swings, n = samples.swings, len(samples.seq)
     check, seen, old = InformationCheck(samples.measured.shape[1], step_rad), set[int](), False
     turns = () if swings is None else np.flatnonzero(np.diff(swings.astype(np.int8))).tolist()
     looks = {at + 2: bool(swings[at + 1]) for at in turns} if swings is not None else {}
-    if not looks:
-        every = range(ENOUGH_TICKS // 2, len(samples.seq) + 1, ENOUGH_TICKS // 2)
-        looks = dict.fromkeys(every, True)
+    if len(turns) < LEAST_TURNS:
+        every = ENOUGH_TICKS // 2
+        looks = dict.fromkeys(range(n % every or every, n + 1, every), True)
     light = None if turns else True
     for count, begins in looks.items():
         newest = samples.part(max(count - NEEDED_SAMPLES, 0), count)

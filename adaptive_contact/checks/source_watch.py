@@ -34,7 +34,6 @@ from adaptive_contact.core.detect.layout import (
 )
 from adaptive_contact.core.detect.leg_batch import LegPlace
 from adaptive_contact.core.detect.source import ECHO, NONE, PAUSE, PHASE, STALE, follow_one
-from adaptive_contact.core.detect.swing import UNKNOWN
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import Doubt, ServoSample
 
@@ -177,13 +176,7 @@ class SourceWatch:
 
     def _newest(self, row: int) -> tuple[Samples, Ints]:
         """Return the newest samples of a leg of the batch, and their (n, 3) stamps."""
-        batch = self._place.batch
-        count = int(batch.legs["kept_n"][row])
-        at = np.arange(max(count - NEEDED_SAMPLES, 0), count) % KEPT
-        stamps = batch.kept_stamps[row, at]
-        measured, desired = np.split(batch.kept_angles[row, at], 2, axis=1)
-        phases = stamps[:, 2]
-        swings = None if (phases == UNKNOWN).any() else phases == 1
+        stamps, measured, desired, swings = self._place.batch.kept(row, NEEDED_SAMPLES)
         return Samples(stamps[:, 1], measured, desired, swings), stamps
 
     def _find_twin(self, samples: Samples) -> Samples | None:

@@ -7,8 +7,6 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-import numpy as np
-
 from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.core.detect.layout import KEPT
 from adaptive_contact.core.detect.leg_batch import LegPlace
@@ -57,14 +55,11 @@ class Track(Generic[FindingT]):
     @property
     def motion(self) -> LegMotion:
         """Copies of its newest samples; none once it is settled."""
-        place, count = self._place, self._place.leg.kept_n
         most = 0 if self.settled else KEPT
-        at = np.arange(max(count - most, 0), count) % KEPT
-        t_ns, seq, phase = place.batch.kept_stamps[place.row, at].T
-        measured, desired = np.split(place.batch.kept_angles[place.row, at], 2, axis=1)
-        swing = None if (phase < 0).any() else phase == 1
+        stamps, measured, desired, swing = self._place.batch.kept(self._place.row, most)
+        t_ns, seq, _ = stamps.T.copy()
         # Counted from the first, as numbers of any size are.
-        return LegMotion(t_ns.copy(), measured.copy(), desired.copy(), swing, seq - seq[:1])
+        return LegMotion(t_ns, measured.copy(), desired.copy(), swing, seq - seq[:1])
 
     def take(self, found: FindingT | None, *, right: bool = False) -> None:
         """Take what a judgement has found; ``right``: that nothing is wrong."""

@@ -183,7 +183,7 @@ def test_what_befalls_a_few_readings_is_a_note(times: int, level: str) -> None:
     told = swings(rng)
     read = followed(rng, told, 1, 40.0)
     read[50 : 50 + 40 * times : 40, 0] += 0.5
-    (entry,) = entries(("lf", fault) for fault in faults(read, told, None))
+    (entry,) = entries(("lf", fault) for fault in faults(read, told, 1e-4))
     assert (entry.cause, entry.level) == ("glitches", level)
 
 

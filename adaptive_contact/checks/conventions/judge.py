@@ -23,20 +23,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.checks.conventions.rigid import BETTER, FLOOR, LAG_S, RIGID, Reading
-from adaptive_contact.checks.conventions.sign_choices import SURE_SHARE, Alone, LegChoices
+from adaptive_contact.checks.conventions.sign_choices import SURE_SHARE, Chosen, LegChoices
 from adaptive_contact.checks.conventions.together import (
     LOOSE,
     OPEN_RAD,
-    SLOW_LAGS,
     Pairs,
     choose,
-    stands_of,
+    pairs_of,
 )
 from adaptive_contact.notes import IN_ORDER, WRONG_WAY, ZEROS
 from adaptive_contact.robot.description import AngleFrame, Leg, Mount, Robot, angles_text
@@ -142,16 +141,11 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
             chosen = {leg: choice for leg, choice in chosen.items() if choice.pattern == 0}
     findings, fits = [], []
     for leg in legs:
-        choice = chosen.get(leg.leg.id)
+        choice = chosen.get(leg.leg.id) or leg.alone()
         if choice is not None and choice.pattern == 0:
             fits.append(leg.leg.id)
-            continue
-        if choice is not None:
+        elif choice is not None:
             findings.append(_finding(leg, choice))
-            continue
-        alone = leg.alone()
-        if alone is not None:
-            findings.append(_finding_alone(leg, alone))
     return Verdict(tuple(findings), tuple(fits))
 
 
@@ -212,15 +206,9 @@ def _finding(leg: LegChoices, choice: Chosen) -> ConventionFinding:
         return _order_finding(leg.leg, reading)
     if any(reading.offsets_rad):
         return _zero_finding(leg, reading)
-    reason = _UPSIDE_DOWN if leg.upside_down(0) else _AGAINST
+    reason = _PUSHED if choice.pushed else _UPSIDE_DOWN if leg.upside_down(0) else _AGAINST
     turned = [other.directions for other in others]
     return _sign_finding(leg.leg, reading.directions, reason, turned)
-
-
-def _finding_alone(leg: LegChoices, alone: Alone) -> ConventionFinding:
-    """What a leg shows by itself, with what to write."""
-    signs, *others = (leg.readings[k].directions for k in (alone.pattern, *alone.others))
-    return _sign_finding(leg.leg, signs, _PUSHED if alone.pushed else _UPSIDE_DOWN, others)
 
 
 def _order_finding(leg: Leg, reading: Reading) -> ConventionFinding:
@@ -305,13 +293,6 @@ def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-class Chosen(NamedTuple):
-    """The pattern of a leg that explains its motion, and those that do as well."""
-
-    pattern: int
-    others: tuple[int, ...] = ()
-
-
 def choose_signs(legs: Sequence[LegChoices], period_s: float) -> dict[str, Chosen]:
     """Choose the signs that explain how legs walk whose mirror image walks as well.
 
@@ -332,12 +313,8 @@ def choose_signs(legs: Sequence[LegChoices], period_s: float) -> dict[str, Chose
     if len(legs) < 2 or len({leg.leg.joint_axes for leg in legs}) > 1:
         return {}
     described = (0,) * len(legs)
-    ticks = max(round(LAG_S / period_s), 1)
-    for lag in (ticks, SLOW_LAGS * ticks):
-        pairs = Pairs(stands_of(legs, lag))
-        before = _cost(pairs, described)
-        if np.isfinite(before):
-            break
+    pairs, _ = pairs_of(legs, period_s, 1)
+    before = _cost(pairs, described)
     tried = {}
     for chosen in dict.fromkeys(_by_hand(legs)):
         if all(leg.may_move(pattern) for leg, pattern in zip(legs, chosen, strict=True)):

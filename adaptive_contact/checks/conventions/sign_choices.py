@@ -24,12 +24,12 @@ SURE_SHARE: Final = 0.9
 MOST_FLIPS: Final = 5
 
 
-class Alone(NamedTuple):
-    """What one leg shows by itself: its signs are wrong."""
+class Chosen(NamedTuple):
+    """The pattern of a leg that explains its motion, and those that do as well."""
 
-    pattern: int  # the signs that explain its motion
-    others: tuple[int, ...]  # those that explain it as well
-    pushed: bool  # it is the ground's push that shows it
+    pattern: int
+    others: tuple[int, ...] = ()
+    pushed: bool = False  # it is the ground's push that shows it
 
 
 class LegChoices:
@@ -165,7 +165,7 @@ class LegChoices:
                 sags.append(-math.copysign(off, off * lever))
         return np.array(sags)
 
-    def alone(self) -> Alone | None:
+    def alone(self) -> Chosen | None:
         """What this leg shows by itself; None for nothing that is sure."""
         upside_down = self.upside_down(0)
         pushed = not upside_down and self.motion.swing is None and self.below(0) <= 1 - SURE_SHARE
@@ -179,7 +179,7 @@ class LegChoices:
         lag = max(round(LAG_S / self._period_s), 1)
         if best is None or (pushed and not self.carries(best, lag)):
             return None
-        return Alone(best, tuple(k for k in left if k != best), pushed)
+        return Chosen(best, tuple(k for k in left if k != best), pushed)
 
     def _within(self, pattern: int) -> bool:
         """Whether commands stay within the joints' limits, where there are any."""

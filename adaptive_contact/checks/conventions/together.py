@@ -133,6 +133,18 @@ def _compare(stands: Stands, i: int, j: int, a: int, b: int) -> tuple[float, flo
     return (float(count) ** 2, ratio) if np.isfinite(ratio) else (0.0, np.inf)
 
 
+def pairs_of(
+    legs: Sequence[LegChoices], period_s: float, least_partners: int = 2
+) -> tuple[Pairs, int]:
+    """Compare legs over a displacement by which all of them move as described; and its ticks."""
+    lag = max(round(LAG_S / period_s), 1)
+    pairs = Pairs(stands_of(legs, lag))
+    described = [0] * len(legs)
+    if all(np.isfinite(pairs.cost(described, i, least_partners)) for i in range(len(legs))):
+        return pairs, lag
+    return Pairs(stands_of(legs, SLOW_LAGS * lag)), SLOW_LAGS * lag
+
+
 def choose(legs: Sequence[LegChoices], period_s: float) -> dict[str, int]:
     """Patterns under which the standing feet keep their distances; empty for none.
 
@@ -141,12 +153,8 @@ def choose(legs: Sequence[LegChoices], period_s: float) -> dict[str, int]:
     if len(legs) < 3:
         return {}
     described = [0] * len(legs)
-    ticks = max(round(LAG_S / period_s), 1)
-    for lag in (ticks, SLOW_LAGS * ticks):
-        pairs = Pairs(stands_of(legs, lag))
-        if all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
-            break
-    else:
+    pairs, lag = pairs_of(legs, period_s)
+    if not all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
         return {}
     others = _Others(legs, lag, period_s)
     if pairs.rigid(described) and all(leg.sane(0) for leg in legs):

@@ -33,7 +33,7 @@ from adaptive_contact.core.detect.layout import (
     vectors,
 )
 from adaptive_contact.core.detect.regressors import term_table
-from adaptive_contact.core.detect.swing import tabulate
+from adaptive_contact.core.detect.swing import UNKNOWN, tabulate
 from adaptive_contact.model.free_motion import FreeMotion
 from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.model.library import ChangeLibrary, Library
@@ -221,6 +221,24 @@ class LegBatch:
         """Return whether rows of another batch fit into this one, and mean the same."""
         ours, theirs = self.library, other.library
         return ours is theirs or ours == theirs
+
+    def kept(self, row: int, most: int) -> tuple[Ints, Array, Array, Mask | None]:
+        """Return the newest samples of a leg.
+
+        Args:
+            row: of the leg.
+            most: number of samples.
+
+        Returns:
+            (n, 3) time, number and phase; (n, J) measured and desired, rad; (n,) whether it swings,
+            None where that is not known.
+        """
+        count = int(self.legs["kept_n"][row])
+        at = np.arange(max(count - most, 0), count) % KEPT
+        stamps = self.kept_stamps[row, at]
+        measured, desired = np.split(self.kept_angles[row, at], 2, axis=1)
+        phases = stamps[:, 2]
+        return stamps, measured, desired, None if (phases == UNKNOWN).any() else phases == 1
 
     def adopt(self, row: int, other: LegBatch, of: int) -> None:
         """Copy a row of another batch: what fits, where its library is another."""
