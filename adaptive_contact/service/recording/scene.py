@@ -31,7 +31,6 @@ from adaptive_contact.robot.kinematics import Vector
 from adaptive_contact.wire import (
     BodyPose,
     ContactEvent,
-    ContactTruth,
     Message,
     ServoSample,
     leg_of_key,
@@ -49,14 +48,13 @@ _LINK: Final = (0.35, 0.45, 0.6, 1.0)
 _FREE: Final = (0.7, 0.7, 0.7, 1.0)
 _TOUCHES: Final = (0.9, 0.1, 0.1, 1.0)
 _WITHHELD: Final = (0.95, 0.65, 0.1, 1.0)
-_TRUTH: Final = (0.1, 0.7, 0.2, 0.35)
 
 Color = tuple[float, float, float, float]
 Schema = tuple[str, bytes]  # name and descriptors
 
 
 class Scene:
-    """Draws a robot from its samples, its events and the truth, where there is one.
+    """Draws a robot from its samples and its events.
 
     Legs without geometry have joint states only.
     """
@@ -102,8 +100,6 @@ class Scene:
         elif isinstance(message, ContactEvent):
             seen = _WITHHELD if message.withheld else _TOUCHES if message.contact else _FREE
             self._changed |= leg.show_contact(seen)
-        elif isinstance(message, ContactTruth):
-            self._changed |= leg.show_truth(touches=message.contact)
 
     def _move_body(self, pose: BodyPose) -> None:
         """Place the body in the world, for the ticks that follow."""
@@ -141,7 +137,7 @@ class _DrawnLeg:
         self._angles = AngleFrame(leg).angles
         self._joints = [joints.joints.add(name=name) for name in names]
         self._turns: list[tuple[Any, Vector]] = []
-        self._foot: Any = None
+        self._sphere: Any = None  # of the foot
         chain = leg.chain
         if chain is None:
             return
@@ -159,10 +155,12 @@ class _DrawnLeg:
             self._turns.append((transform.rotation, axis))
             entity = self._add_link(scene, frame, way, reach_m, frame)
             parent, place = frame, way
-        self._foot = entity
-        self._tip_m, self._reach_m = place, reach_m
-        self._colour, self._true = _FREE, False
-        self._paint()
+        self._sphere = entity.spheres.add()
+        _place(self._sphere.pose.position, place)
+        self._sphere.pose.orientation.w = 1.0
+        _place(self._sphere.size, (0.1 * reach_m,) * 3)
+        self._colour = _FREE
+        _paint(self._sphere.color, _FREE)
 
     def move(self, measured: list[float]) -> bool:
         """Move the joints to a sample; return False if it does not fit this leg."""
@@ -179,31 +177,11 @@ class _DrawnLeg:
 
     def show_contact(self, colour: Color) -> bool:
         """Paint the foot; return whether that changes the picture."""
-        if self._foot is None or colour == self._colour:
+        if self._sphere is None or colour == self._colour:
             return False
         self._colour = colour
-        self._paint()
+        _paint(self._sphere.color, colour)
         return True
-
-    def show_truth(self, *, touches: bool) -> bool:
-        """Draw the true contact around the foot; return whether that changes the picture."""
-        if self._foot is None or touches == self._true:
-            return False
-        self._true = touches
-        self._paint()
-        return True
-
-    def _paint(self) -> None:
-        del self._foot.spheres[:]
-        for size, colour in (
-            (0.1, self._colour),
-            *([(0.18, _TRUTH)] if self._true else []),
-        ):
-            sphere = self._foot.spheres.add()
-            _place(sphere.pose.position, self._tip_m)
-            sphere.pose.orientation.w = 1.0
-            _place(sphere.size, (size * self._reach_m,) * 3)
-            _paint(sphere.color, colour)
 
     def _add_link(self, scene: Any, frame: str, way: Vector, reach_m: float, name: str) -> Any:
         entity = scene.entities.add(frame_id=frame, id=name, frame_locked=True)
