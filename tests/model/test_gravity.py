@@ -59,9 +59,3 @@ def test_none_of_them_is_spare() -> None:
         terms = np.concatenate([np.ones((200, 1)), np.cos(phi), np.sin(phi)], axis=1)
         left = energy - terms @ np.linalg.lstsq(terms, energy, rcond=None)[0]
         assert np.abs(left).max() > 0.05
-
-
-def test_yaws_then_pitches_have_their_absolute_link_angles() -> None:
-    angles = gravity_angles(["coxa", "femur", "tibia"], ("yaw", "pitch", "pitch"))
-    assert [angle.name for angle in angles] == ["φ_femur", "φ_tibia"]
-    assert [angle.weights for angle in angles] == [(0, 1, 0), (0, 1, 1)]

@@ -232,13 +232,6 @@ def test_poisson_ends_leave_half_of_5_percent_outside(count: int) -> None:
         assert low == 0.0
 
 
-def test_ends_of_the_range() -> None:
-    assert clopper_pearson(0, 0) == (0.0, 1.0)
-    assert clopper_pearson(0, 10) == pytest.approx((0.0, 0.30849711))
-    assert clopper_pearson(10, 10) == pytest.approx((0.69150289, 1.0))
-    assert poisson_mean(0) == pytest.approx((0.0, 3.68887945))
-
-
 # -- Recovery after a drift, and which drifts count
 
 
