@@ -35,6 +35,7 @@ from adaptive_contact_studies.work import LEARNER, Work, rests_on
 
 _ENGINE: Final = "adaptive_contact_bullet"
 _SECONDS: Final = 900.0
+_PARTS: Final = 3  # of a run, whose recalls are compared: does a leg lose what it found?
 _FITS_S: Final = (0.0, 60.0, 240.0)  # free swings before; 0 for nothing
 _WALKS: Final[tuple[tuple[str, str, Kind], ...]] = (
     ("hexapod", "tripod", "hard"),
@@ -87,7 +88,8 @@ class Trial:
 class Found(NamedTuple):
     """What the product did in a trial; counts of all legs."""
 
-    touches: int
+    touches: tuple[int, ...]  # by parts of the run
+    found: tuple[int, ...]
     seen: int  # touches with a twin that the observer finds
     seen_found: int  # of those, that the product found
     twins: int
@@ -95,6 +97,7 @@ class Found(NamedTuple):
     judged: int  # ticks
     learned: int  # ticks
     learned_touching: int
+    free: int  # ticks of swings that touch nothing
     hung_alarms: int  # after the first swings
     valid_alarms: int  # of those, by a leg that was `valid`
 
@@ -158,10 +161,14 @@ def tried(work: Work, trial: Trial) -> Found | None:
     told = feed(learners, [samples_of(run, leg) for leg in robot.leg_ids], drain)
     events = dict(zip(robot.leg_ids, told, strict=True))
     outcomes = score_run(run, robot, events)
-    touches = seen = seen_found = alarms = judged = count = touching = hung = valid = 0
+    touches, found = np.zeros(_PARTS, int), np.zeros(_PARTS, int)
+    seen = seen_found = alarms = judged = count = touching = free_ticks = hung = valid = 0
+    span = run.t_ns[-1] - run.t_ns[0] + 1
     for outcome in outcomes:
         own, arrays = outcome.touches, run.legs[outcome.leg]
-        touches += int(own.counted.sum())
+        part = ((own.onset_ns - run.t_ns[0]) * _PARTS // span)[own.counted]
+        touches += np.bincount(part, minlength=_PARTS)
+        found += np.bincount(part, own.found[own.counted], minlength=_PARTS).astype(int)
         twins = np.array(
             [o.onset_ns for o in made.observed if o.leg == outcome.leg and o.ratio > 1.0]
         )
@@ -173,13 +180,15 @@ def tried(work: Work, trial: Trial) -> Found | None:
         judged += int(outcome.swings.judged.sum() + outcome.swings.judged_after.sum())
         at = np.searchsorted(run.t_ns, learned[outcome.leg])
         count, touching = count + len(at), touching + int(arrays.contact[at].sum())
+        free_ticks += int((arrays.swing & ~arrays.contact).sum())
         hung += int((outcome.alarm_swing >= _HUNG_SWINGS).sum())
         begun = outcome.swings.start_ns[min(_HUNG_SWINGS, len(outcome.swings.start_ns) - 1)]
         valid += sum(
             e.contact and e.status == "valid" and e.t_ns >= begun for e in events[outcome.leg]
         )
     return Found(
-        touches, seen, seen_found, len(made.observed), alarms, judged, count, touching, hung, valid
+        tuple(touches.tolist()), tuple(found.tolist()), seen, seen_found, len(made.observed),
+        alarms, judged, count, touching, free_ticks, hung, valid,
     )  # fmt: skip
 
 
@@ -187,8 +196,9 @@ def table(made: Sequence[tuple[Trial, Found | None]]) -> str:
     """Write what was found as Markdown: walks and drifts, then what hangs."""
     head = [
         "| robot, gait, ground | start | touches | observer | found of the observer's (95 %) "
-        "| false alarms per robot-hour | ticks learned that touch |",
-        "|---|---|---|---|---|---|---|",
+        "| recall by thirds, % | false alarms per robot-hour | ticks learned that touch "
+        "| free ticks learned |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     rows = [_row(trial, found) for trial, found in made if not trial.hangs]
     hung = [
@@ -209,11 +219,16 @@ def _start(trial: Trial) -> str:
 def _row(trial: Trial, found: Found | None) -> str:
     name = f"{trial.robot}, {trial.gait}, {'plates' if trial.robot == 'arm' else trial.ground}"
     if found is None:
-        return row(name, _start(trial), "no baseline could be fitted", *[""] * 4)
+        return row(name, _start(trial), "no baseline could be fitted", *[""] * 6)
+    touches = sum(found.touches)
+    pairs = zip(found.found, found.touches, strict=True)
     return row(
-        name, _start(trial), str(found.touches), f"{found.seen} of {found.touches}",
-        found_of(found.seen_found, found.seen), per_hour(found.alarms, found.judged),
+        name, _start(trial), str(touches), f"{found.seen} of {touches}",
+        found_of(found.seen_found, found.seen),
+        ", ".join(f"{100 * hit / of:.0f}" if of else "–" for hit, of in pairs),
+        per_hour(found.alarms, found.judged),
         percent(found.learned_touching / max(found.learned, 1), 2),
+        percent((found.learned - found.learned_touching) / max(found.free, 1), 0),
     )  # fmt: skip
 
 
