@@ -131,7 +131,7 @@ def test_a_trial_of_the_study_has_a_row(tmp_path: Path) -> None:
     work = Work(tmp_path)
     made = work.each("trials", tried, trials)
     walked = made[0]
-    assert walked.touches >= walked.seen >= walked.seen_found > 0
+    assert sum(walked.touches) >= walked.seen >= walked.seen_found > 0
     assert walked.twins >= walked.seen > 20
     assert made[1] is None  # three seconds are too little for a baseline
     page = table(list(zip(trials, made, strict=True)))
