@@ -7,7 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from adaptive_contact.compiled import records
 from adaptive_contact.core.bank import LegGroup
+from adaptive_contact.core.detect.layout import new_legs, scalars_of
+from adaptive_contact.core.detect.state import follow_load, hangs
 from adaptive_contact.core.detect.touch_point import locate
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model.model_file import shipped_baseline
@@ -133,6 +136,34 @@ def test_a_leg_that_hangs_has_no_state() -> None:
     assert {(state.known, state.contact, state.p) for state in states["leg"]} == {
         (False, False, None)
     }
+
+
+def test_a_leg_is_lifted_where_its_load_falls_and_not_where_it_is_small() -> None:
+    """Pushes of a stiff drive hardly reach the level of a leg that carries."""
+    legs = new_legs(1)
+    leg, record = scalars_of(legs, 0), records(legs)[0]
+    leg.has_lengths = leg.from_prior = True
+    leg.period_ns, leg.variance_scale, leg.stance_n = 20_000_000, 1.0, -1
+
+    def carries(pushes: list[float]) -> bool:
+        """Whether it carries after stances with such pushes."""
+        for push in pushes:
+            leg.ticks = 1
+            follow_load(record)
+            leg.ticks, leg.push_sum = 0, push
+            for _ in range(12):
+                follow_load(record)
+        leg.ticks = 1
+        follow_load(record)
+        return bool(leg.carried)
+
+    assert carries([4.0] * 8)
+    leg.idle_n = 500
+    assert carries([2.5] * 20)  # below the level
+    assert leg.idle_n == 0
+    assert carries([2.5, 0.2] * 4)  # every other step into a hole
+    assert not carries([0.5] * 12)
+    assert hangs(record)
 
 
 def test_a_new_source_has_to_stand_first(walk: Walked) -> None:

@@ -261,18 +261,6 @@ def test_a_slope_described_off_by_four_is_corrected_reported_and_outlives_a_rest
         assert told.count("alarm") <= 1
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_a_leg_with_a_baseline_is_still_judged_in_its_stances_after_a_refit(
-    robot: Robot, baseline: Baseline, start: LegBaseline, known: bool
-) -> None:
-    learner, again = (ContactLearner(robot, "rf", baseline if known else None) for _ in range(2))
-    learner.lifecycle.take_slope(start)
-    assert again.lifecycle.restore(learner.lifecycle.snapshot()) is None
-    for of in (learner, again):
-        assert of.model_report.slope_rad == pytest.approx(0.4 * SLOPE)
-        assert of.lifecycle.adapter.free_motion().from_prior is not known
-
-
 @pytest.mark.parametrize("slope", [None, "0.1", float("nan"), 1e-6, 40.0])
 def test_a_saved_slope_that_no_servo_has_is_refused(misdescribed: Robot, slope: object) -> None:
     learner = ContactLearner(misdescribed, "rf")

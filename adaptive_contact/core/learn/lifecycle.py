@@ -220,10 +220,7 @@ class Lifecycle:
 
     def _begin_found(self, start: LegBaseline) -> None:
         self._begin(start, prior_tails())
-        self._found = start.model
-        # What a leg with a baseline does in a stance stays known: it was judged there before.
-        if self.adapter is not None:
-            self.adapter.active.from_prior = self._widening > 0.0
+        self._found, self._widening = start.model, max(self._widening, 1.0)
         self.origin = f"a refit, with slope_rad = {start.model.library.slope_rad:.3g}"
 
     def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
