@@ -310,7 +310,7 @@ def test_models_are_told_when_asked(
         assert sorted(r.leg for r in reports if isinstance(r, ModelReport)) == ["lf", "rf"]
         bank.learner("lf").fault = ZeroDivisionError("in its model")
         with capture_logs():  # a traceback in colours takes a second of a busy core
-            assert len(client.query(model_key("*"))) == 2, "a fault in one leg begins it anew"
+            assert len(client.query(model_key("*"))) == 2, "a fault in one leg begins it again"
         bank.learner("lf").report = None
         (one,) = client.query(model_key("*"))
         assert one.key == model_key("rf")
