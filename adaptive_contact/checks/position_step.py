@@ -21,7 +21,7 @@ _MOST_STEP_RAD: Final = 0.1
 # Gaps off a whole number of steps by less than a tenth: of any value one in five is by chance.  Of
 # a grid so many are, by whether values have repeated.
 _NEAR: Final = 0.1
-_SHARE: Final = {True: 0.85, False: 0.98}
+_SHARE: Final = {True: 0.85, False: 0.95}
 STEP_TOLERANCE: Final = 0.05
 
 
@@ -41,7 +41,8 @@ def position_step(angles: Array) -> float | None:
     gaps = gaps[gaps > LEAST_STEP_RAD]
     if len(gaps) < _LEAST_GAPS:
         return None
-    for step in np.unique(gaps[gaps < _MOST_STEP_RAD]):
+    # The largest first: what is whole in a step is so in its fractions, which a stray gap is.
+    for step in np.unique(gaps[gaps < _MOST_STEP_RAD])[::-1]:
         steps = np.round(gaps / step)
         whole = (steps > 0) & (np.abs(gaps / step - steps) < _NEAR)
         if whole.mean() >= _SHARE[repeated]:

@@ -175,9 +175,7 @@ def test_what_another_controller_swings_is_learned_with_an_earlier_recording(
     controller.start()
     try:
         assert begun.wait(60.0)
-        # Two seconds of servos without a load, on a computer that is late, may look like copies.
-        words = ("--config", "robot.toml", "--seconds", "2", "--more", "early.mcap", "--anyway")
-        said = learn(*words)
+        said = learn("--config", "robot.toml", "--seconds", "2", "--more", "early.mcap")
     finally:
         stop.set()
         controller.join()
