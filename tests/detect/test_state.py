@@ -166,6 +166,28 @@ def test_a_leg_is_lifted_where_its_load_falls_and_not_where_it_is_small() -> Non
     assert hangs(record)
 
 
+@pytest.mark.parametrize(
+    ("sums", "carries"),
+    [([25.0] * 9, True), ([25.0] * 4 + [9.0] + [25.0] * 4, False), ([9.0] * 30, False)],
+)
+def test_a_stiff_drive_carries_where_each_stance_goes_on_pushing(
+    sums: list[float], carries: bool
+) -> None:
+    """Its push of one tick is that of a leg in the air whose model errs."""
+    legs = new_legs(1)
+    leg, record = scalars_of(legs, 0), records(legs)[0]
+    leg.has_lengths = leg.from_prior = True
+    leg.period_ns, leg.variance_scale, leg.stance_n = 20_000_000, 1.0, -1
+    for total in sums:
+        leg.ticks = 1
+        follow_load(record)
+        leg.ticks, leg.push_sum = 0, 2.0
+        for k in range(12):
+            leg.push = total * k / 11
+            follow_load(record)
+    assert bool(leg.carried) is carries
+
+
 def test_a_new_source_has_to_stand_first(walk: Walked) -> None:
     robot = simulated_robot("hexapod").description
     learner = ContactLearner(robot, "lf", shipped_baseline(robot.name))

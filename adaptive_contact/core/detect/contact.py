@@ -58,9 +58,12 @@ GUARD_TICKS: Final = 3
 FREE_PUSH, MOST_PUSH, SURE_PUSH = 1.0, 6.0, 4.0
 # And above this it is a contact.
 TOUCH_PUSH: Final = 8.0
+# Joints of a foot that has come down by less than this share of its rise may still stick.
+TOP_SHARE: Final = 0.1
 # In a lift, from so long after the command's first tick on, a foot has struck something where it
 # has lost this share of its predicted way: friction that grows fourfold takes 0.2.  Of a leg from a
-# prior the test ratio exceeds this, too: in 4,500 lifts that struck nothing it came to 1.6.
+# prior the test ratio exceeds this, too: in 4,500 lifts that struck nothing it came to 1.6.  The
+# same is asked for at the top of the swing.
 STRIKE_NS: Final = 100_000_000
 STRIKE_LOSS: Final = 0.3
 PRIOR_STRIKE: Final = 2.0
@@ -387,6 +390,16 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient):
     row.sigma = along / length
     for j in range(joints):
         aside[j] = target[j] - gradient[j] * (row.sigma / length)
+
+
+@compiled
+def may_stick(leg, swing):
+    """Return whether the foot has hardly begun to come down, of a leg that learns its friction.
+
+    Joints that turn round stick, and a prior does not know how much.
+    """
+    learns = leg.from_prior and leg.has_lengths
+    return learns and swing.foot[2] > leg.top - TOP_SHARE * leg.rise
 
 
 @compiled

@@ -13,6 +13,8 @@ import numpy as np
 
 from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.core.detect.contact import (
+    PRIOR_STRIKE,
+    USUAL_CONTACTS,
     add_push,
     begin_labels,
     break_off,
@@ -20,6 +22,7 @@ from adaptive_contact.core.detect.contact import (
     enter_row,
     is_high,
     let_go,
+    may_stick,
     model_uncertainty,
     note_contact,
     note_fit,
@@ -321,9 +324,14 @@ def decide(leg, swing, past, model, noise, kept):
     history = past.history
     past_lift = descending(leg, swing.lengths_ticks)
     loaded = leg.loaded
-    if past_lift and not (leg.bad or loaded or leg.contact or airborne(leg)):
+    sticks = past_lift and may_stick(leg, swing)
+    # Once it is known how the leg touches, what pushes there is learned.
+    learned = airborne(leg) or (sticks and leg.usual_n >= USUAL_CONTACTS)
+    if past_lift and not (leg.bad or loaded or leg.contact or learned):
         add_push(leg)
     score, onset_ns = leg_score(leg, past_lift, past, model, noise)
+    if sticks and score < PRIOR_STRIKE:
+        score = min(score, 1.0)
     topped = not leg.broken and (leg.topped or not leg.learning)
     calm = DESCENT if leg.descent else LIFT
     swing_tick(leg, score, leg.squared / noise.limits[calm, 0], onset_ns, past_lift and topped)

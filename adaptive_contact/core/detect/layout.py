@@ -285,6 +285,8 @@ LEG: Final = np.dtype(
         ("idle_n", i4),  # ticks of low commands without that
         ("stance_n", i4),  # ticks of the stance in hand whose push is summed up; below 0: none yet
         ("stance_push", f8),  # the sum
+        ("stance_most", f8),  # the largest `push` in it
+        ("pressed_stances", i4),  # in a row in which that was large
         ("load", f8),  # mean push of the last stances
         ("load_n", i4),  # stances in it
         ("carried_load", f8),  # the same while the leg carried
@@ -343,8 +345,8 @@ FREE_AT: Final[int] = LEG.fields["variance_scale"][1]
 STATE: Final = (
     "foreseen", "command_m", "lowest_command_m", "highest_command_m", "high_ticks", "low_ticks",
     "push_size", "loaded_push", "misfit_size", "push_sum", "misfit", "command_odds", "pressed_n",
-    "idle_n", "stance_n", "stance_push", "load", "load_n", "carried_load",
-    "carried_n", "kept_ticks", "carried", "hanging", "p", "touches",
+    "idle_n", "stance_n", "stance_push", "stance_most", "pressed_stances", "load", "load_n",
+    "carried_load", "carried_n", "kept_ticks", "carried", "hanging", "p", "touches",
 )  # fmt: skip
 
 # The arrays of a `LegBatch`, as each half receives them.

@@ -39,6 +39,9 @@ UNOBSERVED_SWINGS: Final = 20
 # A foot that lets go late shows in residuals that fall by orders of magnitude; a leg that has
 # changed shows in all of them alike.  Rows this many times above the last ones are still pressed.
 LET_GO_RATIO: Final = 10.0
+# Touches at less than so many times the threshold take several ticks to show, and their onsets say
+# little: in rows of a low foot before them a leg from a prior may touch.
+VAGUE: Final = 3.0
 # Nearer than this nothing is learned, whatever it is.
 NEAR_TICKS: Final = 1
 # In between, ticks that the model misses (a NIS above this)...
@@ -143,6 +146,9 @@ class SwingLabels:
             self._swing.touched(round((now_ns - onset_ns) / period_ns))
             self.landings.touched(leg.after - (now_ns - onset_ns) // period_ns)
         rows = self._close(onset_ns, period_ns)
+        vague = leg.from_prior and leg.has_lengths and leg.usual < VAGUE
+        if rows and vague and not self._hangs:
+            rows = rows[rows.records["high"]]
         return self._confirmed(rows, lifted=self._swing.lifted)
 
     # -- private -------------------------------------------------------------------------------
