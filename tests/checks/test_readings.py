@@ -45,6 +45,14 @@ def test_another_step_is_found_all_the_same(step: float, ticks: int, between: fl
     assert not [one for one in found if off(one, step)]
 
 
+@pytest.mark.parametrize("part", [1 / 2, 1 / 3, 1 / 6, 0.4])
+def test_one_reading_off_the_lines_leaves_the_step(part: float) -> None:
+    """Its two gaps are fractions of the step, and all others are whole in them."""
+    lines = AX * np.arange(68.0)
+    read = np.append(lines, AX * (30.0 + part))
+    assert not off(position_step(read), AX)
+
+
 @pytest.mark.parametrize("between", [0.0, 0.15])
 def test_nobody_needs_to_know_the_step(between: float) -> None:
     rng = np.random.default_rng(3)
