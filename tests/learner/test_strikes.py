@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from importlib import resources
 
+import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner, load_baseline, load_robot
 from adaptive_contact.compiled import records
-from adaptive_contact.core.detect.contact import note_contact
+from adaptive_contact.core.detect.contact import begin_labels, note_contact, strikes
 from adaptive_contact.core.detect.layout import new_legs, scalars_of
 from adaptive_contact_sim import Simulation, SimulationSettings, TerrainSettings, WalkSettings
 
@@ -44,6 +45,25 @@ def test_what_moved_as_predicted_and_then_met_something(
         leg.fit_n = fitted
     note_contact(records(legs)[0])
     assert bool(leg.fits) is fits
+
+
+def test_a_leg_that_loses_its_way_in_the_same_tick_of_each_lift_strikes_nothing() -> None:
+    """As one whose joint is read through a filter, until that is learned."""
+    legs = new_legs(1)
+    leg, record = scalars_of(legs, 0), records(legs)[0]
+    leg.period_ns, leg.leg_size = PERIOD_NS, 1.0
+    way = np.array([0.0, 0.03, 0.02])
+    history = np.zeros((2, 3, 3))
+    history[:, 0] = -0.5 * way, way  # half of it is lost
+
+    def reported(tick: int) -> bool:
+        begin_labels(record)
+        leg.ticks, leg.fit_n, leg.at_ns = tick, 5, leg.at_ns + 70 * PERIOD_NS
+        leg.misfit_ns = leg.at_ns - 20 * PERIOD_NS
+        return strikes(record, history, 1.5)
+
+    assert [reported(tick) for tick in (6, 6, 5, 6)] == [True, False, False, False]
+    assert [reported(tick) for tick in (11, 11, 6)] == [True, False, True]
 
 
 def test_contacts_of_a_leg_that_stands_before_a_step_are_reported() -> None:

@@ -175,7 +175,8 @@ def strikes(leg, history, score):
     """Return whether a test ratio in a lift is of a foot that struck something.
 
     A foot that lets go late is off from its first ticks on; one that strikes fitted the model until
-    then, and loses more of its predicted way than one that has become slow.  While it is not known
+    then, and loses more of its predicted way than one that has become slow.  One that does so in
+    the same tick as in the swing before does not move as its model says.  While it is not known
     when readings are of, nothing is a strike.
     """
     if leg.ticks * leg.period_ns < STRIKE_NS or leg.clock_left:
@@ -185,9 +186,12 @@ def strikes(leg, history, score):
         way += history[1, 0, j] ** 2
         along += history[0, 0, j] * history[1, 0, j]
     fitting = fitting_before(leg, leg.at_ns) >= MIN_LIFT_ROWS
-    return (
-        fitting and -along > STRIKE_LOSS * way and score > (PRIOR_STRIKE if leg.from_prior else 1.0)
-    )
+    least = PRIOR_STRIKE if leg.from_prior else 1.0
+    if not (fitting and -along > STRIKE_LOSS * way and score > least):
+        return False
+    if leg.struck == 0:
+        leg.struck = leg.ticks
+    return abs(leg.ticks - leg.struck_before) > 1
 
 
 @compiled
@@ -285,6 +289,7 @@ def begin_labels(leg):
     leg.fit_n = leg.fit_before = 0
     leg.push = 0.0
     leg.doubtful_n = 0
+    leg.struck_before, leg.struck = leg.struck, 0
 
 
 @compiled

@@ -225,6 +225,8 @@ LEG: Final = np.dtype(
         ("calm_since", i8),  # ns, first of them
         ("usual", f8),  # median test ratio of contacts, and how many it is of
         ("usual_n", i4),
+        ("struck", i4),  # first tick in which the lift looked like a strike, 0 for none
+        ("struck_before", i4),  # and that of the swing before
         ("doubtful_n", i4),  # ticks in a row that show less than a touch of this leg does
         ("doubtful_ns", i8),  # and when that began
         # Labels of the swing in hand.
