@@ -369,7 +369,7 @@ def break_off(leg):
     leg.found |= BROKE_OFF
     leg.whole = leg.stood = False
     begin_labels(leg)
-    leg.broken = True
+    leg.broken, leg.struck_before = True, 0
 
 
 @compiled

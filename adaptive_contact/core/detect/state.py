@@ -161,6 +161,7 @@ def follow_load(leg):
         leg.hanging, leg.carried = True, False
     elif leg.load_n >= LEAST_STANCES and (leg.load > LOADED or presses):
         leg.hanging, leg.carried, leg.idle_n = False, True, 0
+        leg.slight = leg.load <= LOADED
     elif leg.load > PUT_DOWN and not leg.from_prior:
         leg.hanging = False
 
@@ -256,6 +257,9 @@ def follow_state(leg, sample, swing, past, noise):
     if not leg.carried or leg.idle_n * leg.period_ns > IDLE_NS:
         leg.carried = leg.touches = False
         leg.p = np.nan
+        return
+    if leg.slight:  # such a push parts no ticks
+        leg.p, leg.touches = np.nan, False
         return
     odds = WEIGHTS[0] + WEIGHTS[1] * leg.push_sum + WEIGHTS[2] * leg.misfit + leg.command_odds
     leg.p = 1.0 / (1.0 + math.exp(-odds))
