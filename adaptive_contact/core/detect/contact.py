@@ -78,9 +78,11 @@ MIN_LIFT_ROWS: Final = 3
 STRIKE_ROWS: Final = 5
 STRIKE_WAY_M: Final = 0.003
 STRIKE_TICKS: Final = 3
-# Less than this share of the leg's usual test ratio at a contact is no touch before it has lasted.
-# A trotting quadruped's touches are at 30 times the threshold, jolts by its other feet at up to 3.
-USUAL_SHARE: Final = 0.125
+# Less than this share of the usual test ratio at a contact is no touch before it has lasted, of a
+# leg whose body another foot may shake: a trotting quadruped's touches are at 30 times the
+# threshold, jolts at up to 3.  The second, which delays touches by 3 ms in the mean, holds after
+# the turn to stance, when the other feet of the step come down, and for a leg from a prior.
+USUAL_SHARE, SHAKEN_SHARE = 0.125, 0.5
 USUAL_CONTACTS: Final = 8
 USUAL_STEP: Final = 0.1  # of the logarithm of their median, a contact
 LASTING_NS: Final = 60_000_000
@@ -244,7 +246,7 @@ def swing_tick(leg, score, distance, onset_ns, past_top):
             release(leg, leg.at_ns, score)
         return
     if score <= 1.0:
-        leg.doubtful_n = 0
+        leg.doubtful_n = max(leg.doubtful_n - 1, 0)
         return
     if leg.doubtful_n == 0:
         leg.doubtful_ns = onset_ns
@@ -266,10 +268,12 @@ def is_doubtful(leg, score):
     """Return whether a test ratio is too small for a touch of this leg, and may not last.
 
     The threshold says how rare free motion is there, and nothing of what a touch is like.  A body
-    that another foot's touch shakes passes it, too.
+    that another foot's touch shakes passes it, too.  A leg that carries nothing is not shaken.
     """
-    short = leg.doubtful_n * leg.period_ns < LASTING_NS
-    return leg.usual_n >= USUAL_CONTACTS and score < USUAL_SHARE * leg.usual and short
+    if leg.usual_n < USUAL_CONTACTS or (leg.has_lengths and not leg.carried):
+        return False
+    share = SHAKEN_SHARE if leg.after or leg.from_prior else USUAL_SHARE
+    return score < share * leg.usual and leg.doubtful_n * leg.period_ns < LASTING_NS
 
 
 @compiled
