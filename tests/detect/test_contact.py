@@ -62,6 +62,22 @@ def test_a_jolt_is_no_touch_of_a_leg_that_comes_down_hard() -> None:
     assert leg.descend([1.2, 1.2], lifts=True) == 0, "a strike in the lift does not wait"
 
 
+@pytest.mark.parametrize("where", ["after the turn", "from a prior"])
+def test_a_body_is_shaken_where_other_feet_come_down(where: str) -> None:
+    """There what is well below the usual has to last, of a leg that carries."""
+    leg = Leg(10)
+    for _ in range(30):
+        leg.descend([20.0])
+    assert leg.descend([8.0, 8.0]) == 0, "it is no less than an eighth of the usual"
+    leg.of.after, leg.of.from_prior = int(where == "after the turn"), where == "from a prior"
+    assert leg.descend([8.0, 3.0, 0.5, 8.0, 19.0]) == 4
+    assert leg.descend([8.0] * 6) == 5
+    leg.of.has_lengths = True
+    assert leg.descend([8.0]) == 0, "a leg that hangs is not shaken by feet that stand"
+    leg.of.carried = True
+    assert leg.descend([6.0]) is None
+
+
 @pytest.mark.parametrize(("period_ms", "ticks"), [(20, 3), (10, 6), (5, 12)])
 def test_what_lasts_is_a_touch_and_began_with_its_first_tick(period_ms: int, ticks: int) -> None:
     """Such as soft ground after hard."""

@@ -246,7 +246,7 @@ def swing_tick(leg, score, distance, onset_ns, past_top):
             release(leg, leg.at_ns, score)
         return
     if score <= 1.0:
-        leg.doubtful_n = max(leg.doubtful_n - 1, 0)
+        leg.doubtful_n = 0
         return
     if leg.doubtful_n == 0:
         leg.doubtful_ns = onset_ns
