@@ -115,7 +115,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
     # of this start of the service, random; another one beside it is a second service; empty while
     # it compiles, and judges nothing
     instance: str = ""
-    # one line for a person when something is wrong with the service, None when all is well
+    # one line for the operator when something is wrong with the service, None when all is well
     note: str | None = None
     events_lost: int = 0  # events dropped because they were held up for too long, or not put
     slow_puts: int = 0  # events that took longer than 0.1 s to send

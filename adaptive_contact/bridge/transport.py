@@ -77,7 +77,7 @@ class Outlet(Protocol):
         """Publish the state of the port."""
 
     def say(self, line: str) -> None:
-        """Print one line for a person: something happened."""
+        """Print one line for the operator: something happened."""
 
 
 class Post(NamedTuple):

@@ -57,7 +57,7 @@ class Owner(NamedTuple):
 
     @property
     def note(self) -> str:
-        """Return one line for a person."""
+        """Return one line for the operator."""
         return (
             f"{SWAPPED} '{self.leg}': {self.why}; give legs the ids of robot.toml in the source, "
             "or change them there"

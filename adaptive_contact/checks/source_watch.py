@@ -69,7 +69,7 @@ class SourceWatch:
     """Reports what is wrong with the source of one leg's samples.
 
     Attributes:
-        limits_note: one line for a person while goals go beyond what the servos do, else None.
+        limits_note: one line for the operator while goals go beyond what the servos do, else None.
     """
 
     def __init__(self, leg: Leg, place: LegPlace) -> None:
@@ -160,7 +160,7 @@ class SourceWatch:
 
     @property
     def note(self) -> str | None:
-        """One line for a person, None when all is well."""
+        """One line for the operator, None when all is well."""
         cause, found = self.cause, self._check.found or self._check.suspicion
         if cause == "phase":
             return (
@@ -272,7 +272,7 @@ class RateWatch:
 
     @property
     def note(self) -> str | None:
-        """One line for a person while the rate is off, or stamps are far off their schedule."""
+        """One line for the operator while the rate is off, or stamps are far off their schedule."""
         period_ms = self.leg.period_ns / 1e6
         found_ns = self.found_ns
         if self.off and found_ns is not None:

@@ -24,7 +24,7 @@ DeviceOption = Annotated[
 
 
 def described_in(config: Path | None) -> str:
-    """Name the file of a description for a person."""
+    """Name the file of a description for the operator."""
     return "the shipped robot, as there is no --config" if config is None else str(config)
 
 

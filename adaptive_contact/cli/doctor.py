@@ -57,7 +57,7 @@ def doctor(
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print what was found, for a person."""
+    """Print what was found, for the operator."""
     console = table_console(pipe_width=140)
     if diagnosis.router != "connected":
         console.print(Text(f"router   {diagnosis.router_line}", style="bold red"))

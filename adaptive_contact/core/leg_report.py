@@ -45,7 +45,7 @@ class Counters:
     Attributes:
         counts: by name.
         rejects: samples and payloads that were not used, by reason.
-        fault_note: one line for a person on faults in learning; None while there was none.
+        fault_note: one line for the operator on faults in learning; None while there was none.
     """
 
     def __init__(self) -> None:
@@ -334,7 +334,7 @@ class LegReport:
 
     @property
     def _unjudged_note(self) -> str | None:
-        """Describe for a person that commanded swings could not be judged; else None."""
+        """Describe for the operator that commanded swings could not be judged; else None."""
         turns = self._place.leg.unjudged
         if turns < UNJUDGED_TURNS:
             return None
@@ -345,7 +345,7 @@ class LegReport:
 
     @property
     def _unlearned_note(self) -> str | None:
-        """Describe for a person that a leg in the air moves as it never did; else None."""
+        """Describe for the operator that a leg in the air moves as it never did; else None."""
         if not self._unlearned:
             return None
         return (
@@ -355,7 +355,7 @@ class LegReport:
 
     @property
     def _angles_note(self) -> str | None:
-        """Describe for a person how the leg's angles differ from their description; else None."""
+        """Describe to the operator how the leg's angles differ from robot.toml; else None."""
         found = None if self._track is None else self._track.finding
         if found is None:
             return None

@@ -71,7 +71,7 @@ class _Joint:
 
     @property
     def odd(self) -> str | None:
-        """Describe angles that no joint has, for a person: often degrees."""
+        """Describe angles that no joint has, for the operator: often degrees."""
         largest = max(map(abs, (*self.rpy, self.lower, self.upper)))
         if largest <= math.tau + _SNAP and self.lower <= self.upper:
             return None
@@ -86,7 +86,7 @@ class UrdfLegs:
     name: str  # of the robot; empty where it has none
     base: str  # the link that is the body
     legs: tuple[Leg, ...]  # in the order asked for
-    notes: tuple[str, ...]  # for a person, one line each
+    notes: tuple[str, ...]  # for the operator, one line each
 
 
 class _Builder(ElementTree.TreeBuilder):
@@ -341,7 +341,7 @@ class Urdf:
         return path
 
     def last_links(self) -> str:
-        """Describe the links that carry no other, for a person."""
+        """Describe the links that carry no other, for the operator."""
         tips = sorted(self.tips, key=lambda link: not _FOOT.search(link))
         more = f" and {len(tips) - _LISTED} more" if len(tips) > _LISTED else ""
         return ", ".join(tips[:_LISTED] or ["none"]) + more
@@ -453,7 +453,7 @@ def read_urdf(path: Path) -> Urdf:
 
 
 def _shown(joint: _Joint) -> str:
-    """Describe a joint for a person; a rod that follows another makes a leg more than a chain."""
+    """Describe a joint for the operator; one that follows another makes a leg no chain."""
     if joint.mimics is None:
         return joint.name
     return f"{joint.name} (follows {printable(joint.mimics)}; its load is not modelled)"

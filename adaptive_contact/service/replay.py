@@ -243,7 +243,7 @@ class Touch:
     # `hit`, `miss`, `beyond` (missed, but of a row that may be beyond any detector) or
     # `false`
     kind: str
-    why: str  # one line for a person
+    why: str  # one line for the operator
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -139,7 +139,7 @@ class Gateway:
         service: link to the service's router.
         ros: link to ROS 2's router.
         run: of the samples, larger at each start.
-        say: takes one line for a person.
+        say: takes one line for the operator.
 
     Attributes:
         complaints: counts of what was not used.
@@ -190,7 +190,7 @@ class Gateway:
 
     @property
     def publishes(self) -> str:
-        """Describe the topics that are written, for a person."""
+        """Describe the topics that are written, for the operator."""
         topics = [address.topic for address in self._report.contacts.values()]
         some = ", ".join(topics[:2]) + (", …" if len(topics) > 2 else "")
         rest = (self._report.values, self._report.states, self._report.diagnostics)

@@ -230,7 +230,7 @@ Reach = Literal["connected", "unreachable", "refusing", "unknown"]
 
 
 class Finding(NamedTuple):
-    """Holds what a probe found, and one line for a person.
+    """Holds what a probe found, and one line for the operator.
 
     ``certain`` where trying to join would be in vain: every host has said that it has no listener.
     """

@@ -180,7 +180,7 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         untouched: swings without a touch up to 16 ticks after their turn to stance, of those that
             could have shown one: most likely a hole.
         untouched_ns: when the last of them was over, None while there was none.
-        note: one line for a person when something is wrong, None when all is well.
+        note: one line for the operator when something is wrong, None when all is well.
     """
 
     leg: str

@@ -149,7 +149,7 @@ class StreamGuard:
 
     @property
     def note(self) -> str | None:
-        """One line for a person while two publish, or the source restarts repeatedly."""
+        """One line for the operator while two publish, or the source restarts repeatedly."""
         if self.contested and self._rivals and self._last is not None:
             used, other = self._last, max(self._rivals, key=lambda rival: rival.turns).newest
             who = f"{_named(used)} (used) and {_named(other)}"

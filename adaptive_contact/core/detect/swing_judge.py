@@ -53,7 +53,7 @@ class Landings:
 
     @property
     def note(self) -> str | None:
-        """One line for a person when most contacts come after the turn; not whose fault it is."""
+        """One line for the operator when most contacts come after the turn; names no cause."""
         late = sorted(ticks for ticks in self._late if ticks)
         if 2 * len(late) <= LANDINGS:
             return None
@@ -107,7 +107,7 @@ class SwingJudge:
 
     @property
     def phase_unknown_note(self) -> str | None:
-        """One line for a person when swings cannot be found at all."""
+        """One line for the operator when swings cannot be found at all."""
         if not self._place.leg.phase_lacking or self.measures:
             return None
         return (
@@ -117,7 +117,7 @@ class SwingJudge:
 
     @property
     def unobservable_note(self) -> str | None:
-        """One line for a person when changes of the leg cannot be seen."""
+        """One line for the operator when changes of the leg cannot be seen."""
         count = min(self._place.leg.lengths_n, SWINGS)
         if self.measures or not count:
             return None

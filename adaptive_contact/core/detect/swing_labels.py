@@ -80,7 +80,7 @@ class SwingLabels:
 
     @property
     def unobservable_note(self) -> str | None:
-        """One line for a person when changes of the leg cannot be seen."""
+        """One line for the operator when changes of the leg cannot be seen."""
         leg = self._place.leg
         if not (leg.has_model and leg.learning):
             return None

@@ -176,7 +176,7 @@ class Adapter:
 
     @property
     def note(self) -> str | None:
-        """One line for a person on the state of the leg, None when all is well."""
+        """One line for the operator on the state of the leg, None when all is well."""
         return self.monitor.note or self.early.note
 
     @property

@@ -171,7 +171,7 @@ class DriftMonitor:
 
     @property
     def note(self) -> str | None:
-        """One line for a person, None when all is well."""
+        """One line for the operator, None when all is well."""
         if self.obstructed:
             return (
                 f"{self._sign}, {self._obstructed_swings} swings in a row: caught, no strength, or "
@@ -461,7 +461,7 @@ class EarlyContacts:
 
     @property
     def note(self) -> str | None:
-        """One line for a person, None when all is well."""
+        """One line for the operator, None when all is well."""
         if not self.reported:
             return None
         return (
