@@ -53,6 +53,7 @@ _WALKS: Final[tuple[tuple[str, str, Kind], ...]] = (
 )
 _DRIFTS: Final[tuple[Drift, ...]] = ("friction", "joint", "supply", "play", "mass")
 _FREE_SEED: Final = 1000  # further on: baselines are fitted to other runs
+_SETTLED_S: Final = 20.0  # after a drift, in which a leg is followed
 _HUNG_SWINGS: Final = 60  # after which a leg that hangs has to be silent
 
 
@@ -94,6 +95,7 @@ class Found(NamedTuple):
     seen_found: int  # of those, that the product found
     twins: int
     alarms: int  # false ones
+    settled_alarms: int  # of those, later than `_SETTLED_S` after a drift
     judged: int  # ticks
     learned: int  # ticks
     learned_touching: int
@@ -162,7 +164,8 @@ def tried(work: Work, trial: Trial) -> Found | None:
     events = dict(zip(robot.leg_ids, told, strict=True))
     outcomes = score_run(run, robot, events)
     touches, found = np.zeros(_PARTS, int), np.zeros(_PARTS, int)
-    seen = seen_found = alarms = judged = count = touching = free_ticks = hung = valid = 0
+    settled_ns = run.t_ns[0] + (trial.seconds / 3.0 + _SETTLED_S) * 1e9
+    seen = seen_found = alarms = settled = judged = count = touching = free_ticks = hung = valid = 0
     span = run.t_ns[-1] - run.t_ns[0] + 1
     for outcome in outcomes:
         own, arrays = outcome.touches, run.legs[outcome.leg]
@@ -177,6 +180,7 @@ def tried(work: Work, trial: Trial) -> Found | None:
             if counted and len(twins) and np.abs(twins - onset_ns).min() <= 30_000_000:
                 seen, seen_found = seen + 1, seen_found + int(hit)
         alarms += len(outcome.alarms_ns)
+        settled += sum(alarm_ns > settled_ns for alarm_ns in outcome.alarms_ns)
         judged += int(outcome.swings.judged.sum() + outcome.swings.judged_after.sum())
         at = np.searchsorted(run.t_ns, learned[outcome.leg])
         count, touching = count + len(at), touching + int(arrays.contact[at].sum())
@@ -188,7 +192,7 @@ def tried(work: Work, trial: Trial) -> Found | None:
         )
     return Found(
         tuple(touches.tolist()), tuple(found.tolist()), seen, seen_found, len(made.observed),
-        alarms, judged, count, touching, free_ticks, hung, valid,
+        alarms, settled, judged, count, touching, free_ticks, hung, valid,
     )  # fmt: skip
 
 
@@ -222,11 +226,14 @@ def _row(trial: Trial, found: Found | None) -> str:
         return row(name, _start(trial), "no baseline could be fitted", *[""] * 6)
     touches = sum(found.touches)
     pairs = zip(found.found, found.touches, strict=True)
+    false = per_hour(found.alarms, found.judged)
+    if trial.drift is not None:
+        false += f", {found.settled_alarms} of {found.alarms} {_SETTLED_S:g} s after it"
     return row(
         name, _start(trial), str(touches), f"{found.seen} of {touches}",
         found_of(found.seen_found, found.seen),
         ", ".join(f"{100 * hit / of:.0f}" if of else "–" for hit, of in pairs),
-        per_hour(found.alarms, found.judged),
+        false,
         percent(found.learned_touching / max(found.learned, 1), 2),
         percent((found.learned - found.learned_touching) / max(found.free, 1), 0),
     )  # fmt: skip
