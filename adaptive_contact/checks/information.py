@@ -314,7 +314,7 @@ def equal_to_commands(
     off = off_grid(read, np.asarray(~equals.any(axis=0)), step_rad)
     copies = np.zeros_like(off)
     for at, equal in zip(shifts, equals, strict=True):
-        if not equal.any():
+        if not equal.any():  # as mostly, of an honest leg
             continue
         same = equal & off & (moved[at] > 0.0)
         copies |= same & (same.sum(axis=0) >= EQUAL_TICKS)

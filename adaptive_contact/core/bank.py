@@ -5,14 +5,14 @@ is what makes six legs cost little more than one.  A tick has two halves.  The f
 :meth:`LegGroup.judge`, goes from samples to contact events.  The second, :meth:`LegGroup.finish`,
 learns from the tick and predicts the next; no event waits for it.
 
-Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._reset`).
+Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._guarded`).
 """
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Final, TypeVar, TypeVarTuple
 
 import msgspec
 import numpy as np
@@ -32,6 +32,8 @@ from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
 # Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
 # Against a publisher that invents names, legs that are not described are bounded; described ones
@@ -95,12 +97,9 @@ class LegGroup:
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
             if sample is None:
                 continue
-            try:
-                if learner.take(sample):
-                    here = True
-                    self._open.add(i)
-            except Exception as fault:  # of this leg alone, see `_reset`
-                self._reset(i, fault)
+            if self._guarded(i, learner.take, sample):
+                here = True
+                self._open.add(i)
         if not here:
             return events
         # Every batch is judged before the first event is made.
@@ -108,10 +107,7 @@ class LegGroup:
             for i, flags in zip(members, batch.flags, strict=True):
                 learner = self.learners[i]
                 if flags & EVENTS and batch.accepted[learner.place.row]:
-                    try:
-                        events[i] = learner.event_of(flags)
-                    except Exception as fault:  # of this leg alone, see `_reset`
-                        self._reset(i, fault)
+                    events[i] = self._guarded(i, learner.event_of, flags)
         return events
 
     def finish(self) -> None:
@@ -124,26 +120,24 @@ class LegGroup:
             another: list[int] = []
             for batch, members in self._batches:
                 for i, flags in zip(members, batch.flags, strict=True):
-                    if i in self._open:
-                        try:
-                            if self.learners[i].finish(flags):
-                                another.append(i)
-                        except Exception as fault:  # of this leg alone, see `_reset`
-                            self._reset(i, fault)
+                    if i in self._open and self._guarded(i, self.learners[i].finish, flags):
+                        another.append(i)
                 batch.finish()
             self._open.clear()
             for i in another:
-                try:
-                    self.learners[i].take_up_model()
-                except Exception as fault:  # of this leg alone, see `_reset`
-                    self._reset(i, fault)
+                self._guarded(i, self.learners[i].take_up_model)
         self._regroup()
 
-    def _reset(self, at: int, fault: Exception) -> None:
-        """Reset a leg whose step raised, so that the others go on; without ``on_fault``, raise.
+    def _guarded(self, at: int, step: Callable[[*Ts], T], *given: *Ts) -> T | None:
+        """Do a step of one leg; whatever it raises resets that leg alone, and the others go on."""
+        try:
+            return step(*given)
+        except Exception as fault:  # a fault of ours, in one leg of many
+            self._reset(at, fault)
+            return None
 
-        Whatever a step of one leg raises, it is that leg's alone.
-        """
+    def _reset(self, at: int, fault: Exception) -> None:
+        """Reset a leg whose step raised; without ``on_fault``, raise."""
         if self._on_fault is None:
             raise fault
         learner = self.learners[at]

@@ -44,7 +44,7 @@ AXES: Final[dict[str, Vector]] = {
 
 
 def axis_text(axis: str | Vector) -> str:
-    """Format an axis for the operator: its word, or ``0 0.5 0.87``."""
+    """Format an axis as text: its word, or ``0 0.5 0.87``."""
     return axis if isinstance(axis, str) else " ".join(f"{x:.3g}" for x in axis)
 
 

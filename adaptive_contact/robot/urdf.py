@@ -453,7 +453,7 @@ def read_urdf(path: Path) -> Urdf:
 
 
 def _shown(joint: _Joint) -> str:
-    """Describe a joint for the operator; one that follows another makes a leg no chain."""
+    """Describe a joint as text, and the one that it follows, if any."""
     if joint.mimics is None:
         return joint.name
     return f"{joint.name} (follows {printable(joint.mimics)}; its load is not modelled)"

@@ -78,11 +78,12 @@ MIN_LIFT_ROWS: Final = 3
 STRIKE_ROWS: Final = 5
 STRIKE_WAY_M: Final = 0.003
 STRIKE_TICKS: Final = 3
-# Less than this share of the usual test ratio at a contact is no touch before it has lasted, of a
-# leg whose body another foot may shake: a trotting quadruped's touches are at 30 times the
-# threshold, jolts at up to 3.  The second, which delays touches by 3 ms in the mean, holds after
-# the turn to stance, when the other feet of the step come down, and for a leg from a prior.
-USUAL_SHARE, SHAKEN_SHARE = 0.125, 0.5
+# Less than this share of the leg's usual test ratio at a contact is no touch before it has lasted.
+# A trotting quadruped's touches are at 30 times the threshold, jolts by its other feet at up to 3.
+USUAL_SHARE: Final = 0.125
+# And less than this where jolts are likely, as the other feet of the step come down (after the turn
+# to stance), or are larger by its thresholds (of a leg from a prior).  Touches are later by 3 ms.
+SHAKEN_SHARE: Final = 0.5
 USUAL_CONTACTS: Final = 8
 USUAL_STEP: Final = 0.1  # of the logarithm of their median, a contact
 LASTING_NS: Final = 60_000_000
