@@ -309,18 +309,16 @@ def equal_to_commands(
     """
     read, told = samples.measured[-ticks:], samples.desired
     moved = np.abs(np.diff(told, axis=0, prepend=told[:1]))
-    shifts = [slice(len(told) - ticks - lag, len(told) - lag) for lag in range(LAGS)]
-    equals = np.abs(read - np.stack([told[at] for at in shifts])) < EQUAL_RAD
-    off = off_grid(read, np.asarray(~equals.any(axis=0)), step_rad)
-    copies = np.zeros_like(off)
-    for at, equal in zip(shifts, equals, strict=True):
-        if not equal.any():  # as mostly, of an honest leg
-            continue
-        same = equal & off & (moved[at] > 0.0)
-        copies |= same & (same.sum(axis=0) >= EQUAL_TICKS)
-        moving = moved[at] > 0.5 * step_rad
-        whole = (equal | ~moving).all(axis=1) & (moving.sum(axis=1) > 1)
-        copies |= equal & moving & in_runs(whole, run)[:, None]
+    ends = [len(told) - lag for lag in range(LAGS)]
+    way = np.stack([moved[end - ticks : end] for end in ends])  # (lags, ticks, J)
+    equal = np.abs(read - np.stack([told[end - ticks : end] for end in ends])) < EQUAL_RAD
+    off = off_grid(read, np.asarray(~equal.any(axis=0)), step_rad)
+    same = equal & off & (way > 0.0)
+    copies = (same & (same.sum(axis=1, keepdims=True) >= EQUAL_TICKS)).any(axis=0)
+    moving = way > 0.5 * step_rad
+    whole = (equal | ~moving).all(axis=2) & (moving.sum(axis=2) > 1)
+    for lag in np.flatnonzero(whole.sum(axis=1) >= run):
+        copies |= equal[lag] & moving[lag] & in_runs(whole[lag], run)[:, None]
     first = int(copies.any(axis=1).argmax())
     return tuple(np.flatnonzero(copies.any(axis=0)).tolist()), ticks - first
 
