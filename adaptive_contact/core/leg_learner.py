@@ -428,7 +428,7 @@ class ContactLearner:
         library = self.lifecycle.library
         return LegBatch(
             [leg], library, [robot.quantum(leg.id)], round(robot.period_s * 1e9),
-            max_step=MAX_STEP_RAD_S * library.period_s,
+            max_step=MAX_STEP_RAD_S * library.period_s, detector=robot.detector,
         )  # fmt: skip
 
     def _begin(self) -> None:

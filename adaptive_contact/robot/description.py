@@ -215,11 +215,36 @@ class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     slope_rad: Annotated[float, Meta(ge=1e-3, le=math.pi)] = 0.164
 
 
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Push = Annotated[float, Meta(ge=-20.0, le=100.0)]
+
+
 class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Holds the owner's settings of the detector."""
+    """Holds the owner's settings of the detector; figures behind them in decisions 51 to 53."""
 
     # target per robot-hour (540,000 swing leg-ticks)
     false_alarms_per_hour: Annotated[float, Meta(ge=1e-3, le=1e4)] = 1.0
+    # A test ratio below this share of the leg's usual one at a contact is no touch before it has
+    # lasted: a trotting quadruped's touches are at 30 times the threshold, jolts by its other feet
+    # at up to 3.
+    weak_share: Share = 0.125
+    # And below this where jolts are likely, as the other feet of the step come down (after the turn
+    # to stance), or are larger by its thresholds (of a leg from a prior); touches are 3 ms later.
+    shaken_share: Share = 0.5
+    lasting_ms: Annotated[float, Meta(ge=0.0, le=1000.0)] = 60.0
+    # Deviations: pushes against the motion that add up to this are a contact.
+    touch_push: Annotated[float, Meta(ge=1.0, le=1000.0)] = 8.0
+    # In a lift, a foot that loses this share of its predicted way has struck something: friction
+    # that grows fourfold takes 0.2.
+    strike_loss: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3
+    # The push of the last stances, in free sizes, above which a leg carries and below which it
+    # hangs.  Legs that hang are at -6 to 2.8 (eight robots of the second engine, and a real
+    # quadruped), those that walk at 5 to 8, with drives that hardly give way at 1 to 5.
+    carries_push: Push = 3.0
+    hangs_push: Push = 0.5
+    # p, for the state in every tick: the foot touches above the one, and no longer below the other.
+    touches_above: Share = 0.55
+    touches_below: Share = 0.45
 
 
 class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):

@@ -59,6 +59,10 @@ def check(robot: Robot, source: str) -> None:
 
     _check_text(robot.name, "[robot] name", fail)
     _check_ports(robot, fail)
+    for low, high in (("hangs_push", "carries_push"), ("touches_below", "touches_above")):
+        least, most = getattr(robot.detector, low), getattr(robot.detector, high)
+        if least > most:
+            fail(f"[detector] {low} is {least:g}; expected at most {high}, which is {most:g}")
     seen: set[str] = set()
     for leg in robot.legs:
         where = f"[[leg]] '{leg.id}'"

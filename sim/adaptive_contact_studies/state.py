@@ -18,9 +18,9 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.core.bank import LegGroup
-from adaptive_contact.core.detect.state import ON
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.robot.description import DetectorSettings
 from adaptive_contact_bullet.gait import GAITS
 from adaptive_contact_bullet.plant import Ground, Kind
 from adaptive_contact_bullet.record import Plan, record
@@ -169,7 +169,7 @@ def released_ms(leg: Leg, p: Array) -> list[float]:
     late = []
     for k in np.flatnonzero(truth[:-1] & ~truth[1:]) + 1:
         if leg.known[k - 1] and not truth[k : k + ticks].any() and k + 50 < len(p):
-            said = np.flatnonzero(~(p[k : k + 50] > ON))
+            said = np.flatnonzero(~(p[k : k + 50] > DetectorSettings().touches_above))
             late.append(1e3 * leg.period_s * (said[0] if len(said) else 50))
     return late
 

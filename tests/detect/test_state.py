@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from adaptive_contact.core.detect.touch_point import locate
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import Robot
+from adaptive_contact.robot.description import DetectorSettings
 from adaptive_contact.robot.kinematics import inverse
 from adaptive_contact.wire import ContactEvent, LegState, ServoSample
 from adaptive_contact_sim import (
@@ -67,6 +69,20 @@ def test_it_is_right_in_stance_and_swing_where_the_gait_s_phase_is_not(walk: Wal
         assert right > (phase == truth)[known].mean()
         p = np.array([state.p for state in own if state.p is not None])
         assert np.square(p - truth[known]).mean() < 0.08
+
+
+def test_the_owner_s_settings_reach_every_tick(walk: Walked) -> None:
+    run, _, _ = walk
+    robot = simulated_robot("hexapod").description
+    detector = DetectorSettings(touches_above=0.95, touches_below=0.9, strike_loss=0.7)
+    states, _ = played(msgspec.structs.replace(robot, detector=detector), run, ["lf", "rm"])
+    for own in states.values():
+        told = [state.p for state in own if state.contact]
+        assert len(told) > 100
+        assert min(told) > 0.9
+    legs = new_legs(2, detector)
+    assert legs["strike_loss"].tolist() == [0.7, 0.7]
+    assert legs["lasting_ns"].tolist() == [60_000_000] * 2
 
 
 def test_a_foot_that_is_lifted_is_released_within_three_ticks(walk: Walked) -> None:

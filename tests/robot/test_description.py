@@ -159,6 +159,22 @@ def test_what_is_written_is_read_back(name: str) -> None:
         ),
         ("[[leg]]", "[[leg", "not valid TOML"),
         ("[[leg]]", "[detector]\nfalse_alarms_per_hour = 0\n[[leg]]", "false_alarms_per_hour is 0"),
+        (
+            "[[leg]]",
+            "[detector]\nlasting_ms = 5000\n[[leg]]",
+            "lasting_ms is 5000; expected at most",
+        ),
+        ("[[leg]]", "[detector]\ntouch_push = 0\n[[leg]]", "touch_push is 0; expected at least 1"),
+        (
+            "[[leg]]",
+            "[detector]\nhangs_push = 4\n[[leg]]",
+            "[detector] hangs_push is 4; expected at most carries_push, which is 3",
+        ),
+        (
+            "[[leg]]",
+            "[detector]\ntouches_above = 0.2\n[[leg]]",
+            "touches_below is 0.45; expected at most touches_above, which is 0.2",
+        ),
         ("[[leg]]", "[servo]\nslope_rad = 0\n[[leg]]", "slope_rad is 0"),
         ('id = "rf"', "id = 3", 'leg[0].id is a whole number; expected a text ("...")'),
         ("period_s = 0.02", 'period_s = "fast"', "robot.period_s is a text"),

@@ -56,16 +56,12 @@ GUARD_TICKS: Final = 3
 # tick counts for so much at most, and so much in all is no noise.  With these, of 22,000 rows that
 # a hexapod with play in its drives learned, 3.2 % in touch, 0.01 % are left, and 96 % of the free.
 FREE_PUSH, MOST_PUSH, SURE_PUSH = 1.0, 6.0, 4.0
-# And above this it is a contact.
-TOUCH_PUSH: Final = 8.0
 # Joints of a foot that has come down by less than this share of its rise may still stick.
 TOP_SHARE: Final = 0.1
-# In a lift, from so long after the command's first tick on, a foot has struck something where it
-# has lost this share of its predicted way: friction that grows fourfold takes 0.2.  Of a leg from a
-# prior the test ratio exceeds this, too: in 4,500 lifts that struck nothing it came to 1.6.  The
-# same is asked for at the top of the swing.
+# In a lift, from so long after the command's first tick on, a foot may have struck something
+# (`strike_loss`).  Of a leg from a prior the test ratio exceeds this, too: in 4,500 lifts that
+# struck nothing it came to 1.6.  The same is asked for at the top of the swing.
 STRIKE_NS: Final = 100_000_000
-STRIKE_LOSS: Final = 0.3
 PRIOR_STRIKE: Final = 2.0
 # Ground is not met as high as this share of the foot's rise; an obstacle is, and shows at once.
 HIGH_SHARE: Final = 0.5
@@ -78,15 +74,9 @@ MIN_LIFT_ROWS: Final = 3
 STRIKE_ROWS: Final = 5
 STRIKE_WAY_M: Final = 0.003
 STRIKE_TICKS: Final = 3
-# Less than this share of the leg's usual test ratio at a contact is no touch before it has lasted.
-# A trotting quadruped's touches are at 30 times the threshold, jolts by its other feet at up to 3.
-USUAL_SHARE: Final = 0.125
-# And less than this where jolts are likely, as the other feet of the step come down (after the turn
-# to stance), or are larger by its thresholds (of a leg from a prior).  Touches are later by 3 ms.
-SHAKEN_SHARE: Final = 0.5
+# Contacts after which it is known what is usual.
 USUAL_CONTACTS: Final = 8
 USUAL_STEP: Final = 0.1  # of the logarithm of their median, a contact
-LASTING_NS: Final = 60_000_000
 
 
 @compiled
@@ -190,7 +180,7 @@ def strikes(leg, history, score):
         along += history[0, 0, j] * history[1, 0, j]
     fitting = fitting_before(leg, leg.at_ns) >= MIN_LIFT_ROWS
     least = PRIOR_STRIKE if leg.from_prior else 1.0
-    if not (fitting and -along > STRIKE_LOSS * way and score > least):
+    if not (fitting and -along > leg.strike_loss * way and score > least):
         return False
     if leg.struck == 0:
         leg.struck = leg.ticks
@@ -256,7 +246,7 @@ def swing_tick(leg, score, distance, onset_ns, past_top):
         return
     leg.contact, leg.calm = True, 0
     leg.found |= DECIDED | TOUCHED
-    leg.onset_ns, leg.score = max(leg.doubtful_ns, onset_ns - LASTING_NS), score
+    leg.onset_ns, leg.score = max(leg.doubtful_ns, onset_ns - leg.lasting_ns), score
     leg.doubtful_n = 0
     leg.usual_n += 1
     step = max(leg.usual_n**-0.7, USUAL_STEP)
@@ -273,8 +263,8 @@ def is_doubtful(leg, score):
     """
     if leg.usual_n < USUAL_CONTACTS or (leg.has_lengths and not leg.carried):
         return False
-    share = SHAKEN_SHARE if leg.after or leg.from_prior else USUAL_SHARE
-    return score < share * leg.usual and leg.doubtful_n * leg.period_ns < LASTING_NS
+    share = leg.shaken_share if leg.after or leg.from_prior else leg.weak_share
+    return score < share * leg.usual and leg.doubtful_n * leg.period_ns < leg.lasting_ns
 
 
 @compiled
@@ -351,7 +341,7 @@ def push_ratio(leg):
 
     A leg that never touched may be in a motion that its model does not know.
     """
-    return leg.push / TOUCH_PUSH if leg.usual_n >= USUAL_CONTACTS else 0.0
+    return leg.push / leg.touch_push if leg.usual_n >= USUAL_CONTACTS else 0.0
 
 
 @compiled

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.compiled import Handover, records
 from adaptive_contact.model.labelled_swing import ROW
+from adaptive_contact.robot.description import DetectorSettings
 
 DEPTH: Final = 3  # ticks of the longest window of the statistic
 HEIGHTS: Final = 12  # of the foot, remembered
@@ -131,6 +132,16 @@ LEG: Final = np.dtype(
         ("period_ns", i8),
         ("has_model", b1),  # a model is in force
         ("learning", b1),  # anything is learned at all
+        # The owner's settings, see `DetectorSettings`.
+        ("weak_share", f8),
+        ("shaken_share", f8),
+        ("lasting_ns", i8),
+        ("touch_push", f8),
+        ("strike_loss", f8),
+        ("carries_push", f8),
+        ("hangs_push", f8),
+        ("touches_above", f8),
+        ("touches_below", f8),
         # Stream and clock.
         ("at_ns", i8),  # scheduled time of the tick
         ("has_seam", b1),  # a command before is known, to unwrap by
@@ -429,14 +440,22 @@ def vectors(count: int, lengths: Mapping[str, int]) -> tuple[list[NDArray[Any]],
     return arrays, np.array(places)
 
 
-def new_legs(count: int) -> Any:
-    """Make the scalars of legs that have seen nothing."""
+def new_legs(count: int, detector: DetectorSettings | None = None) -> Any:
+    """Make scalars of legs that have seen nothing, by their owner's settings or the defaults."""
+    detector = detector or DetectorSettings()
     legs = records(np.zeros(count, dtype=LEG))
-    for name, value in BEGINNING.items():
+    settings = {name: getattr(detector, name) for name in SETTINGS}
+    settings["lasting_ns"] = round(1e6 * detector.lasting_ms)
+    for name, value in {**BEGINNING, **settings}.items():
         legs[name] = value
     return legs
 
 
+# Of the owner's settings, those that a tick reads as they are.
+SETTINGS: Final = (
+    "weak_share", "shaken_share", "touch_push", "strike_loss", "carries_push", "hangs_push",
+    "touches_above", "touches_below",
+)  # fmt: skip
 # What a leg begins with, other than zeros.
 BEGINNING: Final = {
     "late": -1, "rate_ticks": 9, "found_ns": np.nan, "descent": True, "reading_variance": 1.0,

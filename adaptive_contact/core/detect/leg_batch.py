@@ -39,6 +39,7 @@ from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.model.library import ChangeLibrary, Library
 from adaptive_contact.model.noise import CONTEXTS, DIRECTIONS
 from adaptive_contact.robot import Leg
+from adaptive_contact.robot.description import DetectorSettings
 from adaptive_contact.wire import ServoSample
 
 STATUS_TICKS: Final = 256
@@ -53,6 +54,7 @@ class LegBatch:
         quantum_rad: position step of each leg's servos.
         period_ns: control tick.
         max_step: rad per tick, beyond which a reading is impossible.
+        detector: the owner's settings; the defaults where absent.
         capacity: rows of a swing held back at first; grows.
 
     Attributes:
@@ -104,7 +106,7 @@ class LegBatch:
 
     def __init__(
         self, legs: Sequence[Leg], library: Library, quantum_rad: Sequence[float], period_ns: int,
-        *, max_step: float, capacity: int = 96,
+        *, max_step: float, detector: DetectorSettings | None = None, capacity: int = 96,
     ) -> None:  # fmt: skip
         rows, joints = len(legs), len(library.joints)
         shape = library.window
@@ -121,7 +123,7 @@ class LegBatch:
         def zeros(*shape: int, dtype: Any = f) -> Any:
             return np.zeros((rows, *shape), dtype=dtype)
 
-        self.legs = legs_ = new_legs(rows)
+        self.legs = legs_ = new_legs(rows, detector)
         lengths = {"J": joints, "p": p, "w": depth * joints}
         self.vectors, self.places = vectors(rows, lengths)
         self._name_vectors()

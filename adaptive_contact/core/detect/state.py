@@ -61,13 +61,10 @@ PRESSED_NS: Final = 160_000_000
 PRESSED: Final = 3.0
 # And p is unknown again after so long of low commands without that: the robot may hang by now.
 IDLE_NS: Final = 20_000_000_000
-# The sum of pushes, averaged over so long after the turn and over the last stances, is the load.
-# Legs that hang are at -6 to 2.8 (eight robots of the second engine, and a real quadruped), those
-# that walk at 5 to 8, with drives that hardly give way at 1 to 5.  So a leg carries above the first
-# level, and hangs below the second.
+# The sum of pushes, averaged over so long after the turn and over the last stances, is the load: a
+# leg carries above `carries_push`, and hangs below `hangs_push`.
 STANCE_NS: Final = 240_000_000
 LEAST_STANCES, STANCES = 3, 8
-LOADED, UNLOADED = 3.0, 0.5
 # Or where the last stances have all pushed against the motion by this sum (`add_push`): legs that
 # hang come to 9 in one of ten, the rear legs of a robot of stiff drives to 23 in half of them.
 PRESSED_SUM: Final = 12.0
@@ -81,9 +78,6 @@ PUT_DOWN: Final = 1.0
 STRANGE: Final = 2.5
 # p is kept over so many ticks that cannot be judged.
 KEPT_TICKS: Final = 5
-# The foot touches above the one, and no longer below the other.
-ON: Final = 0.55
-OFF: Final = 0.45
 
 
 @compiled
@@ -140,7 +134,7 @@ def follow_load(leg):
     presses = leg.pressed_stances >= STANCES and leg.load > CARRIED_SHARE * leg.carried_load
     learned = airborne(leg)
     # In a motion that the model does not predict, a stance's push says less.
-    put_down = leg.load + PUT_DOWN if leg.sure else max(leg.load + PUT_DOWN, LOADED)
+    put_down = leg.load + PUT_DOWN if leg.sure else max(leg.load + PUT_DOWN, leg.carries_push)
     if learned and leg.load_n == STANCES and push > put_down:
         leg.hanging, leg.load_n = False, 0  # what it learns from here on may carry
     leg.load_n = min(leg.load_n + 1, STANCES)
@@ -151,17 +145,17 @@ def follow_load(leg):
         if leg.carried_n == 0 or push > CARRIED_SHARE * leg.carried_load:
             leg.carried_n = min(leg.carried_n + 1, CARRIED_STANCES)
             leg.carried_load += (push - leg.carried_load) / leg.carried_n
-        if leg.load > min(LOADED, CARRIED_SHARE * leg.carried_load):
+        if leg.load > min(leg.carries_push, CARRIED_SHARE * leg.carried_load):
             leg.idle_n = 0
         elif leg.load_n >= enough:
             leg.carried, leg.carried_n, walks = False, 0, False
-    if leg.load_n >= enough and leg.load < UNLOADED and not walks:
+    if leg.load_n >= enough and leg.load < leg.hangs_push and not walks:
         if leg.from_prior and not learned:
             leg.load_n = 0  # measured again, as its stances are learned from here on
         leg.hanging, leg.carried = True, False
-    elif leg.load_n >= LEAST_STANCES and (leg.load > LOADED or presses):
+    elif leg.load_n >= LEAST_STANCES and (leg.load > leg.carries_push or presses):
         leg.hanging, leg.carried, leg.idle_n = False, True, 0
-        leg.slight = leg.load <= LOADED
+        leg.slight = leg.load <= leg.carries_push
     elif leg.load > PUT_DOWN and not leg.from_prior:
         leg.hanging = False
 
@@ -263,4 +257,4 @@ def follow_state(leg, sample, swing, past, noise):
         return
     odds = WEIGHTS[0] + WEIGHTS[1] * leg.push_sum + WEIGHTS[2] * leg.misfit + leg.command_odds
     leg.p = 1.0 / (1.0 + math.exp(-odds))
-    leg.touches = leg.p > (OFF if leg.touches else ON)
+    leg.touches = leg.p > (leg.touches_below if leg.touches else leg.touches_above)
