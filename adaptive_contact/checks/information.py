@@ -25,9 +25,11 @@ them it is *unproved*, not false.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from adaptive_contact.arrays import Array, Ints, Mask
 
@@ -225,11 +227,11 @@ class InformationCheck:
         self, samples: Samples, ticks: int, *, predicted: bool | None, twin: Samples | None
     ) -> tuple[Finding | None, bool]:
         """Judge so many ticks: what is wrong, and whether they show anything."""
-        steps = np.array([step_of(y[-MOST_TICKS:], self._step_rad) for y in samples.measured.T])
+        steps = steps_of(samples.measured[-MOST_TICKS:], self._step_rad)
         newest = samples.part(-ticks)
-        held = [j for j, s in enumerate(steps) if held_share(newest, j, s) > HELD_SHARE]
-        if held:
-            return Finding("held", tuple(held), 2 * ticks), True
+        held = np.flatnonzero(held_shares(newest, steps) > HELD_SHARE)
+        if len(held):
+            return Finding("held", tuple(held.tolist()), 2 * ticks), True
         off = departure(samples, ticks, steps)
         if off is None:
             return None, False
@@ -308,19 +310,30 @@ def equal_to_commands(
         The joints, and how many samples ago the first of these readings was.
     """
     read, told = samples.measured[-ticks:], samples.desired
+    equal = np.abs(read - _lagged(told)[:, -ticks:]) < EQUAL_RAD  # (lags, ticks, J)
+    if np.count_nonzero(equal) < min(EQUAL_TICKS, 2 * run):
+        return (), ticks
     moved = np.abs(np.diff(told, axis=0, prepend=told[:1]))
-    ends = [len(told) - lag for lag in range(LAGS)]
-    way = np.stack([moved[end - ticks : end] for end in ends])  # (lags, ticks, J)
-    equal = np.abs(read - np.stack([told[end - ticks : end] for end in ends])) < EQUAL_RAD
-    off = off_grid(read, np.asarray(~equal.any(axis=0)), step_rad)
-    same = equal & off & (way > 0.0)
-    copies = (same & (same.sum(axis=1, keepdims=True) >= EQUAL_TICKS)).any(axis=0)
-    moving = way > 0.5 * step_rad
-    whole = (equal | ~moving).all(axis=2) & (moving.sum(axis=2) > 1)
-    for lag in np.flatnonzero(whole.sum(axis=1) >= run):
-        copies |= equal[lag] & moving[lag] & in_runs(whole[lag], run)[:, None]
+    ends = len(told) - np.arange(LAGS)
+    copies = np.zeros(read.shape, dtype=np.bool_)
+    counts = equal.sum(axis=1)
+    if counts.max() >= EQUAL_TICKS:
+        off = off_grid(read, np.asarray(~equal.any(axis=0)), step_rad)
+        for lag in np.flatnonzero((counts >= EQUAL_TICKS).any(axis=1)) if off.any() else ():
+            same = equal[lag] & off & (moved[ends[lag] - ticks : ends[lag]] > 0.0)
+            copies |= same & (same.sum(axis=0) >= EQUAL_TICKS)
+    for lag in np.flatnonzero((equal.sum(axis=2) > 1).sum(axis=1) >= run):
+        moving = moved[ends[lag] - ticks : ends[lag]] > 0.5 * step_rad
+        whole = (equal[lag] | ~moving).all(axis=1) & (moving.sum(axis=1) > 1)
+        copies |= equal[lag] & moving & in_runs(whole, run)[:, None]
     first = int(copies.any(axis=1).argmax())
     return tuple(np.flatnonzero(copies.any(axis=0)).tolist()), ticks - first
+
+
+def _lagged(commands: Array) -> Array:
+    """Return (n, J) commands as of so many ticks before, (lags, n, J); before the first, itself."""
+    before = np.concatenate([np.repeat(commands[:1], LAGS - 1, axis=0), commands])
+    return sliding_window_view(before, len(commands), axis=0)[::-1].transpose(0, 2, 1)
 
 
 def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
@@ -361,7 +374,7 @@ class Departure(NamedTuple):
     def since(self, samples: Samples, joints: Ints) -> int:
         """Count the samples up to the newest of which the same function holds for joints."""
         off = samples.measured - self.constants
-        off -= np.einsum("tpj,jp->tj", basis(samples.desired), self.coefficients)
+        off -= np.einsum("jtp,jp->tj", basis(samples.desired), self.coefficients)
         # Steps by which a tick before may be off and belong to the fault.
         beyond = np.flatnonzero((np.abs(off) > 2.0 * self.steps)[:, joints].any(axis=1))
         # A single reading that a bus has spoilt is no beginning.
@@ -388,72 +401,100 @@ def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
         use[at : at + LAGS] = False
     if use.sum() < LEAST_TICKS:
         return None
-    columns, y = basis(desired)[use], samples.measured[first:][use]
+    y, told = samples.measured[first:][use].T, desired[use]
     speeds = (np.diff(desired, axis=0, prepend=desired[:1]) / steps)[use]
-    moving = np.abs(speeds) > MOVING
-    known = np.ones(y.shape)
-    for last in (False, True):
-        # A joint's readings and columns, off their means; what is left out weighs nothing.
-        count = known.sum(axis=0)
-        means = np.einsum("tpj,tj->pj", columns, known) / count
-        level = (y * known).sum(axis=0) / count
-        x = ((columns - means) * known[:, None]).transpose(2, 0, 1)
-        z = ((y - level) * known).T[:, :, None]
-        gram = x.transpose(0, 2, 1) @ x
-        ridge = RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300
-        coefficients = np.linalg.solve(gram + ridge * np.eye(x.shape[2]), x.transpose(0, 2, 1) @ z)
-        off = (z - x @ coefficients)[:, :, 0].T
-        if not last:
-            np.put_along_axis(known, np.argsort(np.abs(off), axis=0)[-SPOILT:], 0.0, axis=0)
+    # A joint's readings and columns, off their means.
+    x = basis(desired)[:, use]  # (J, n, p)
+    each_tick = np.full(len(told), 1.0 / len(told))
+    means, level = each_tick @ x, y @ each_tick
+    x -= means[:, None]
+    z = y - level[:, None]
+    gram, to = x.transpose(0, 2, 1) @ x, (z[:, None] @ x)[:, 0]
+    off = z - (x @ _solved(gram, to)[:, :, None])[:, :, 0]
+    # Again without the readings that are furthest off, around the means of the others.
+    each = np.arange(len(z))[:, None]
+    worst = np.argpartition(np.abs(off), -SPOILT, axis=1)[:, -SPOILT:]
+    x_out, z_out = x[each, worst], z[each, worst]
+    count = z.shape[1] - SPOILT
+    move, rise = -x_out.sum(axis=1) / count, -z_out.sum(axis=1) / count
+    gram -= x_out.transpose(0, 2, 1) @ x_out + count * move[:, :, None] * move[:, None]
+    to -= (z_out[:, None] @ x_out)[:, 0] + count * rise[:, None] * move
+    coefficients = _solved(gram, to)
+    of_means = (means + move)[:, None] @ coefficients[:, :, None]
+    constants = level + rise - of_means[:, 0, 0]
+    off = z - (x @ coefficients[:, :, None])[:, :, 0]
+    off += ((move[:, None] @ coefficients[:, :, None])[:, 0, 0] - rise)[:, None]
+    off[each, worst] = 0.0
+    square = (off * off).sum(axis=1)
+    moving = (np.abs(speeds) > MOVING).T
     # Few ticks that move are what the coefficients were fitted to.
-    free = np.maximum((moving * known).sum(axis=0) - x.shape[2] - 1, 1.0)
-    rms = np.sqrt((np.square(off) * moving).sum(axis=0) / free) / steps
-    still = np.ptp(y, axis=0) < LEAST_SHARE * np.ptp(desired[use], axis=0)
-    few = (moving.sum(axis=0) < LEAST_MOVING) | (speeds.std(axis=0) < LEAST_SPREAD)
-    rms[few | still] = np.nan
-    travels = np.ptp(desired[use], axis=0) > LEAST_TRAVEL_RAD
-    rest = (off**2).sum(axis=0) / np.maximum((z[:, :, 0] ** 2).sum(axis=1), 1e-12)
-    constants = level - np.einsum("pj,jp->j", means, coefficients[:, :, 0])
+    moves = moving.sum(axis=1)
+    free = np.maximum(moves - moving[each, worst].sum(axis=1) - x.shape[2] - 1, 1.0)
+    rms = np.sqrt((off * off * moving).sum(axis=1) / free) / steps
+    told_rad = np.ptp(told, axis=0)
+    still = np.ptp(y, axis=1) < LEAST_SHARE * told_rad
+    steady = speeds.T.std(axis=1) < LEAST_SPREAD
+    rms[(moves < LEAST_MOVING) | steady | still] = np.nan
+    travels = told_rad > LEAST_TRAVEL_RAD
+    whole = (z * z).sum(axis=1) - (z_out * z_out).sum(axis=1) - count * rise**2
+    rest = square / np.maximum(whole, 1e-12)
     share = float(rest[travels].mean()) if travels.any() else 0.0
-    lasting = (off[1:] * off[:-1]).sum(axis=0) / np.maximum((off**2).sum(axis=0), 1e-12)
-    return Departure(rms, lasting, share, coefficients[:, :, 0], constants, steps)
+    lasting = (off[:, 1:] * off[:, :-1]).sum(axis=1) / np.maximum(square, 1e-12)
+    return Departure(rms, lasting, share, coefficients, constants, steps)
+
+
+def _solved(gram: Array, to: Array) -> Array:
+    """Solve (J, p, p) normal equations; columns that are alike share what they explain."""
+    held = gram.copy()
+    diagonal = np.einsum("jpp->jp", held)
+    diagonal += RIDGE * diagonal.sum(axis=1, keepdims=True) + 1e-300
+    return np.asarray(np.linalg.solve(held, to[:, :, None])[:, :, 0])
 
 
 def basis(commands: Array) -> Array:
-    """Compute (n, p, J) functions of (n, J) commands: the last ones, and low-passes."""
+    """Compute (J, n, p) functions of (n, J) commands: the last ones, and low-passes."""
     n, joints = commands.shape
-    columns = np.empty((n, LAGS + len(POLES), joints))
-    lagged = np.concatenate([np.repeat(commands[:1], LAGS - 1, axis=0), commands])
-    for lag in range(LAGS):
-        columns[:, lag] = lagged[LAGS - 1 - lag :][:n]
-    for number, pole in enumerate(POLES, LAGS):
-        columns[:, number] = low_pass(commands, pole)
-    return columns
+    columns = np.empty((joints, LAGS + len(POLES), n))
+    columns[:, :LAGS] = _lagged(commands).transpose(2, 0, 1)
+    columns[:, LAGS:] = low_pass(commands, POLES).transpose(2, 0, 1)
+    return columns.transpose(0, 2, 1)
 
 
-def low_pass(commands: Array, pole: float) -> Array:
-    """Compute the low-pass of (n, J) commands that keeps so much of its past in a tick."""
+def low_pass(commands: Array, poles: Sequence[float]) -> Array:
+    """Compute the low-passes of (n, J) commands that keep such shares of their past in a tick.
+
+    Returns:
+        (poles, n, J).
+    """
     # f_k + pole^m f_(k-m) reaches twice as far back as f does.
-    passed, ticks = (1.0 - pole) * (commands - commands[0]), 1
-    while ticks < len(commands) and pole**ticks > 1e-12:
-        passed[ticks:] += pole**ticks * passed[:-ticks].copy()
-        ticks *= 2
+    kept = np.array(poles)[:, None, None]
+    passed, ticks = (1.0 - kept) * (commands - commands[0]), 1
+    while ticks < len(commands) and kept.max() > 1e-12:
+        passed[:, ticks:] += kept * passed[:, :-ticks]
+        kept, ticks = kept * kept, 2 * ticks
     return np.asarray(passed + commands[0])
 
 
-def held_share(samples: Samples, joint: int, step_rad: float) -> float:
-    """Compute the share of ticks, of those in which a joint moves, that read as the one before.
+def held_shares(samples: Samples, steps: Array) -> Array:
+    """Compute the shares of ticks, of those in which a joint moves, that read as the one before.
+
+    Args:
+        samples: n.
+        steps: (J,) rad, of the encoders.
 
     Returns:
-        0 where there are too few such ticks.
+        (J,), 0 where there are too few such ticks.
     """
-    around = HELD_AROUND
-    y, u, seq = samples.measured[:, joint], samples.desired[:, joint], samples.seq
-    k = np.arange(around, len(y) - around)
-    moves = np.abs(y[k + around] - y[k - around]) > 2 * around * step_rad
-    commanded = np.abs(u[k] - u[k - 1]) > step_rad
-    k = k[moves & commanded & (seq[k + around] - seq[k - around] == 2 * around)]
-    return float(np.mean(y[k] == y[k - 1])) if len(k) >= LEAST_MOVING else 0.0
+    y, u, seq, around = samples.measured, samples.desired, samples.seq, HELD_AROUND
+    if len(y) <= 2 * around:
+        return np.zeros(len(steps))
+    moves = np.abs(y[2 * around :] - y[: -2 * around]) > 2 * around * steps
+    moves &= (seq[2 * around :] - seq[: -2 * around] == 2 * around)[:, None]
+    before, now = slice(around - 1, -around - 1), slice(around, -around)
+    moves &= np.abs(u[now] - u[before]) > steps
+    count = moves.sum(axis=0)
+    held = (moves & (y[now] == y[before])).sum(axis=0)
+    return np.where(count >= LEAST_MOVING, held / np.maximum(count, 1), 0.0)
 
 
 def is_old(samples: Samples, ticks: int, *, was: bool = False) -> bool:
@@ -486,17 +527,16 @@ def is_old(samples: Samples, ticks: int, *, was: bool = False) -> bool:
     return bool(rest[0] > OLD_REST and rest[1:].min() < limit)
 
 
-def step_of(readings: Array, described_rad: float) -> float:
-    """Compute the step of the grid that readings lie on, where it is finer than the described."""
-    values = np.unique(readings)
-    gaps = np.diff(values)
-    gaps = gaps[gaps > GRID_RAD]
-    if not len(gaps):
-        return described_rad
-    own = float(gaps.min())
-    phases = (values - values[0]) / own
-    on_grid = np.abs(phases - np.round(phases)) < 0.1
-    return min(own, described_rad) if float(on_grid.mean()) >= GRID_SHARE else described_rad
+def steps_of(readings: Array, described_rad: float) -> Array:
+    """Compute the steps of the grids that (n, J) readings lie on, where finer than described."""
+    values = np.sort(readings.T, axis=1)
+    gaps = np.diff(values, axis=1, prepend=-np.inf)
+    own = np.where(gaps > GRID_RAD, gaps, np.inf)[:, 1:].min(axis=1, initial=np.inf)
+    phases = (values - values[:, :1]) / own[:, None]
+    new = gaps > 0.0  # each value once
+    on_grid = ((np.abs(phases - np.rint(phases)) < 0.1) & new).sum(axis=1)
+    found = np.isfinite(own) & (on_grid >= GRID_SHARE * new.sum(axis=1))
+    return np.where(found, np.minimum(own, described_rad), described_rad)
 
 
 class Survey(NamedTuple):

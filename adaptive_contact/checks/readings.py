@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.findings import Fault
-from adaptive_contact.checks.information import Samples, held_share, survey
+from adaptive_contact.checks.information import Samples, held_shares, survey
 from adaptive_contact.checks.limits import Limits, find_limits
 from adaptive_contact.checks.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.core.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
@@ -197,7 +197,7 @@ def _far_out(angles: Array) -> Array:
 
 
 def _held(samples: Samples, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
-    shares = {name: held_share(samples, j, steps_rad[j]) for j, name in enumerate(names)}
+    shares = dict(zip(names, held_shares(samples, np.array(steps_rad)).tolist(), strict=True))
     # Held for two ticks it is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions
     # 0.24 at most.
     shares = {name: share for name, share in shares.items() if share > 0.4}

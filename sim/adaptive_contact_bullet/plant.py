@@ -21,7 +21,8 @@ _G: Final = 9.81
 _HUNG_M: Final = 1.0  # a body that hangs
 _PARKED: Final = (0.0, 0.0, -3.0)
 _PLATE_M: Final = (0.06, 0.06, 0.005)  # half extents
-_AREA_M: Final = 1.6
+_GROUND_M: Final = 2000.0  # half of the ground: hours of walking
+_AREA_M: Final = 1.6  # bumps are so far ahead, behind and beside at most
 
 Kind = Literal["hard", "soft", "tilted", "rough", "none"]
 
@@ -33,7 +34,6 @@ class Ground:
     kind: Kind = "hard"
     stiffness_n_m: float = 1500.0  # of soft ground
     tilt_rad: float = 0.12
-    bump_m: float = 0.022  # the highest
 
 
 class State(NamedTuple):
@@ -84,6 +84,7 @@ class Plant:
         engine.setTimeStep(STEP_S)
         tilt = ground.tilt_rad if ground.kind == "tilted" else 0.0
         engine.setGravity(_G * math.sin(tilt), 0.0, -_G * math.cos(tilt))
+        self._bumps_m = np.zeros((0, 2))  # centres
         self._grounds = [] if ground.kind == "none" else self._lay(ground, rng)
         rest = rest_angles(shape)
         hung = fixed or ground.kind == "none"
@@ -132,20 +133,33 @@ class Plant:
 
     def _lay(self, ground: Ground, rng: np.random.Generator) -> list[int]:
         engine = self._engine
-        plane = engine.createCollisionShape(bullet.GEOM_BOX, halfExtents=[40.0, 40.0, 0.5])
+        half = [_GROUND_M, _GROUND_M, 0.5]
+        plane = engine.createCollisionShape(bullet.GEOM_BOX, halfExtents=half)
         laid = [engine.createMultiBody(0.0, plane, basePosition=[0.0, 0.0, -0.5])]
         if ground.kind != "rough":
             return laid
-        for _ in range(220):
-            height = rng.uniform(0.3, 1.0) * ground.bump_m
+        self._bumps_m = np.zeros((220, 2))
+        for at in self._bumps_m:
+            height = rng.uniform(0.3, 1.0) * self._shape.bump_m
             sides = rng.uniform(0.03, 0.1, 2)
             box = engine.createCollisionShape(
                 bullet.GEOM_BOX, halfExtents=[*sides.tolist(), height]
             )
-            where = rng.uniform(-_AREA_M, _AREA_M, 2)
+            at[:] = rng.uniform(-_AREA_M, _AREA_M, 2)
             turn = engine.getQuaternionFromEuler([0.0, 0.0, rng.uniform(0.0, math.pi)])
-            laid.append(engine.createMultiBody(0.0, box, -1, [*where.tolist(), 0.0], turn))
+            laid.append(engine.createMultiBody(0.0, box, -1, [*at.tolist(), 0.0], turn))
         return laid
+
+    def _lay_ahead(self) -> None:
+        """Move the bumps that the robot has left behind ahead of it: rough ground has no end."""
+        engine, side = self._engine, 2.0 * _AREA_M
+        here = np.array(engine.getBasePositionAndOrientation(self._robot)[0][:2])
+        moves = side * np.round((here - self._bumps_m) / side)
+        self._bumps_m += moves
+        for bump in np.flatnonzero(moves.any(axis=1)).tolist():
+            body, at = self._grounds[1 + bump], [*self._bumps_m[bump].tolist(), 0.0]
+            turn = engine.getBasePositionAndOrientation(body)[1]
+            engine.resetBasePositionAndOrientation(body, at, turn)
 
     def _surface(self, body: int, ground: Ground) -> None:
         self._engine.changeDynamics(body, -1, lateralFriction=0.9, restitution=0.0)
@@ -182,6 +196,8 @@ class Plant:
         """Make so many steps; (steps, L) N, the normal force on each leg after each."""
         engine, robot, shape = self._engine, self._robot, self._shape
         forces = np.zeros((steps, len(shape.legs)))
+        if len(self._bumps_m):
+            self._lay_ahead()
         for step in range(steps):
             torques = self.drives.torques(self.angles, self.speeds)
             engine.setJointMotorControlArray(

@@ -25,6 +25,7 @@ from adaptive_contact_sim.arrays import LegArrays, Run, contact_at
 from adaptive_contact_sim.truth import AIR_FORCE_N, TOUCH_FORCE_N, Change, TruthTracker
 
 _SETTLE_S: Final = 1.5
+_FALLEN: Final = 0.5  # cosine of the body's tilt
 _EPOCH_NS: Final = 1_700_000_000_000_000_000
 # 540,000 judged ticks are a robot-hour.
 _PER_HOUR: Final = 540_000
@@ -77,7 +78,7 @@ def record(plan: Plan) -> Recorded:
     """Record a run as fast as possible.
 
     Raises:
-        RuntimeError: the physics diverged.
+        RuntimeError: the physics diverged, or the robot fell: what its feet do then is no walk.
     """
     return _Recorder(plan).record()
 
@@ -120,6 +121,9 @@ class _Recorder:
             state = plant.state if plan.twins else None
             self._angle[k] = plant.angles
             self._position[k], self._rotation[k] = plant.pose
+            if self._rotation[k, 2, 2] < _FALLEN:
+                at_s = k * shape.period_s
+                raise RuntimeError(f"{shape.name} fell after {at_s:.0f} s; take lower bumps")
             self._measured[k] = plant.drives.read(plant.angles)
             self._desired[k] = self._walker.tick(touching)
             self._swing[k] = self._walker.swing

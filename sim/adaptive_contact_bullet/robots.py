@@ -46,6 +46,7 @@ class Shape:
     body_m: Point  # half extents
     legs: tuple[LegShape, ...]
     sole_m: float = 0.009
+    bump_m: float = 0.022  # of rough ground, the highest that it walks over without a fall
 
     @property
     def joints(self) -> int:
@@ -209,6 +210,7 @@ def _quadruped() -> Shape:
         (0.22, 0.09, 0.05),
         tuple(legs),
         0.015,
+        0.010,
     )
 
 

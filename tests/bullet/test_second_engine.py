@@ -122,6 +122,21 @@ def test_the_same_seed_walks_the_same_way() -> None:
         np.testing.assert_array_equal(first.legs[leg].measured, second.legs[leg].measured)
 
 
+def test_rough_ground_has_no_end() -> None:
+    run = record(Plan("hexapod", GAITS["tripod-fast"], Ground("rough"), 45.0, 11)).run
+    tilt = np.arccos(np.clip(run.rotation[:, 2, 2], -1.0, 1.0))
+    thirds = [math.degrees(np.sqrt(np.mean(part**2))) for part in np.array_split(tilt, 3)]
+    assert np.linalg.norm(run.position_m[-1, :2] - run.position_m[0, :2]) > 4.0
+    assert min(thirds) > 1.0  # on hard ground 0.4
+
+
+def test_no_record_is_made_of_a_robot_that_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    lower = SHAPES["quadruped"]
+    monkeypatch.setitem(SHAPES, "quadruped", dataclasses.replace(lower, bump_m=0.06))
+    with pytest.raises(RuntimeError, match="fell after"):
+        record(Plan("quadruped", GAITS["trot"], Ground("rough"), 30.0, 11))
+
+
 def test_a_trial_of_the_study_has_a_row(tmp_path: Path) -> None:
     """From nothing, in seconds: too short to be judged by, but whole."""
     trials = [

@@ -17,10 +17,10 @@ from adaptive_contact.checks.information import (
     basis,
     departure,
     equal_to_commands,
-    held_share,
+    held_shares,
     is_old,
     low_pass,
-    step_of,
+    steps_of,
     survey,
 )
 
@@ -91,7 +91,7 @@ COPIES: dict[str, Lie] = {
     "moved": lambda _, u: delayed(u, 1) + 0.02,
     "scaled": lambda _, u: 0.5 * u,
     "noisy": lambda _, u: delayed(u, 5) + RNG.normal(0.0, 1e-4, u.shape),
-    "filtered": lambda _, u: grid(low_pass(delayed(u, 2), 0.6), noise=0.0),
+    "filtered": lambda _, u: grid(low_pass(delayed(u, 2), (0.6,))[0], noise=0.0),
     "nearly all of it": lambda y, u: grid(0.95 * delayed(u, 2) + 0.05 * y, noise=0.0),
 }
 STALE: dict[str, Lie] = {
@@ -320,7 +320,7 @@ def test_least_squares_against_a_slow_reference() -> None:
     ticks, steps = 90, np.array([STEP, STEP])
     found = departure(Samples(np.arange(len(y)), y, u), ticks, steps)
     for joint in range(2):
-        columns, read = basis(u)[-ticks:, :, joint], y[-ticks:, joint]
+        columns, read = basis(u)[joint, -ticks:], y[-ticks:, joint]
         rows = np.ones(ticks, dtype=bool)
         for last in (False, True):
             x, z = columns - columns[rows].mean(axis=0), read - read[rows].mean()
@@ -340,25 +340,23 @@ def test_least_squares_against_a_slow_reference() -> None:
 def test_a_low_pass_is_its_recursion(pole: float) -> None:
     u, _ = commands(3)
     f = u[0].copy()
-    for of, passed in zip(u, low_pass(u, pole), strict=True):
+    for of, passed in zip(u, low_pass(u, (pole,))[0], strict=True):
         f = pole * f + (1.0 - pole) * of
         assert passed == pytest.approx(f, abs=1e-9)
 
 
 def test_steps_are_those_of_the_readings() -> None:
     y = np.random.default_rng(1).uniform(-1.0, 1.0, 400)
-    assert step_of(y, 0.005) == 0.005
-    assert step_of(np.round(y / 0.02) * 0.02, 0.005) == 0.005
-    assert step_of(np.round(y / 0.001) * 0.001, 0.005) == pytest.approx(0.001)
-    assert step_of(np.zeros(9), 0.005) == 0.005
+    both = [y, np.round(y / 0.02) * 0.02, np.round(y / 0.001) * 0.001, np.zeros(400)]
+    assert steps_of(np.stack(both, axis=1), 0.005) == pytest.approx([0.005, 0.005, 0.001, 0.005])
 
 
 def test_held_readings_have_their_share() -> None:
     u, _ = commands(6)
     for ticks, share in ((1, 0.0), (2, 0.5), (3, 2 / 3), (4, 0.75)):
         y = u[ticks * (np.arange(len(u)) // ticks)]
-        found = held_share(Samples(np.arange(len(u)), y, u), 0, STEP)
-        assert found == pytest.approx(share, abs=0.06)
+        found = held_shares(Samples(np.arange(len(u)), y, u), np.full(2, STEP))
+        assert found[0] == pytest.approx(share, abs=0.06)
 
 
 @pytest.mark.parametrize("before", range(60))

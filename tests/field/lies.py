@@ -68,7 +68,11 @@ def _copy(
     noise: float = 0.0, pole: float = 0.0,
 ) -> Array:  # fmt: skip
     y = delayed(u, float(rng.choice([rng.integers(0, 13), rng.uniform(0, 12)])))
-    y = scale * (low_pass(y, pole) if pole else y) + moved + noise * rng.standard_normal(u.shape)
+    y = (
+        scale * (low_pass(y, (pole,))[0] if pole else y)
+        + moved
+        + noise * rng.standard_normal(u.shape)
+    )
     return rounded(y, step) if step and rng.random() < 0.5 else y
 
 
