@@ -381,9 +381,8 @@ class ContactLearner:
         if assessed:
             # Of readings that may be copies, the model would be learned again.
             suspected = self.report.source.suspected
-            if adapter.monitor.unfit and self.place.leg.ticks and not suspected:
-                # Taken up behind the tick: its command is then the first of the next model's past.
-                lifecycle.forget()
+            # Taken up behind the tick: its command is then the first of the next model's past.
+            if self.place.leg.ticks and not suspected and lifecycle.begin_again():
                 self._let_go()
                 return True
             self.report.publish_withholding()

@@ -137,5 +137,7 @@ class LabelledSwing(NamedTuple):
     # the swing's contact was reported before the foot had begun to come down; None where that is
     # not known
     early: bool | None = None
-    refuted: bool = False  # the last swing's contact: the stance after it showed no load
+    # the last swing's contact: the stance after it showed no load; at its end, where it was early:
+    # the foot came down all the same
+    refuted: bool = False
     whole: bool = True  # rows of a lift are most of it

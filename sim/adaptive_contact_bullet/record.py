@@ -44,7 +44,7 @@ class Plan:
     seed: int  # of the ground, the motion and the readings
     robot_seed: int = 1  # of what differs between robots of one make
     plates: float = 0.0  # share of an arm's descents onto one
-    drift: tuple[Drift, float] | None = None  # which, and after how many seconds
+    drifts: tuple[tuple[Drift, float], ...] = ()  # which, and after how many seconds
     twins: bool = False
 
 
@@ -116,8 +116,9 @@ class _Recorder:
         started = tracker.start(touching.astype(np.float64), 0)  # 1 N
         self._changes = [change for change in started if not change.contact]
         for k in range(self._n):
-            if plan.drift and k == round(plan.drift[1] / shape.period_s):
-                self._change(plan.drift[0])
+            for drift, after_s in plan.drifts:
+                if k == round(after_s / shape.period_s):
+                    self._change(drift)
             state = plant.state if plan.twins else None
             self._angle[k] = plant.angles
             self._position[k], self._rotation[k] = plant.pose

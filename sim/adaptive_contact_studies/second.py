@@ -81,7 +81,7 @@ class Trial:
             self.robot, GAITS[self.gait], Ground(self.ground), self.seconds, self.seed,
             self.seed % _FREE_SEED,
             plates=0.6 if self.robot == "arm" else 0.0,
-            drift=None if self.drift is None else (self.drift, self.seconds / 3.0),
+            drifts=() if self.drift is None else ((self.drift, self.seconds / 3.0),),
             twins=not self.hangs,
         )  # fmt: skip
 

@@ -148,3 +148,35 @@ def test_a_change_that_is_known_ends_the_doubt(robot: Robot, baseline: Baseline)
     assert "adapting" in status[110:116]
     assert status[-1] == "valid"
     assert notes[-1] is None
+
+
+@pytest.mark.parametrize("came_down", [EARLY_BEGIN - 1, EARLY_BEGIN])
+def test_touches_are_refuted_where_the_foot_came_down_as_often_as_is_too_many(
+    came_down: int,
+) -> None:
+    touches = EarlyContacts()
+    for k in range(EARLY_SWINGS):
+        touches.take(True, refuted=k < came_down)
+    assert touches.refuted == (came_down == EARLY_BEGIN)
+
+
+def sticking(measured: np.ndarray, since: int) -> np.ndarray:
+    """From a swing on, feet that stay two ticks behind at the top, and come down all the same."""
+    k = np.arange(len(measured))
+    tick = k % 28
+    late = (k // 28 >= since) & (tick >= 12) & (tick < 24)
+    at = k - np.where(late, 2.0 * np.sin(np.pi * (tick - 12) / 12), 0.0)
+    read = np.stack([np.interp(at, k, joint) for joint in measured.T], axis=1)
+    return np.round(read / 0.005) * 0.005
+
+
+def test_a_leg_from_nothing_whose_feet_refute_its_touches_begins_again(robot: Robot) -> None:
+    """Else it would report nothing until its owner fits a baseline: for hours."""
+    measured, desired, swing, _ = FakeLeg(seed=6, gain=0.6, noise=0.001).run(260)
+    learner = ContactLearner(robot, "rf")
+    stream = samples(sticking(measured, 80), desired, swing)
+    told = [learner.update(sample) for sample in stream[: 28 * 140]]
+    assert sum(event is not None and event.contact for event in told) > EARLY_BEGIN
+    told = [learner.update(sample) for sample in stream[28 * 140 :]]
+    assert learner.status.status == "valid"
+    assert not any(event is not None and event.contact for event in told[-28 * 40 :])

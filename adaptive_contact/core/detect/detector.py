@@ -90,6 +90,7 @@ from adaptive_contact.core.detect.swing import (
     forget_phase,
     height_gradient,
     place_foot,
+    resolve_heights,
 )
 from adaptive_contact.model.noise import DESCENT, LIFT
 
@@ -216,7 +217,7 @@ def follow_swing(leg, sample, source, swing, past, model):
         leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
         leg.resolved_whole = whole
         if not ends:
-            leg.resolved_rise, leg.resolved_fallen = leg.rise, leg.fallen
+            resolve_heights(leg, swing.foot[2], swing.commanded[2])
         leg.row_n = leg.lift_n
         leg.closed = True
     if leg.ticks == 1:

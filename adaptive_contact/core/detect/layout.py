@@ -262,6 +262,7 @@ LEG: Final = np.dtype(
         ("resolved_whole", b1),  # `whole`, `rise` and `fallen` of that swing
         ("resolved_rise", f8),
         ("resolved_fallen", f8),
+        ("resolved_down", b1),  # whether the foot came down
         # Swings without a touch.
         ("quiet", i4),  # ticks in a row after the turn without a sign of a touch
         ("untouched", i8),  # swings that ended without a touch

@@ -48,6 +48,9 @@ SAME_TICKS: Final = 2
 # A swing counts as one without a touch where no tick after its turn reaches this share of
 # the threshold: of 200 such swings two had a touch that lasted 40 ms (decision 27).
 QUIET_SCORE: Final = 0.3
+# A foot has come down where it did so by this share of its rise, or of its command's descent if
+# that is less: one that met something at the top has not.
+CAME_DOWN: Final = 2 / 3
 
 UNKNOWN: Final = -1  # phase
 SWING: Final = 1
@@ -192,6 +195,14 @@ def half_swing(leg, lengths_ticks):
 
 
 @compiled
+def resolve_heights(leg, foot_m, commanded_m):
+    """Keep the heights of the swing that ends, and whether the foot came down as it was told."""
+    leg.resolved_rise, leg.resolved_fallen = leg.rise, leg.fallen
+    asked = min(leg.rise, leg.top - commanded_m)
+    leg.resolved_down = leg.top - foot_m > CAME_DOWN * asked
+
+
+@compiled
 def stand(leg, swing, measured, desired, awaited):
     """End the swing when ``phase`` turns to stance, or continue until the touch."""
     last_desired, last_read = swing.last_desired, swing.last_read
@@ -243,7 +254,7 @@ def follow_command(leg, swing, measured, desired, awaited):
     if swinging:
         if leg.after:
             ends = True
-            leg.resolved_rise, leg.resolved_fallen = leg.rise, leg.fallen
+            resolve_heights(leg, foot[2], commanded[2])
             leg.ticks = leg.after = 0
         leg.ticks += 1
         leg.same = 0

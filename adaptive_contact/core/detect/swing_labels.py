@@ -132,7 +132,9 @@ class SwingLabels:
             descent = descent[descent.records["high"]]  # the touch was missed
         return [
             *self._confirmed(descent, lifted=self._swing.had_lifted),
-            LabelledSwing(Label.END, early=self._swing.touched_early()),
+            LabelledSwing(
+                Label.END, early=self._swing.touched_early(), refuted=bool(leg.resolved_down)
+            ),
         ]
 
     def alarm(self) -> list[LabelledSwing]:

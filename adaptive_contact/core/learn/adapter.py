@@ -216,7 +216,7 @@ class Adapter:
             case Label.DESCENT:
                 self._descent(part.rows, part.region)
             case Label.END:
-                self._end_swing(part.early)
+                self._end_swing(part.early, refuted=part.refuted)
 
     def _lift(self, part: LabelledSwing) -> None:
         """Assess the lift of a swing whose top has been passed."""
@@ -301,12 +301,13 @@ class Adapter:
         self.buffer.new_source()
         self.monitor.new_clock()
 
-    def _end_swing(self, early: bool | None) -> None:
+    def _end_swing(self, early: bool | None, *, refuted: bool) -> None:
         """End a swing that is resolved: count it, and request a refit that is due.
 
         Args:
             early: a touch was reported in it before the foot had begun to come down; None where
                 that is not known.
+            refuted: the foot came down all the same.
         """
         learned, self._learned_swing = self._learned_swing, False
         if not self.learning:
@@ -314,7 +315,7 @@ class Adapter:
         valid = self.monitor.status == "valid"
         if self.first is not None and self.first.end_swing(valid=valid):
             self.first = None
-        if valid and early is not None and self.early.take(early):
+        if valid and early is not None and self.early.take(early, refuted=refuted):
             self.refit.drop()  # no lift shows what is wrong: rows of lifts are no judge
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:

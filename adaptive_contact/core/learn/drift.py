@@ -446,10 +446,17 @@ class EarlyContacts:
     def __init__(self) -> None:
         self.reported = False
         self._lately: deque[bool] = deque(maxlen=EARLY_SWINGS)
+        self._refuted: deque[bool] = deque(maxlen=EARLY_SWINGS)
 
-    def take(self, early: bool) -> bool:
+    @property
+    def refuted(self) -> bool:
+        """Whether nothing is in the way: the foot came down after that many of them."""
+        return self.reported and sum(self._refuted) >= EARLY_BEGIN
+
+    def take(self, early: bool, *, refuted: bool = False) -> bool:
         """Count a swing; True if it is the one with which the count becomes too high."""
         self._lately.append(early)
+        self._refuted.append(early and refuted)
         count, before = sum(self._lately), self.reported
         self.reported = count > EARLY_END if before else count >= EARLY_BEGIN
         return self.reported and not before
@@ -458,6 +465,7 @@ class EarlyContacts:
         """Drop the counts, as the leg is known to have changed."""
         self.reported = False
         self._lately.clear()
+        self._refuted.clear()
 
     @property
     def note(self) -> str | None:

@@ -122,6 +122,20 @@ class Lifecycle:
         self._unfit = self._unfit or not self._widening
         self._begin_prior(min(self._widening * WIDER, WIDEST) if self._widening else 1.0)
 
+    def begin_again(self) -> bool:
+        """Start again from a prior if the model is of another leg, by its lifts or its descents.
+
+        A leg with a baseline that only comes down differently keeps it: a new fit is better.
+        """
+        adapter = self.adapter
+        if adapter is None:
+            return False
+        comes_down = adapter.early.refuted and 0.0 < self._widening < WIDEST
+        if adapter.monitor.unfit or comes_down:
+            self.forget()
+            return True
+        return False
+
     def take_slope(self, start: LegBaseline) -> None:
         """Go on from what a refit has found, with a slope of its own."""
         before = self.adapter
