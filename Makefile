@@ -28,7 +28,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all uncompiled check bench scenarios baseline soak fuzz kills links unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second honest
+.PHONY: help env demo test test-all uncompiled check bench scenarios baseline soak fuzz kills links unseen lock wheel clean golden golden-constants same same-faults pico prior strangers second hours honest
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -85,6 +85,9 @@ strangers: env  ## legs without a baseline: swings to the first touch, touches f
 
 second: env  ## robots of another physics engine, against an ideal observer of the free path (hours, resumable)
 	$(BIN)/python -m adaptive_contact_studies.second out/second
+
+hours: env  ## an hour of one gait on five robots, eight hours of changes on two (two hours, resumable)
+	$(BIN)/python -m adaptive_contact_studies.hours out/hours
 
 honest: env  ## HOURS of honest legs of all kinds: at most one in 100 leg-hours is doubted (hours, resumable)
 	PYTHONPATH=tests $(BIN)/python -m field.honest out/honest --hours $(HOURS)
