@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
+from adaptive_contact.cli._link import unless_stopped
 from adaptive_contact.cli._options import (
     ForceOption,
     Network,
@@ -17,7 +18,7 @@ from adaptive_contact.cli._options import (
     speed_of,
 )
 from adaptive_contact.cli._output import say, say_waiting
-from adaptive_contact.errors import ConfigurationError, LinkError, needs
+from adaptive_contact.errors import ConfigurationError, needs
 
 if TYPE_CHECKING:
     from adaptive_contact_sim import (
@@ -186,24 +187,19 @@ def execute(plan: RunPlan, stop: threading.Event) -> None:
     """Run a plan, and say how it went."""
     from adaptive_contact_sim import run
 
-    try:
+    with unless_stopped(stop):
         report = run(plan, stop, on_wait=say_waiting, on_start=_start)
-    except LinkError:
-        if stop.is_set():
-            return
-        raise
-    outcome = report.outcome
-    factor = outcome.simulated_s / max(outcome.elapsed_s, 1e-9)
-    touches = "  ".join(f"{leg} {count}" for leg, count in report.touches.items())
-    raises = "" if report.raises is None else f"; raised swings: {report.raises}"
-    late = f", {outcome.late} late" if plan.speed is not None else ""
-    say(
-        f"simulated {outcome.simulated_s:.1f} s in {outcome.elapsed_s:.1f} s "
-        f"({factor:.1f} x real time), {outcome.ticks} ticks{late}; touches: {touches}{raises}"
-    )
-    for path in (plan.record, plan.render):
-        if path is not None:
-            say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
+        factor = report.simulated_s / max(report.elapsed_s, 1e-9)
+        touches = "  ".join(f"{leg} {count}" for leg, count in report.touches.items())
+        raises = "" if report.raises is None else f"; raised swings: {report.raises}"
+        late = f", {report.late} late" if plan.speed is not None else ""
+        say(
+            f"simulated {report.simulated_s:.1f} s in {report.elapsed_s:.1f} s "
+            f"({factor:.1f} x real time), {report.ticks} ticks{late}; touches: {touches}{raises}"
+        )
+        for path in (plan.record, plan.render):
+            if path is not None:
+                say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
 def _start(line: str) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import ContactEvent
-from adaptive_contact_sim.live import Outcome, Pace, run_live
+from adaptive_contact_sim.live import Pace, run_live
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
@@ -50,7 +50,10 @@ class RunPlan:
 class Report:
     """How a run went."""
 
-    outcome: Outcome  # times and ticks
+    simulated_s: float
+    elapsed_s: float  # of the wall clock
+    ticks: int
+    late: int  # ticks that came late
     touches: dict[str, int]  # contacts begun per leg, standing at the start left out
     raises: int | None = None  # swings raised on a strike, None where none was to be
 
@@ -60,7 +63,7 @@ def run(
     stop: Event,
     *,
     on_wait: Callable[[Finding], None] | None = None,
-    on_start: Callable[[str], None] | None = None,
+    on_start: Callable[[str], None] = lambda _: None,
 ) -> Report:
     """Run a plan to its end.
 
@@ -99,7 +102,6 @@ def run(
             if recorder is not None:
                 recorder.write_event(event)
 
-        period_s = 0.0 if plan.speed is None else settings.period_s / plan.speed
         link = None
         does = "no network"
         if plan.link is not None:
@@ -107,15 +109,22 @@ def run(
 
             link = stack.enter_context(Link.open(plan.link, on_wait=on_wait, stop=stop))
             does = "publishing robot/leg/*/servo and truth"
-        if on_start is not None:
-            on_start(f"{describe(settings)}; {does}")
-        outcome = run_live(
-            sim, link, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick,
+        on_start(f"{describe(settings)}; {does}")
+        pace = Pace(0.0 if plan.speed is None else settings.period_s / plan.speed)
+        run_live(
+            sim,
+            link,
+            seconds=plan.seconds,
+            pace=pace,
+            stop=stop,
+            on_tick=on_tick,
             on_event=on_event,
-        )  # fmt: skip
+        )
+        elapsed_s = pace.elapsed_s
     wanted = getattr(settings.motion, "raise_m", 0.0)
     raises = getattr(sim.motion, "raises", None) if wanted else None
-    return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs}, raises)
+    counts = {leg: touches[leg] for leg in sim.layout.legs}
+    return Report(sim.time_s, elapsed_s, sim.ticks, pace.late, counts, raises)
 
 
 def describe(settings: SimulationSettings) -> str:

@@ -19,11 +19,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Mask
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
 from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Sway, Swings
@@ -111,19 +111,6 @@ class WalkSettings:
                 f"descents aim {self.depth_m[0]:g} to {self.depth_m[1]:g} m below the ground; "
                 "expected 0.01 to 0.06 m, rising"
             )
-
-
-class _Ground(NamedTuple):
-    """A level plane in the body's frame: a point of it, and the vertical."""
-
-    point: Array
-    up: Array
-
-    def height(self, x: float, y: float) -> float:
-        """Height at a place, in the body's frame."""
-        point, up = self
-        slope = up[0] * (x - point[0]) + up[1] * (y - point[1])
-        return float(point[2] - slope / max(float(up[2]), 0.5))
 
 
 class WalkMotion:
@@ -215,7 +202,8 @@ class WalkMotion:
         feet = self._feet
         if self._sway is not None:
             self._sway_share = min(1.0, self._sway_share + self._rate * self._period_s)
-            self._swayed_m = self._sway_at(self._clock)
+            # How far the body's command is from where it would not sway.
+            self._swayed_m[:2] = self.settings.sway * self._sway_share * self._sway.at(self._clock)
             feet = feet - self._swayed_m
         goal = self._goal_rad = self._geometry.joints(self._geometry.to_leg(feet), self._goal_rad)
         phase: tuple[Phase, ...] = tuple("swing" if s else "stance" for s in self._swinging)
@@ -246,12 +234,6 @@ class WalkMotion:
         vx, vy, wz = self._twist
         return np.stack([vx - wz * points[:, 1], vy + wz * points[:, 0]], axis=1)
 
-    def _sway_at(self, clock: float) -> Array:
-        """(3,) m, how far the body's command is from where it would not sway."""
-        assert self._sway is not None
-        shift = self.settings.sway * self._sway_share * self._sway.at(clock)
-        return np.array([shift[0], shift[1], 0.0])
-
     # -- the gait's clock ----------------------------------------------------------------------
 
     def _own_clock(self) -> Array:
@@ -271,7 +253,7 @@ class WalkMotion:
         self._own_before = own
         if not begin.size:
             return
-        ground = self._expected_ground(world, measured)
+        point, up = self._middle(measured), world.rotation[2]
         moves = self._velocity_of(self._neutral)
         ahead = (0.5 * self._stance_s - settings.lag_s) * moves
         for leg in begin:
@@ -281,8 +263,9 @@ class WalkMotion:
             jitter = settings.variability * 0.06 * rng.uniform(-1.0, 1.0, 2)
             target = self._neutral[leg, :2] + ahead[leg] + jitter
             swings.target_m[leg, :2] = target
-            floor = ground.height(*target)
-            self._floor_m[leg] = floor
+            # On the level plane through that point, in the body's frame.
+            slope = up[0] * (target[0] - point[0]) + up[1] * (target[1] - point[1])
+            floor = self._floor_m[leg] = point[2] - slope / max(float(up[2]), 0.5)
             lift = settings.clearance_m * (1.0 + settings.variability * rng.uniform(-1.0, 1.0))
             swings.top_m[leg] = floor + lift
             swings.target_m[leg, 2] = floor - rng.uniform(*settings.depth_m)
@@ -291,20 +274,13 @@ class WalkMotion:
             # Until then a foot may still leave the ground.
             self._lifted_tick[leg] = world.tick + round(0.1 / self._period_s)
 
-    def _expected_ground(self, world: World, measured: Array) -> _Ground:
-        """The level plane through the middle of the feet that stand; of a plan, where it has it."""
-        if self._planned:
-            return _Ground(self._neutral.mean(axis=0), world.rotation[2])
+    def _middle(self, measured: Array) -> Array:
+        """(3,) m, the middle of the feet that stand; of a plan, where it has it."""
         stance = ~self._swinging
-        middle = measured[stance].mean(axis=0) if stance.any() else self._neutral.mean(axis=0)
-        return _Ground(middle, world.rotation[2])
+        feet = self._neutral if self._planned or not stance.any() else measured[stance]
+        return np.asarray(feet.mean(axis=0))
 
     # -- stance --------------------------------------------------------------------------------
-
-    def _standing(self, world: World) -> Mask:
-        """(L,) which feet are taken to stand: those in stance, some ticks after a planned turn."""
-        stance = ~self._swinging
-        return stance & (world.tick >= self._settled_tick) if self._planned else stance
 
     def _stand(self, world: World, measured: Array) -> None:
         """Move stance feet: with the body's twist, for its posture, and off too much pressure."""
@@ -313,9 +289,10 @@ class WalkMotion:
             return
         dt, feet = self._period_s, self._feet
         feet[stance, :2] -= dt * self._velocity_of(feet)[stance]
-        stance = self._standing(world)
-        if not stance.any():
-            return
+        if self._planned:  # a foot is taken to stand some ticks after the turn
+            stance &= world.tick >= self._settled_tick
+            if not stance.any():
+                return
         up = world.rotation[2]  # the vertical in the body's frame
         below = float(((feet if self._planned else measured)[stance] @ up).mean())
         height = -below - self.settings.body_height_m

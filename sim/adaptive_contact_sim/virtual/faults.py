@@ -81,17 +81,13 @@ class FaultSchedule:
     """Which faults are on, and whether they strike now."""
 
     def __init__(self, specs: Iterable[FaultSpec], rng: np.random.Generator) -> None:
-        self._specs = tuple(specs)
+        self.specs = tuple(specs)  # may be replaced, from another thread
         self._rng = rng
         self.struck: dict[str, int] = {}
 
-    def switch(self, specs: Iterable[FaultSpec]) -> None:
-        """Put other faults in force; may be called from another thread."""
-        self._specs = tuple(specs)
-
     def strike(self, kind: FaultKind, servo: int, elapsed_s: float) -> FaultSpec | None:
         """The fault of a kind that hits this answer, or None."""
-        for spec in self._specs:
+        for spec in self.specs:
             if (
                 spec.kind == kind
                 and spec.servo in (None, servo)
@@ -108,7 +104,7 @@ class FaultSchedule:
             spec.kind == "hangup"
             and spec.port in (None, port)
             and spec.start_s <= elapsed_s < spec.end_s
-            for spec in self._specs
+            for spec in self.specs
         )
 
     def flip(self, packet: bytes) -> bytes:

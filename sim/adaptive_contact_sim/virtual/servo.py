@@ -27,7 +27,7 @@ from adaptive_contact_sim.virtual.backend import Backend
 
 # Errors of protocol 1.0 (bits) and 2.0 (numbers) for the same refusals.
 RANGE1, ANGLE1, INSTRUCTION1 = 0x08, 0x02, 0x40
-FAIL2, LENGTH2, LIMIT2, ACCESS2 = 0x01, 0x05, 0x06, 0x07
+LENGTH2, LIMIT2, ACCESS2 = 0x05, 0x06, 0x07
 _READ_ONLY: Final = (
     "model_number",
     "firmware",
@@ -195,15 +195,6 @@ class VirtualServo:
             self._saved[:] = self._memory
         for name in names:
             self._act(name)
-        return None
-
-    def clear(self) -> Refusal | None:
-        """Forget whole turns (Clear); a horn that stands stays, one that turns refuses."""
-        if abs(self._backend.speed(self._index)) > _MOVING_RAD_S:
-            return Refusal(FAIL2)
-        before, goal = self._turns, self.value("goal_position")
-        self._settle_turns(fresh=True)
-        self.store("goal_position", goal + (before - self._turns) * (self.model.highest + 1))
         return None
 
     # -- private -------------------------------------------------------------------------------

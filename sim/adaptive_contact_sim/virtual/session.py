@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import fcntl
+import math
 import os
 import threading
 import time
@@ -121,14 +122,7 @@ def _serve(plan: VirtualPlan, stop: threading.Event, on_start: Callable[[str], N
         models = ", ".join(sorted({j.models[-1].name for p in plans for j in p.joints}))
         where = " ".join(str(port.path) for port in server.ports)
         on_start(f"{servos} {models} on {where}; stop with Ctrl-C")
-        timer = None
-        if plan.seconds is not None:
-            timer = threading.Timer(plan.seconds, stop.set)
-            timer.daemon = True
-            timer.start()
-        server.run(stop)
-        if timer is not None:
-            timer.cancel()
+        server.run(stop, math.inf if plan.seconds is None else plan.seconds)
 
 
 def _backend(
