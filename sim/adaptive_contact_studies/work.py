@@ -99,14 +99,13 @@ class Work:
 
         Its items have texts that say all of them (``repr``).
         """
-        result: R = self._kept(self, do, item, _key(do, item))
-        return result
+        kept: Callable[..., R] = self._kept
+        return kept(self, do, item, _key(do, item))
 
     @property
     def _kept(self) -> Any:
         folder = None if self.folder is None else self.folder.resolve() / "cache"
-        memory = joblib.Memory(folder, verbose=0)
-        return memory.cache(_do, ignore=["work", "do", "item"])
+        return joblib.Memory(folder, verbose=0).cache(_do, ignore=["work", "do", "item"])
 
     def each(
         self,

@@ -51,8 +51,7 @@ class Judged:
     outcome: LegOutcome  # of all its events
     recovery: dict[str, Recovery]  # by name of the mark
     lock_out: int  # longest run of swings lost, from the first mark on
-    confirmed: int  # ticks it took for free
-    touched: int  # those of them on which the leg touched something
+    replay: LegReplay
     # swings until it called itself valid and went on to, None where it did not
     until_valid: int | None
     valid_ns: int | None  # when it did
@@ -116,8 +115,7 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
         outcome=outcome,
         recovery=recovery,
         lock_out=longest_lock_out(within(outcome, first_s, np.inf).swings),
-        confirmed=replayed.confirmed,
-        touched=replayed.touched,
+        replay=replayed,
         until_valid=until,
         valid_ns=valid_ns,
         wavered=bool(np.any(replayed.log.status != _VALID)),
@@ -238,7 +236,8 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
         _judged_part(scenario, of)
         for of in (outcomes, judgement.reference, judgement.full_reference)
     )
-    confirmed, touched = sum(j.confirmed for j in judged), sum(j.touched for j in judged)
+    confirmed = sum(one.replay.confirmed for one in judged)
+    touched = sum(one.replay.touched for one in judged)
     tree: Tree = {
         "before": _summary([within(o, before.from_s, before.to_s) for o in outcomes]),
         "judged": _summary(own),
