@@ -22,7 +22,6 @@ from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import needs
 from adaptive_contact.priority import take_priority
-from adaptive_contact.service.settings import Finding
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
@@ -67,30 +66,32 @@ def ros2(
     settings = network.client(json=json)
     ros_settings = opt.Network(ros_connect, None, ros_zenoh_config).client()
 
-    def waits_for_ros(finding: Finding) -> None:
-        _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on")
-
-    def waits(finding: Finding) -> None:
-        _say_ros(f"the service: {finding.line}; trying on")
-
     refused = take_priority() if realtime else None
     if refused is not None:
         _say_ros(refused)
     with (
         unless_stopped(stop),
-        Link.open(ros_settings, on_wait=waits_for_ros, stop=stop) as ros,
-        Link.open(settings, on_wait=waits, stop=stop) as service,
+        Link.open(
+            ros_settings,
+            on_wait=lambda finding: _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on"),
+            stop=stop,
+        ) as ros,
+        Link.open(
+            settings,
+            on_wait=lambda finding: _say_ros(f"the service: {finding.line}; trying on"),
+            stop=stop,
+        ) as service,
     ):
         # Milliseconds since 1970: a later start has a larger run.
         gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
-        reads = "reading nothing (no [leg.ros2])"
-        if gateway.legs:
-            reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(gateway.legs)}"
+        reads, legs = "reading nothing (no [leg.ros2])", gateway.intake.legs
+        if legs:
+            reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(legs)}"
         say(
             f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
             "Ctrl-C"
         )
-        if gateway.legs and gateway.intake.unmapped:
+        if legs and gateway.intake.unmapped:
             _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
         gateway.run(stop)
 

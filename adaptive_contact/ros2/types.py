@@ -52,10 +52,6 @@ _CONTROLLER_STATES: Final = {
     "humble": _Definition(f"{_NEW} desired actual"),
     "old": _Definition("desired actual error", multi=False),
 }
-_JOINT_VALUES: Final = (
-    "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
-)
-_INTERFACE_VALUE: Final = "string[] interface_names\nfloat64[] values\n"
 
 
 def typestore(state: str = "jazzy") -> Typestore:
@@ -63,13 +59,15 @@ def typestore(state: str = "jazzy") -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
     # A message of ours has a value per joint; a length beyond this is damage, and would allocate.
     store.max_sequence_length = 65_536
-    store.register(
-        {
-            **get_types_from_msg(_CONTROLLER_STATES[state].fields, RosType.CONTROLLER_STATE),
-            **get_types_from_msg(_JOINT_VALUES, RosType.JOINT_VALUES),
-            **get_types_from_msg(_INTERFACE_VALUE, "control_msgs/msg/InterfaceValue"),
-        }
-    )
+    definitions = {
+        RosType.CONTROLLER_STATE: _CONTROLLER_STATES[state].fields,
+        RosType.JOINT_VALUES: (
+            "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
+        ),
+        "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
+    }
+    for name, fields in definitions.items():
+        store.register(get_types_from_msg(fields, name))
     return store
 
 

@@ -509,10 +509,6 @@ class Link:
         )
         return Declared(declared, self._held)
 
-    def routers(self) -> tuple[str, ...]:
-        """Return the ids of the routers this session is connected to."""
-        return tuple(str(zid) for zid in self._session.info.routers_zid())
-
     def sessions(self) -> int:
         """Count the other sessions that are connected to this one."""
         return len(list(self._session.info.transports()))
@@ -525,7 +521,7 @@ class Link:
     def is_connected(self) -> bool:
         """Return whether a router is joined; always for one that joins no other."""
         alone = self.settings.mode == "router" and not self.joins
-        return alone or bool(self.routers())
+        return alone or bool(list(self._session.info.routers_zid()))
 
     def diagnose(self) -> Finding:
         """Find out what stands between this session and its router, at this moment."""

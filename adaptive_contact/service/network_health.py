@@ -121,8 +121,12 @@ class NetworkHealth:
         connected = self._link.is_connected()
         where = " or ".join(map(shown, self._link.joins))
         apart = None if connected else f"no router joined at {where}; trying on"
-        full = self._full()
-        if full is not None:
+        most, full = self._link.max_sessions, None
+        if self._link.sessions() >= most:
+            full = (
+                f"{most} sessions are connected, as many as may be: others are refused; close "
+                "some, or give serve a larger --max-sessions"
+            )
             self._throttle.warn("full", now_ns, "no room for another session", why=full)
         self.note = "; ".join(filter(None, (rival, apart, full))) or None
         if connected and not self._connected:
@@ -133,15 +137,6 @@ class NetworkHealth:
             threading.Thread(target=self._say_why, name="why", daemon=True).start()
         self._connected = connected
         self._joined |= connected
-
-    def _full(self) -> str | None:
-        most = self._link.max_sessions
-        if self._link.sessions() < most:
-            return None
-        return (
-            f"{most} sessions are connected, as many as may be: others are refused; close some, or "
-            "give serve a larger --max-sessions"
-        )
 
     def _say_why(self) -> None:
         what = "router lost, reconnecting" if self._joined else "router not joined yet, trying on"

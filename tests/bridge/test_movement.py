@@ -85,7 +85,7 @@ class Line:
                 self.port.receive(time.monotonic(), 0.0)
                 length += 0.01
             held = rng.random() < self.late
-            self.bus.timeout_ms = 2.0 if held else 1000.0
+            self.bus.port.timeout_ms = 2.0 if held else 1000.0
             if not held:
                 self.port.flush(time.monotonic() + 1.0)
             return done
