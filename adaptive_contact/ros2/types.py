@@ -20,9 +20,6 @@ from rosbags.typesys.store import Typestore
 from adaptive_contact.ros2.problems import CdrError, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
 
-_POINT: Final = "trajectory_msgs/JointTrajectoryPoint"
-_MULTI: Final = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
-
 
 class _Definition(NamedTuple):
     """Describes a definition of a controller's state."""
@@ -34,11 +31,12 @@ class _Definition(NamedTuple):
     @property
     def fields(self) -> str:
         """Return the fields as rosidl writes them."""
-        lines = ["std_msgs/Header header", "string[] joint_names"]
-        lines += [f"{_POINT} {name}" for name in self.points.split()]
+        lines, points = ["std_msgs/Header header", "string[] joint_names"], self.points.split()
+        lines += [f"trajectory_msgs/JointTrajectoryPoint {name}" for name in points]
         if self.multi:
             lines.append("string[] multi_dof_joint_names")
-            lines += [f"{_MULTI} multi_dof_{name}" for name in self.points.split()]
+            kind = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
+            lines += [f"{kind} multi_dof_{name}" for name in points]
         if self.scaling:
             lines.append("float64 speed_scaling_factor")
         return "\n".join([*lines, ""])

@@ -52,17 +52,6 @@ if TYPE_CHECKING:
 
 # Where Foxglove looks first.
 DEFAULT_PORT: Final = 8765
-# Messages that wait to be encoded: at 64 legs and 200 Hz more than a second.
-_MOST_WAITING: Final = 20_000
-_STREAMS: Final = (
-    HEARTBEAT,
-    ALL_SERVO,
-    ALL_STATE,
-    ALL_LEARNER,
-    ALL_TRUTH,
-    command_key("*"),
-    bridge_status_key("*"),
-)
 
 
 class FoxgloveServer:
@@ -105,7 +94,8 @@ class FoxgloveServer:
         self.left_out: Counter[tuple[str, str]] = Counter()
         self._link = link
         self._channels: dict[str, Channel] = {}
-        self._waiting: queue.Queue[Received] = queue.Queue(_MOST_WAITING)
+        # At 64 legs and 200 Hz more than a second.
+        self._waiting: queue.Queue[Received] = queue.Queue(20_000)
         self._known = KnownContacts()
 
     def __enter__(self) -> Self:
@@ -122,7 +112,8 @@ class FoxgloveServer:
         """Serve until ``stop`` is set."""
         for key in (ALL_CONTACT, SERVICE_STATUS):
             self._link.subscribe(key, self._enqueue, history=True)
-        for key in _STREAMS:
+        streams = (HEARTBEAT, ALL_SERVO, ALL_STATE, ALL_LEARNER, ALL_TRUTH)
+        for key in (*streams, command_key("*"), bridge_status_key("*")):
             self._link.subscribe(key, self._enqueue)
         while not stop.is_set():
             with contextlib.suppress(queue.Empty):

@@ -52,7 +52,6 @@ from adaptive_contact.wire import (
 MAX_BYTES: Final = 256 * 1024
 # Messages of one topic that may wait; at 100 Hz more than half a second.
 WAITING: Final = 64
-_MOST_LINES: Final = 256  # that wait to be said
 _LOOK_S: Final = 0.1
 _SERVICE_GONE_S: Final = 3.0
 
@@ -290,7 +289,7 @@ class Gateway:
 
     def _complain(self, topic: str, reason: Reason, detail: str) -> None:
         line = self.complaints.count(topic, reason, detail, time.monotonic())
-        if line is not None and self._lines.qsize() < _MOST_LINES:
+        if line is not None and self._lines.qsize() < 256:
             self._lines.put(line)
 
     # -- the service to ROS 2 ----------------------------------------------------------------------

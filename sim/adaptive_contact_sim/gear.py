@@ -16,17 +16,10 @@ that friction can stop within the step stops).
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact_sim.servo import ServoBank
-
-# Teeth: 1.5 N*m bends them by 0.6 degrees (assumed).  Link and rotor on this spring swing at
-# 470 rad/s at most (tibia), well inside what a 1 ms symplectic step follows.
-_STIFFNESS_NM: Final = 150.0
-_DAMPING_NMS: Final = 0.15
 
 
 class GearTrain:
@@ -96,7 +89,9 @@ class GearTrain:
         servos = self._servos
         gap = self.rotor_angle - servos.position[i]
         bite = gap - np.clip(gap, -self._half_backlash, self._half_backlash)
-        push = _STIFFNESS_NM * bite + _DAMPING_NMS * (self.rotor_velocity - servos.velocity[i])
+        # Teeth: 1.5 N*m bends them by 0.6 degrees (assumed).  Link and rotor on this spring swing
+        # at 470 rad/s at most (tibia), well inside what a 1 ms symplectic step follows.
+        push = 150.0 * bite + 0.15 * (self.rotor_velocity - servos.velocity[i])
         teeth = np.where(
             bite > 0.0, np.maximum(push, 0.0), np.where(bite < 0.0, np.minimum(push, 0.0), 0.0)
         )

@@ -34,11 +34,6 @@ from adaptive_contact_sim.motion import Goal, World
 StopOn = Literal["truth", "service", "never"]
 PhaseOf = Literal["touch", "planned"]
 
-_HEADING_GAIN: Final = 1.0  # rad/s per rad
-# Posture: what part of an error is taken back per second.
-_HEIGHT_GAIN: Final = 3.0
-_LEVEL_GAIN: Final = 4.0
-_SHARE_GAIN: Final = 2.0  # of the difference between a foot's load and the mean
 _FOOT_RANGE_M: Final = 0.05  # how far stance feet may leave the nominal height
 
 
@@ -223,7 +218,7 @@ class WalkMotion:
         speed = self.settings.stride_m / self._stance_s
         # A stance foot's way is limited by what the leg reaches, turning included.
         fastest = speed / self._geometry.outer_foot_m
-        turn = max(-fastest, min(fastest, _HEADING_GAIN * error))
+        turn = max(-fastest, min(fastest, 1.0 * error))  # rad/s per rad
         forward = speed * max(0.0, math.cos(error)) * (1.0 - 0.5 * abs(turn) / max(fastest, 1e-9))
         wanted = np.array([forward, 0.0, turn])
         # Time over which the wanted twist is smoothed.
@@ -298,11 +293,12 @@ class WalkMotion:
         height = -below - self.settings.body_height_m
         # Level the body: it tilts by (up x z); lower the feet on the side that hangs.
         slope = -(feet[:, 0] * up[0] + feet[:, 1] * up[1])
-        feet[stance, 2] += dt * (_HEIGHT_GAIN * height - _LEVEL_GAIN * slope[stance])
+        # Of each error so much is taken back per second.
+        feet[stance, 2] += dt * (3.0 * height - 4.0 * slope[stance])
         # How far a foot is pushed off its command shows its load: a spring of servos.
         pressed = (measured - feet) @ up
         load = pressed[stance]
-        feet[stance, 2] += dt * _SHARE_GAIN * (load - load.mean())
+        feet[stance, 2] += dt * 2.0 * (load - load.mean())
         # What a foot's command is lower than its preload is taken back at this rate.
         feet[stance, 2] += np.clip(load - self.settings.preload_m, 0.0, 1.0 * dt)
         nominal = -self.settings.body_height_m

@@ -41,7 +41,6 @@ LEARNER: Final = (
     *("adaptive_contact.model", "adaptive_contact.robot", "adaptive_contact.score"),
     "adaptive_contact_models",
 )
-_IDLE_S: Final = 20
 
 
 def rests_on(*sources: str) -> Callable[[F], F]:
@@ -141,7 +140,7 @@ class Work:
             # gone as there was nothing to do is started again, which needs no word.
             with (
                 warnings.catch_warnings(action="ignore", category=UserWarning),
-                joblib.parallel_config("loky", idle_worker_timeout=_IDLE_S),
+                joblib.parallel_config("loky", idle_worker_timeout=20),
                 self._progress(what, total) as advance,
             ):
                 made = joblib.Parallel(workers, return_as="generator_unordered", batch_size=1)

@@ -47,8 +47,6 @@ _BAUDS_FEETECH: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 
 # Of compact servos as delivered, by protocol: errors that shut them down.
 _FATAL: Final[dict[Protocol, int]] = {1: 0x24, 2: 0x03, "sts": 0x2C, "scs": 0x25}
 _LAW: Final[set[str]] = {name for names in LAW_REGISTERS for name in names}
-# A horn slower than this stands still for the register Moving.
-_MOVING_RAD_S: Final = 0.05
 
 
 class Refusal(NamedTuple):
@@ -362,7 +360,8 @@ class VirtualServo:
         noise = self._noise * float(self._rng.standard_normal())
         self.store("present_position", self._steps(backend.angle(index), noise))
         speed = backend.speed(index)
-        self.store("moving", int(abs(speed) > _MOVING_RAD_S))
+        # A horn that is slower stands still for this register.
+        self.store("moving", int(abs(speed) > 0.05))
         raw = round(speed / model.speed_rad_s)
         most = (1 << (model.registers["present_speed"].sign_bit or 31)) - 1
         self.store("present_speed", min(max(raw, -most), most))

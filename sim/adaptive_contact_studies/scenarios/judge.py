@@ -32,7 +32,6 @@ _VALID: Final = STATUSES.index("valid")
 SETTLED: Final = 20
 # What a change is taken for of which no kind is reported.
 NOTHING: Final = "nothing"
-_BOOTSTRAPS: Final = 2000
 _END_NS: Final = int(np.iinfo(np.int64).max)
 
 
@@ -314,7 +313,7 @@ def _lost(judgement: Judgement, own: list[LegOutcome]) -> Tree:
     numbers = np.unique(judgement.recordings, return_inverse=True)[1]
     whole = np.zeros((numbers[-1] + 1, counts.shape[1]))
     np.add.at(whole, numbers, counts)
-    drawn = np.random.default_rng(0).integers(0, len(whole), (_BOOTSTRAPS, len(whole)))
+    drawn = np.random.default_rng(0).integers(0, len(whole), (2000, len(whole)))
     low, high = np.nanpercentile(_points(whole[drawn].sum(axis=1)), (2.5, 97.5))
     return {
         "recall_lost_points": float(_points(counts.sum(axis=0))),
