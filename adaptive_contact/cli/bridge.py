@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
@@ -302,30 +303,27 @@ def virtual(
     with needs_simulator():
         from adaptive_contact_sim.virtual import parse_fault
         from adaptive_contact_sim.virtual.assembly import with_servos
-        from adaptive_contact_sim.virtual.session import VirtualPlan, run
+        from adaptive_contact_sim.virtual.session import run
     robot = opt.described_robot(config)
-    plan = VirtualPlan(
-        robot=robot if servos is None else with_servos(robot, servos),
-        directory=directory,
-        ports=ports,
-        faults=tuple(parse_fault(text) for text in fault or ()),
-        wire_time=wire_time,
-        scenario=scenario,
-        height_m=height,
-        seed=seed,
-        seconds=seconds,
-        record=record,
-        write_config=write_config,
-    )
     if realtime:
         refused = take_priority()
         if refused is not None:
             say(f"adaptive-contact bridge virtual: {refused}", err=True)
-    run(plan, stop, on_start=_say)
-
-
-def _say(line: str) -> None:
-    say(f"adaptive-contact bridge virtual: {line}")
+    run(
+        robot if servos is None else with_servos(robot, servos),
+        directory,
+        stop,
+        ports=ports,
+        faults=[parse_fault(text) for text in fault or ()],
+        wire_time=wire_time,
+        scenario=scenario,
+        height_m=height,
+        seed=seed,
+        seconds=math.inf if seconds is None else seconds,
+        record=record,
+        write_config=write_config,
+        on_start=lambda line: say(f"adaptive-contact bridge virtual: {line}"),
+    )
 
 
 app.command("feetech")(dynamixel)  # one bridge: the ports say whose servos theirs are
