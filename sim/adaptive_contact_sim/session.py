@@ -26,27 +26,6 @@ Look = Callable[[Tick], None]
 
 
 @dataclass(frozen=True)
-class RunPlan:
-    """What to run, and where it goes."""
-
-    settings: SimulationSettings  # what to simulate
-    seconds: float | None  # of simulated time, None for until stopped
-    speed: float | None  # times real time, None for as fast as possible
-    link: LinkSettings | None  # how to join the network, None for a run without one
-    record: Path | None = None  # MCAP file to write
-    render: Path | None = None  # picture or film to make
-
-    def __post_init__(self) -> None:
-        if self.link is None and self.seconds is None:
-            raise ConfigurationError(
-                "a run without a network would never end; give --seconds, or a scenario that has "
-                "them"
-            )
-        if self.seconds is not None and not 0.0 < self.seconds <= 1e6:
-            raise ConfigurationError(f"a run of {self.seconds} s; expected above 0, to 1000000 s")
-
-
-@dataclass(frozen=True)
 class Report:
     """How a run went."""
 
@@ -59,36 +38,57 @@ class Report:
 
 
 def run(
-    plan: RunPlan,
+    settings: SimulationSettings,
     stop: Event,
     *,
+    seconds: float | None = None,
+    speed: float | None = None,
+    link: LinkSettings | None = None,
+    record: Path | None = None,
+    render: Path | None = None,
     on_wait: Callable[[Finding], None] | None = None,
     on_start: Callable[[str], None] = lambda _: None,
 ) -> Report:
-    """Run a plan to its end.
+    """Run a simulation to its end.
+
+    Args:
+        settings: what to simulate.
+        stop: ends the run when set.
+        seconds: of simulated time, None for until stopped.
+        speed: times real time, None for as fast as possible.
+        link: how to join the network, None for a run without one.
+        record: MCAP file to write.
+        render: picture or film to make.
+        on_wait: called with what stands in the way of the network.
+        on_start: called with one line when it begins.
 
     Raises:
         AdaptiveContactError: in one line, what is wrong.
     """
-    settings = plan.settings
-    if plan.link is not None:
+    if link is None and seconds is None:
+        raise ConfigurationError(
+            "a run without a network would never end; give --seconds, or a scenario that has them"
+        )
+    if seconds is not None and not 0.0 < seconds <= 1e6:
+        raise ConfigurationError(f"a run of {seconds} s; expected above 0, to 1000000 s")
+    if link is not None:
         # Live samples carry wall clock times, and a run number that grows from start to start.
         now_ns = time.time_ns()
         settings = replace(settings, epoch_ns=now_ns, run=now_ns // 1_000_000)
-    sim = Simulation(settings, looks=plan.render is not None)
+    sim = Simulation(settings, looks=render is not None)
     touches: Counter[str] = Counter()
     with ExitStack() as stack:
         looks: list[Look] = []
         recorder = None
-        if plan.record is not None:
+        if record is not None:
             from adaptive_contact_sim.recorder import TickRecorder
 
-            recorder = stack.enter_context(TickRecorder(plan.record, sim))
+            recorder = stack.enter_context(TickRecorder(record, sim))
             looks.append(recorder.write)
-        if plan.render is not None:
+        if render is not None:
             from adaptive_contact_sim.picture import Film
 
-            film = stack.enter_context(Film(plan.render, sim))
+            film = stack.enter_context(Film(render, sim))
             looks.append(lambda _: film.look())
 
         def on_tick(tick: Tick) -> None:
@@ -102,19 +102,19 @@ def run(
             if recorder is not None:
                 recorder.write_event(event)
 
-        link = None
+        joined = None
         does = "no network"
-        if plan.link is not None:
+        if link is not None:
             from adaptive_contact.service.link import Link
 
-            link = stack.enter_context(Link.open(plan.link, on_wait=on_wait, stop=stop))
+            joined = stack.enter_context(Link.open(link, on_wait=on_wait, stop=stop))
             does = "publishing robot/leg/*/servo and truth"
         on_start(f"{describe(settings)}; {does}")
-        pace = Pace(0.0 if plan.speed is None else settings.period_s / plan.speed)
+        pace = Pace(0.0 if speed is None else settings.period_s / speed)
         run_live(
             sim,
-            link,
-            seconds=plan.seconds,
+            joined,
+            seconds=seconds,
             pace=pace,
             stop=stop,
             on_tick=on_tick,
