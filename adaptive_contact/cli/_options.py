@@ -313,11 +313,11 @@ def say_damage(recording: Recording) -> None:
         say_note(f"{recording.path}: {line}")
 
 
-def described_robot(config: Path | None, shipped: str = "hexapod") -> Robot:
-    """Load the robot of ``--config``, or a shipped one; report a robot.toml here that is unused."""
+def described_robot(config: Path | None) -> Robot:
+    """Load the robot of ``--config``, or the hexapod; report a robot.toml here that is unused."""
     if config is not None:
         return load_robot(config)
-    robot = shipped_robot(shipped)
+    robot = shipped_robot()
     unused = _unused_here()
     if unused:
         say_note(f"no --config: the robot is the shipped '{robot.name}'{unused}")

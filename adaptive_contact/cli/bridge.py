@@ -107,10 +107,9 @@ def foxglove(
     """Show the running robot in Foxglove, over its websocket protocol."""
     make_stdout_optional()
     stop = opt.stoppable()
-    from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
+    from adaptive_contact.service.foxglove_live import FoxgloveServer
     from adaptive_contact.service.link import Link
 
-    check_installed()
     settings = network.client()
     with unless_stopped(stop):
         with (

@@ -104,7 +104,7 @@ def serve(
 
         from adaptive_contact.core.bank import LearnerBank
         from adaptive_contact.service.link import router_settings
-        from adaptive_contact.service.logs import FaultLog, configure_logs
+        from adaptive_contact.service.logs import LogThrottle, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
         from adaptive_contact.service.server import Service, Sweeper
         from adaptive_contact.service.transport import configure
@@ -140,7 +140,7 @@ def serve(
             robot,
             learned,
             refitter=refitter,
-            on_fault=FaultLog(),
+            on_fault=LogThrottle(60.0).fault,
             when_ambiguous=when_ambiguous,
         )
         link = open_link(settings, stop)

@@ -495,9 +495,9 @@ class Link:
         """Declare a liveliness token: others see it for as long as this link is up."""
         return Declared(self._session.liveliness().declare_token(key), self._held)
 
-    def alive(self, key_expr: str, *, timeout_s: float = 1.0) -> set[str]:
-        """Return the liveliness tokens that exist now."""
-        replies = self._session.liveliness().get(key_expr, timeout=timeout_s)
+    def alive(self, key_expr: str) -> set[str]:
+        """Return the liveliness tokens that exist now; it takes a second at the most."""
+        replies = self._session.liveliness().get(key_expr, timeout=1.0)
         return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
 
     def watch_tokens(self, key_expr: str, sink: Callable[[str, bool], None]) -> Declared:

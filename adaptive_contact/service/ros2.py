@@ -330,15 +330,6 @@ class Gateway:
             if not stop.is_set():
                 self._say(str(error))
 
-    def _ask_for_states(self) -> None:
-        """Subscribe to the states of all legs while somebody in ROS 2 does."""
-        wanted = self._states.matched
-        if wanted and self._asked_states is None:
-            self._asked_states = self._service.subscribe(ALL_STATE, self._contacts)
-        elif not wanted and self._asked_states is not None:
-            self._asked_states.close()
-            self._asked_states = None
-
     def _valid(self, now_ns: int) -> frozenset[str]:
         return frozenset(leg for leg in self._legs if self._known.is_known(leg, now_ns))
 
@@ -372,7 +363,12 @@ class Gateway:
                 reported = trouble
                 self._say(trouble or "the service and ROS 2 are there")
             try:
-                self._ask_for_states()
+                # The states of all legs are asked for while somebody in ROS 2 subscribes to them.
+                if self._states.matched and self._asked_states is None:
+                    self._asked_states = self._service.subscribe(ALL_STATE, self._contacts)
+                elif self._asked_states is not None and not self._states.matched:
+                    self._asked_states.close()
+                    self._asked_states = None
                 self._diagnostics.put(self.diagnosis(trouble))
             except LinkError:
                 if not stop.is_set():

@@ -110,7 +110,6 @@ def learn_shipped(
     name: str,
     work: Work,
     *,
-    runs: tuple[PlannedRun, ...] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Training:
     """Record the runs and learn every leg of a simulated robot.
@@ -121,7 +120,7 @@ def learn_shipped(
         IdentificationError: the runs do not suffice.
     """
     robot = simulated_robot(name).description
-    runs = TRAINING_RUNS[name] if runs is None else runs
+    runs = TRAINING_RUNS[name]
     streams: dict[str, list[Stretch]] = {leg: [] for leg in robot.leg_ids}
     for run in record_all(work, runs):
         for leg in robot.leg_ids:

@@ -53,7 +53,12 @@ class VirtualServer:
         gc.collect()
         gc.freeze()
         while not stop.is_set() and (now_s := time.monotonic()) - self._start_s < seconds:
-            self._cable(now_s - self._start_s)
+            for port in self.ports:  # a cable is pulled, or put back
+                out = port.faults.hung_up(port.name, now_s - self._start_s)
+                if out and port.is_up:
+                    port.close()
+                elif not out and not port.is_up:
+                    port.open()
             next_s = min(self._backend.advance(now_s), now_s + 0.05)
             for port in self.ports:
                 if port.is_up:
@@ -68,15 +73,6 @@ class VirtualServer:
                 now_s = time.monotonic()
                 masters[master].receive(now_s, now_s - self._start_s)
                 masters[master].flush(time.monotonic())
-
-    def _cable(self, elapsed_s: float) -> None:
-        """Pull cables and put them back, as the faults say."""
-        for port in self.ports:
-            out = port.faults.hung_up(port.name, elapsed_s)
-            if out and port.is_up:
-                port.close()
-            elif not out and not port.is_up:
-                port.open()
 
 
 def with_servos(robot: Robot, model: str) -> Robot:

@@ -66,7 +66,6 @@ class VirtualServo:
         rng: of the reading noise.
         noise_steps: standard deviation of a reading, in steps; an AX-12A's is in docs/simulator.md,
             an X-series' magnetic encoder jitters by a step.
-        return_delay: register, 2 us each; 250 when new.
         baud: it receives packets at this rate only.
 
     Attributes:
@@ -88,7 +87,6 @@ class VirtualServo:
         rng: np.random.Generator,
         *,
         noise_steps: float = 0.5,
-        return_delay: int = 0,
         baud: int = 1_000_000,
     ) -> None:
         self.id = servo
@@ -106,7 +104,7 @@ class VirtualServo:
         self.goal_wakes = model.protocol != 2
         self._turns = 0
         self.writes = 0
-        self._store_known(self._delivered(return_delay))
+        self._store_known(self._delivered())
         self.store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
@@ -374,7 +372,7 @@ class VirtualServo:
         at = slice(register.address, register.address + register.size)
         self._memory[at] = self._saved[at] = register.data(value)
 
-    def _delivered(self, return_delay: int) -> dict[str, int]:
+    def _delivered(self) -> dict[str, int]:
         """EEPROM as delivered, but for what a robot's owner sets first."""
         model = self.model
         return {
@@ -382,7 +380,7 @@ class VirtualServo:
             "firmware": 3 if model.feetech else 24 if model.protocol == 1 else 52,
             "byte_order": int(model.protocol == "scs"),
             "id": self.id,
-            "return_delay": return_delay,
+            "return_delay": 0,
             "lower_limit": model.lowest,
             "upper_limit": model.highest,
             "shutdown": _FATAL[model.protocol] if model.compact else 0x34,
