@@ -86,11 +86,6 @@ class Recording:
         self._open().close()
 
     @property
-    def truncated(self) -> bool:
-        """Return whether the last pass met a cut or damage; all intact messages were yielded."""
-        return self.damage is not None
-
-    @property
     def about(self) -> dict[str, str]:
         """Return what the writer noted (scenario, seed); empty for files of other tools."""
         with self._open() as file, contextlib.suppress(*_PARSE_ERRORS):

@@ -104,7 +104,27 @@ class VirtualServo:
         self.goal_wakes = model.protocol != 2
         self._turns = 0
         self.writes = 0
-        self._store_known(self._delivered())
+        # EEPROM as delivered, but for what a robot's owner sets first.
+        self._store_known(
+            {
+                "model_number": model.number,
+                "firmware": 3 if model.feetech else 24 if model.protocol == 1 else 52,
+                "byte_order": int(model.protocol == "scs"),
+                "id": self.id,
+                "return_delay": 0,
+                "lower_limit": model.lowest,
+                "upper_limit": model.highest,
+                "shutdown": _FATAL[model.protocol] if model.compact else 0x34,
+                "status_return": 2,
+                "response_level": 1,
+                "phase": 12,
+                "resolution_divider": 1,
+                "control_mode": model.joint_mode or 0,
+                "operating_mode": _POSITION,
+                "secondary_id": 255,
+                "pwm_limit": 885,
+            }
+        )
         self.store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
@@ -371,28 +391,6 @@ class VirtualServo:
         register = self.model.registers[name]
         at = slice(register.address, register.address + register.size)
         self._memory[at] = self._saved[at] = register.data(value)
-
-    def _delivered(self) -> dict[str, int]:
-        """EEPROM as delivered, but for what a robot's owner sets first."""
-        model = self.model
-        return {
-            "model_number": model.number,
-            "firmware": 3 if model.feetech else 24 if model.protocol == 1 else 52,
-            "byte_order": int(model.protocol == "scs"),
-            "id": self.id,
-            "return_delay": 0,
-            "lower_limit": model.lowest,
-            "upper_limit": model.highest,
-            "shutdown": _FATAL[model.protocol] if model.compact else 0x34,
-            "status_return": 2,
-            "response_level": 1,
-            "phase": 12,
-            "resolution_divider": 1,
-            "control_mode": model.joint_mode or 0,
-            "operating_mode": _POSITION,
-            "secondary_id": 255,
-            "pwm_limit": 885,
-        }
 
     def _store_known(self, values: Mapping[str, int]) -> None:
         """Store what the model has registers for."""
