@@ -43,17 +43,6 @@ def write_file(
         file.write(data.encode() if isinstance(data, str) else data)
 
 
-def open_stream(path: str | Path) -> IO[bytes]:
-    """Open a file that grows while others read it, such as a recording.
-
-    It is under its name from the first byte on: a recorder that is killed leaves what it has.
-
-    Raises:
-        OSError: it cannot be opened.
-    """
-    return Path(path).open("wb")
-
-
 def read_file(
     path: Path,
     advice: str,

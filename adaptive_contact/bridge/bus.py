@@ -88,6 +88,7 @@ class Bus:
     """Talks to one port of ``robot.toml`` and the servos on it.  Not for several threads at once.
 
     Attributes:
+        port: how it is opened, and how long an answer may take.
         late: answers that came after they were waited for, by servo.
         model_number: where servos of its protocol have it.
 
@@ -100,7 +101,7 @@ class Bus:
         self.protocol = port.protocol
         self.model_number = MODEL_NUMBERS[port.protocol]
         self._fast = port.fast
-        self._port = SdkPort(name, port)
+        self.port = SdkPort(name, port)
         sdk = sdk_of(port.protocol)
         # Feetech's takes a byte order, on which nothing that is used here depends.
         self._packets: Any = sdk.PacketHandler(0 if is_feetech(port.protocol) else port.protocol)
@@ -115,15 +116,6 @@ class Bus:
         self.late = self._awaited.late
         self._late_known = 0
 
-    @property
-    def timeout_ms(self) -> float:
-        """Return how long an answer may take beyond its bytes, ms."""
-        return self._port.timeout_ms
-
-    @timeout_ms.setter
-    def timeout_ms(self, value: float) -> None:
-        self._port.timeout_ms = value
-
     def open(self) -> None:
         """Open the port.
 
@@ -135,11 +127,11 @@ class Bus:
                 f"port {self.name}: fast needs dynamixel-sdk 3.8 or newer; update it, or "
                 f"remove fast from [port.{self.name}]"
             )
-        self._port.open()
+        self.port.open()
 
     def close(self) -> None:
         """Close the port; nothing is written."""
-        self._port.close()
+        self.port.close()
 
     def ping(self, servo: int) -> Pong | None:
         """Ask a servo who it is; None without an answer.
@@ -203,11 +195,11 @@ class Bus:
                         found[servo] = again._replace(fault="corrupt")
             return {servo: _cut(reading, block, wide) for servo, reading in found.items()}
 
-        self._port.latest_s = end
+        self.port.latest_s = end
         try:
             return self._guarded(work)
         finally:
-            self._port.latest_s = math.inf
+            self.port.latest_s = math.inf
 
     def is_clear(self, servo: int, block: Block) -> bool:
         """Return whether a servo can be understood; False where several of one id talk at once.
@@ -244,15 +236,16 @@ class Bus:
             # What arrives is waited out for so long at the most, before something is asked again.
             end = time.monotonic() + 0.5
             while time.monotonic() < end:
-                self._port.setPacketTimeoutMillis(quiet_ms)
-                if not self._port.readPort(256):
+                self.port.setPacketTimeoutMillis(quiet_ms)
+                if not self.port.readPort(256):
                     return
                 self._count_late()
 
         self._guarded(work)
         late, self._late_known = self._late_known, self.late.total()
         if self._late_known > late:
-            self.timeout_ms = max(self.timeout_ms, min(2.0 * self.timeout_ms, MOST_PATIENT_MS))
+            now_ms = self.port.timeout_ms
+            self.port.timeout_ms = max(now_ms, min(2.0 * now_ms, MOST_PATIENT_MS))
 
     def confirmed(self, servo: int, block: Block) -> bytes | None:
         """Read bytes of registers that stay as they are, until two answers in a row agree.
@@ -272,7 +265,7 @@ class Bus:
     def cost_s(self, block: Block) -> float:
         """Estimate how long a servo's answer to a read takes, s, in a common read or alone."""
         # Bytes of a status packet around its data, protocol 2.0's; 1.0 has fewer.
-        return _ASK_S + (block.size + 11) * self._port.byte_s
+        return _ASK_S + (block.size + 11) * self.port.byte_s
 
     def get(self, servo: int, register: Register) -> int | None:
         """Read one register's value; None if the servo does not send it within some tries."""
@@ -307,7 +300,7 @@ class Bus:
             parameters += register.data(value)
         result = self._guarded(
             lambda: self._packets.syncWriteTxOnly(
-                self._port, register.address, register.size, parameters, len(parameters)
+                self.port, register.address, register.size, parameters, len(parameters)
             )
         )
         return bool(result == _SUCCESS)
@@ -317,17 +310,17 @@ class Bus:
 
         ``is_using`` is cleared before: a transaction that raised would otherwise block all others.
         """
-        if not self._port.is_open:
-            raise self._port.lost(OSError("closed"))
-        self._port.is_using = False
+        if not self.port.is_open:
+            raise self.port.lost(OSError("closed"))
+        self.port.is_using = False
         try:
             return work()
         except BlockingIOError:
             # What is written is not taken: the other end stands still, as good as gone.
-            raise self._port.lost(OSError("nothing can be written")) from None
+            raise self.port.lost(OSError("nothing can be written")) from None
         except (OSError, termios.error, ValueError, TypeError) as error:
             # pyserial raises TypeError where a port was closed under it.
-            raise self._port.lost(error) from error
+            raise self.port.lost(error) from error
 
     def _ask(self, servo: int, block: Block) -> Reading:
         """Ask one servo for registers, in a transaction of its own."""
@@ -350,8 +343,8 @@ class Bus:
         if result != _SUCCESS:
             return None
         # Bytes that follow an answer are of another servo of the same id, a little slower.
-        self._port.setPacketTimeout(0)
-        doubled = len(self._port.readPort(1)) > 0
+        self.port.setPacketTimeout(0)
+        doubled = len(self.port.readPort(1)) > 0
         for _ in range(_TRIES):
             data = self._ask(servo, self.model_number.block).data
             if data is not None:
@@ -360,13 +353,13 @@ class Bus:
 
     def _drain(self) -> None:
         """Discard what arrived too late, and count whose it was."""
-        self._port.clearPort()
+        self.port.clearPort()
         self._count_late()
 
     def _count_late(self, asked: int | None = None) -> None:
         """Count answers to earlier questions among what has arrived, but for those of ``asked``."""
         # The beginning of a packet stays until the rest of it has come.
-        for frame in self._codec.parse(self._port.arrived)[0]:
+        for frame in self._codec.parse(self.port.arrived):
             if frame.id != asked and (self._version == 1 or frame.code == Instruction.STATUS):
                 size = len(frame.parameters) + 1 - self._version
                 self._awaited.strike(frame.id, size, late=True)
@@ -399,9 +392,9 @@ class Bus:
         self._drain()
         packet = unsent(self._version, servo, instruction, words, data)
         self._awaited.ask(servo, size, time.monotonic())
-        answer, result, _ = self._packets.txRxPacket(self._port, packet)
+        answer, result, _ = self._packets.txRxPacket(self.port, packet)
         while result == _SUCCESS and self._is_late(servo, answer, size):
-            answer, result = self._packets.rxPacket(self._port, *self._slow)
+            answer, result = self._packets.rxPacket(self.port, *self._slow)
         self._count_late(servo)
         return answer, result
 
@@ -452,15 +445,15 @@ class Bus:
         self._drain()
         at_s = time.monotonic()
         fast = (True,) if self._fast else self._slow
-        result = self._packets.syncReadTx(self._port, *block, list(servos), len(servos), *fast)
+        result = self._packets.syncReadTx(self.port, *block, list(servos), len(servos), *fast)
         for servo in servos:
             self._awaited.ask(servo, block.size, at_s)
         if result != _SUCCESS:
             return found, False
-        before, understood = self._port.received, 0
+        before, understood = self.port.received, 0
         if self._fast:
-            self._port.is_using = True
-            packet, result = self._packets.rxPacket(self._port, True)
+            self.port.is_using = True
+            packet, result = self._packets.rxPacket(self.port, True)
             if result == _SUCCESS and packet[self._at.id] == BROADCAST_ID:
                 answers = split_fast_sync(bytes(packet[self._at.error : -2]), block.size)
                 # One that was cut short would put all after it off their places.
@@ -469,9 +462,9 @@ class Bus:
                     for answer in answers:
                         self._awaited.strike(answer.id, block.size)
                         found[answer.id] = self._reading(answer.data, answer.error, block, at_s)
-            return found, self._port.received - before > understood
+            return found, self.port.received - before > understood
         while len(found) < len(servos):
-            packet, result = self._packets.rxPacket(self._port, *self._slow)
+            packet, result = self._packets.rxPacket(self.port, *self._slow)
             if result == self._timeout:
                 break
             if result != _SUCCESS:
@@ -484,7 +477,7 @@ class Bus:
             if not self._is_late(servo, packet, block.size):
                 error = packet[self._at.error]
                 found[servo] = self._reading(self._data(packet), error, block, at_s)
-        return found, self._port.received - before > understood
+        return found, self.port.received - before > understood
 
 
 def sdk_of(protocol: Protocol) -> Any:

@@ -201,7 +201,8 @@ class Cycle:
         # What alarms are about is asked for this share of the period at most, after the tick's own
         # work.
         end_s = now_ns / 1e9 + 0.3 * self.plan.period_s
-        readings = self._read_of(asked[first:] + asked[:first], _state, 0.0, end_s)
+        asked = asked[first:] + asked[:first]
+        readings = self._read_of(asked, lambda model: model.state, 0.0, end_s)
         for number, (reading, block) in readings.items():
             if reading.data is not None:
                 servo = self._servos[number]
@@ -213,15 +214,19 @@ class Cycle:
     # -- private -------------------------------------------------------------------------------
 
     def _read(self, now_ns: int, due_ns: int) -> None:
-        def block_of(model: ServoModel) -> Block:
-            return model.watched if self.mode == "drive" else model.goal_and_motion
 
         asked = due(self.health, self._count, hurry=self._count < self._hurry_until)
         now_s, period_s = now_ns / 1e9, self.plan.period_s
         # A second try after a wrong checksum has to begin within this share of the control period.
         self._until_s = now_s + 0.4 * period_s
         self._end_s = max(due_ns / 1e9 + _END_SHARE * period_s, now_s + _LEAST_SHARE * period_s)
-        readings = self._read_of(asked, block_of, self._until_s, self._end_s)
+        drives = self.mode == "drive"
+        readings = self._read_of(
+            asked,
+            lambda model: model.watched if drives else model.goal_and_motion,
+            self._until_s,
+            self._end_s,
+        )
         for number, servo in self._servos.items():
             servo.last_goal = servo.goal
             servo.fresh, servo.stands = False, None
@@ -404,7 +409,7 @@ class Cycle:
                 servo.stands = Standing(torque=True)
             elif self._count >= servo.look_at:
                 asked.append(servo.joint.servo)
-        readings = self._read_of(asked, _state, self._until_s, self._end_s)
+        readings = self._read_of(asked, lambda model: model.state, self._until_s, self._end_s)
         for number, (reading, block) in readings.items():
             servo = self._servos[number]
             if reading.data is not None:
@@ -465,7 +470,3 @@ class Cycle:
             valid=None if all(valid) else valid,
             run=self._run,
         )
-
-
-def _state(model: ServoModel) -> Block:
-    return model.state

@@ -54,11 +54,6 @@ class Found:
         of = self.port.protocol
         return {s: model_of_number(pong.model_number, of) for s, pong in self.pongs.items()}
 
-    @property
-    def mute(self) -> tuple[int, ...]:
-        """Return the ids of those that answer pings and no reads."""
-        return tuple(servo for servo, pong in self.pongs.items() if not pong.reads)
-
     def words(self, servo: int) -> str:
         """Describe a servo."""
         return named(self.pongs[servo], self.port.protocol)
@@ -302,7 +297,7 @@ def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
     Raises:
         BusError: one of them cannot be used.
     """
-    mute = [str(servo) for servo in ids if servo in one.mute]
+    mute = [str(servo) for servo in ids if servo in one.pongs and not one.pongs[servo].reads]
     if mute:
         raise BusError(
             f"port {one.name}: servo {', '.join(mute)} answers to pings but not to reads (its "

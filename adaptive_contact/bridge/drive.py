@@ -47,20 +47,18 @@ class Driver:
 
     def __init__(self, leg: LegPlan) -> None:
         self.leg = leg
-        self.mode: Mode = "idle"
-        self.goal: list[float] | None = None
         self.limited = 0
         self.bounds = [(joint.lower_rad, joint.upper_rad) for joint in leg.joints]
+        self.forget()
+
+    def forget(self) -> None:
+        """Start over: the servos may have been moved, or have lost their goals."""
+        self.mode: Mode = "idle"
+        self.goal: list[float] | None = None
         self.preview: list[list[float]] | None = None
         self._command: list[float] | None = None
         self._ahead: list[list[float]] | None = None
         self._heard_ns = 0
-
-    def forget(self) -> None:
-        """Start over: the servos may have been moved, or have lost their goals."""
-        self.mode = "idle"
-        self.goal = self.preview = None
-        self._command = self._ahead = None
 
     def found(self, joint: int, angle_rad: float) -> None:
         """Continue from where a servo was found, at the slow pace: it was silent, limp, or moved.
@@ -222,8 +220,6 @@ class Waker:
     """
 
     def __init__(self, joint: JointPlan, max_step_rad: float) -> None:
-        self.setting: Setting | None = None
-        self.awake = False
         self.trouble: str | None = None
         self._joint = joint
         self._first: dict[str, int] | None = None
@@ -232,18 +228,16 @@ class Waker:
         # A goal this close to where a servo is, or within one step of the easy pace, is where it
         # is.
         self._near = min(max(2, easy), self._most)
-        self._proof: list[bytes] = []
-        self._written: int | None = None
-        self._before: int | None = None
         self._lost: int | None = None
-        self._heedless = 0
+        self.forget()
 
     def forget(self) -> None:
         """Start over: the servo may have lost its power, or be another one."""
-        self.setting = None
+        self.setting: Setting | None = None
         self.awake = False
-        self._proof.clear()
-        self._written = self._before = None
+        self._proof: list[bytes] = []
+        self._written: int | None = None
+        self._before: int | None = None
         self._heedless = 0
 
     @property

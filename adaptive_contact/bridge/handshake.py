@@ -133,7 +133,7 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
     Raises:
         PortLostError: the port is gone.
     """
-    bus.timeout_ms = max(bus.timeout_ms, _PATIENT_MS)
+    bus.port.timeout_ms = max(bus.port.timeout_ms, _PATIENT_MS)
     pongs = dict(found)
     for servo in sorted({*ids, *found}):
         pong = pongs.get(servo)
@@ -362,7 +362,7 @@ class _Handshake:
         """Compare who is there with who should be."""
         plan, expected, where = self._plan, self._expected, self._where
         many_late = self._many_late(expected)
-        if self._bus.timeout_ms >= MOST_PATIENT_MS and many_late:
+        if self._bus.port.timeout_ms >= MOST_PATIENT_MS and many_late:
             self._errors.append(self._too_late(len(expected)))
             return
         others = [self._other_place(place, ids) for place, ids in elsewhere.items()]

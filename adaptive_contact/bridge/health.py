@@ -181,12 +181,6 @@ class Punctuality:
         return None if unknown_s * abs(speed_rad_s) > step_rad else correction
 
 
-_LATE: Final = (
-    "its answers come too late; set timeout_ms higher in [port.{port}], and see 'Timing' in "
-    "docs/bridge.md"
-)
-
-
 class _Conditions(Generic[K]):
     """Remembers for which servos a condition was reported, and for how many looks it differs."""
 
@@ -268,7 +262,8 @@ class News:
         self._say(
             said,
             self._slow.update(slow | self._slow.reported, begins=3)[0],
-            _LATE.format(port=self._plan.name),
+            f"its answers come too late; set timeout_ms higher in [port.{self._plan.name}], and "
+            "see 'Timing' in docs/bridge.md",
         )
         self._say(said, back, "answers again")
 

@@ -85,7 +85,6 @@ class PhaseLock:
 
 
 _NS: Final = 1_000_000_000
-_STATUS_NS: Final = _NS
 
 
 class PortLoop:
@@ -148,7 +147,7 @@ class PortLoop:
         wall_ns = time.time_ns() - mono_ns
         turns = (mono_ns - self._phase_ns) // self._period_ns
         due_ns, seq = (turns + 2) * self._period_ns + self._phase_ns, 0
-        self._status_ns = mono_ns + _STATUS_NS
+        self._status_ns = mono_ns + _NS
         while not stop.is_set():
             if self._lost and not self._reopen(stop):
                 continue
@@ -237,24 +236,21 @@ class PortLoop:
             self._outlet.say(f"leg {', '.join(back)}: commands are back")
         self._held = held
 
-    def _tell_lacking(self) -> None:
-        """Report which legs have commands that some of their servos do not follow."""
-        lacking = self.cycle.lacking
-        for leg, line in lacking.items():
-            if self._lacking.get(leg) != line:
-                self._outlet.say(f"port {self.plan.name}: {line}")
-        self._lacking = lacking
-
     def _tell(self, now_ns: int) -> None:
         """Publish the status where a second has passed."""
         if now_ns < self._status_ns:
             return
-        self._status_ns = now_ns + _STATUS_NS
+        self._status_ns = now_ns + _NS
         if not self._lost:
             self.cycle.ask_alarms(time.monotonic_ns())
             for line in self._news.lines(self.cycle.health, self.bus.late):
                 self._outlet.say(line)
-            self._tell_lacking()
+            # Legs that have commands which some of their servos do not follow.
+            lacking = self.cycle.lacking
+            for leg, line in lacking.items():
+                if self._lacking.get(leg) != line:
+                    self._outlet.say(f"port {self.plan.name}: {line}")
+            self._lacking = lacking
         self._outlet.status(self.status(now_ns))
 
     def status(self, now_ns: int) -> BridgeStatus:

@@ -185,10 +185,6 @@ def _slave(drive: int) -> str:
     )
 
 
-_AX_STEP_RAD: Final = math.radians(300.0) / 1023
-_SLOPE_TIMES_GAIN: Final = 1024.0
-_PWM_PER_GAIN: Final = 128.0
-_DUTY_PER_GAIN: Final = 0.166  # and rad
 # What a description may hold.
 _RANGE_RAD: Final = (1e-3, math.pi)
 
@@ -213,7 +209,10 @@ def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:
 
 
 def slope_rad(model: ServoModel, values: dict[str, int]) -> float | None:
-    """Compute the slope, rad, from a model's :data:`LAW_REGISTERS`; None where its gain is 0."""
+    """Compute the slope, rad, from a model's :data:`LAW_REGISTERS`; None where its gain is 0.
+
+    The factors are those of the module's text.
+    """
     if "lower_slope" in values:
         slope = (values["lower_slope"] + values["upper_slope"]) / 2 * model.step_rad
     elif not values["position_p"]:
@@ -221,9 +220,10 @@ def slope_rad(model: ServoModel, values: dict[str, int]) -> float | None:
     elif model.feetech:
         if model.protocol == "scs":
             return None
-        slope = 1.0 / (_DUTY_PER_GAIN * values["position_p"])
+        slope = 1.0 / (0.166 * values["position_p"])
     elif "pwm_limit" in values:
-        slope = _PWM_PER_GAIN * values["pwm_limit"] / values["position_p"] * model.step_rad
+        slope = 128.0 * values["pwm_limit"] / values["position_p"] * model.step_rad
     else:
-        slope = _SLOPE_TIMES_GAIN / values["position_p"] * _AX_STEP_RAD
+        ax_step_rad = math.radians(300.0) / 1023
+        slope = 1024.0 / values["position_p"] * ax_step_rad
     return min(max(slope, _RANGE_RAD[0]), _RANGE_RAD[1])

@@ -194,19 +194,15 @@ class Codec:
             return self.instruction(servo, error, data)
         return self.instruction(servo, Instruction.STATUS, bytes((error,)) + data)
 
-    def parse(self, buffer: bytearray) -> tuple[list[Frame], int]:
-        """Take whole packets off the front of a buffer.
+    def parse(self, buffer: bytearray) -> list[Frame]:
+        """Take whole packets off the front of a buffer; those with a wrong check are left out.
 
         Args:
             buffer: received so far; what was used or is no packet is removed, the beginning of a
                 packet that is still coming stays.
-
-        Returns:
-            The frames, and how many packets had a wrong check.
         """
         header, overhead, lengths, _ = self._layout
         frames: list[Frame] = []
-        corrupt = 0
         while self._begins(buffer):
             length = int.from_bytes(buffer[len(header) + 1 : overhead], "little")
             end = overhead + length
@@ -216,12 +212,11 @@ class Codec:
                     break
                 frame = self._frame(bytes(buffer[:end]))
             if frame is None:
-                corrupt += 1
                 del buffer[: len(header)]
             else:
                 frames.append(frame)
                 del buffer[:end]
-        return frames, corrupt
+        return frames
 
     def _begins(self, buffer: bytearray) -> bool:
         """Remove what comes before a header; whether all up to the packet's length is there."""

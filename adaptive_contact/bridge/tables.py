@@ -120,11 +120,6 @@ class ServoModel:
         return round(2 * math.pi / self.step_rad) == self.highest + 1
 
     @property
-    def motion(self) -> Block:
-        """Return the block of present position and speed."""
-        return self._block("present_speed", "present_position")
-
-    @property
     def goal_and_motion(self) -> Block:
         """Return the block of goal position, present position and speed."""
         return self._block("goal_position", "present_speed", "present_position")

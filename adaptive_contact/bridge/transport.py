@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -80,14 +80,6 @@ class Outlet(Protocol):
         """Print one line for the operator: something happened."""
 
 
-class Post(NamedTuple):
-    """Holds a command as it came: its bytes, encoding, and monotonic time of arrival."""
-
-    payload: bytes
-    encoding: str
-    arrival_ns: int
-
-
 class Mailbox:
     """Holds the newest command of every leg.
 
@@ -96,24 +88,26 @@ class Mailbox:
     """
 
     def __init__(self) -> None:
-        self._newest: dict[str, Post] = {}
+        # Payload, encoding, and monotonic time of arrival.
+        self._newest: dict[str, tuple[bytes, str, int]] = {}
         self.rejected = 0
         self.last_reject: str | None = None
 
     def put(self, leg: str, payload: bytes, encoding: str, arrival_ns: int) -> None:
         """Keep a command until :meth:`take`, or until a newer one comes."""
-        self._newest[leg] = Post(payload, encoding, arrival_ns)
+        self._newest[leg] = payload, encoding, arrival_ns
 
     def take(self, leg: str) -> tuple[Command, int] | None:
         """Return the newest command since the last call and its time of arrival, or None."""
         post = self._newest.pop(leg, None)
         if post is None:
             return None
-        command = decode(post.payload, Command, post.encoding)
+        payload, encoding, arrival_ns = post
+        command = decode(payload, Command, encoding)
         if isinstance(command, Rejected):
             self.refuse(f"leg '{leg}': {command.detail}")
             return None
-        return command, post.arrival_ns
+        return command, arrival_ns
 
     def refuse(self, why: str) -> None:
         """Count a command that cannot be used."""

@@ -25,18 +25,17 @@ class _Shown(Console):
                 yield Segment(printable_lines(segment.text), segment.style)
 
 
-def table_console(*, stderr: bool = False, pipe_width: int = 120, markup: bool = False) -> Console:
+def table_console(*, stderr: bool = False, pipe_width: int = 120) -> Console:
     """Return the console that a command prints its tables on.
 
     Args:
         stderr: instead of stdout.
         pipe_width: columns where the output is no terminal and ``COLUMNS`` is not set; rich would
             take 80 and cut a table to pieces.
-        markup: text in square brackets is markup; not for text of the wire or of files.
     """
-    console = _Shown(stderr=stderr, markup=markup, highlight=False)
+    console = _Shown(stderr=stderr, markup=False, highlight=False)
     if not console.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
-        console = _Shown(stderr=stderr, markup=markup, highlight=False, width=pipe_width)
+        console = _Shown(stderr=stderr, markup=False, highlight=False, width=pipe_width)
     return console
 
 

@@ -11,7 +11,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -114,19 +114,8 @@ def seconds_option(
     return option(name, text, "DURATION", parser=parse, **settings)
 
 
-_NETWORK: Final = "Network"
+NETWORK: Final = "Network"
 _MAX_SPEED: Final = 1000.0
-
-ListenOption = Annotated[
-    list[str] | None,
-    option(
-        "--listen",
-        f"Where the embedded router listens (default {DEFAULT_ENDPOINT}); port 0 takes a free "
-        "one; repeatable.",
-        "ENDPOINT",
-        panel=_NETWORK,
-    ),
-]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,7 +128,7 @@ class Network:
             "--connect",
             f"Router to join, such as {DEFAULT_ENDPOINT} (the default is that one); repeatable.",
             "ENDPOINT",
-            panel=_NETWORK,
+            panel=NETWORK,
         ),
     ] = None
     namespace: Annotated[
@@ -148,7 +137,7 @@ class Network:
             "--namespace",
             "Prefix of all keys, one per robot on a shared network, such as hexapod1.",
             "NAME",
-            panel=_NETWORK,
+            panel=NETWORK,
         ),
     ] = None
     zenoh_config: Annotated[
@@ -157,7 +146,7 @@ class Network:
             "--zenoh-config",
             "Zenoh configuration file (JSON5) for TLS, users and access control.",
             "FILE",
-            panel=_NETWORK,
+            panel=NETWORK,
         ),
     ] = None
 
@@ -186,32 +175,6 @@ class Network:
         )
 
 
-InsecureOption = Annotated[
-    bool,
-    option(
-        "--insecure", "Listen beyond loopback without authentication of clients.", panel=_NETWORK
-    ),
-]
-MaxSessionsOption = Annotated[
-    int | None,
-    option(
-        "--max-sessions",
-        "Sessions that the embedded router takes at once (default 256, or what "
-        "--zenoh-config says); others are refused.",
-        "N",
-        min=2,
-        max=10_000,
-        panel=_NETWORK,
-    ),
-]
-DescribedOnlyOption = Annotated[
-    bool,
-    option(
-        "--described-only",
-        "Take no samples of legs that the robot's description lacks; beyond loopback, always.",
-        panel=_NETWORK,
-    ),
-]
 JsonPayloadOption = Annotated[bool, option("--json", "Publish JSON payloads instead of msgpack.")]
 JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
 EquationsOption = Annotated[bool, option("--equations", "Print every leg's equations, too.")]
@@ -245,7 +208,6 @@ StateOption = Annotated[
         "DIR",
     ),
 ]
-NoStateOption = Annotated[bool, option("--no-state", "Neither restore nor keep what is learned.")]
 AmbiguousOption = Annotated[
     WhenAmbiguous,
     option(
@@ -253,13 +215,6 @@ AmbiguousOption = Annotated[
         "Withhold contacts of an ambiguous leg where it cannot be judged; withhold all of "
         "them; or publish them.",
     ),
-]
-LogLevelOption = Annotated[
-    Literal["debug", "info", "warning", "error"],
-    option("--log-level", "Lowest level that is logged.", panel="Logging"),
-]
-LogJsonOption = Annotated[
-    bool, option("--log-json", "Log one JSON object per line.", panel="Logging")
 ]
 RealtimeOption = Annotated[
     bool, option("--realtime", "Run before all ordinary processes (needs a permission).")
@@ -358,11 +313,11 @@ def say_damage(recording: Recording) -> None:
         say_note(f"{recording.path}: {line}")
 
 
-def described_robot(config: Path | None, shipped: str = "hexapod") -> Robot:
-    """Load the robot of ``--config``, or a shipped one; report a robot.toml here that is unused."""
+def described_robot(config: Path | None) -> Robot:
+    """Load the robot of ``--config``, or the hexapod; report a robot.toml here that is unused."""
     if config is not None:
         return load_robot(config)
-    robot = shipped_robot(shipped)
+    robot = shipped_robot()
     unused = _unused_here()
     if unused:
         say_note(f"no --config: the robot is the shipped '{robot.name}'{unused}")

@@ -51,20 +51,6 @@ _ABOVE: Final = _View("from above", "x to the right, y up", (1.0, 0.0, 0.0), (0.
 _ROBOT: Final = _View("", "", (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
 
 
-def chain(leg: Leg, angles: Sequence[float]) -> Array:
-    """Compute joints and foot of a leg in its own frame.
-
-    Args:
-        leg: with a geometry.
-        angles: (J,) rad.
-
-    Returns:
-        (J + 1, 3) m, from the body outwards.
-    """
-    assert leg.chain is not None
-    return leg.chain.frames(angles)[0]
-
-
 def write_picture(robot: Robot, angles: Mapping[str, Sequence[float]], path: Path) -> None:
     """Draw the legs into a file.
 
@@ -139,10 +125,10 @@ def _views(leg: Leg, angles: Sequence[float], *, placed: bool) -> list[_View]:
 
 def _own_plane(leg: Leg, angles: Sequence[float]) -> _View:
     """Return the upright plane of a leg that yaws; the body is on the left."""
-    points = on_body(leg, chain(leg, angles))
+    assert leg.chain is not None
+    points = on_body(leg, leg.chain.frames(angles)[0])
     far = _LEAST_LINK * float(np.ptp(points, axis=0).max())
     ways = [points[-1] - points[0], points[0], np.array([1.0, 0.0, 0.0])]
-    assert leg.chain is not None
     if leg.chain.is_straight:  # whose foot may be on the side of the body
         ahead = np.cross([0.0, 0.0, 1.0], leg.chain.frames(angles)[1][-1])
         ways.insert(0, on_body(leg, ahead) - on_body(leg, np.zeros(3)))

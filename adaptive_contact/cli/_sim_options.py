@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
+from adaptive_contact.cli._link import unless_stopped
 from adaptive_contact.cli._options import (
     ForceOption,
     Network,
@@ -17,12 +18,11 @@ from adaptive_contact.cli._options import (
     speed_of,
 )
 from adaptive_contact.cli._output import say, say_waiting
-from adaptive_contact.errors import ConfigurationError, LinkError, needs
+from adaptive_contact.errors import ConfigurationError, needs
 
 if TYPE_CHECKING:
     from adaptive_contact_sim import (
         PoseSettings,
-        RunPlan,
         Scenario,
         SimulationSettings,
         WalkSettings,
@@ -138,15 +138,22 @@ class RunOptions:
             )
         return scenario, motion
 
-    def plan(
-        self, base: Scenario, settings: SimulationSettings, network: Network, *, json: bool
-    ) -> RunPlan:
-        """Plan what to run.
+    def execute(
+        self,
+        base: Scenario,
+        settings: SimulationSettings,
+        network: Network,
+        stop: threading.Event,
+        *,
+        json: bool,
+    ) -> None:
+        """Run a simulation, and say how it went.
 
         Raises:
-            ConfigurationError: an option is out of range, or a drift cannot be read.
+            AdaptiveContactError: an option is out of range, a drift cannot be read, or the run
+                failed.
         """
-        from adaptive_contact_sim import RunPlan, parse_drift, simulated_robot
+        from adaptive_contact_sim import parse_drift, run, simulated_robot
 
         layout = simulated_robot(settings.robot).layout
         settings = dataclasses.replace(
@@ -154,15 +161,30 @@ class RunOptions:
             drift=settings.drift + tuple(parse_drift(text, layout) for text in self.drift or ()),
             **given(seed=self.seed, robot_seed=self.robot_seed),
         )
-        wire = None if self.offline else network.client(json=json)
-        return RunPlan(
-            settings,
-            base.seconds if self.seconds is None else self.seconds,
-            None if self.offline and self.speed is None else speed_of(self.speed),
-            wire,
-            self.record,
-            self.render,
-        )
+        speed = None if self.offline and self.speed is None else speed_of(self.speed)
+        with unless_stopped(stop):
+            report = run(
+                settings,
+                stop,
+                seconds=base.seconds if self.seconds is None else self.seconds,
+                speed=speed,
+                link=None if self.offline else network.client(json=json),
+                record=self.record,
+                render=self.render,
+                on_wait=say_waiting,
+                on_start=lambda line: say(f"adaptive-contact sim: {line}; stop with Ctrl-C"),
+            )
+            factor = report.simulated_s / max(report.elapsed_s, 1e-9)
+            touches = "  ".join(f"{leg} {count}" for leg, count in report.touches.items())
+            raises = "" if report.raises is None else f"; raised swings: {report.raises}"
+            late = f", {report.late} late" if speed is not None else ""
+            say(
+                f"simulated {report.simulated_s:.1f} s in {report.elapsed_s:.1f} s "
+                f"({factor:.1f} x real time), {report.ticks} ticks{late}; "
+                f"touches: {touches}{raises}"
+            )
+            for path in filter(None, (self.record, self.render)):
+                say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
 def needs_simulator(
@@ -180,31 +202,3 @@ def needs_studies() -> AbstractContextManager[None]:
 def given(**options: Any) -> dict[str, Any]:
     """Return the options that were given."""
     return {name: value for name, value in options.items() if value is not None}
-
-
-def execute(plan: RunPlan, stop: threading.Event) -> None:
-    """Run a plan, and say how it went."""
-    from adaptive_contact_sim import run
-
-    try:
-        report = run(plan, stop, on_wait=say_waiting, on_start=_start)
-    except LinkError:
-        if stop.is_set():
-            return
-        raise
-    outcome = report.outcome
-    factor = outcome.simulated_s / max(outcome.elapsed_s, 1e-9)
-    touches = "  ".join(f"{leg} {count}" for leg, count in report.touches.items())
-    raises = "" if report.raises is None else f"; raised swings: {report.raises}"
-    late = f", {outcome.late} late" if plan.speed is not None else ""
-    say(
-        f"simulated {outcome.simulated_s:.1f} s in {outcome.elapsed_s:.1f} s "
-        f"({factor:.1f} x real time), {outcome.ticks} ticks{late}; touches: {touches}{raises}"
-    )
-    for path in (plan.record, plan.render):
-        if path is not None:
-            say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
-
-
-def _start(line: str) -> None:
-    say(f"adaptive-contact sim: {line}; stop with Ctrl-C")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
 import threading
 import time
-from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,11 +23,9 @@ from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import needs
 from adaptive_contact.priority import take_priority
-from adaptive_contact.service.settings import Finding
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
-    from adaptive_contact_sim.virtual.session import VirtualPlan
 
 
 @opt.flatten
@@ -69,30 +67,32 @@ def ros2(
     settings = network.client(json=json)
     ros_settings = opt.Network(ros_connect, None, ros_zenoh_config).client()
 
-    def waits_for_ros(finding: Finding) -> None:
-        _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on")
-
-    def waits(finding: Finding) -> None:
-        _say_ros(f"the service: {finding.line}; trying on")
-
     refused = take_priority() if realtime else None
     if refused is not None:
         _say_ros(refused)
     with (
         unless_stopped(stop),
-        Link.open(ros_settings, on_wait=waits_for_ros, stop=stop) as ros,
-        Link.open(settings, on_wait=waits, stop=stop) as service,
+        Link.open(
+            ros_settings,
+            on_wait=lambda finding: _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on"),
+            stop=stop,
+        ) as ros,
+        Link.open(
+            settings,
+            on_wait=lambda finding: _say_ros(f"the service: {finding.line}; trying on"),
+            stop=stop,
+        ) as service,
     ):
         # Milliseconds since 1970: a later start has a larger run.
         gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
-        reads = "reading nothing (no [leg.ros2])"
-        if gateway.legs:
-            reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(gateway.legs)}"
+        reads, legs = "reading nothing (no [leg.ros2])", gateway.intake.legs
+        if legs:
+            reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(legs)}"
         say(
             f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
             "Ctrl-C"
         )
-        if gateway.legs and gateway.intake.unmapped:
+        if legs and gateway.intake.unmapped:
             _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
         gateway.run(stop)
 
@@ -107,10 +107,9 @@ def foxglove(
     """Show the running robot in Foxglove, over its websocket protocol."""
     make_stdout_optional()
     stop = opt.stoppable()
-    from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
+    from adaptive_contact.service.foxglove_live import FoxgloveServer
     from adaptive_contact.service.link import Link
 
-    check_installed()
     settings = network.client()
     with unless_stopped(stop):
         with (
@@ -245,24 +244,23 @@ class _Crew:
                 worker.join()
 
 
-@dataclass(frozen=True)
-class VirtualOptions:
-    """Holds the options of a virtual bus."""
-
+@app.command()
+def virtual(
+    *,
     directory: Annotated[Path, option("--dir", "Where the ports appear, as links.", "DIR")] = Path(
         "bus"
-    )
-    config: opt.ConfigOption = None
+    ),
+    config: opt.ConfigOption = None,
     servos: Annotated[
         str | None, option("--servos", "All servos are of this model, such as STS3215.", "MODEL")
-    ] = None
+    ] = None,
     ports: Annotated[
         int | None,
         option("--ports", "Ports of a robot that has none described; 1 by default.", min=1),
-    ] = None
+    ] = None,
     write_config: Annotated[
         Path | None, option("--write-config", "Write the robot.toml of this bus.", "FILE")
-    ] = None
+    ] = None,
     scenario: Annotated[
         str | None,
         option(
@@ -271,8 +269,8 @@ class VirtualOptions:
             "does what the bus says.",
             "NAME",
         ),
-    ] = None
-    height: Annotated[float, option("--height", "Height of the body over the floor, m.")] = 1.0
+    ] = None,
+    height: Annotated[float, option("--height", "Height of the body over the floor, m.")] = 1.0,
     fault: Annotated[
         list[str] | None,
         option(
@@ -281,71 +279,50 @@ class VirtualOptions:
             "silent:id=3@5+2 (servo 3, from 5 s, for 2 s); repeatable.",
             "SPEC",
         ),
-    ] = None
+    ] = None,
     wire_time: Annotated[
         bool, option("--wire-time/--no-wire-time", "Packets take time on the wire.")
-    ] = True
-    realtime: opt.RealtimeOption = False
-    seed: opt.SeedOption = 0
+    ] = True,
+    realtime: opt.RealtimeOption = False,
+    seed: opt.SeedOption = 0,
     seconds: Annotated[
         float | None, seconds_option("--seconds", "Stop after so long; otherwise at Ctrl-C.")
-    ] = None
+    ] = None,
     record: Annotated[
         Path | None,
         option("--record", "Record a scenario's own samples and truth.", "FILE.mcap"),
-    ] = None
-    force: opt.ForceOption = False
-
-    def __post_init__(self) -> None:
-        read = [self.config]
-        opt.check_output(self.write_config, "--write-config", read, force=self.force)
-        opt.check_output(self.record, "--record", [*read, self.write_config], force=self.force)
-
-    def plan(self) -> VirtualPlan:
-        """Plan what to run.
-
-        Raises:
-            ConfigurationError: an option cannot be used.
-        """
-        from adaptive_contact_sim.virtual import parse_fault
-        from adaptive_contact_sim.virtual.assembly import with_servos
-        from adaptive_contact_sim.virtual.session import VirtualPlan
-
-        robot = opt.described_robot(self.config)
-        return VirtualPlan(
-            robot=robot if self.servos is None else with_servos(robot, self.servos),
-            directory=self.directory,
-            ports=self.ports,
-            faults=tuple(parse_fault(text) for text in self.fault or ()),
-            wire_time=self.wire_time,
-            scenario=self.scenario,
-            height_m=self.height,
-            seed=self.seed,
-            seconds=self.seconds,
-            record=self.record,
-            write_config=self.write_config,
-        )
-
-
-@app.command()
-@opt.flatten
-def virtual(*, bus: VirtualOptions) -> None:
+    ] = None,
+    force: opt.ForceOption = False,
+) -> None:
     """Serve a bus on pseudo-terminals whose servos are the simulated robot."""
     make_stdout_optional()
     stop = opt.stoppable()
+    opt.check_output(write_config, "--write-config", [config], force=force)
+    opt.check_output(record, "--record", [config, write_config], force=force)
     with needs_simulator():
+        from adaptive_contact_sim.virtual import parse_fault
+        from adaptive_contact_sim.virtual.assembly import with_servos
         from adaptive_contact_sim.virtual.session import run
-
-        plan = bus.plan()
-    if bus.realtime:
+    robot = opt.described_robot(config)
+    if realtime:
         refused = take_priority()
         if refused is not None:
             say(f"adaptive-contact bridge virtual: {refused}", err=True)
-    run(plan, stop, on_start=_say)
-
-
-def _say(line: str) -> None:
-    say(f"adaptive-contact bridge virtual: {line}")
+    run(
+        robot if servos is None else with_servos(robot, servos),
+        directory,
+        stop,
+        ports=ports,
+        faults=[parse_fault(text) for text in fault or ()],
+        wire_time=wire_time,
+        scenario=scenario,
+        height_m=height,
+        seed=seed,
+        seconds=math.inf if seconds is None else seconds,
+        record=record,
+        write_config=write_config,
+        on_start=lambda line: say(f"adaptive-contact bridge virtual: {line}"),
+    )
 
 
 app.command("feetech")(dynamixel)  # one bridge: the ports say whose servos theirs are

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from adaptive_contact.web import LivePage
     from adaptive_contact_sim.robots import SimulatedRobot
 
-__all__ = ["demo"]
 
 _OUT: Final = Path("out/demo")
 _MADE: Final = ("demo.mcap", "summary.json", "report.html")

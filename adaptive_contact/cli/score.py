@@ -96,7 +96,7 @@ def score(
     if source.damage is not None:
         say_note(f"{recording}: {source.damage}")
     if json:
-        about = {"recording": str(recording), "truncated": source.truncated}
+        about = {"recording": str(recording), "truncated": source.damage is not None}
         found = {name: as_json(result) for name, result in results.items()}
         say_json(about | (found if frozen else found[""]), indent=2)
         return

@@ -10,18 +10,19 @@ import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from adaptive_contact import __version__
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_in_view, compile_tick, first_start
 from adaptive_contact.cli._link import open_link
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_note
 from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.priority import cores, take_priority
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.settings import shown
+from adaptive_contact.service.settings import DEFAULT_ENDPOINT, shown
 
 if TYPE_CHECKING:
     from adaptive_contact.model import Baseline
@@ -35,17 +36,58 @@ def serve(
     config: opt.ConfigOption = None,
     baseline: opt.BaselineOption = None,
     state: opt.StateOption = None,
-    no_state: opt.NoStateOption = False,
-    listen: opt.ListenOption = None,
+    no_state: Annotated[
+        bool, option("--no-state", "Neither restore nor keep what is learned.")
+    ] = False,
+    listen: Annotated[
+        list[str] | None,
+        option(
+            "--listen",
+            f"Where the embedded router listens (default {DEFAULT_ENDPOINT}); port 0 takes a free "
+            "one; repeatable.",
+            "ENDPOINT",
+            panel=opt.NETWORK,
+        ),
+    ] = None,
     network: opt.Network,
-    insecure: opt.InsecureOption = False,
-    max_sessions: opt.MaxSessionsOption = None,
-    described_only: opt.DescribedOnlyOption = False,
+    insecure: Annotated[
+        bool,
+        option(
+            "--insecure",
+            "Listen beyond loopback without authentication of clients.",
+            panel=opt.NETWORK,
+        ),
+    ] = False,
+    max_sessions: Annotated[
+        int | None,
+        option(
+            "--max-sessions",
+            "Sessions that the embedded router takes at once (default 256, or what "
+            "--zenoh-config says); others are refused.",
+            "N",
+            min=2,
+            max=10_000,
+            panel=opt.NETWORK,
+        ),
+    ] = None,
+    described_only: Annotated[
+        bool,
+        option(
+            "--described-only",
+            "Take no samples of legs that the robot's description lacks; beyond loopback, always.",
+            panel=opt.NETWORK,
+        ),
+    ] = False,
     realtime: opt.RealtimeOption = False,
     when_ambiguous: opt.AmbiguousOption = WhenAmbiguous.WITHHOLD,
     json: opt.JsonPayloadOption = False,
-    log_json: opt.LogJsonOption = False,
-    log_level: opt.LogLevelOption = "info",
+    log_json: Annotated[
+        bool, option("--log-json", "Log one JSON object per line.", panel="Logging")
+    ] = False,
+    log_level: Annotated[
+        Literal["debug", "info", "warning", "error"],
+        option("--log-level", "Lowest level that is logged.", panel="Logging"),
+    ] = "info",
 ) -> None:
     """Turn servo samples into contact events, over Zenoh.
 
@@ -62,7 +104,7 @@ def serve(
 
         from adaptive_contact.core.bank import LearnerBank
         from adaptive_contact.service.link import router_settings
-        from adaptive_contact.service.logs import FaultLog, configure_logs
+        from adaptive_contact.service.logs import LogThrottle, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
         from adaptive_contact.service.server import Service, Sweeper
         from adaptive_contact.service.transport import configure
@@ -98,7 +140,7 @@ def serve(
             robot,
             learned,
             refitter=refitter,
-            on_fault=FaultLog(),
+            on_fault=LogThrottle(60.0).fault,
             when_ambiguous=when_ambiguous,
         )
         link = open_link(settings, stop)

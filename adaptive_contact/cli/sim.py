@@ -21,7 +21,6 @@ from adaptive_contact.cli._output import make_stdout_optional, say, say_json, sa
 from adaptive_contact.cli._sim_options import (
     ReactOption,
     RunOptions,
-    execute,
     given,
     needs_simulator,
     needs_studies,
@@ -105,7 +104,7 @@ def pose(
         motion.obstacles, **given(probability=obstacles, soft=soft)
     )
     settings = dataclasses.replace(base.settings, motion=dataclasses.replace(motion, **changes))
-    execute(run.plan(base, settings, network, json=json), stop)
+    run.execute(base, settings, network, stop, json=json)
 
 
 @app.command()
@@ -154,7 +153,7 @@ def walk(
         motion=dataclasses.replace(motion, **changes),
         terrain=dataclasses.replace(base.settings.terrain, **given(kind=terrain)),
     )
-    execute(run.plan(base, settings, network, json=json), stop)
+    run.execute(base, settings, network, stop, json=json)
 
 
 @app.command()

@@ -93,12 +93,6 @@ def dds_name(type_name: str) -> str:
     return f"{package}::{kind}::dds_::{name}_"
 
 
-def _ros_name(dds: str) -> str:
-    """Convert a type's name in a key to ROS's; other texts stay as they are."""
-    package, found, name = dds.partition("::msg::dds_::")
-    return f"{package}/msg/{name.removesuffix('_')}" if found else dds
-
-
 def topic_key(domain: int, address: Address) -> str:
     """Return the key that messages of a topic are published on."""
     return f"{domain}/{address.topic.strip('/')}/{dds_name(address.type)}/{address.hash}"
@@ -114,7 +108,10 @@ def address_of(key: str) -> Address | None:
     parts = key.split("/")
     if len(parts) < 4:
         return None
-    return Address("/" + "/".join(parts[1:-2]), _ros_name(parts[-2]), parts[-1])
+    # A type's name as ROS has it; other texts stay as they are.
+    package, found, name = parts[-2].partition("::msg::dds_::")
+    kind = f"{package}/msg/{name.removesuffix('_')}" if found else parts[-2]
+    return Address("/" + "/".join(parts[1:-2]), kind, parts[-1])
 
 
 def publisher_id(token: str) -> bytes:

@@ -20,9 +20,6 @@ from rosbags.typesys.store import Typestore
 from adaptive_contact.ros2.problems import CdrError, UnknownHashError
 from adaptive_contact.ros2.rmw import NO_HASH, RosType
 
-_POINT: Final = "trajectory_msgs/JointTrajectoryPoint"
-_MULTI: Final = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
-
 
 class _Definition(NamedTuple):
     """Describes a definition of a controller's state."""
@@ -34,11 +31,12 @@ class _Definition(NamedTuple):
     @property
     def fields(self) -> str:
         """Return the fields as rosidl writes them."""
-        lines = ["std_msgs/Header header", "string[] joint_names"]
-        lines += [f"{_POINT} {name}" for name in self.points.split()]
+        lines, points = ["std_msgs/Header header", "string[] joint_names"], self.points.split()
+        lines += [f"trajectory_msgs/JointTrajectoryPoint {name}" for name in points]
         if self.multi:
             lines.append("string[] multi_dof_joint_names")
-            lines += [f"{_MULTI} multi_dof_{name}" for name in self.points.split()]
+            kind = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
+            lines += [f"{kind} multi_dof_{name}" for name in points]
         if self.scaling:
             lines.append("float64 speed_scaling_factor")
         return "\n".join([*lines, ""])
@@ -52,10 +50,6 @@ _CONTROLLER_STATES: Final = {
     "humble": _Definition(f"{_NEW} desired actual"),
     "old": _Definition("desired actual error", multi=False),
 }
-_JOINT_VALUES: Final = (
-    "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
-)
-_INTERFACE_VALUE: Final = "string[] interface_names\nfloat64[] values\n"
 
 
 def typestore(state: str = "jazzy") -> Typestore:
@@ -63,13 +57,15 @@ def typestore(state: str = "jazzy") -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
     # A message of ours has a value per joint; a length beyond this is damage, and would allocate.
     store.max_sequence_length = 65_536
-    store.register(
-        {
-            **get_types_from_msg(_CONTROLLER_STATES[state].fields, RosType.CONTROLLER_STATE),
-            **get_types_from_msg(_JOINT_VALUES, RosType.JOINT_VALUES),
-            **get_types_from_msg(_INTERFACE_VALUE, "control_msgs/msg/InterfaceValue"),
-        }
-    )
+    definitions = {
+        RosType.CONTROLLER_STATE: _CONTROLLER_STATES[state].fields,
+        RosType.JOINT_VALUES: (
+            "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
+        ),
+        "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
+    }
+    for name, fields in definitions.items():
+        store.register(get_types_from_msg(fields, name))
     return store
 
 

@@ -159,7 +159,16 @@ def diagnose(
         service=service,
         service_alive=alive,
         seconds=seconds,
-        keys=_traffic(seen, seconds),
+        keys=[
+            KeyTraffic(
+                key=key,
+                rate_hz=meter.count / seconds,
+                bytes_per_s=meter.size / seconds,
+                mean_bytes=meter.size / meter.count,
+                encodings=[encoding for encoding, _ in meter.encodings.most_common(3)],
+            )
+            for key, meter in sorted(seen.meters.items())
+        ],
         findings=entries(_faults(seen, seconds, alive, service)),
     )
 
@@ -214,19 +223,6 @@ def _faults(
             yield leg, fault
     statuses = [seen.learners[leg][1] for leg in unexplained if leg in seen.learners]
     yield from all_lost(statuses, service)
-
-
-def _traffic(seen: Examination, seconds: float) -> list[KeyTraffic]:
-    return [
-        KeyTraffic(
-            key=key,
-            rate_hz=meter.count / seconds,
-            bytes_per_s=meter.size / seconds,
-            mean_bytes=meter.size / meter.count,
-            encodings=[encoding for encoding, _ in meter.encodings.most_common(3)],
-        )
-        for key, meter in sorted(seen.meters.items())
-    ]
 
 
 def _about_service(seen: Examination, alive: bool) -> Iterator[Fault]:

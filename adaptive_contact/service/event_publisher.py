@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final
 
 import structlog
 
@@ -30,10 +30,8 @@ _SUBSCRIBER: Final = "a subscriber that hangs"
 _COMPUTER: Final = "this computer, overloaded or stopped,"
 
 
-class _Letter(NamedTuple):
-    publisher: Publisher
-    message: Message
-    arrival_ns: int
+# A message, where to, and when the sample came that it is about.
+_Letter = tuple[Publisher, Message, int]
 
 
 class EventPublisher:
@@ -93,9 +91,8 @@ class EventPublisher:
 
     def post(self, publisher: Publisher, message: Message, arrival_ns: int) -> None:
         """Send a message; waits for nothing once the thread runs."""
-        letter = _Letter(publisher, message, arrival_ns)
         if self._thread is None:
-            self._put(letter)
+            self._put(publisher, message, arrival_ns)
             return
         with self._changed:
             if self._ending:  # the sender may be gone
@@ -104,7 +101,7 @@ class EventPublisher:
             if len(self._queue) >= self._size:
                 self._queue.popleft()
                 self.lost += 1
-            self._queue.append(letter)
+            self._queue.append((publisher, message, arrival_ns))
             self._changed.notify_all()
 
     def missed(self, links: int, what: str) -> None:
@@ -143,35 +140,29 @@ class EventPublisher:
                 if not self._queue:
                     return
                 letter = self._queue.popleft()
-            self._put(letter)
+            self._put(*letter)
 
-    def _put(self, letter: _Letter) -> None:
+    def _put(self, publisher: Publisher, message: Message, arrival_ns: int) -> None:
         began_ns = self._putting_since_ns = time.monotonic_ns()
         try:
-            letter.publisher.put(letter.message)
+            publisher.put(message)
         except Exception as fault:  # a closed link, or a fault of ours: the next must go out
-            self._unsent(fault)
+            with self._changed:  # others count, too
+                self.lost += 1
+            kind = type(fault).__name__
+            why = str(fault) if isinstance(fault, LinkError) else f"{kind}: {fault}"
+            self._throttle.warn(kind, time.monotonic_ns(), "contact events lost", why=why)
             return
         finally:
             self._putting_since_ns = None
         done_ns = time.monotonic_ns()
-        self._latencies.append(done_ns - letter.arrival_ns)
+        self._latencies.append(done_ns - arrival_ns)
         # A put takes 0.05 ms; a tenth of a second means that a subscriber hangs, or that
         # the computer has no core for it.
         if done_ns - began_ns > 100_000_000:
-            self._slow(began_ns, done_ns)
-
-    def _unsent(self, fault: Exception) -> None:
-        with self._changed:  # others count, too
-            self.lost += 1
-        kind = type(fault).__name__
-        why = str(fault) if isinstance(fault, LinkError) else f"{kind}: {fault}"
-        self._throttle.warn(kind, time.monotonic_ns(), "contact events lost", why=why)
-
-    def _slow(self, began_ns: int, done_ns: int) -> None:
-        late = self._held_ns() < began_ns
-        self.slow += 1
-        self.late += late
-        who = _COMPUTER if late else _SUBSCRIBER
-        for_ms = round((done_ns - began_ns) / 1e6)
-        self._throttle.warn(who, done_ns, "contact events held up", by=who, for_ms=for_ms)
+            late = self._held_ns() < began_ns
+            self.slow += 1
+            self.late += late
+            who = _COMPUTER if late else _SUBSCRIBER
+            for_ms = round((done_ns - began_ns) / 1e6)
+            self._throttle.warn(who, done_ns, "contact events held up", by=who, for_ms=for_ms)

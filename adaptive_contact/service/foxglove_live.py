@@ -8,7 +8,7 @@ the service cannot send one.
 Everything goes out and nothing comes in: clients can neither publish nor set anything.  A client
 that is too slow loses its oldest messages (foxglove-sdk keeps 1024 for each).
 
-Only this module imports foxglove (the extra ``foxglove``).
+Only this module imports foxglove (the extra ``foxglove``), and raises MissingExtraError without it.
 
 Reference: https://github.com/foxglove/ws-protocol, docs/spec.md; subprotocol ``foxglove.sdk.v1``.
 """
@@ -16,12 +16,11 @@ Reference: https://github.com/foxglove/ws-protocol, docs/spec.md; subprotocol ``
 from __future__ import annotations
 
 import contextlib
-import importlib
 import queue
 import threading
 import time
 from collections import Counter
-from typing import TYPE_CHECKING, Final, Self
+from typing import Final, Self
 
 from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.service.known_contacts import KnownContacts
@@ -47,22 +46,11 @@ from adaptive_contact.wire import (
     decode,
 )
 
-if TYPE_CHECKING:
-    from foxglove import Channel
+with needs("Foxglove", "foxglove"):
+    import foxglove
 
 # Where Foxglove looks first.
 DEFAULT_PORT: Final = 8765
-# Messages that wait to be encoded: at 64 legs and 200 Hz more than a second.
-_MOST_WAITING: Final = 20_000
-_STREAMS: Final = (
-    HEARTBEAT,
-    ALL_SERVO,
-    ALL_STATE,
-    ALL_LEARNER,
-    ALL_TRUTH,
-    command_key("*"),
-    bridge_status_key("*"),
-)
 
 
 class FoxgloveServer:
@@ -80,15 +68,10 @@ class FoxgloveServer:
         left_out: messages that could not be shown, by key and why.
 
     Raises:
-        MissingExtraError: foxglove-sdk is not installed.
         ConfigurationError: it cannot listen there.
     """
 
     def __init__(self, link: Link, host: str = "127.0.0.1", port: int = DEFAULT_PORT) -> None:
-        check_installed()
-        import foxglove
-
-        self._foxglove = foxglove
         self._context = foxglove.Context()
         try:
             self._server = foxglove.start_server(
@@ -104,8 +87,9 @@ class FoxgloveServer:
         self.shown = 0
         self.left_out: Counter[tuple[str, str]] = Counter()
         self._link = link
-        self._channels: dict[str, Channel] = {}
-        self._waiting: queue.Queue[Received] = queue.Queue(_MOST_WAITING)
+        self._channels: dict[str, foxglove.Channel] = {}
+        # At 64 legs and 200 Hz more than a second.
+        self._waiting: queue.Queue[Received] = queue.Queue(20_000)
         self._known = KnownContacts()
 
     def __enter__(self) -> Self:
@@ -122,7 +106,8 @@ class FoxgloveServer:
         """Serve until ``stop`` is set."""
         for key in (ALL_CONTACT, SERVICE_STATUS):
             self._link.subscribe(key, self._enqueue, history=True)
-        for key in _STREAMS:
+        streams = (HEARTBEAT, ALL_SERVO, ALL_STATE, ALL_LEARNER, ALL_TRUTH)
+        for key in (*streams, command_key("*"), bridge_status_key("*")):
             self._link.subscribe(key, self._enqueue)
         while not stop.is_set():
             with contextlib.suppress(queue.Empty):
@@ -156,15 +141,15 @@ class FoxgloveServer:
             return
         self._show(received.key, message, arrived_ns)
 
-    def _channel(self, key: str, kind: type[Message]) -> Channel | None:
+    def _channel(self, key: str, kind: type[Message]) -> foxglove.Channel | None:
         """Return the channel of a key; None where there are too many."""
         channel = self._channels.get(key)
         # A key is a channel; a robot of 64 legs has 300 of them, and a stranger may make more.
         if channel is None and len(self._channels) < 1024:
-            schema = self._foxglove.Schema(
+            schema = foxglove.Schema(
                 name=schema_name(kind), encoding="protobuf", data=protobuf_class(kind)[0]
             )
-            channel = self._channels[key] = self._foxglove.Channel(
+            channel = self._channels[key] = foxglove.Channel(
                 key, schema=schema, message_encoding="protobuf", context=self._context
             )
         return channel
@@ -179,13 +164,3 @@ class FoxgloveServer:
             self.left_out[key, Reject.OUT_OF_RANGE.value] += 1
             return
         self.shown += 1
-
-
-def check_installed() -> None:
-    """Make sure that the extra is there.
-
-    Raises:
-        MissingExtraError: it is not.
-    """
-    with needs("Foxglove", "foxglove"):
-        importlib.import_module("foxglove")

@@ -62,17 +62,23 @@ class KnownContacts:
                 continue
             if not known:
                 self._withdrawn.add(leg)
-                found.append(self._without_contact(last))
+                at_ns = self._beats[leg][1].t_ns if leg in self._beats else last.t_ns
+                none = [0.0] * len(last.residual)
+                found.append(
+                    msgspec.structs.replace(
+                        last,
+                        t_ns=at_ns,
+                        onset_ns=at_ns,
+                        contact=False,
+                        status="silent",
+                        score=0.0,
+                        residual=none,
+                        withheld=True,
+                    )
+                )
                 continue
             self._withdrawn.discard(leg)
             beat = self._beats[leg][1]
             if last.contact and beat.contact:  # it stands, and no event will say so
                 found.append(msgspec.structs.replace(last, t_ns=max(beat.t_ns, last.t_ns)))
         return found
-
-    def _without_contact(self, event: ContactEvent) -> ContactEvent:
-        at_ns = self._beats[event.leg][1].t_ns if event.leg in self._beats else event.t_ns
-        return msgspec.structs.replace(
-            event, t_ns=at_ns, onset_ns=at_ns, contact=False, status="silent", score=0.0,
-            residual=[0.0] * len(event.residual), withheld=True,
-        )  # fmt: skip

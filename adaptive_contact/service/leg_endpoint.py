@@ -15,7 +15,7 @@ import structlog
 
 from adaptive_contact.core.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP
 from adaptive_contact.service.link import Declared, Link
-from adaptive_contact.service.logs import FaultLog, LogThrottle
+from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.settings import SILENT_AFTER_S, leg_token
 from adaptive_contact.service.state.format import Position
 from adaptive_contact.wire import (
@@ -152,7 +152,7 @@ class LegEndpoint:
         self._published: Status | None = None
         self._published_ns = now_ns
         self._throttle = LogThrottle()
-        self._faults = FaultLog()
+        self._faults = LogThrottle(60.0)
 
     def note_sample(self, sample: ServoSample, now_ns: int) -> Reject | None:
         """Count a readable sample that the learner has just been given.
@@ -285,7 +285,7 @@ class LegEndpoint:
             return question()
         except Exception as fault:  # of one leg, which must not end the others' service
             self.learner.reset_after_fault(fault)
-            self._faults(self.leg, fault)
+            self._faults.fault(self.leg, fault)
             return question()
 
     def _silence(self, now_ns: int) -> str:

@@ -495,9 +495,9 @@ class Link:
         """Declare a liveliness token: others see it for as long as this link is up."""
         return Declared(self._session.liveliness().declare_token(key), self._held)
 
-    def alive(self, key_expr: str, *, timeout_s: float = 1.0) -> set[str]:
-        """Return the liveliness tokens that exist now."""
-        replies = self._session.liveliness().get(key_expr, timeout=timeout_s)
+    def alive(self, key_expr: str) -> set[str]:
+        """Return the liveliness tokens that exist now; it takes a second at the most."""
+        replies = self._session.liveliness().get(key_expr, timeout=1.0)
         return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
 
     def watch_tokens(self, key_expr: str, sink: Callable[[str, bool], None]) -> Declared:
@@ -508,10 +508,6 @@ class Link:
             history=True,
         )
         return Declared(declared, self._held)
-
-    def routers(self) -> tuple[str, ...]:
-        """Return the ids of the routers this session is connected to."""
-        return tuple(str(zid) for zid in self._session.info.routers_zid())
 
     def sessions(self) -> int:
         """Count the other sessions that are connected to this one."""
@@ -525,7 +521,7 @@ class Link:
     def is_connected(self) -> bool:
         """Return whether a router is joined; always for one that joins no other."""
         alone = self.settings.mode == "router" and not self.joins
-        return alone or bool(self.routers())
+        return alone or bool(list(self._session.info.routers_zid()))
 
     def diagnose(self) -> Finding:
         """Find out what stands between this session and its router, at this moment."""

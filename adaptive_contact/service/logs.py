@@ -139,15 +139,8 @@ class LogThrottle:
         if stands_for is not None:
             _log.warning(what, times=stands_for, **facts)
 
-
-class FaultLog:
-    """Logs a fault of each leg a minute, and how many came since the last one logged."""
-
-    def __init__(self) -> None:
-        self._throttle = LogThrottle(60.0)
-
-    def __call__(self, leg: str, fault: Exception) -> None:
-        """Log that a leg was restarted."""
-        times = self._throttle.passes(leg, time.monotonic_ns())
+    def fault(self, leg: str, fault: Exception) -> None:
+        """Log that a leg was restarted after a fault, unless one of it has just been logged."""
+        times = self.passes(leg, time.monotonic_ns())
         if times is not None:
             _log.error("fault in learning, leg restarted", leg=leg, times=times, exc_info=fault)

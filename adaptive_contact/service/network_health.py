@@ -25,36 +25,6 @@ from adaptive_contact.wire.received import Received
 _log = structlog.get_logger()
 
 
-class PeerServices:
-    """Listens for other services."""
-
-    def __init__(self, link: Link) -> None:
-        self.instance = secrets.token_hex(4)  # our own mark, for our own status
-        self._statuses: deque[Received] = deque(maxlen=32)
-        self._other: tuple[int, ServiceStatus] | None = None  # the newest, and when it came
-        link.subscribe(SERVICE_STATUS, self._receive)
-
-    def _receive(self, received: Received) -> None:
-        if len(received.payload) <= MAX_PAYLOAD_BYTES:  # no service says more, and these are kept
-            self._statuses.append(received)
-
-    def note(self, now_ns: int) -> str | None:
-        """Name another service on the network in one line, else None; ``now_ns`` is monotonic."""
-        for _ in range(len(self._statuses)):
-            received = self._statuses.popleft()
-            status = decode(received.payload, ServiceStatus, received.encoding)
-            if isinstance(status, ServiceStatus) and status.instance != self.instance:
-                self._other = (received.arrival_ns, status)
-        # A service sends its status once a second.
-        if self._other is None or now_ns - self._other[0] >= 3_000_000_000:
-            return None
-        other = self._other[1]
-        return (
-            f"another service runs here for robot {other.robot[:32]} (up {other.uptime_s:.0f} s): "
-            "every event comes twice; stop one of them, or give each robot a --namespace"
-        )
-
-
 class UnreadKeys:
     """Looks for misspelt keys while a described leg has no samples, and only then.
 
@@ -98,31 +68,37 @@ class UnreadKeys:
 
 
 class NetworkHealth:
-    """Watches them, and logs what changes."""
+    """Watches router, sessions and other services, and logs what changes."""
 
     def __init__(self, link: Link, now_ns: int) -> None:
         self.note: str | None = None  # one line on what is wrong, None when all is well
+        self.instance = secrets.token_hex(4)  # the service's own mark among others
         self._link = link
-        self._rivals = PeerServices(link)
-        self.instance = self._rivals.instance  # the service's own mark among others
+        self._statuses: deque[Received] = deque(maxlen=32)
+        self._other: tuple[int, ServiceStatus] | None = None  # the newest, and when it came
         self._throttle = LogThrottle()
         self._due_ns = now_ns
         self._joined = link.is_connected()  # a router runs before it is let in, a client does not
         self._connected = True
+        link.subscribe(SERVICE_STATUS, self._receive)
 
     def look(self, now_ns: int) -> None:
         """Check the network, if it is time."""
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + 1_000_000_000
-        rival = self._rivals.note(now_ns)
+        rival = self._rival(now_ns)
         if rival is not None:
             self._throttle.warn("rival", now_ns, "not alone", why=rival)
         connected = self._link.is_connected()
         where = " or ".join(map(shown, self._link.joins))
         apart = None if connected else f"no router joined at {where}; trying on"
-        full = self._full()
-        if full is not None:
+        most, full = self._link.max_sessions, None
+        if self._link.sessions() >= most:
+            full = (
+                f"{most} sessions are connected, as many as may be: others are refused; close "
+                "some, or give serve a larger --max-sessions"
+            )
             self._throttle.warn("full", now_ns, "no room for another session", why=full)
         self.note = "; ".join(filter(None, (rival, apart, full))) or None
         if connected and not self._connected:
@@ -134,13 +110,24 @@ class NetworkHealth:
         self._connected = connected
         self._joined |= connected
 
-    def _full(self) -> str | None:
-        most = self._link.max_sessions
-        if self._link.sessions() < most:
+    def _receive(self, received: Received) -> None:
+        if len(received.payload) <= MAX_PAYLOAD_BYTES:  # no service says more, and these are kept
+            self._statuses.append(received)
+
+    def _rival(self, now_ns: int) -> str | None:
+        """Name another service on the network in one line, else None; ``now_ns`` is monotonic."""
+        for _ in range(len(self._statuses)):
+            received = self._statuses.popleft()
+            status = decode(received.payload, ServiceStatus, received.encoding)
+            if isinstance(status, ServiceStatus) and status.instance != self.instance:
+                self._other = (received.arrival_ns, status)
+        # A service sends its status once a second.
+        if self._other is None or now_ns - self._other[0] >= 3_000_000_000:
             return None
+        other = self._other[1]
         return (
-            f"{most} sessions are connected, as many as may be: others are refused; close some, or "
-            "give serve a larger --max-sessions"
+            f"another service runs here for robot {other.robot[:32]} (up {other.uptime_s:.0f} s): "
+            "every event comes twice; stop one of them, or give each robot a --namespace"
         )
 
     def _say_why(self) -> None:

@@ -52,11 +52,8 @@ from adaptive_contact.wire import (
 MAX_BYTES: Final = 256 * 1024
 # Messages of one topic that may wait; at 100 Hz more than half a second.
 WAITING: Final = 64
-_MOST_LINES: Final = 256  # that wait to be said
 _LOOK_S: Final = 0.1
 _SERVICE_GONE_S: Final = 3.0
-# After this long without a sample of a leg it is said, and again after ten times as long.
-_SILENT_S: Final = 5.0
 
 
 def shown_of_ros(finding: Finding) -> str:
@@ -142,6 +139,7 @@ class Gateway:
         say: takes one line for the operator.
 
     Attributes:
+        topics: that are read, and the types that each may have.
         complaints: counts of what was not used.
         relayed: samples published.
 
@@ -153,7 +151,6 @@ class Gateway:
         self, robot: Robot, service: Link, ros: Link, run: int, say: Callable[[str], None]
     ) -> None:
         settings = robot.ros2
-        self._now_s = time.monotonic
         self._say = say
         self._service, self._ros = service, ros
         self.complaints = Complaints()
@@ -162,12 +159,12 @@ class Gateway:
         self.intake = Intake(robot, run, self._complain)
         assert settings is not None  # Intake has refused it
         self._types = Types(settings.distro)
-        self._topics = self.intake.topics(truth=False)
+        self.topics = self.intake.topics(truth=False)
         self._report = Report(self._types, settings.node, robot.name, robot.leg_ids)
         self._node = rmw.Node(settings.domain, ros.id, settings.node)
         self._legs = frozenset(robot.leg_ids)
         self._addresses: dict[str, rmw.Address | None] = {}
-        self._inbox = Inbox(tuple(self._topics))
+        self._inbox = Inbox(tuple(self.topics))
         self._arrivals, self._contacts = Arrivals(), Arrivals()
         self._known = KnownContacts()
         self._heard_s: float | None = None  # when the last heartbeat came
@@ -177,16 +174,6 @@ class Gateway:
         self._numbers = itertools.count(1)
         self._shown: set[str] = set()
         self._samples = {leg: service.publisher(servo_key(leg)) for leg in self.intake.legs}
-
-    @property
-    def legs(self) -> tuple[str, ...]:
-        """Return the legs whose samples come from ROS 2."""
-        return self.intake.legs
-
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """Return the topics that are read."""
-        return tuple(self._topics)
 
     @property
     def publishes(self) -> str:
@@ -235,7 +222,7 @@ class Gateway:
         self._values = _RosPublisher(ros, node, next(numbers), report.values)
         self._diagnostics = _RosPublisher(ros, node, next(numbers), report.diagnostics)
         self._states = _RosPublisher(ros, node, next(numbers), report.states, latched=False)
-        for topic, types in self._topics.items():
+        for topic, types in self.topics.items():
             ros.subscribe(rmw.any_type(node.domain, topic), self._arrivals)
             if len(types) == 1:
                 self._show(rmw.Address(topic, types[0], self._types.hash_of(types[0])))
@@ -301,8 +288,8 @@ class Gateway:
         return self._addresses[key]
 
     def _complain(self, topic: str, reason: Reason, detail: str) -> None:
-        line = self.complaints.count(topic, reason, detail, self._now_s())
-        if line is not None and self._lines.qsize() < _MOST_LINES:
+        line = self.complaints.count(topic, reason, detail, time.monotonic())
+        if line is not None and self._lines.qsize() < 256:
             self._lines.put(line)
 
     # -- the service to ROS 2 ----------------------------------------------------------------------
@@ -319,7 +306,7 @@ class Gateway:
         message = None if received is None else message_of(received)
         events: list[ContactEvent] = []
         if isinstance(message, Heartbeat) and received is not None:
-            self._heard_s = self._now_s()
+            self._heard_s = time.monotonic()
             self._known.heartbeat(message, received.arrival_ns)
         elif isinstance(message, ContactEvent) and message.leg in self._of_leg:
             self.events += 1
@@ -327,7 +314,10 @@ class Gateway:
         events += self._known.look(now_ns)
         try:
             if isinstance(message, LegState) and received is not None:
-                self._relay_state(leg_of_key(received.key), message)
+                leg = leg_of_key(received.key)
+                whole = self._report.state(leg, message) if leg in self._of_leg else None
+                if whole is not None:
+                    self._states.put(whole)
             for event in events:
                 changed = self._report.change(event)
                 if changed is not None:
@@ -340,27 +330,13 @@ class Gateway:
             if not stop.is_set():
                 self._say(str(error))
 
-    def _ask_for_states(self) -> None:
-        """Subscribe to the states of all legs while somebody in ROS 2 does."""
-        wanted = self._states.matched
-        if wanted and self._asked_states is None:
-            self._asked_states = self._service.subscribe(ALL_STATE, self._contacts)
-        elif not wanted and self._asked_states is not None:
-            self._asked_states.close()
-            self._asked_states = None
-
-    def _relay_state(self, leg: str | None, state: LegState) -> None:
-        if leg in self._of_leg:
-            whole = self._report.state(leg, state)
-            if whole is not None:
-                self._states.put(whole)
-
     def _valid(self, now_ns: int) -> frozenset[str]:
         return frozenset(leg for leg in self._legs if self._known.is_known(leg, now_ns))
 
     def _housekeeping(self, stop: threading.Event) -> None:
-        begun_s = self._now_s()
-        silent_s = begun_s + _SILENT_S
+        begun_s = time.monotonic()
+        # After this long without a sample of a leg it is said, and again after ten times as long.
+        silent_s = begun_s + 5.0
         reported: str | None = None
         while not self._say_for(1.0, stop):
             for topic, times in self._inbox.take_dropped().items():
@@ -371,16 +347,28 @@ class Gateway:
                         f"more messages than can be read; the oldest of {WAITING} are dropped: "
                         "publish at the control rate",
                     )
-            now_s = self._now_s()
-            if now_s >= silent_s and self.intake.silent:
-                silent_s = now_s + 10 * _SILENT_S
-                self._report_silent()
+            now_s = time.monotonic()
+            silent = self.intake.silent if now_s >= silent_s else ()
+            if silent:
+                silent_s = now_s + 50.0
+            for topic in self.topics if silent else ():
+                legs = [leg for leg in silent if topic in self.intake.topics_of(leg)]
+                if legs:
+                    self._say(
+                        f"{topic}: no sample of legs {', '.join(legs)} yet; compare robot.toml "
+                        "with `ros2 topic list -t`"
+                    )
             trouble = self._trouble(now_s - begun_s)
             if trouble != reported:
                 reported = trouble
                 self._say(trouble or "the service and ROS 2 are there")
             try:
-                self._ask_for_states()
+                # The states of all legs are asked for while somebody in ROS 2 subscribes to them.
+                if self._states.matched and self._asked_states is None:
+                    self._asked_states = self._service.subscribe(ALL_STATE, self._contacts)
+                elif self._asked_states is not None and not self._states.matched:
+                    self._asked_states.close()
+                    self._asked_states = None
                 self._diagnostics.put(self.diagnosis(trouble))
             except LinkError:
                 if not stop.is_set():
@@ -388,10 +376,10 @@ class Gateway:
 
     def _say_for(self, seconds: float, stop: threading.Event) -> bool:
         """Print the lines of other threads for some time; return whether to stop."""
-        until_s = self._now_s() + seconds
+        until_s = time.monotonic() + seconds
         while not stop.is_set():
             try:
-                line = self._lines.get(timeout=max(0.0, until_s - self._now_s()))
+                line = self._lines.get(timeout=max(0.0, until_s - time.monotonic()))
             except queue.Empty:
                 return False
             if line:  # an empty one ends the wait
@@ -406,7 +394,7 @@ class Gateway:
             return f"the service cannot be reached: {self._service.diagnose().line}; trying on"
         heard_s = self._heard_s
         if up_s > _SERVICE_GONE_S and (
-            heard_s is None or self._now_s() - heard_s > _SERVICE_GONE_S
+            heard_s is None or time.monotonic() - heard_s > _SERVICE_GONE_S
         ):
             return f"no service publishes {HEARTBEAT}; run `adaptive-contact serve`"
         return None
@@ -421,14 +409,3 @@ class Gateway:
         }
         valid = self._valid(time.monotonic_ns())
         return self._report.diagnose(time.time_ns(), learners, valid, counts, trouble)
-
-    def _report_silent(self) -> None:
-        """Print of which legs there has been no sample, and their topics."""
-        silent = self.intake.silent
-        for topic in self._topics:
-            legs = [leg for leg in silent if topic in self.intake.topics_of(leg)]
-            if legs:
-                self._say(
-                    f"{topic}: no sample of legs {', '.join(legs)} yet; compare robot.toml with "
-                    "`ros2 topic list -t`"
-                )

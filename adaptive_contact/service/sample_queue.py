@@ -83,9 +83,7 @@ class SampleQueue(Generic[R]):
         self._queue_samples = queue_samples
         self._queues: dict[str, _Queue] = {leg: deque() for leg in (*legs, NO_QUEUE)}
         self._held: dict[str, _Queue] = {}  # of legs whose learners are being made
-        self._overflow: Counter[str] = Counter()
-        self._strangers = 0
-        self._stranger: str | None = None
+        self._next: Batch[R] = Batch()  # counts what the next round reports
         self._requests: deque[R] = deque()
         self._awake = threading.Condition()
 
@@ -102,8 +100,8 @@ class SampleQueue(Generic[R]):
         )
         with self._awake:
             if leg is None:
-                self._strangers += 1
-                self._stranger = received.key
+                self._next.strangers += 1
+                self._next.stranger = received.key
             else:
                 self._enqueue(leg, raw)
             self._awake.notify()
@@ -144,17 +142,11 @@ class SampleQueue(Generic[R]):
         with self._awake:
             if timeout_s > 0 and not self._waiting(query):
                 self._awake.wait(timeout_s)
-            round_: Batch[R] = Batch(
-                dict(queue.popleft() for queue in self._queues.values() if queue),
-                self._overflow,
-                self._strangers,
-                self._stranger,
+            round_, self._next = self._next, Batch()
+            round_.samples = dict(queue.popleft() for queue in self._queues.values() if queue)
+            if query and self._requests:
                 # One: an answer takes a millisecond, and samples wait meanwhile.
-                [self._requests.popleft()] if query and self._requests else [],
-            )
-            self._overflow = Counter()
-            self._strangers = 0
-            self._stranger = None
+                round_.requests.append(self._requests.popleft())
         return round_
 
     def _enqueue(self, leg: str, raw: Raw) -> None:
@@ -163,12 +155,12 @@ class SampleQueue(Generic[R]):
             queue, name = self._queues[NO_QUEUE], NO_QUEUE
         if len(queue) >= self._queue_samples:
             queue.popleft()
-            self._overflow[name] += 1
+            self._next.overflow[name] += 1
         queue.append((leg, raw))
 
     def _waiting(self, query: bool) -> bool:
         asked = query and self._requests
-        return bool(asked or self._strangers or self._overflow or any(self._queues.values()))
+        return bool(asked or self._next or any(self._queues.values()))
 
 
 def read(raw: Raw) -> ServoSample | Rejected:

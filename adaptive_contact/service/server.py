@@ -221,15 +221,26 @@ class Service:
     def work(self, batch: Batch[Request], now_ns: int) -> None:
         """Process one round, up to its events."""
         for leg, dropped in batch.overflow.items():
-            self._overflow(leg, dropped, now_ns)
+            flooded = self._endpoints.get(leg)
+            if flooded is None:
+                self._rejects[Reject.OVERFLOW] += dropped
+            else:
+                flooded.learner.count(Reject.OVERFLOW, dropped)
+            self._warn("samples dropped", Reject.OVERFLOW, now_ns, times=dropped, leg=leg)
         if batch.strangers:
             key = repr(batch.stranger)[:120]
             self._refuse(Reject.UNKNOWN_LEG, now_ns, batch.strangers, key=key)
         samples: dict[str, ServoSample] = {}
         for leg, raw in batch.samples.items():
             endpoint = self._endpoints.get(leg)
-            sample = None if endpoint is None else self._sample(endpoint, raw, now_ns)
-            if sample is not None:
+            if endpoint is None:
+                continue
+            self._samples += 1
+            sample = read(raw)
+            if isinstance(sample, Rejected):
+                endpoint.refused(sample, now_ns)
+                self._warn("payload refused", sample.reason, now_ns, leg=leg, detail=sample.detail)
+            else:
                 samples[leg] = sample
         if samples:
             self._update(samples, batch.samples, now_ns)
@@ -342,15 +353,6 @@ class Service:
         return self._network.note, held, dropped, failing, full
 
     # -- one round ------------------------------------------------------------------------
-
-    def _sample(self, endpoint: LegEndpoint, raw: Raw, now_ns: int) -> ServoSample | None:
-        self._samples += 1
-        read_, leg = read(raw), endpoint.leg
-        if isinstance(read_, Rejected):
-            endpoint.refused(read_, now_ns)
-            self._warn("payload refused", read_.reason, now_ns, leg=leg, detail=read_.detail)
-            return None
-        return read_
 
     def _newcomer(self, leg: str, raw: Raw, now_ns: int) -> None:
         """Request a learner for a leg that is not described, by its first good sample."""
@@ -515,14 +517,6 @@ class Service:
             request.close()
         else:
             self._ask(request)
-
-    def _overflow(self, leg: str, dropped: int, now_ns: int) -> None:
-        endpoint = self._endpoints.get(leg)
-        if endpoint is None:
-            self._rejects[Reject.OVERFLOW] += dropped
-        else:
-            endpoint.learner.count(Reject.OVERFLOW, dropped)
-        self._warn("samples dropped", Reject.OVERFLOW, now_ns, times=dropped, leg=leg)
 
     def _refuse(self, reason: Reject, now_ns: int, times: int = 1, **facts: str) -> None:
         """Count what belongs to no leg."""

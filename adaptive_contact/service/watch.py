@@ -100,19 +100,14 @@ class View(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(slots=True)
-class _Touch:
-    onset_ns: int
-    heard_ns: int
-
-
-@dataclass(slots=True)
 class _Truth:
     """Holds the truth of one leg, and judges its events by it."""
 
     loaded_since_ns: int | None = None
     released_ns: int | None = None
     began_ns: int | None = None  # onset of the first touch; what comes after it counts
-    touches: list[_Touch] = field(default_factory=list)  # those whose event may still come
+    # onset_ns, heard_ns: of those whose event may still come
+    touches: list[tuple[int, int]] = field(default_factory=list)
     loads: list[tuple[int, int | None]] = field(default_factory=list)
     count: int = 0
     latencies_ms: list[float] = field(default_factory=list)
@@ -130,7 +125,7 @@ class _Truth:
                 if self.began_ns is None:
                     self.began_ns = truth.t_ns if judged else None
                 else:
-                    self.touches.append(_Touch(truth.t_ns, now_ns))
+                    self.touches.append((truth.t_ns, now_ns))
             return
         if self.loaded_since_ns is not None:
             self.loads[-1] = (self.loaded_since_ns, truth.t_ns)
@@ -141,12 +136,12 @@ class _Truth:
         if self.began_ns is None or event.t_ns <= self.began_ns + _DETECTION_NS:
             return
         for touch in reversed(self.touches):  # it belongs to the one that it follows most closely
-            late_ns = event.t_ns - touch.onset_ns
+            late_ns = event.t_ns - touch[0]
             if 0 < late_ns <= _DETECTION_NS:
                 self.touches.remove(touch)
                 self.count += 1
                 self.latencies_ms.append(late_ns / 1e6)
-                self.verdicts.append(Verdict("seen", touch.onset_ns))
+                self.verdicts.append(Verdict("seen", touch[0]))
                 return
         loaded = any(
             start <= event.t_ns and (end is None or event.t_ns <= end) for start, end in self.loads
@@ -159,13 +154,11 @@ class _Truth:
         """Count touches whose event has not come as missed."""
         # A touch whose event has not come by then is missed: it is late, travels, and waits to be
         # judged.
-        waiting = [
-            t for t in self.touches if now_ns - t.heard_ns < (_DETECTION_NS + 2 * _JUDGE_AFTER_NS)
-        ]
-        self.count += len(self.touches) - len(waiting)
-        late = [t for t in self.touches if t not in waiting]
-        self.verdicts.extend(Verdict("missed", touch.onset_ns) for touch in late)
-        self.touches = waiting
+        oldest_ns = now_ns - (_DETECTION_NS + 2 * _JUDGE_AFTER_NS)
+        late = [onset_ns for onset_ns, heard_ns in self.touches if heard_ns <= oldest_ns]
+        self.count += len(late)
+        self.verdicts.extend(Verdict("missed", onset_ns) for onset_ns in late)
+        self.touches = [touch for touch in self.touches if touch[1] > oldest_ns]
 
 
 @dataclass(slots=True)
@@ -259,7 +252,7 @@ class Watch:
         leg.arrivals.status(status)
         if leg.ticks and status.ticks < leg.ticks[-1][1]:  # the service was restarted
             leg.ticks = []
-        oldest_ns = now_ns - int(3.0 * 1e9)
+        oldest_ns = now_ns - 3_000_000_000
         leg.ticks = [pair for pair in leg.ticks if pair[0] >= oldest_ns]
         leg.ticks.append((now_ns, status.ticks))
 
@@ -334,6 +327,7 @@ class Watch:
             )
         if status is None:
             return row
+        changed_ns = status.drift.since_ns
         return msgspec.structs.replace(
             row,
             status=status.status,
@@ -343,7 +337,8 @@ class Watch:
             noise_floor=status.noise_floor,
             model_version=status.model_version,
             drift=status.drift.level,
-            changed_s=_since(status),
+            # by the clock of its samples
+            changed_s=None if changed_ns is None else max(status.t_ns - changed_ns, 0) / 1e9,
             kind=status.drift.kind,
             ticks=status.ticks,
             rate_hz=_rate(leg.ticks),
@@ -365,12 +360,6 @@ class Watch:
         for _, event in ripe:
             leg.truth.judge(event)
         leg.truth.give_up(now_ns)
-
-
-def _since(status: LearnerStatus) -> float | None:
-    """Return the time since the leg's newest change, s, by the clock of its samples."""
-    since_ns = status.drift.since_ns
-    return None if since_ns is None else max(status.t_ns - since_ns, 0) / 1e9
 
 
 def _rate(ticks: list[tuple[int, int]]) -> float | None:

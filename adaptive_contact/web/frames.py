@@ -31,8 +31,6 @@ from adaptive_contact.service.attention import Attention
 from adaptive_contact.service.watch import LegView, Verdict, View
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, LegTrace
 
-# Contacts that wait for the first tick of their leg, which shows its clock.
-_MOST_WAITING: Final = 1024
 # Text of the wire that is shown: notes are a line, and nothing stops a stranger's from being long.
 _MOST_TEXT: Final = 600
 
@@ -51,7 +49,8 @@ class Frames:
         self._last_ms: dict[str, int] = {}
         self._ticks: dict[str, list[list[Any]]] = {}
         self._places: dict[str, list[int]] = {}
-        self._contacts: deque[tuple[str, ContactEvent | ContactTruth]] = deque(maxlen=_MOST_WAITING)
+        # They wait for the first tick of their leg, which shows its clock.
+        self._contacts: deque[tuple[str, ContactEvent | ContactTruth]] = deque(maxlen=1024)
         self._verdicts: list[tuple[str, Verdict]] = []
 
     def trace(self, trace: LegTrace, now_ns: int) -> None:

@@ -70,11 +70,7 @@ Do = Callable[[str, Mapping[str, str]], Awaitable[bytes]]
 
 @dataclass(frozen=True)
 class WebSettings:
-    """Describes where the page is served.
-
-    Raises:
-        ConfigurationError: the port cannot be one.
-    """
+    """Describes where the page is served."""
 
     host: str = "127.0.0.1"  # address to listen on, or a name of this computer
     port: int = 0  # 0 takes a free one
@@ -83,8 +79,6 @@ class WebSettings:
     record_to: Path | None = None  # folder of recordings that the page may make
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65_535:
-            raise ConfigurationError(f"port {self.port}; expected 0 to 65535")
         if self.token is None and not (self.loopback and self.record_to is None):
             object.__setattr__(self, "token", secrets.token_urlsafe(24))
 

@@ -21,7 +21,7 @@ from adaptive_contact_sim.scenario import (
     parse_drift,
     shipped_scenarios,
 )
-from adaptive_contact_sim.session import RunPlan, describe, run
+from adaptive_contact_sim.session import describe, run
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
@@ -33,7 +33,6 @@ __all__ = [
     "ObstacleSettings",
     "PoseGroupSettings",
     "PoseSettings",
-    "RunPlan",
     "Scenario",
     "Simulation",
     "SimulationSettings",

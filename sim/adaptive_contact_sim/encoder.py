@@ -59,11 +59,9 @@ class Encoder:
     ) -> None:
         self.settings = settings
         self.dropped = np.full(servos, settings.dropped)
-        self._servos = servos
         self._quantum_rad = quantum_rad
         self._rng = rng
-        self._last = np.zeros(servos)
-        self._started = False
+        self._last: Array | None = None  # the last true readings; None before the first
 
     def read(self, angle_rad: Array) -> Reading:
         """Read positions.
@@ -74,15 +72,13 @@ class Encoder:
         Returns:
             What the bus reports.
         """
-        noise = self._rng.standard_normal(self._servos)
-        chance = self._rng.random((3, self._servos))
+        noise = self._rng.standard_normal(self.dropped.size)
+        chance = self._rng.random((3, self.dropped.size))
         steps = np.rint(angle_rad / self._quantum_rad + self.settings.noise_steps * noise)
         fresh = np.asarray(steps * self._quantum_rad)
-        valid = np.ones(self._servos, dtype=np.bool_)
-        if not self._started:
-            self._started = True
+        if self._last is None:
             self._last = fresh
-            return Reading(fresh, valid)
+            return Reading(fresh, np.ones(fresh.size, dtype=np.bool_))
         dropped = chance[0] < self.dropped
         stale = dropped | (chance[1] < self.settings.repeated)
         bogus = ~stale & (chance[2] < self.settings.bogus)
@@ -91,4 +87,4 @@ class Encoder:
         self._last = reading.copy()
         reading[bogus] = -math.pi
         self._last[bogus] = fresh[bogus]
-        return Reading(reading, valid & ~dropped)
+        return Reading(reading, ~dropped)

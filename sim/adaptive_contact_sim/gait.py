@@ -107,13 +107,8 @@ class Swings:
     @classmethod
     def at(cls, feet_m: Array) -> Swings:
         """No swing yet: feet (L, 3) m where they are."""
-        n = len(feet_m)
-        return cls(
-            feet_m.copy(),
-            feet_m.copy(),
-            feet_m[:, 2].copy(),
-            np.full(n, -1, dtype=np.int64),
-        )
+        began = np.full(len(feet_m), -1, dtype=np.int64)
+        return cls(feet_m.copy(), feet_m.copy(), feet_m[:, 2].copy(), began)
 
     def feet(self, progress: Array) -> Array:
         """Foot points at a progress (L,) of 0 to 1 through the swing: (L, 3) m."""

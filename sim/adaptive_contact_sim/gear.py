@@ -16,17 +16,10 @@ that friction can stop within the step stops).
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
-from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.arrays import Array
 from adaptive_contact_sim.servo import ServoBank
-
-# Teeth: 1.5 N*m bends them by 0.6 degrees (assumed).  Link and rotor on this spring swing at
-# 470 rad/s at most (tibia), well inside what a 1 ms symplectic step follows.
-_STIFFNESS_NM: Final = 150.0
-_DAMPING_NMS: Final = 0.15
 
 
 class GearTrain:
@@ -34,30 +27,13 @@ class GearTrain:
 
     Args:
         servos: the servo bank; its damping, friction and armature are taken over for the joints
-            with backlash.
-        position, velocity, torque, friction, damping, armature: (S,) views of the engine's
-            joint state, motor torques and joint constants.
+            with backlash, in the views of the engine that it has.
+        armature: (S,) view of the engine's joint armatures, kg*m².
         period_s: physics step.
     """
 
-    def __init__(
-        self,
-        servos: ServoBank,
-        *,
-        position: Array,
-        velocity: Array,
-        torque: Array,
-        friction: Array,
-        damping: Array,
-        armature: Array,
-        period_s: float,
-    ) -> None:
+    def __init__(self, servos: ServoBank, armature: Array, period_s: float) -> None:
         self._servos = servos
-        self._position = position
-        self._velocity = velocity
-        self._torque = torque
-        self._friction = friction
-        self._damping = damping
         self._armature = armature
         self._period_s = period_s
         self._index = np.zeros(0, dtype=np.intp)
@@ -69,11 +45,6 @@ class GearTrain:
     def active(self) -> bool:
         """Whether any joint has backlash."""
         return bool(self._index.size)
-
-    @property
-    def joints(self) -> Ints:
-        """Indices of the joints that have backlash."""
-        return self._index
 
     def set_backlash(self, backlash_rad: Array) -> bool:
         """Give the joints their backlash.
@@ -90,8 +61,8 @@ class GearTrain:
         index = np.flatnonzero(backlash_rad > 0.0)
         changed = not np.array_equal(index, self._index)
         if changed:
-            angle = self._position.copy()
-            velocity = self._velocity.copy()
+            angle = self._servos.position.copy()
+            velocity = self._servos.velocity.copy()
             angle[self._index] = self.rotor_angle
             velocity[self._index] = self.rotor_velocity
             self.rotor_angle = angle[index]
@@ -105,9 +76,9 @@ class GearTrain:
 
     def refresh(self) -> None:
         """Take over the joints' damping, after the servos' condition changed."""
-        self._damping[:] = self._servos.back_emf + self._servos.viscous
+        self._servos.damping[:] = self._servos.back_emf + self._servos.viscous
         # Beyond the teeth: output gear and horn (assumed shares of the whole).
-        self._damping[self._index] = 0.001
+        self._servos.damping[self._index] = 0.001
 
     def step(self) -> None:
         """Advance the rotors by one physics step; replaces motor torque by the teeth's.
@@ -116,12 +87,11 @@ class GearTrain:
         """
         i, h = self._index, self._period_s
         servos = self._servos
-        motor = self._torque[i]
-        link_velocity = self._velocity[i]
-
-        gap = self.rotor_angle - self._position[i]
+        gap = self.rotor_angle - servos.position[i]
         bite = gap - np.clip(gap, -self._half_backlash, self._half_backlash)
-        push = _STIFFNESS_NM * bite + _DAMPING_NMS * (self.rotor_velocity - link_velocity)
+        # Teeth: 1.5 N*m bends them by 0.6 degrees (assumed).  Link and rotor on this spring swing
+        # at 470 rad/s at most (tibia), well inside what a 1 ms symplectic step follows.
+        push = 150.0 * bite + 0.15 * (self.rotor_velocity - servos.velocity[i])
         teeth = np.where(
             bite > 0.0, np.maximum(push, 0.0), np.where(bite < 0.0, np.minimum(push, 0.0), 0.0)
         )
@@ -129,13 +99,12 @@ class GearTrain:
         inertia = servos.parameters.armature_kgm2[i]
         bound = servos.friction_bound(i, self.rotor_velocity, np.abs(teeth))
         effective = inertia + h * (servos.back_emf[i] + servos.viscous[i])
-        free = (inertia * self.rotor_velocity + h * (motor - teeth)) / effective
+        free = (inertia * self.rotor_velocity + h * (servos.torque[i] - teeth)) / effective
         stopped = np.maximum(np.abs(free) - h * bound / effective, 0.0)
         self.rotor_velocity = np.copysign(stopped, free)
         self.rotor_angle = self.rotor_angle + h * self.rotor_velocity
-        self._torque[i] = teeth
+        servos.torque[i] = teeth
 
     def rub(self) -> None:
         """Leave the joints with backlash only the friction beyond the teeth."""
-        i = self._index
-        self._friction[i] = 0.1 * self._servos.sliding[i]
+        self._servos.friction[self._index] = 0.1 * self._servos.sliding[self._index]

@@ -13,7 +13,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from threading import Event
 from typing import TYPE_CHECKING
 
@@ -81,16 +80,6 @@ class Pace:
         return not stop.is_set()
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a run went: simulated and wall clock time, ticks, and those that came late."""
-
-    simulated_s: float
-    elapsed_s: float
-    ticks: int
-    late: int
-
-
 def run_live(
     sim: Simulation,
     link: Link | None,
@@ -100,7 +89,7 @@ def run_live(
     stop: Event,
     on_tick: Callable[[Tick], None],
     on_event: Callable[[ContactEvent], None] = lambda _: None,
-) -> Outcome:
+) -> None:
     """Run at a pace, on an open link or without a network.
 
     Args:
@@ -114,9 +103,7 @@ def run_live(
         on_event: gets every event that the gait gets, before the tick that can act on it.
     """
     ticks = math.inf if seconds is None else round(seconds / sim.settings.period_s)
-    learners = None
-    if link is None and _listens(sim):
-        learners = InProcess(sim)
+    learners = InProcess(sim) if link is None and _listens(sim) else None
     with contextlib.nullcontext() if link is None else contextlib.closing(_Wire(sim, link)) as wire:
         while sim.ticks < ticks and not stop.is_set():
             for event in () if wire is None else wire.take():
@@ -129,7 +116,6 @@ def run_live(
                 on_event(event)
             if not pace.wait(stop):
                 break
-    return Outcome(sim.time_s, pace.elapsed_s, sim.ticks, pace.late)
 
 
 class InProcess:

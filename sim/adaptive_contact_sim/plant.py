@@ -58,7 +58,11 @@ class Plant:
                 f"control period {period_s} s is {ratio:.4f} physics steps of "
                 f"{model.opt.timestep} s; expected a whole number"
             )
-        _silence_engine()
+        # The engine would write its warnings to a file in the working folder.  What it warns of, a
+        # state that is not finite, is raised here instead.
+        log = mujoco.MjLogConfig.get()
+        log.logto_file = log.logto_console = False
+        log.set()
         self.model = model
         self.data = mujoco.MjData(model)
         self.elements = Elements.resolve(model, layout)
@@ -86,16 +90,7 @@ class Plant:
             damping=model.dof_damping[e.dof],
             kind=kind,
         )
-        self.gears = GearTrain(
-            self.servos,
-            position=self.joint_angles,
-            velocity=self.joint_speeds,
-            torque=self.data.ctrl[e.ctrl],
-            friction=model.dof_frictionloss[e.dof],
-            damping=model.dof_damping[e.dof],
-            armature=model.dof_armature[e.dof],
-            period_s=self.step_s,
-        )
+        self.gears = GearTrain(self.servos, model.dof_armature[e.dof], self.step_s)
         self._hang_payload()
 
         # Forces of the last tick's physics steps, and when parts came into contact.
@@ -270,13 +265,3 @@ class Plant:
         return SimulationDivergedError(
             f"at {self.time_s:.3f} s {what}; try a milder drift, or report the command and seed"
         )
-
-
-def _silence_engine() -> None:
-    """Keep the engine from writing its warnings to a file in the working folder.
-
-    What it warns of (a state that is not finite) is raised here instead.
-    """
-    log = mujoco.MjLogConfig.get()
-    log.logto_file = log.logto_console = False
-    log.set()

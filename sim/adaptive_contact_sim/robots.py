@@ -72,7 +72,7 @@ _TROT: Final = WalkSettings(
     preload_m=0.006,
     lag_s=0.1,
 )
-_MOVES: Final = (
+_ROBOTS: Final = (
     SimulatedRobot(
         name="hexapod",
         about="PhantomX-class hexapod, 18 AX-12A",
@@ -127,7 +127,7 @@ _MOVES: Final = (
         ),
     ),
 )
-ROBOTS: Final = {robot.name: robot for robot in _MOVES}
+ROBOTS: Final = {robot.name: robot for robot in _ROBOTS}
 
 
 def simulated_robot(name: str) -> SimulatedRobot:

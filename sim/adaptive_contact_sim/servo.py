@@ -208,12 +208,12 @@ class ServoBank:
         size = position.size
         self.parameters = parameters
         self.kind = kind
-        self._position = position
-        self._velocity = velocity
+        self.position = position
+        self.velocity = velocity
         self._acceleration = acceleration
-        self._torque = torque
-        self._friction = friction
-        self._damping = damping
+        self.torque = torque
+        self.friction = friction
+        self.damping = damping
 
         self.friction_factor = np.ones(size)
         self.viscous_factor = np.ones(size)
@@ -287,21 +287,21 @@ class ServoBank:
     def drive(self) -> None:
         """Compute the motors' stall-side torque for this step into ``torque``."""
         work = self._work
-        np.multiply(self._position, self._steps_per_rad, work)
+        np.multiply(self.position, self._steps_per_rad, work)
         if self._offset:
             np.add(work, self._offset_steps, work)
         np.rint(work, work)
         np.subtract(self._base, work, work)
         self._index[:] = work
-        self._flat.take(self._index, out=self._torque, mode="clip")
-        np.multiply(self._torque, self._sag, self._torque)
+        self._flat.take(self._index, out=self.torque, mode="clip")
+        np.multiply(self.torque, self._sag, self.torque)
 
     def rub(self) -> None:
         """Refresh the friction bounds from the step just made."""
-        work, load, velocity = self._work, self._load, self._velocity
+        work, load, velocity = self._work, self._load, self.velocity
         # Torque passed on: the motor's, less back-EMF and what turns its own rotor.
         np.multiply(self.back_emf, velocity, load)
-        np.subtract(self._torque, load, load)
+        np.subtract(self.torque, load, load)
         np.multiply(self._armature, self._acceleration, work)
         np.subtract(load, work, load)
         np.abs(load, load)
@@ -311,14 +311,14 @@ class ServoBank:
         np.exp(work, work)
         np.multiply(work, self._stribeck, work)
         np.add(work, load, work)
-        np.add(work, self.sliding, self._friction)
+        np.add(work, self.sliding, self.friction)
 
     def sag(self) -> None:
         """Let the supply sag with the current drawn now; called once a control tick."""
         p = self.parameters
         # Winding current is proportional to torque; the H-bridge takes it for the duty's share.
-        share = (self._torque - self.back_emf * self._velocity) / p.stall_torque_nm
-        duty = self._torque / (p.stall_torque_nm * (self.supply_v / NOMINAL_SUPPLY_V))
+        share = (self.torque - self.back_emf * self.velocity) / p.stall_torque_nm
+        duty = self.torque / (p.stall_torque_nm * (self.supply_v / NOMINAL_SUPPLY_V))
         drawn = float(np.sum(np.abs(p.stall_current_a * share * duty)))
         target = 1.0 - drawn * 0.1 / NOMINAL_SUPPLY_V  # battery and wiring have 0.1 ohm
         # Input capacitors: a tick or two, which also keeps the loop quiet.
@@ -333,7 +333,7 @@ class ServoBank:
         np.multiply(p.coulomb_nm, self.friction_factor, out=self.sliding)
         np.multiply(p.stribeck_nm, self.friction_factor, out=self._stribeck)
         np.divide(p.stall_torque_nm, p.no_load_speed_rad_s * self.winding_factor, out=self.back_emf)
-        np.add(self.back_emf, self.viscous, out=self._damping)
+        np.add(self.back_emf, self.viscous, out=self.damping)
         scale = p.stall_torque_nm * (self.supply_v / NOMINAL_SUPPLY_V) / self.winding_factor
         slope = p.slope_steps * self.compliance_factor
         wanted = np.stack([scale, slope])

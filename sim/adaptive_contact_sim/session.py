@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import ContactEvent
-from adaptive_contact_sim.live import Outcome, Pace, run_live
+from adaptive_contact_sim.live import Pace, run_live
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
@@ -26,66 +26,69 @@ Look = Callable[[Tick], None]
 
 
 @dataclass(frozen=True)
-class RunPlan:
-    """What to run, and where it goes."""
-
-    settings: SimulationSettings  # what to simulate
-    seconds: float | None  # of simulated time, None for until stopped
-    speed: float | None  # times real time, None for as fast as possible
-    link: LinkSettings | None  # how to join the network, None for a run without one
-    record: Path | None = None  # MCAP file to write
-    render: Path | None = None  # picture or film to make
-
-    def __post_init__(self) -> None:
-        if self.link is None and self.seconds is None:
-            raise ConfigurationError(
-                "a run without a network would never end; give --seconds, or a scenario that has "
-                "them"
-            )
-        if self.seconds is not None and not 0.0 < self.seconds <= 1e6:
-            raise ConfigurationError(f"a run of {self.seconds} s; expected above 0, to 1000000 s")
-
-
-@dataclass(frozen=True)
 class Report:
     """How a run went."""
 
-    outcome: Outcome  # times and ticks
+    simulated_s: float
+    elapsed_s: float  # of the wall clock
+    ticks: int
+    late: int  # ticks that came late
     touches: dict[str, int]  # contacts begun per leg, standing at the start left out
     raises: int | None = None  # swings raised on a strike, None where none was to be
 
 
 def run(
-    plan: RunPlan,
+    settings: SimulationSettings,
     stop: Event,
     *,
+    seconds: float | None = None,
+    speed: float | None = None,
+    link: LinkSettings | None = None,
+    record: Path | None = None,
+    render: Path | None = None,
     on_wait: Callable[[Finding], None] | None = None,
-    on_start: Callable[[str], None] | None = None,
+    on_start: Callable[[str], None] = lambda _: None,
 ) -> Report:
-    """Run a plan to its end.
+    """Run a simulation to its end.
+
+    Args:
+        settings: what to simulate.
+        stop: ends the run when set.
+        seconds: of simulated time, None for until stopped.
+        speed: times real time, None for as fast as possible.
+        link: how to join the network, None for a run without one.
+        record: MCAP file to write.
+        render: picture or film to make.
+        on_wait: called with what stands in the way of the network.
+        on_start: called with one line when it begins.
 
     Raises:
         AdaptiveContactError: in one line, what is wrong.
     """
-    settings = plan.settings
-    if plan.link is not None:
+    if link is None and seconds is None:
+        raise ConfigurationError(
+            "a run without a network would never end; give --seconds, or a scenario that has them"
+        )
+    if seconds is not None and not 0.0 < seconds <= 1e6:
+        raise ConfigurationError(f"a run of {seconds} s; expected above 0, to 1000000 s")
+    if link is not None:
         # Live samples carry wall clock times, and a run number that grows from start to start.
         now_ns = time.time_ns()
         settings = replace(settings, epoch_ns=now_ns, run=now_ns // 1_000_000)
-    sim = Simulation(settings, looks=plan.render is not None)
+    sim = Simulation(settings, looks=render is not None)
     touches: Counter[str] = Counter()
     with ExitStack() as stack:
         looks: list[Look] = []
         recorder = None
-        if plan.record is not None:
+        if record is not None:
             from adaptive_contact_sim.recorder import TickRecorder
 
-            recorder = stack.enter_context(TickRecorder(plan.record, sim))
+            recorder = stack.enter_context(TickRecorder(record, sim))
             looks.append(recorder.write)
-        if plan.render is not None:
+        if render is not None:
             from adaptive_contact_sim.picture import Film
 
-            film = stack.enter_context(Film(plan.render, sim))
+            film = stack.enter_context(Film(render, sim))
             looks.append(lambda _: film.look())
 
         def on_tick(tick: Tick) -> None:
@@ -99,23 +102,29 @@ def run(
             if recorder is not None:
                 recorder.write_event(event)
 
-        period_s = 0.0 if plan.speed is None else settings.period_s / plan.speed
-        link = None
+        joined = None
         does = "no network"
-        if plan.link is not None:
+        if link is not None:
             from adaptive_contact.service.link import Link
 
-            link = stack.enter_context(Link.open(plan.link, on_wait=on_wait, stop=stop))
+            joined = stack.enter_context(Link.open(link, on_wait=on_wait, stop=stop))
             does = "publishing robot/leg/*/servo and truth"
-        if on_start is not None:
-            on_start(f"{describe(settings)}; {does}")
-        outcome = run_live(
-            sim, link, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick,
+        on_start(f"{describe(settings)}; {does}")
+        pace = Pace(0.0 if speed is None else settings.period_s / speed)
+        run_live(
+            sim,
+            joined,
+            seconds=seconds,
+            pace=pace,
+            stop=stop,
+            on_tick=on_tick,
             on_event=on_event,
-        )  # fmt: skip
+        )
+        elapsed_s = pace.elapsed_s
     wanted = getattr(settings.motion, "raise_m", 0.0)
     raises = getattr(sim.motion, "raises", None) if wanted else None
-    return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs}, raises)
+    counts = {leg: touches[leg] for leg in sim.layout.legs}
+    return Report(sim.time_s, elapsed_s, sim.ticks, pace.late, counts, raises)
 
 
 def describe(settings: SimulationSettings) -> str:

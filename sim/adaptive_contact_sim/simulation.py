@@ -123,13 +123,12 @@ class Simulation:
         seeds = np.random.SeedSequence(settings.seed).spawn(len(_STREAMS))
         rng = {name: np.random.default_rng(s) for name, s in zip(_STREAMS, seeds, strict=True)}
 
-        posing = not isinstance(settings.motion, WalkSettings)
-        ground = TerrainSettings(kind="flat") if posing else settings.terrain
+        motion, ground = settings.motion, settings.terrain
+        if not isinstance(motion, WalkSettings):
+            ground = TerrainSettings(kind="flat")
         if ground.seed is None:
             ground = replace(ground, seed=settings.seed)
         self.terrain = Terrain(ground)
-        nominal = self.robot.servo.of(self.layout.n_servos)
-        motion = settings.motion
         owners: tuple[str | None, ...] = ()
         if isinstance(motion, PoseGroupSettings):
             owners = motion.legs
@@ -143,22 +142,20 @@ class Simulation:
                 name=settings.robot,
                 layout=self.layout,
             ),
-            manufactured(settings.robot_seed, nominal),
+            manufactured(settings.robot_seed, self.robot.servo.of(self.layout.n_servos)),
             period_s=settings.period_s,
             layout=self.layout,
             kind=self.robot.servo,
         )
         self.courses: tuple[ObstacleCourse, ...] = ()
         self.motion: PoseMotion | PoseGroup | WalkMotion
-        if isinstance(settings.motion, PoseSettings):
-            self.courses = (
-                ObstacleCourse(settings.motion.obstacles, self.plant, rng["obstacles"]),
-            )
+        if isinstance(motion, PoseSettings):
+            self.courses = (ObstacleCourse(motion.obstacles, self.plant, rng["obstacles"]),)
             self.motion = PoseMotion(
-                settings.motion, self.geometry, self.courses[0], rng["motion"], self.layout.legs
+                motion, self.geometry, self.courses[0], rng["motion"], self.layout.legs
             )
-        elif isinstance(settings.motion, PoseGroupSettings):
-            poses = settings.motion.poses
+        elif isinstance(motion, PoseGroupSettings):
+            poses = motion.poses
             draws = rng["obstacles"].spawn(len(poses))
             self.courses = tuple(
                 ObstacleCourse(pose.obstacles, self.plant, draw, pose.legs[0])
@@ -173,7 +170,7 @@ class Simulation:
             )
         else:
             self.motion = WalkMotion(
-                settings.motion,
+                motion,
                 self.geometry,
                 rng["motion"],
                 field_m=self.terrain.settings.size_m,
@@ -278,10 +275,6 @@ class Simulation:
         for _ in range(round(seconds / self.settings.period_s)):
             yield self.tick()
 
-    def time_of_step(self, step: int) -> int:
-        """Time stamp, ns, of a physics step."""
-        return self.settings.epoch_ns + step * self._step_ns
-
     def surface_of(self, geom: int) -> Literal["hard", "soft"]:
         """What kind of surface a geom is."""
         name = self.plant.model.geom(geom).name
@@ -333,7 +326,7 @@ class Simulation:
 
     def truth_of(self, change: Change) -> Truth:
         """A change as it is published."""
-        t_ns = self.time_of_step(change.step)
+        t_ns = self.settings.epoch_ns + change.step * self._step_ns
         message = change.message(t_ns, self.layout.parts, self.surface_of)
         return Truth(self.layout.legs[change.leg], message)
 

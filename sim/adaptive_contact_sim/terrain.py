@@ -20,9 +20,6 @@ TerrainKind = Literal["flat", "steps", "rough", "soft", "holes"]
 
 # Hard ground: a contact settles in 4 ms, twice the shortest the 1 ms step allows twice over.
 HARD_SOLREF: Final = (0.004, 1.0)
-# Impedance of soft contacts: low enough that the contact's own compliance dominates.
-_SOFT_IMPEDANCE: Final = 0.5
-_SOFT_DAMPING_RATIO: Final = 0.5
 # Grid of the rough field.  Contacts with a height field cost by the cell they cover: 4 cm is
 # wider than a foot, and finer detail than that is the foot's own shape.
 _CELL_M: Final = 0.04
@@ -179,10 +176,11 @@ def soft_contact(stiffness_n_m: float, inverse_mass: float) -> tuple[Array, Arra
         MuJoCo documentation, *Solver parameters*: direct format of ``solref``,
         :math:`k = -\text{solref}_0\, d / d_{max}^2`.
     """
-    d = _SOFT_IMPEDANCE
+    # Impedance: low enough that the contact's own compliance dominates.
+    d = damping_ratio = 0.5
     regularisation = (1.0 - d) / d * inverse_mass
     k = stiffness_n_m * regularisation
-    damping = 2.0 * _SOFT_DAMPING_RATIO * math.sqrt(stiffness_n_m / inverse_mass) * regularisation
+    damping = 2.0 * damping_ratio * math.sqrt(stiffness_n_m / inverse_mass) * regularisation
     solref = np.array([-k * d, -damping * d])
     solimp = np.array([d, d, 0.001, 0.5, 2.0])
     return solref, solimp

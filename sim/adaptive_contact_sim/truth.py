@@ -64,15 +64,9 @@ class TruthTracker:
         # How long before the onset the touch may have been seen: contacts begin with little force.
         self._search_steps = round(0.030 / step_s)
         self._substeps = substeps
-        n = self._legs = legs
+        self._legs = legs
         # Forces not yet judged: the last 20 ms, then the tick just made.
-        self._pending = np.zeros((self._mean_steps + substeps, n))
-        self._judged = 0  # physics steps behind the start of the pending window
-        self.contact = [False] * n
-        self._quiet = [0] * n  # steps below AIR_FORCE_N, while in contact
-        # physics step at which each leg's force last came up from the air, None in the air; unlike
-        # `contact` up to date with the tick just made, and any touch above 0.5 N counts
-        self.recent: list[int | None] = [None] * n
+        self._pending = np.zeros((self._mean_steps + substeps, legs))
 
     def start(self, forces: Array, steps: int) -> list[Change]:
         """Begin with a robot at rest on its legs.
@@ -85,9 +79,10 @@ class TruthTracker:
             The state of every leg, as changes.
         """
         self._pending[:] = forces
-        self._judged = steps - self._mean_steps
         self.contact = [bool(f > TOUCH_FORCE_N) for f in forces]
-        self._quiet = [0] * self._legs
+        self._quiet = [0] * self._legs  # steps below AIR_FORCE_N, while in contact
+        # physics step at which each leg's force last came up from the air, None in the air; unlike
+        # `contact` up to date with the tick just made, and any touch above 0.5 N counts
         self.recent = [steps if c else None for c in self.contact]
         return [
             Change(i, steps, self.contact[i], float(forces[i]) if self.contact[i] else 0.0, None)
@@ -108,7 +103,7 @@ class TruthTracker:
         window, n = self._pending, self._substeps
         window[:-n] = window[n:]
         window[-n:] = forces
-        self._judged = steps - window.shape[0]
+        self._judged = steps - window.shape[0]  # physics steps behind the start of the window
         largest = window.max(axis=0)
         smallest = window.min(axis=0)
         newest = forces.max(axis=0)

@@ -19,11 +19,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Mask
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
 from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Sway, Swings
@@ -34,11 +34,6 @@ from adaptive_contact_sim.motion import Goal, World
 StopOn = Literal["truth", "service", "never"]
 PhaseOf = Literal["touch", "planned"]
 
-_HEADING_GAIN: Final = 1.0  # rad/s per rad
-# Posture: what part of an error is taken back per second.
-_HEIGHT_GAIN: Final = 3.0
-_LEVEL_GAIN: Final = 4.0
-_SHARE_GAIN: Final = 2.0  # of the difference between a foot's load and the mean
 _FOOT_RANGE_M: Final = 0.05  # how far stance feet may leave the nominal height
 
 
@@ -111,19 +106,6 @@ class WalkSettings:
                 f"descents aim {self.depth_m[0]:g} to {self.depth_m[1]:g} m below the ground; "
                 "expected 0.01 to 0.06 m, rising"
             )
-
-
-class _Ground(NamedTuple):
-    """A level plane in the body's frame: a point of it, and the vertical."""
-
-    point: Array
-    up: Array
-
-    def height(self, x: float, y: float) -> float:
-        """Height at a place, in the body's frame."""
-        point, up = self
-        slope = up[0] * (x - point[0]) + up[1] * (y - point[1])
-        return float(point[2] - slope / max(float(up[2]), 0.5))
 
 
 class WalkMotion:
@@ -215,7 +197,8 @@ class WalkMotion:
         feet = self._feet
         if self._sway is not None:
             self._sway_share = min(1.0, self._sway_share + self._rate * self._period_s)
-            self._swayed_m = self._sway_at(self._clock)
+            # How far the body's command is from where it would not sway.
+            self._swayed_m[:2] = self.settings.sway * self._sway_share * self._sway.at(self._clock)
             feet = feet - self._swayed_m
         goal = self._goal_rad = self._geometry.joints(self._geometry.to_leg(feet), self._goal_rad)
         phase: tuple[Phase, ...] = tuple("swing" if s else "stance" for s in self._swinging)
@@ -235,7 +218,7 @@ class WalkMotion:
         speed = self.settings.stride_m / self._stance_s
         # A stance foot's way is limited by what the leg reaches, turning included.
         fastest = speed / self._geometry.outer_foot_m
-        turn = max(-fastest, min(fastest, _HEADING_GAIN * error))
+        turn = max(-fastest, min(fastest, 1.0 * error))  # rad/s per rad
         forward = speed * max(0.0, math.cos(error)) * (1.0 - 0.5 * abs(turn) / max(fastest, 1e-9))
         wanted = np.array([forward, 0.0, turn])
         # Time over which the wanted twist is smoothed.
@@ -245,12 +228,6 @@ class WalkMotion:
         """Velocity (L, 2) m/s of the body at points of it; the ground's there is the opposite."""
         vx, vy, wz = self._twist
         return np.stack([vx - wz * points[:, 1], vy + wz * points[:, 0]], axis=1)
-
-    def _sway_at(self, clock: float) -> Array:
-        """(3,) m, how far the body's command is from where it would not sway."""
-        assert self._sway is not None
-        shift = self.settings.sway * self._sway_share * self._sway.at(clock)
-        return np.array([shift[0], shift[1], 0.0])
 
     # -- the gait's clock ----------------------------------------------------------------------
 
@@ -271,7 +248,7 @@ class WalkMotion:
         self._own_before = own
         if not begin.size:
             return
-        ground = self._expected_ground(world, measured)
+        point, up = self._middle(measured), world.rotation[2]
         moves = self._velocity_of(self._neutral)
         ahead = (0.5 * self._stance_s - settings.lag_s) * moves
         for leg in begin:
@@ -281,8 +258,9 @@ class WalkMotion:
             jitter = settings.variability * 0.06 * rng.uniform(-1.0, 1.0, 2)
             target = self._neutral[leg, :2] + ahead[leg] + jitter
             swings.target_m[leg, :2] = target
-            floor = ground.height(*target)
-            self._floor_m[leg] = floor
+            # On the level plane through that point, in the body's frame.
+            slope = up[0] * (target[0] - point[0]) + up[1] * (target[1] - point[1])
+            floor = self._floor_m[leg] = point[2] - slope / max(float(up[2]), 0.5)
             lift = settings.clearance_m * (1.0 + settings.variability * rng.uniform(-1.0, 1.0))
             swings.top_m[leg] = floor + lift
             swings.target_m[leg, 2] = floor - rng.uniform(*settings.depth_m)
@@ -291,20 +269,13 @@ class WalkMotion:
             # Until then a foot may still leave the ground.
             self._lifted_tick[leg] = world.tick + round(0.1 / self._period_s)
 
-    def _expected_ground(self, world: World, measured: Array) -> _Ground:
-        """The level plane through the middle of the feet that stand; of a plan, where it has it."""
-        if self._planned:
-            return _Ground(self._neutral.mean(axis=0), world.rotation[2])
+    def _middle(self, measured: Array) -> Array:
+        """(3,) m, the middle of the feet that stand; of a plan, where it has it."""
         stance = ~self._swinging
-        middle = measured[stance].mean(axis=0) if stance.any() else self._neutral.mean(axis=0)
-        return _Ground(middle, world.rotation[2])
+        feet = self._neutral if self._planned or not stance.any() else measured[stance]
+        return np.asarray(feet.mean(axis=0))
 
     # -- stance --------------------------------------------------------------------------------
-
-    def _standing(self, world: World) -> Mask:
-        """(L,) which feet are taken to stand: those in stance, some ticks after a planned turn."""
-        stance = ~self._swinging
-        return stance & (world.tick >= self._settled_tick) if self._planned else stance
 
     def _stand(self, world: World, measured: Array) -> None:
         """Move stance feet: with the body's twist, for its posture, and off too much pressure."""
@@ -313,19 +284,21 @@ class WalkMotion:
             return
         dt, feet = self._period_s, self._feet
         feet[stance, :2] -= dt * self._velocity_of(feet)[stance]
-        stance = self._standing(world)
-        if not stance.any():
-            return
+        if self._planned:  # a foot is taken to stand some ticks after the turn
+            stance &= world.tick >= self._settled_tick
+            if not stance.any():
+                return
         up = world.rotation[2]  # the vertical in the body's frame
         below = float(((feet if self._planned else measured)[stance] @ up).mean())
         height = -below - self.settings.body_height_m
         # Level the body: it tilts by (up x z); lower the feet on the side that hangs.
         slope = -(feet[:, 0] * up[0] + feet[:, 1] * up[1])
-        feet[stance, 2] += dt * (_HEIGHT_GAIN * height - _LEVEL_GAIN * slope[stance])
+        # Of each error so much is taken back per second.
+        feet[stance, 2] += dt * (3.0 * height - 4.0 * slope[stance])
         # How far a foot is pushed off its command shows its load: a spring of servos.
         pressed = (measured - feet) @ up
         load = pressed[stance]
-        feet[stance, 2] += dt * _SHARE_GAIN * (load - load.mean())
+        feet[stance, 2] += dt * 2.0 * (load - load.mean())
         # What a foot's command is lower than its preload is taken back at this rate.
         feet[stance, 2] += np.clip(load - self.settings.preload_m, 0.0, 1.0 * dt)
         nominal = -self.settings.body_height_m

@@ -50,7 +50,6 @@ _HUNG: Final = (
     "bullet-quadruped trot-planned none", "bullet-arm steps none", "leg5 pose none",
 )  # fmt: skip
 _BINS: Final = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
-_LASTS_S: Final = 0.06  # of a lift-off
 
 
 class Leg(NamedTuple):
@@ -164,8 +163,8 @@ def judged(leg: Leg, weights: Array) -> Array:
 
 
 def released_ms(leg: Leg, p: Array) -> list[float]:
-    """How long after each true lift-off the state says so, of lift-offs that last."""
-    truth, ticks = leg.truth, round(_LASTS_S / leg.period_s)
+    """How long after each true lift-off the state says so, of lift-offs that last 60 ms."""
+    truth, ticks = leg.truth, round(0.06 / leg.period_s)
     late = []
     for k in np.flatnonzero(truth[:-1] & ~truth[1:]) + 1:
         if leg.known[k - 1] and not truth[k : k + ticks].any() and k + 50 < len(p):

@@ -49,32 +49,37 @@ def planned_run(
     return PlannedRun(name, replace(settings, motion=motion, terrain=ground, seed=seed), seconds)
 
 
-_HEXAPOD: Final = (
-    planned_run("pose, paper's subspaces", "hexapod", 1001, 900.0, legs=LEGS),
-    planned_run("pose, whole reach", "hexapod", 1002, 1200.0, legs=LEGS, workspace="whole"),
-    planned_run("pose, slow descents", "hexapod", 1003, 900.0, legs=LEGS, approach="slow"),
-    planned_run("pose, level swings", "hexapod", 1004, 450.0, legs=LEGS, approach="forward"),
-    planned_run("tripod, rough", "hexapod", 1011, 600.0, "rough", gait="tripod"),
-    planned_run("ripple, rough", "hexapod", 1012, 600.0, "rough", gait="ripple"),
-    planned_run("wave, rough", "hexapod", 1013, 600.0, "rough", gait="wave"),
-    planned_run("tripod, steps", "hexapod", 1014, 300.0, "steps", gait="tripod"),
-)
-_QUADRUPED12: Final = (
-    planned_run("trot, rough", "quadruped12", 2001, 400.0, "rough", gait="trot"),
-    planned_run("slow trot, rough", "quadruped12", 2002, 400.0, "rough", gait="trot", swing_s=0.36),
-    planned_run("trot, steps", "quadruped12", 2003, 200.0, "steps", gait="trot"),
-    planned_run("walk, rough", "quadruped12", 2011, 600.0, "rough", gait="walk"),
-    planned_run("fast walk, rough", "quadruped12", 2012, 400.0, "rough", gait="walk", swing_s=0.45),
-    planned_run("walk, steps", "quadruped12", 2013, 200.0, "steps", gait="walk"),
-)
-_LEG5: Final = (
-    planned_run("pose", "leg5", 3001, 900.0),
-    planned_run("pose, fast", "leg5", 3002, 600.0, segment_ticks=13),
-    planned_run("pose, long swings", "leg5", 3003, 600.0, segment_ticks=30),
-    planned_run("pose, straight in the joints", "leg5", 3004, 600.0, path="joint"),
-    planned_run("pose, slow descents", "leg5", 3005, 600.0, approach="slow"),
-)
-TRAINING_RUNS: Final = {"hexapod": _HEXAPOD, "quadruped12": _QUADRUPED12, "leg5": _LEG5}
+TRAINING_RUNS: Final = {
+    "hexapod": (
+        planned_run("pose, paper's subspaces", "hexapod", 1001, 900.0, legs=LEGS),
+        planned_run("pose, whole reach", "hexapod", 1002, 1200.0, legs=LEGS, workspace="whole"),
+        planned_run("pose, slow descents", "hexapod", 1003, 900.0, legs=LEGS, approach="slow"),
+        planned_run("pose, level swings", "hexapod", 1004, 450.0, legs=LEGS, approach="forward"),
+        planned_run("tripod, rough", "hexapod", 1011, 600.0, "rough", gait="tripod"),
+        planned_run("ripple, rough", "hexapod", 1012, 600.0, "rough", gait="ripple"),
+        planned_run("wave, rough", "hexapod", 1013, 600.0, "rough", gait="wave"),
+        planned_run("tripod, steps", "hexapod", 1014, 300.0, "steps", gait="tripod"),
+    ),
+    "quadruped12": (
+        planned_run("trot, rough", "quadruped12", 2001, 400.0, "rough", gait="trot"),
+        planned_run(
+            "slow trot, rough", "quadruped12", 2002, 400.0, "rough", gait="trot", swing_s=0.36
+        ),
+        planned_run("trot, steps", "quadruped12", 2003, 200.0, "steps", gait="trot"),
+        planned_run("walk, rough", "quadruped12", 2011, 600.0, "rough", gait="walk"),
+        planned_run(
+            "fast walk, rough", "quadruped12", 2012, 400.0, "rough", gait="walk", swing_s=0.45
+        ),
+        planned_run("walk, steps", "quadruped12", 2013, 200.0, "steps", gait="walk"),
+    ),
+    "leg5": (
+        planned_run("pose", "leg5", 3001, 900.0),
+        planned_run("pose, fast", "leg5", 3002, 600.0, segment_ticks=13),
+        planned_run("pose, long swings", "leg5", 3003, 600.0, segment_ticks=30),
+        planned_run("pose, straight in the joints", "leg5", 3004, 600.0, path="joint"),
+        planned_run("pose, slow descents", "leg5", 3005, 600.0, approach="slow"),
+    ),
+}
 
 
 def stretch_of(run: Run, leg: str, period_s: float = 0.02) -> Stretch:
@@ -105,7 +110,6 @@ def learn_shipped(
     name: str,
     work: Work,
     *,
-    runs: tuple[PlannedRun, ...] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Training:
     """Record the runs and learn every leg of a simulated robot.
@@ -116,7 +120,7 @@ def learn_shipped(
         IdentificationError: the runs do not suffice.
     """
     robot = simulated_robot(name).description
-    runs = TRAINING_RUNS[name] if runs is None else runs
+    runs = TRAINING_RUNS[name]
     streams: dict[str, list[Stretch]] = {leg: [] for leg in robot.leg_ids}
     for run in record_all(work, runs):
         for leg in robot.leg_ids:

@@ -41,7 +41,6 @@ LEARNER: Final = (
     *("adaptive_contact.model", "adaptive_contact.robot", "adaptive_contact.score"),
     "adaptive_contact_models",
 )
-_IDLE_S: Final = 20
 
 
 def rests_on(*sources: str) -> Callable[[F], F]:
@@ -99,14 +98,13 @@ class Work:
 
         Its items have texts that say all of them (``repr``).
         """
-        result: R = self._kept(self, do, item, _key(do, item))
-        return result
+        kept: Callable[..., R] = self._kept
+        return kept(self, do, item, _key(do, item))
 
     @property
     def _kept(self) -> Any:
         folder = None if self.folder is None else self.folder.resolve() / "cache"
-        memory = joblib.Memory(folder, verbose=0)
-        return memory.cache(_do, ignore=["work", "do", "item"])
+        return joblib.Memory(folder, verbose=0).cache(_do, ignore=["work", "do", "item"])
 
     def each(
         self,
@@ -142,7 +140,7 @@ class Work:
             # gone as there was nothing to do is started again, which needs no word.
             with (
                 warnings.catch_warnings(action="ignore", category=UserWarning),
-                joblib.parallel_config("loky", idle_worker_timeout=_IDLE_S),
+                joblib.parallel_config("loky", idle_worker_timeout=20),
                 self._progress(what, total) as advance,
             ):
                 made = joblib.Parallel(workers, return_as="generator_unordered", batch_size=1)

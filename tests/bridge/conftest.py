@@ -70,7 +70,7 @@ class Rig:
 
     def fault(self, *texts: str) -> None:
         """Put these faults in force, from now on, and no others."""
-        self.faults.switch([parse_fault(text) for text in texts])
+        self.faults.specs = tuple(parse_fault(text) for text in texts)
 
     def servo(self, servo: int) -> VirtualServo:
         return next(s for port in self.ports for s in port.servos if s.id == servo)

@@ -27,7 +27,7 @@ def opened(rig) -> Bus:
     plan = rig.plans[0]
     bus = Bus(plan.name, plan.port)
     bus.open()
-    bus.timeout_ms = max(bus.timeout_ms, 100.0)  # however busy the machine is
+    bus.port.timeout_ms = max(bus.port.timeout_ms, 100.0)  # however busy the machine is
     return bus
 
 
@@ -51,7 +51,7 @@ def test_a_silent_servo_hides_no_other(rig: Callable, kind: dict) -> None:
     r = rig(**kind, timeout_ms=100)  # however busy the machine is
     bus, joints = opened(r), r.plans[0].joints
     r.fault("silent:id=2")
-    readings = bus.read([j.servo for j in joints], joints[0].model.motion)
+    readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
     assert readings[2].fault == "no_answer"
     assert all(readings[j.servo].data is not None for j in joints if j.servo != 2)
     bus.close()
@@ -63,7 +63,7 @@ def test_flipped_bits_are_never_taken_for_data(rig: Callable, kind: dict) -> Non
     for i in range(6):
         r.backend.place(i, 0.3)
     bus, joints = opened(r), r.plans[0].joints
-    register, block = joints[0].model.registers["present_position"], joints[0].model.motion
+    register, block = joints[0].model.registers["present_position"], joints[0].model.goal_and_motion
     r.fault("flip:p=0.3")
     good = faulty = 0
     for _ in range(30):
@@ -107,7 +107,7 @@ def test_every_wrong_checksum_of_a_common_answer_is_counted(
             return object()
 
         r.faults.strike = once
-        readings = bus.read(ids, joints[0].model.motion, time.monotonic() + 1)
+        readings = bus.read(ids, joints[0].model.goal_and_motion, time.monotonic() + 1)
         assert struck
         corrupt = [i for i, reading in readings.items() if reading.fault == "corrupt"]
         # Where this computer stood still, answers came too late to be seen to be broken.
@@ -125,11 +125,13 @@ def test_silent_servos_take_no_longer_than_there_is_time(rig: Callable, kind: di
     bus, joints = opened(r), r.plans[0].joints
     r.fault("silent:")
     began = time.monotonic()
-    readings = bus.read([j.servo for j in joints], joints[0].model.motion, end=began + 0.25)
+    readings = bus.read(
+        [j.servo for j in joints], joints[0].model.goal_and_motion, end=began + 0.25
+    )
     assert 1 <= len(readings) < 6  # at 100 ms each there is no time to ask them all
     assert all(reading.fault == "no_answer" for reading in readings.values())
     r.fault()
-    readings = bus.read([j.servo for j in joints], joints[0].model.motion)
+    readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
     assert all(reading.data is not None for reading in readings.values())
     bus.close()
 
@@ -149,7 +151,7 @@ def test_a_late_answer_is_counted_for_the_servo_that_gave_it(rig: Callable, kind
     r = rig(**kind)
     bus, joints = opened(r), r.plans[0].joints
     r.fault("late:id=2,ms=130", "silent:id=5")
-    block, deadline = joints[0].model.motion, time.monotonic() + 30
+    block, deadline = joints[0].model.goal_and_motion, time.monotonic() + 30
     while bus.late[2] < 3 and time.monotonic() < deadline:
         for servo in (5, 2, 4):
             bus.read([servo], block)
@@ -164,7 +166,7 @@ def test_two_servos_of_one_id_that_answer_one_after_the_other_are_seen(rig: Call
     slow.store("return_delay", 250)
     r.ports[0].servos = (*r.ports[0].servos, slow)
     bus = opened(r)
-    bus.timeout_ms = 25.0
+    bus.port.timeout_ms = 25.0
     pongs = [bus.ping(3) for _ in range(5)]
     assert any(pong is not None and pong.doubled for pong in pongs)
     bus.close()
@@ -202,7 +204,7 @@ def test_a_late_common_answer_is_asked_for_again(rig: Callable) -> None:
     bus, joints = opened(r), r.plans[0].joints
     ids = [j.servo for j in joints]
     r.fault("late:id=3,ms=25")
-    assert bus.read(ids, joints[0].model.motion)[1].data is not None  # alone, in time
+    assert bus.read(ids, joints[0].model.goal_and_motion)[1].data is not None  # alone, in time
     assert r.faults.struck["late"] >= 1
     bus.close()
 

@@ -85,7 +85,7 @@ class Line:
                 self.port.receive(time.monotonic(), 0.0)
                 length += 0.01
             held = rng.random() < self.late
-            self.bus.timeout_ms = 2.0 if held else 1000.0
+            self.bus.port.timeout_ms = 2.0 if held else 1000.0
             if not held:
                 self.port.flush(time.monotonic() + 1.0)
             return done
@@ -235,7 +235,7 @@ horn = st.one_of(st.floats(-2.5, 2.5), st.floats(-12.0, 12.0))
 wish = st.one_of(st.floats(-3.0, 3.0), st.floats(-15.0, 15.0))
 EVENTS = (
     "nothing", "nothing", "reboot", "reboot elsewhere", "let go", "switched on", "another's goal",
-    "overload", "recovers", "deaf", "short", "late", "cable", "silence", "set again", "cleared",
+    "overload", "recovers", "deaf", "short", "late", "cable", "silence", "set again",
 )  # fmt: skip
 script = st.lists(st.tuples(st.sampled_from(EVENTS), wish, st.integers(1, 7), horn), max_size=6)
 
@@ -281,8 +281,6 @@ def happen(stage: Stage, what: str, where: float) -> None:
         stage.line.late = 0.5
     elif what == "cable":
         stage.cycle.restart()
-    elif what == "cleared" and not servo.model.compact:
-        servo.clear()
     elif what == "set again" and not servo.drives and not servo.model.feetech:
         # A Feetech servo keeps goals beyond its limits and stays: that is neither refused nor read.
         put("upper_limit", max(servo.value("upper_limit") // 2, 1))

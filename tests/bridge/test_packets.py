@@ -100,7 +100,7 @@ def test_instructions_are_those_of_the_documents(
 ) -> None:
     expected = bytes.fromhex(packet)
     assert codec.instruction(servo, code, bytes.fromhex(parameters)) == expected
-    assert codec.parse(bytearray(expected)) == ([Frame(servo, code, bytes.fromhex(parameters))], 0)
+    assert codec.parse(bytearray(expected)) == [Frame(servo, code, bytes.fromhex(parameters))]
 
 
 @pytest.mark.parametrize(("codec", "name", "servo", "error", "data", "packet"), STATUSES)
@@ -121,8 +121,7 @@ def test_fast_sync_read_is_answered_as_in_the_document() -> None:
         "FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08 00 07 1F 08 00 00 16 CA 00 04 FF 03 00 00"
     )
     assert packet[: len(printed)] == printed
-    [frame], corrupt = Codec(2).parse(bytearray(packet))
-    assert corrupt == 0
+    [frame] = Codec(2).parse(bytearray(packet))
     assert split_fast_sync(frame.parameters, 4) == answers
 
 
@@ -138,7 +137,7 @@ def test_a_header_inside_is_stuffed() -> None:
     packet = Codec(2).instruction(1, I.WRITE, bytes.fromhex("74 00 FF FF FD 00"))
     assert packet[5] == 0x0A  # one byte longer than what was asked for
     assert bytes.fromhex("FF FF FD FD 00") in packet
-    assert Codec(2).parse(bytearray(packet))[0][0].parameters == bytes.fromhex("7400FFFFFD00")
+    assert Codec(2).parse(bytearray(packet))[0].parameters == bytes.fromhex("7400FFFFFD00")
 
 
 @pytest.mark.parametrize("codec", [Codec(1), Codec(2)])
@@ -149,7 +148,7 @@ def test_a_wrong_check_costs_one_packet(codec: Codec) -> None:
         broken[position] ^= 0x10
         # A flipped length may swallow what follows; enough follows to come out of it again.
         buffer = broken + good * 140
-        frames, _ = codec.parse(buffer)
+        frames = codec.parse(buffer)
         assert all(f == Frame(5, I.READ, b"\x24\x02") for f in frames)
         assert len(frames) >= 1
 
@@ -174,7 +173,7 @@ def test_packets_come_out_however_they_are_cut(codec: Codec, data: st.DataObject
     while at < len(stream):
         size = data.draw(st.integers(1, 12))
         buffer += stream[at : at + size]
-        frames += codec.parse(buffer)[0]
+        frames += codec.parse(buffer)
         at += size
     assert frames == [Frame(*row) for row in rows]
     assert not buffer

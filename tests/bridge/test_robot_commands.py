@@ -21,7 +21,7 @@ from adaptive_contact.bridge.training import (
 )
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
-from adaptive_contact.cli._robot_picture import chain, draw
+from adaptive_contact.cli._robot_picture import draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Limits, Mount, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase
@@ -244,7 +244,8 @@ def test_a_leg_that_cannot_swing_says_so() -> None:
 
 def test_the_picture_ends_where_the_foot_is() -> None:
     one = leg()
-    points = chain(one, [0.2, 0.4, -0.9])
+    assert one.chain is not None
+    points = one.chain.frames([0.2, 0.4, -0.9])[0]
     assert points[-1] == pytest.approx(foot([0.2, 0.4, -0.9], one.lengths_m, one.joint_axes))
     assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(one.lengths_m)
     text = draw(shipped_robot(), {x: [0.0, 0.1, -0.5] for x in shipped_robot().leg_ids})

@@ -25,7 +25,7 @@ from adaptive_contact_sim.virtual import (
 from adaptive_contact_sim.virtual.assembly import with_ports
 from adaptive_contact_sim.virtual.backend import GaitedBackend, Horns, LocalSource, PassiveBackend
 from adaptive_contact_sim.virtual.port import VirtualPort
-from adaptive_contact_sim.virtual.session import VirtualPlan, run
+from adaptive_contact_sim.virtual.session import run
 from quadruped import LEGS
 
 
@@ -222,16 +222,16 @@ def test_the_quadrupeds_description_fits_its_model() -> None:
 
 
 def test_two_buses_do_not_share_a_folder(tmp_path: Path) -> None:
-    plan = VirtualPlan(shipped_robot(), tmp_path, 1)
+    robot = shipped_robot()
 
     def second(_: str) -> None:
         with pytest.raises(ConfigurationError, match="in use by another virtual bus; give another"):
-            run(plan, threading.Event())
+            run(robot, tmp_path, threading.Event())
 
     ended = threading.Event()
     ended.set()
     for _ in range(2):  # a folder is free again when its bus has ended
-        run(plan, ended, on_start=second)
+        run(robot, tmp_path, ended, on_start=second)
     assert not (tmp_path / "port0").is_symlink()
 
 

@@ -105,7 +105,6 @@ def test_any_text_is_a_duration_or_none(text: str) -> None:
     "taken",
     [
         opt.described_robot,
-        lambda config: opt.described_robot(config, "quadruped12"),
         lambda config: opt.recorded_robot(config, []),
     ],
 )

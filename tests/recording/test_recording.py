@@ -88,7 +88,7 @@ def test_any_key_and_any_payload_come_back(tmp_path: Path, written: list[Record]
         assert writer.messages == len(written)
     recording = read_recording(path)
     assert list(recording) == written
-    assert not recording.truncated
+    assert recording.damage is None
     assert recording.damage is None
     assert list(recording) == written  # a second pass
 
@@ -201,7 +201,7 @@ def test_truncation_at_every_byte_gives_a_prefix(tmp_path: Path) -> None:
             continue
         recording = read_recording(cut)
         got = list(recording)
-        assert recording.truncated, size
+        assert recording.damage is not None, size
         assert "\n" not in recording.damage
         assert f"the {len(got)} messages before it are intact" in recording.damage
         assert got == written[: len(got)]
@@ -217,7 +217,7 @@ def test_what_is_written_can_be_read_before_the_file_is_closed(tmp_path: Path) -
             writer.write_message(servo_key("rf"), sample(k), k * TICK)
         open_file = read_recording(path)
         assert len(list(open_file)) > 500 - 2 * 51  # what a killed recorder leaves
-        assert open_file.truncated
+        assert open_file.damage is not None
 
 
 def is_part(got: list[Record], written: list[Record]) -> bool:
@@ -264,7 +264,7 @@ def test_flipped_bytes_never_raise_and_never_invent(tmp_path: Path) -> None:
         recording = read_recording(bad)
         got = list(recording)
         assert is_part(got, written), (at, flip)
-        assert recording.truncated or len(got) == len(written), (at, flip)
+        assert recording.damage is not None or len(got) == len(written), (at, flip)
         if any(begin <= at < end for begin, end in inside):  # behind the length of a chunk
             assert len(got) >= len(written) - 3, (at, flip)  # a chunk holds at most three
 
@@ -292,7 +292,7 @@ def test_files_of_other_writers(
     cut = read_recording(path)
     expected = 13 if plain else 0
     assert len(list(cut)) == expected  # uncompressed messages are read up to the cut itself
-    assert cut.truncated
+    assert cut.damage is not None
 
 
 def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path) -> None:
@@ -351,7 +351,7 @@ def test_an_error_in_the_block_still_leaves_a_whole_file(tmp_path: Path) -> None
         stumble()
     recording = read_recording(path)
     assert len(list(recording)) == 1
-    assert not recording.truncated
+    assert recording.damage is None
 
 
 def test_a_ring_of_files_keeps_the_newest(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import importlib
 import json
 import struct
 import sys
@@ -17,7 +18,8 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
-from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
+from adaptive_contact.service import foxglove_live
+from adaptive_contact.service.foxglove_live import FoxgloveServer
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import (
     HEARTBEAT,
@@ -202,4 +204,4 @@ def test_the_command_says_where_and_ends_on_a_signal(router: Link, program: Any)
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(MissingExtraError, match=r"pip install '.*\[foxglove\]'"):
-        check_installed()
+        importlib.reload(foxglove_live)

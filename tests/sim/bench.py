@@ -60,16 +60,7 @@ def make_bench(
         friction=model.dof_frictionloss,
         damping=model.dof_damping,
     )
-    gears = GearTrain(
-        servos,
-        position=data.qpos,
-        velocity=data.qvel,
-        torque=data.ctrl,
-        friction=model.dof_frictionloss,
-        damping=model.dof_damping,
-        armature=model.dof_armature,
-        period_s=model.opt.timestep,
-    )
+    gears = GearTrain(servos, model.dof_armature, model.opt.timestep)
     set_const(model)
     return Bench(model, data, servos, gears)
 

@@ -56,7 +56,7 @@ def test_play_comes_and_goes_without_a_jump() -> None:
             some[[3, 7]] = 0.02
             assert bench.gears.set_backlash(some)
             set_const(bench.model)
-            assert bench.gears.joints.tolist() == [3, 7]
+            assert np.flatnonzero(bench.model.dof_armature < 1e-3).tolist() == [3, 7]
         if k == 300:
             assert bench.gears.set_backlash(every(0.0))
             set_const(bench.model)

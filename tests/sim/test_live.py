@@ -82,15 +82,16 @@ def run_fake(
     sim: Simulation, seconds: float, on_tick: Callable[[FakeLink, Tick], None]
 ) -> FakeLink:
     link = FakeLink()
-    outcome = run_live(
+    pace = Pace(0.0)
+    run_live(
         sim,
         link,
         seconds=seconds,
-        pace=Pace(0.0),
+        pace=pace,
         stop=threading.Event(),
         on_tick=lambda tick: on_tick(link, tick),
     )
-    assert outcome.ticks == sim.ticks == round(seconds / 0.02)
+    assert pace.ticks == sim.ticks == round(seconds / 0.02)
     assert link.sinks == {}  # all withdrawn at the end
     return link
 

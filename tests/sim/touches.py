@@ -5,13 +5,13 @@ from pathlib import Path
 
 from adaptive_contact.service.recording import Record, read_recording
 from adaptive_contact.wire import ContactTruth
-from adaptive_contact_sim import RunPlan, SimulationSettings, run
+from adaptive_contact_sim import SimulationSettings, run
 from adaptive_contact_sim.arrays import Run
 
 
 def recorded(settings: SimulationSettings, seconds: float, path: Path) -> dict[str, list[Record]]:
     """Record a run without a network; what it leaves, by key."""
-    run(RunPlan(settings, seconds, None, None, record=path), threading.Event())
+    run(settings, threading.Event(), seconds=seconds, record=path)
     by_key: dict[str, list[Record]] = {}
     for record in read_recording(path):
         by_key.setdefault(record.key, []).append(record)

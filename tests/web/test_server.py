@@ -12,7 +12,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.web import WebSettings, http, server
 from adaptive_contact.web.server import MOST_STREAMS
 from waiting import until
@@ -348,15 +347,6 @@ def test_beyond_loopback_an_address_or_an_own_name_is_let_in() -> None:
             assert site.send(request)[0] == status, host
     finally:
         site.close()
-
-
-# -- the port ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("port", [-1, 65_536])
-def test_a_port_that_is_none(port: int) -> None:
-    with pytest.raises(ConfigurationError, match="expected 0 to 65535"):
-        WebSettings(port=port)
 
 
 # -- streams -------------------------------------------------------------------------------------

@@ -252,7 +252,7 @@ def read_recording(path: str | Path, robot: Robot | None = None) -> Recording:
     """Open a recording for reading.
 
     Returns:
-        An iterable of :class:`Record`, with ``truncated`` and ``damage`` after a pass over it.
+        An iterable of :class:`Record`, with ``damage`` after a pass over it.
 
     Raises:
         RecordingError: the file cannot be read, or is no recording.

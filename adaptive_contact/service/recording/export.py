@@ -109,25 +109,6 @@ def export_recording(
     return exported
 
 
-def _nothing(recording: Recording, exported: Exported) -> str:
-    """Explain why nothing was written, which then leaves no file."""
-    if not exported.left_out:
-        return f"{recording.path}: no message in it; nothing was written"
-    (key, why), _ = exported.left_out.most_common(1)[0]
-    return (
-        f"{recording.path}: none of its {exported.left_out.total()} messages can be exported "
-        f"({key}: {why}); nothing was written; expected keys such as robot/leg/lf/servo"
-    )
-
-
-def _read(record: Record, kind: type[Message], exported: Exported) -> Message | None:
-    message = decode(record.payload, kind, record.encoding)
-    if isinstance(message, Rejected):
-        exported.left_out[record.key, message.reason.value] += 1
-        return None
-    return message
-
-
 def _write_bag(
     recording: Recording,
     out: Path,
@@ -202,8 +183,10 @@ def _known(
         if kind is None:
             exported.left_out[record.key, "no message of the contract has this key"] += 1
             continue
-        message = _read(record, kind, exported)
-        if message is not None:
+        message = decode(record.payload, kind, record.encoding)
+        if isinstance(message, Rejected):
+            exported.left_out[record.key, message.reason.value] += 1
+        else:
             yield record, kind, message
 
 
@@ -218,7 +201,11 @@ def _write_tables(recording: Recording, out: Path, exported: Exported) -> None:
                 of_place[name] = None
         first.count(record)
     if not first.messages:
-        raise RecordingError(_nothing(recording, first))
+        why = "no message in it"
+        for (key, reason), _ in first.left_out.most_common(1):
+            why = f"none of its {first.left_out.total()} messages can be exported ({key}: {reason})"
+        expected = "; expected keys such as robot/leg/lf/servo" if first.left_out else ""
+        raise RecordingError(f"{recording.path}: {why}; nothing was written{expected}")
     try:
         out.mkdir(exist_ok=True)
     except OSError as error:

@@ -47,7 +47,6 @@ _FRAME: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
 _CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of compression
 _LENGTH_BYTES: Final = 8
-_FOOTER_BYTES: Final = 9 + 20 + 8  # with the magic behind it
 
 _KNOWN: Final = frozenset(opcode.value for opcode in Opcode)
 _PRIVATE: Final = 0x80
@@ -84,13 +83,7 @@ class Recording:
         self.notes: tuple[str, ...] = ()
         # None, or one line on what the last pass stepped over and where it stopped
         self.damage: str | None = None
-        with self._open():
-            pass
-
-    @property
-    def truncated(self) -> bool:
-        """Return whether the last pass met a cut or damage; all intact messages were yielded."""
-        return self.damage is not None
+        self._open().close()
 
     @property
     def about(self) -> dict[str, str]:
@@ -286,7 +279,8 @@ class _Walk:
         """Learn channels lost by damage from the summary; return how many messages that counts."""
         count, here = 0, self._file.tell()
         with contextlib.suppress(*_PARSE_ERRORS, OSError):
-            self._file.seek(-_FOOTER_BYTES, os.SEEK_END)
+            # The frame and the content of the footer, and the magic behind it.
+            self._file.seek(-(9 + 20 + 8), os.SEEK_END)
             footer = next(_records(self._file))
             if isinstance(footer, Footer) and footer.summary_start:
                 self._file.seek(footer.summary_start)

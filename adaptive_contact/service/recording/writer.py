@@ -15,7 +15,6 @@ from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
 from mcap.writer import CompressionType, Writer
 
 from adaptive_contact.errors import RecordingError
-from adaptive_contact.files import open_stream
 from adaptive_contact.service.recording.format import ABOUT, ENCODING, PROTOBUF, TO_MCAP, TO_ZENOH
 from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_class, schema_name
 from adaptive_contact.wire import MSGPACK, Message, Rejected, decode, encode
@@ -50,16 +49,6 @@ class _Counted:
         self._file.flush()
 
 
-def started_writer(file: IO[bytes], chunk_bytes: int, about: Mapping[str, str]) -> Writer:
-    """Start an MCAP writer; ``about`` says what the recording is of."""
-    writer = Writer(
-        cast(Any, _Counted(file)), chunk_size=chunk_bytes, compression=CompressionType.ZSTD
-    )
-    writer.start(profile="", library="adaptive-contact")
-    writer.add_metadata(ABOUT, {"v": "1", **about})
-    return writer
-
-
 class RecordingWriter:
     """Write a recording.  A context manager; not for several threads at once.
 
@@ -87,13 +76,20 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
         self._flush_at: int | None = None
         try:
-            self._file: IO[bytes] | None = open_stream(self.path)
+            # Under its name from the first byte on: a recorder that is killed leaves what it has.
+            self._file: IO[bytes] | None = self.path.open("wb")
         except OSError as error:
             raise self._failed(error) from error
+        # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small enough
+        # that a damaged chunk costs little, large enough that zstd still halves it.
+        self._writer = Writer(
+            cast(Any, _Counted(self._file)),
+            chunk_size=32 * 1024,
+            compression=CompressionType.ZSTD,
+        )
         try:
-            # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small
-            # enough that a damaged chunk costs little, large enough that zstd still halves it.
-            self._writer = started_writer(self._file, 32 * 1024, about or {})
+            self._writer.start(profile="", library="adaptive-contact")
+            self._writer.add_metadata(ABOUT, {"v": "1", **(about or {})})
             self._file.flush()
         except OSError as error:
             self._abandon()

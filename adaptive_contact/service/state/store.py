@@ -72,11 +72,12 @@ class StateStore:
 
         One that was removed is made again: a lock on what was there keeps no process out.
         """
-        if self._lock is not None:
-            if self._in_place(self._lock):
-                return True
-            self.close()
         folder = self.folder
+        if self._lock is not None:
+            with contextlib.suppress(OSError):
+                if os.path.samestat(os.fstat(self._lock), (folder / _LOCK).lstat()):
+                    return True
+            self.close()
         with contextlib.ExitStack() as opened:
             try:
                 folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -105,12 +106,6 @@ class StateStore:
         self._lock, self._handle, self.trouble = lock, handle, None
         self.exposed = _exposed(folder)
         return True
-
-    def _in_place(self, lock: int) -> bool:
-        try:
-            return os.path.samestat(os.fstat(lock), (self.folder / _LOCK).lstat())
-        except OSError:
-            return False
 
     def close(self) -> None:
         """Unlock the folder for other services."""

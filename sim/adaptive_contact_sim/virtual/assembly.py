@@ -9,6 +9,7 @@ A virtual robot put together: ports and servos as a description says, over a bac
 from __future__ import annotations
 
 import gc
+import math
 import select
 import threading
 import time
@@ -36,11 +37,6 @@ class VirtualServer:
         self._backend = backend
         self._start_s = 0.0
 
-    @property
-    def elapsed_s(self) -> float:
-        """Since the start."""
-        return time.monotonic() - self._start_s
-
     def __enter__(self) -> VirtualServer:
         self._start_s = time.monotonic()
         for port in self.ports:
@@ -51,14 +47,18 @@ class VirtualServer:
         for port in self.ports:
             port.close()
 
-    def run(self, stop: threading.Event) -> None:
-        """Serve until stopped; the ports have to be open (``with server:``)."""
+    def run(self, stop: threading.Event, seconds: float = math.inf) -> None:
+        """Serve until stopped, or for so long; the ports have to be open (``with server:``)."""
         # What exists now stays: a full collection would keep the bus waiting for tens of ms.
         gc.collect()
         gc.freeze()
-        while not stop.is_set():
-            self._cable()
-            now_s = time.monotonic()
+        while not stop.is_set() and (now_s := time.monotonic()) - self._start_s < seconds:
+            for port in self.ports:  # a cable is pulled, or put back
+                out = port.faults.hung_up(port.name, now_s - self._start_s)
+                if out and port.is_up:
+                    port.close()
+                elif not out and not port.is_up:
+                    port.open()
             next_s = min(self._backend.advance(now_s), now_s + 0.05)
             for port in self.ports:
                 if port.is_up:
@@ -73,16 +73,6 @@ class VirtualServer:
                 now_s = time.monotonic()
                 masters[master].receive(now_s, now_s - self._start_s)
                 masters[master].flush(time.monotonic())
-
-    def _cable(self) -> None:
-        """Pull cables and put them back, as the faults say."""
-        elapsed = self.elapsed_s
-        for port in self.ports:
-            out = port.faults.hung_up(port.name, elapsed)
-            if out and port.is_up:
-                port.close()
-            elif not out and not port.is_up:
-                port.open()
 
 
 def with_servos(robot: Robot, model: str) -> Robot:

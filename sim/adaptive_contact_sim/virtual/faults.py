@@ -29,7 +29,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.scenario import split_spec
 
 FaultKind = Literal["silent", "late", "flip", "stale", "error", "hangup"]
-_LASTS: Final = {"hangup": "1"}  # s, where a fault says nothing; the others stay
 _EXAMPLE: Final = "silent:id=3@5+2"
 
 
@@ -61,7 +60,9 @@ def parse_fault(text: str) -> FaultSpec:
     where = f"fault '{text}'"
     fields, when = split_spec(text, where, _EXAMPLE)
     start, _, length = (when or "0").partition("+")
-    begins_s, lasts_s = seconds_of(start), seconds_of(length or _LASTS.get(fields["kind"], "1e9"))
+    # Where it says nothing a port hangs up for 1 s; other faults stay.
+    usual = "1" if fields["kind"] == "hangup" else "1e9"
+    begins_s, lasts_s = seconds_of(start), seconds_of(length or usual)
     if "bits" in fields:
         fields["bits"] = fields["bits"].split("|")
     known = {*ERROR_BITS.values(), *(bit for model in MODELS for bit in model.error_bits.values())}
@@ -81,17 +82,13 @@ class FaultSchedule:
     """Which faults are on, and whether they strike now."""
 
     def __init__(self, specs: Iterable[FaultSpec], rng: np.random.Generator) -> None:
-        self._specs = tuple(specs)
+        self.specs = tuple(specs)  # may be replaced, from another thread
         self._rng = rng
         self.struck: dict[str, int] = {}
 
-    def switch(self, specs: Iterable[FaultSpec]) -> None:
-        """Put other faults in force; may be called from another thread."""
-        self._specs = tuple(specs)
-
     def strike(self, kind: FaultKind, servo: int, elapsed_s: float) -> FaultSpec | None:
         """The fault of a kind that hits this answer, or None."""
-        for spec in self._specs:
+        for spec in self.specs:
             if (
                 spec.kind == kind
                 and spec.servo in (None, servo)
@@ -108,7 +105,7 @@ class FaultSchedule:
             spec.kind == "hangup"
             and spec.port in (None, port)
             and spec.start_s <= elapsed_s < spec.end_s
-            for spec in self._specs
+            for spec in self.specs
         )
 
     def flip(self, packet: bytes) -> bytes:

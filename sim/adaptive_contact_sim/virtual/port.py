@@ -124,7 +124,7 @@ class VirtualPort:
         if not self._listening:
             return
         self._buffer += data
-        frames, _ = self._codec.parse(self._buffer)
+        frames = self._codec.parse(self._buffer)
         for frame in frames:
             self.requests += 1
             arrival_s = len(data) * self._byte_s

@@ -27,7 +27,7 @@ from adaptive_contact_sim.virtual.backend import Backend
 
 # Errors of protocol 1.0 (bits) and 2.0 (numbers) for the same refusals.
 RANGE1, ANGLE1, INSTRUCTION1 = 0x08, 0x02, 0x40
-FAIL2, LENGTH2, LIMIT2, ACCESS2 = 0x01, 0x05, 0x06, 0x07
+LENGTH2, LIMIT2, ACCESS2 = 0x05, 0x06, 0x07
 _READ_ONLY: Final = (
     "model_number",
     "firmware",
@@ -47,8 +47,6 @@ _BAUDS_FEETECH: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 
 # Of compact servos as delivered, by protocol: errors that shut them down.
 _FATAL: Final[dict[Protocol, int]] = {1: 0x24, 2: 0x03, "sts": 0x2C, "scs": 0x25}
 _LAW: Final[set[str]] = {name for names in LAW_REGISTERS for name in names}
-# A horn slower than this stands still for the register Moving.
-_MOVING_RAD_S: Final = 0.05
 
 
 class Refusal(NamedTuple):
@@ -68,7 +66,6 @@ class VirtualServo:
         rng: of the reading noise.
         noise_steps: standard deviation of a reading, in steps; an AX-12A's is in docs/simulator.md,
             an X-series' magnetic encoder jitters by a step.
-        return_delay: register, 2 us each; 250 when new.
         baud: it receives packets at this rate only.
 
     Attributes:
@@ -90,7 +87,6 @@ class VirtualServo:
         rng: np.random.Generator,
         *,
         noise_steps: float = 0.5,
-        return_delay: int = 0,
         baud: int = 1_000_000,
     ) -> None:
         self.id = servo
@@ -108,7 +104,27 @@ class VirtualServo:
         self.goal_wakes = model.protocol != 2
         self._turns = 0
         self.writes = 0
-        self._store_known(self._delivered(return_delay))
+        # EEPROM as delivered, but for what a robot's owner sets first.
+        self._store_known(
+            {
+                "model_number": model.number,
+                "firmware": 3 if model.feetech else 24 if model.protocol == 1 else 52,
+                "byte_order": int(model.protocol == "scs"),
+                "id": self.id,
+                "return_delay": 0,
+                "lower_limit": model.lowest,
+                "upper_limit": model.highest,
+                "shutdown": _FATAL[model.protocol] if model.compact else 0x34,
+                "status_return": 2,
+                "response_level": 1,
+                "phase": 12,
+                "resolution_divider": 1,
+                "control_mode": model.joint_mode or 0,
+                "operating_mode": _POSITION,
+                "secondary_id": 255,
+                "pwm_limit": 885,
+            }
+        )
         self.store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
@@ -195,15 +211,6 @@ class VirtualServo:
             self._saved[:] = self._memory
         for name in names:
             self._act(name)
-        return None
-
-    def clear(self) -> Refusal | None:
-        """Forget whole turns (Clear); a horn that stands stays, one that turns refuses."""
-        if abs(self._backend.speed(self._index)) > _MOVING_RAD_S:
-            return Refusal(FAIL2)
-        before, goal = self._turns, self.value("goal_position")
-        self._settle_turns(fresh=True)
-        self.store("goal_position", goal + (before - self._turns) * (self.model.highest + 1))
         return None
 
     # -- private -------------------------------------------------------------------------------
@@ -371,7 +378,8 @@ class VirtualServo:
         noise = self._noise * float(self._rng.standard_normal())
         self.store("present_position", self._steps(backend.angle(index), noise))
         speed = backend.speed(index)
-        self.store("moving", int(abs(speed) > _MOVING_RAD_S))
+        # A horn that is slower stands still for this register.
+        self.store("moving", int(abs(speed) > 0.05))
         raw = round(speed / model.speed_rad_s)
         most = (1 << (model.registers["present_speed"].sign_bit or 31)) - 1
         self.store("present_speed", min(max(raw, -most), most))
@@ -383,28 +391,6 @@ class VirtualServo:
         register = self.model.registers[name]
         at = slice(register.address, register.address + register.size)
         self._memory[at] = self._saved[at] = register.data(value)
-
-    def _delivered(self, return_delay: int) -> dict[str, int]:
-        """EEPROM as delivered, but for what a robot's owner sets first."""
-        model = self.model
-        return {
-            "model_number": model.number,
-            "firmware": 3 if model.feetech else 24 if model.protocol == 1 else 52,
-            "byte_order": int(model.protocol == "scs"),
-            "id": self.id,
-            "return_delay": return_delay,
-            "lower_limit": model.lowest,
-            "upper_limit": model.highest,
-            "shutdown": _FATAL[model.protocol] if model.compact else 0x34,
-            "status_return": 2,
-            "response_level": 1,
-            "phase": 12,
-            "resolution_divider": 1,
-            "control_mode": model.joint_mode or 0,
-            "operating_mode": _POSITION,
-            "secondary_id": 255,
-            "pwm_limit": 885,
-        }
 
     def _store_known(self, values: Mapping[str, int]) -> None:
         """Store what the model has registers for."""

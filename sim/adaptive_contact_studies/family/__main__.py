@@ -15,8 +15,6 @@ from adaptive_contact_studies.family.prior import learn_family, save_family
 from adaptive_contact_studies.family.trials import table, trials
 from adaptive_contact_studies.work import Work
 
-_USAGE = "expected `learn FILE` or `try FOLDER`"
-
 
 def main(arguments: list[str]) -> int:
     """Do what is asked for."""
@@ -29,7 +27,8 @@ def main(arguments: list[str]) -> int:
         case ["try", folder]:
             print(table(trials(Work(Path(folder), 2, console=console))))
         case _:
-            print(f"{' '.join(arguments) or 'nothing'}: {_USAGE}", file=sys.stderr)
+            found = " ".join(arguments) or "nothing"
+            print(f"{found}: expected `learn FILE` or `try FOLDER`", file=sys.stderr)
             return 2
     return 0
 

@@ -16,7 +16,6 @@ The compressed fit against PySINDy's own on the raw rows: equality and speed.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -40,37 +39,17 @@ RIDGE: Final = 0.05
 class PaperFit(NamedTuple):
     """A fit as the paper makes it."""
 
-    # `ok`, `emptied` where some state has no terms left, or why there is none
-    status: FitStatus
-    coefficients: Array  # (p, states), zero where there is no fit
+    status: FitStatus  # `ok`, or `emptied` where some state has no terms left
+    coefficients: Array  # (p, states)
 
 
-def paper_fit(
-    factor: Factor, threshold: float, *, normalised: bool = False, ridge: float = RIDGE
-) -> PaperFit:
-    """Fit with PySINDy's STLSQ, unscaled targets.
-
-    Returns:
-        The fit with its status; never raises for bad data.
-    """
-    empty = np.zeros((factor.terms, factor.outputs))
-    if factor.rows < factor.terms:
-        return PaperFit(FitStatus.TOO_FEW_ROWS, empty)
-    r, qty = factor.system
-    if not (np.isfinite(r).all() and np.isfinite(qty).all()):
-        return PaperFit(FitStatus.NOT_FINITE, empty)
-    # A column that is zero throughout has no norm to be divided by, and no coefficient.
-    used = np.square(r).sum(axis=0) > 0.0
-    if not used.any():
-        return PaperFit(FitStatus.EMPTIED, empty)
-    coefficients = empty.copy()
-    coefficients[used] = _stlsq(
-        r[:, used], qty, threshold=threshold, alpha=ridge, normalize_columns=normalised
+def paper_fit(factor: Factor, threshold: float, *, normalised: bool = False) -> PaperFit:
+    """Fit finite rows with PySINDy's STLSQ, unscaled targets."""
+    coefficients = _stlsq(
+        *factor.system, threshold=threshold, alpha=RIDGE, normalize_columns=normalised
     )
-    if not np.isfinite(coefficients).all():
-        return PaperFit(FitStatus.NOT_FINITE, empty)
-    emptied = not (coefficients != 0.0).any(axis=0).all()
-    return PaperFit(FitStatus.EMPTIED if emptied else FitStatus.OK, coefficients)
+    kept = (coefficients != 0.0).any(axis=0).all()
+    return PaperFit(FitStatus.OK if kept else FitStatus.EMPTIED, coefficients)
 
 
 def _stlsq(rows: Array, target: Array, **settings: Any) -> Array:
@@ -94,32 +73,11 @@ _COMPARED: Final[tuple[tuple[LibraryName, Window, float], ...]] = (
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class Comparison:
-    """One library, one λ."""
-
-    # library, terms, rows, threshold: what was fitted
-    library: str
-    terms: int
-    rows: int
-    threshold: float
-    kept: list[int]  # (J,) terms left to each joint
-    raw_s: float  # PySINDy's STLSQ on the raw rows, Θ given
-    compressed_s: float  # the same fit with the factor held
-    factor_s: float  # building the factor from Θ
-    library_s: float  # evaluating Θ, which both need
-    speed_up: float  # `raw_s` over `compressed_s`
-    same_support: bool  # whether both keep the same terms
-    difference: float  # largest difference of a coefficient, raw units
-
-
-def compare(
-    streams: Sequence[Stream], library: Library, threshold: float, *, repeats: int = 3
-) -> Comparison:
-    """Time both fits of the free rows of some streams; the better of ``repeats``, CPU time."""
+def compare(streams: Sequence[Stream], library: Library, threshold: float) -> dict[str, Any]:
+    """Time both fits of the free rows of some streams, of one library and one λ."""
     windows = free_rows(streams, library).windows
     theta, library_s = _timed(
-        lambda: library.evaluate(windows.measured, windows.desired, windows.preview), repeats
+        lambda: library.evaluate(windows.measured, windows.desired, windows.preview)
     )
     target = windows.increment
 
@@ -128,10 +86,10 @@ def compare(
         factor.add(theta, target)
         return factor
 
-    factor, factor_s = _timed(build, repeats)
+    factor, factor_s = _timed(build)
     unit: Array = np.array(residual_unit(fit_sparse(factor, FitSettings())))
     settings = FitSettings(threshold=threshold, unit=tuple(unit.tolist()))
-    fit, compressed_s = _timed(lambda: fit_sparse(factor, settings), repeats)
+    fit, compressed_s = _timed(lambda: fit_sparse(factor, settings))
     scale = factor.scale()
     scaled, wanted = theta / scale, target / unit
 
@@ -141,25 +99,26 @@ def compare(
         found = _stlsq(scaled, wanted, threshold=threshold, alpha=ridge) / scale[:, None]
         return np.asarray(found * unit)
 
-    coefficients, raw_s = _timed(raw, repeats)
-    return Comparison(
-        library=library.name,
-        terms=library.size,
-        rows=len(theta),
-        threshold=threshold,
-        kept=[int(n) for n in fit.support.sum(axis=0)],
-        raw_s=raw_s,
-        compressed_s=compressed_s,
-        factor_s=factor_s,
-        library_s=library_s,
-        speed_up=raw_s / compressed_s,
-        same_support=bool(((coefficients != 0) == fit.support).all()),
-        difference=float(np.abs(coefficients - fit.coefficients).max()),
-    )
+    coefficients, raw_s = _timed(raw)
+    return {
+        "library": library.name,
+        "terms": library.size,
+        "rows": len(theta),
+        "threshold": threshold,
+        "kept": [int(n) for n in fit.support.sum(axis=0)],  # (J,) terms left to each joint
+        "raw_s": raw_s,  # PySINDy's STLSQ on the raw rows, Θ given
+        "compressed_s": compressed_s,  # the same fit with the factor held
+        "factor_s": factor_s,  # building the factor from Θ
+        "library_s": library_s,  # evaluating Θ, which both need
+        "speed_up": raw_s / compressed_s,
+        "same_support": bool(((coefficients != 0) == fit.support).all()),
+        # largest of a coefficient, raw units
+        "difference": float(np.abs(coefficients - fit.coefficients).max()),
+    }
 
 
 @rests_on(*SIMULATOR, *LEARNER, "adaptive_contact_studies.paper.rows")
-def compare_all(work: Work, plan: Plan) -> list[Comparison]:
+def compare_all(work: Work, plan: Plan) -> list[dict[str, Any]]:
     """Both libraries, at a λ that keeps nearly every term and one that leaves the sparse model."""
     streams, robot = streams_of(work, plan.paper_runs("train")), shipped_robot()
     return [
@@ -168,9 +127,10 @@ def compare_all(work: Work, plan: Plan) -> list[Comparison]:
     ]
 
 
-def _timed(work: Callable[[], Any], repeats: int) -> tuple[Any, float]:
+def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
+    """Do work three times; its result, and the CPU time of the best."""
     best = float("inf")
-    for _ in range(repeats):
+    for _ in range(3):
         start = time.process_time()
         result = work()
         best = min(best, time.process_time() - start)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, Final, get_args
 
 import msgspec
@@ -18,11 +18,8 @@ from adaptive_contact_studies.paper.plan import Plan, Role
 from adaptive_contact_studies.training import record_all
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 
-STAGES: Final = ("dataset", "identification", "compression", "detection")
-_REPORTED: Final[tuple[Role, ...]] = ("touch", "free")
 
-
-def run_paper(work: Work, plan: Plan, stages: Sequence[str] = STAGES) -> dict[str, Any]:
+def run_paper(work: Work, plan: Plan, stages: Iterable[str]) -> dict[str, Any]:
     """Run the experiments.
 
     Args:
@@ -45,15 +42,7 @@ def run_paper(work: Work, plan: Plan, stages: Sequence[str] = STAGES) -> dict[st
     if {*stages} - {"detection"}:
         record_all(work, [*plan.paper_runs("train"), *plan.paper_runs("tune")])
     for stage in stages:
-        match stage:
-            case "dataset":
-                results[stage] = _dataset(work, plan)
-            case "identification":
-                results[stage] = identification(work, plan)
-            case "compression":  # by itself: CPU time is compared
-                (results[stage],) = work.each(stage, compare_all, [plan])
-            case _:
-                results[stage] = _detection(work, plan)
+        results[stage] = STAGES[stage](work, plan)
     # Arrays become lists; what is not a number, or infinite, None.
     text = msgspec.json.encode(results, enc_hook=lambda array: array.tolist())
     return dict(msgspec.json.decode(text))
@@ -76,7 +65,16 @@ def _detection(work: Work, plan: Plan) -> dict[str, Any]:
     record_all(work, [run for role in get_args(Role) for run in plan.runs(role)])
     work.each("learning the legs of each robot", learned, [(plan, robot) for robot in plan.robots])
     work.each("choosing lags, joints and thresholds on tuning streams", tuned, [plan])
-    jobs = [job for role in _REPORTED for job in jobs_of(plan, role)]
+    jobs = jobs_of(plan, "touch") + jobs_of(plan, "free")
     what = "every detector on every stream"
     found = work.each(what, evaluate, jobs, lambda job: len(job.runs))
     return detection(plan, jobs, found)
+
+
+STAGES: Final[dict[str, Callable[[Work, Plan], Any]]] = {
+    "dataset": _dataset,
+    "identification": identification,
+    # By itself: CPU time is compared.
+    "compression": lambda work, plan: work.each("compression", compare_all, [plan])[0],
+    "detection": _detection,
+}

@@ -32,7 +32,6 @@ _VALID: Final = STATUSES.index("valid")
 SETTLED: Final = 20
 # What a change is taken for of which no kind is reported.
 NOTHING: Final = "nothing"
-_BOOTSTRAPS: Final = 2000
 _END_NS: Final = int(np.iinfo(np.int64).max)
 
 
@@ -51,8 +50,7 @@ class Judged:
     outcome: LegOutcome  # of all its events
     recovery: dict[str, Recovery]  # by name of the mark
     lock_out: int  # longest run of swings lost, from the first mark on
-    confirmed: int  # ticks it took for free
-    touched: int  # those of them on which the leg touched something
+    replay: LegReplay
     # swings until it called itself valid and went on to, None where it did not
     until_valid: int | None
     valid_ns: int | None  # when it did
@@ -116,8 +114,7 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
         outcome=outcome,
         recovery=recovery,
         lock_out=longest_lock_out(within(outcome, first_s, np.inf).swings),
-        confirmed=replayed.confirmed,
-        touched=replayed.touched,
+        replay=replayed,
         until_valid=until,
         valid_ns=valid_ns,
         wavered=bool(np.any(replayed.log.status != _VALID)),
@@ -238,7 +235,8 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
         _judged_part(scenario, of)
         for of in (outcomes, judgement.reference, judgement.full_reference)
     )
-    confirmed, touched = sum(j.confirmed for j in judged), sum(j.touched for j in judged)
+    confirmed = sum(one.replay.confirmed for one in judged)
+    touched = sum(one.replay.touched for one in judged)
     tree: Tree = {
         "before": _summary([within(o, before.from_s, before.to_s) for o in outcomes]),
         "judged": _summary(own),
@@ -315,7 +313,7 @@ def _lost(judgement: Judgement, own: list[LegOutcome]) -> Tree:
     numbers = np.unique(judgement.recordings, return_inverse=True)[1]
     whole = np.zeros((numbers[-1] + 1, counts.shape[1]))
     np.add.at(whole, numbers, counts)
-    drawn = np.random.default_rng(0).integers(0, len(whole), (_BOOTSTRAPS, len(whole)))
+    drawn = np.random.default_rng(0).integers(0, len(whole), (2000, len(whole)))
     low, high = np.nanpercentile(_points(whole[drawn].sum(axis=1)), (2.5, 97.5))
     return {
         "recall_lost_points": float(_points(counts.sum(axis=0))),

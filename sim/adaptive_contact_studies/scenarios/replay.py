@@ -17,8 +17,8 @@ from adaptive_contact.arrays import Ints, Mask
 from adaptive_contact.core.learn.change_classifier import KINDS
 from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.core.leg_learner import ContactLearner
-from adaptive_contact.errors import BaselineError, SimulationDivergedError
-from adaptive_contact.model import Baseline, shipped_baseline
+from adaptive_contact.errors import SimulationDivergedError
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.score import Events, LegStream, TruthChanges, contacts_of, truth_changes
 from adaptive_contact.wire import ContactEvent, ContactTruth, Status
 from adaptive_contact_sim.arrays import Run, record_run
@@ -136,20 +136,7 @@ def hold(truth: TruthChanges, from_ns: int, to_ns: int) -> TruthChanges:
     return TruthChanges._make(column[order] for column in both)
 
 
-@functools.cache
-def reference_baseline(name: str = HEXAPOD) -> Baseline:
-    """The baseline that ships for a simulated robot.
-
-    Raises:
-        BaselineError: none ships.
-    """
-    found = shipped_baseline(simulated_robot(name).description.name)
-    if found is None:
-        raise BaselineError(
-            f"no baseline ships for '{name}'; make one with `adaptive-contact sim baseline "
-            f"--robot {name}`"
-        )
-    return found
+_shipped = functools.cache(shipped_baseline)
 
 
 class _Watch:
@@ -158,11 +145,12 @@ class _Watch:
     def __init__(self, spec: ReplaySpec, leg: str, variant: Variant) -> None:
         self.leg, self.variant = leg, variant
         name = spec.recording.settings.robot
-        baseline = None if spec.baseline == "none" else reference_baseline(name)
+        described = simulated_robot(name).description
+        baseline = None if spec.baseline == "none" else _shipped(described.name)
         if baseline is not None and spec.baseline == "other_leg":
             baseline = replace(baseline, legs={leg: baseline.legs[OPPOSITE[leg]]})
         self.learner = ContactLearner(
-            simulated_robot(name).description,
+            described,
             leg,
             baseline,
             mode=LearnerMode.FROZEN if variant == "frozen" else LearnerMode.FULL,

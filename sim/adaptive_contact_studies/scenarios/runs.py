@@ -32,9 +32,6 @@ WALK_SWING_S: Final = 0.64 / 0.46
 # touches in the last ticks of a swing, which cannot be judged.  With the probabilities below about
 # half of the swings have a touch that counts; the rest is obstacles that could not be put in time.
 _WHERE: Final = (0.15, 0.4)
-# Offsets of the seeds of a kind of run from the first.
-_WALK: Final = 200
-_TURNS: Final = 400
 
 
 @dataclass(frozen=True)
@@ -132,7 +129,7 @@ def walk_run(
     settings = SimulationSettings(
         motion=WalkSettings(),
         terrain=TerrainSettings(kind=ground),
-        seed=sizes.first_seed + _WALK + run,
+        seed=sizes.first_seed + 200 + run,  # apart from those of other kinds of run
     )
     return RecordingSpec(settings, seconds, LEGS)
 
@@ -159,7 +156,7 @@ def turn_runs(sizes: Sizes) -> tuple[tuple[RecordingSpec, ...], float]:
         obstacles=ObstacleSettings(probability=0.65, where=_WHERE),
     )
     count = math.ceil(sizes.leg_runs / len(LEGS))
-    seeds = [sizes.first_seed + _TURNS + run for run in range(count)]
+    seeds = [sizes.first_seed + 400 + run for run in range(count)]  # apart from those of walks
     runs = [
         RecordingSpec(SimulationSettings(motion=motion, seed=seed), 2 * round_s, LEGS)
         for seed in seeds

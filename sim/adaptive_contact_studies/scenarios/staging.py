@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -31,10 +31,6 @@ from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation
 from adaptive_contact_studies.scenarios.spec import Staging
-
-SPRING_N_M: Final = 3000.0
-# About half of critical for the 60 g that move with a foot: it must not ring through the gait.
-DAMPER_NS_M: Final = 13.0
 
 
 class _LevelPose(PoseMotion):
@@ -117,7 +113,9 @@ class Stagehand:
         mujoco.mj_jac(model, data, self._jacobian, None, point, self._body)
         velocity = self._jacobian @ data.qvel
         if self._staging.trails_n is None:
-            force = -SPRING_N_M * (point - self._anchor) - DAMPER_NS_M * velocity
+            # A damper of about half of critical for the 60 g that move with a foot: it must not
+            # ring through the gait.
+            force = -3000.0 * (point - self._anchor) - 13.0 * velocity
         else:
             speed = max(float(np.linalg.norm(velocity)), 1e-9)
             # Speed up to which what trails is not pulled taut.

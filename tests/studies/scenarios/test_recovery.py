@@ -114,8 +114,8 @@ def test_contacts_only_neither_blind_it_nor_are_learned(folder: Path) -> None:
         headline = figures.rows["headline"]
         assert headline.found >= headline.touches - 1 > 80
         assert figures.false_alarms <= 1
-        assert full.confirmed > 1000
-        assert full.touched <= 0.001 * full.confirmed
+        assert full.replay.confirmed > 1000
+        assert full.replay.touched <= 0.001 * full.replay.confirmed
 
 
 def test_a_foot_that_trails_too_much_is_ambiguous_and_the_leg_is_well_again_after_it() -> None:
