@@ -137,10 +137,13 @@ class Robot50(threading.Thread):
 class Pour(threading.Thread):
     """Publishes 2,000 samples a second of a leg, an event each, until closed."""
 
-    def __init__(self, endpoint: str, leg: str, *, zenoh_config: Path | None = None) -> None:
+    def __init__(
+        self, endpoint: str, leg: str, *, zenoh_config: Path | None = None, run: int | None = None
+    ) -> None:
         super().__init__(daemon=True)
         self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
         self.leg = leg
+        self.run_id = run
         self.stop = threading.Event()
         self.start()
 
@@ -155,6 +158,7 @@ class Pour(threading.Thread):
                     seq=seq,
                     measured=[0.5 * (seq % 2), 0.1, 0.2],
                     desired=[0.0, 0.1, 0.2],
+                    run=self.run_id,
                 )
             )
 

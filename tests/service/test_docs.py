@@ -28,7 +28,6 @@ from waiting import until
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/messages.md").read_text(encoding="utf-8")
-OPERATING = (ROOT / "docs/operating.md").read_text(encoding="utf-8")
 
 MESSAGES = [
     getattr(wire, name)

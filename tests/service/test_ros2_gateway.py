@@ -217,34 +217,6 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, program, ros, port)
     assert graph[STATE] == [RosType.CONTROLLER_STATE]
 
 
-def test_late_joiners_get_the_latched_contact(serve, gateway, inbox, ros, rig) -> None:
-    served = serve()
-    gateway(served.endpoint)
-    standing = rig.Robot50(served.endpoint, touch=lambda _: True)
-    key = rmw.topic_key(
-        0,
-        rmw.Address(
-            "/adaptive_contact/rf/contact", RosType.BOOL, typestore().hash_rihs01(RosType.BOOL)
-        ),
-    )
-    late = inbox()
-    # As rmw_zenoh declares a subscription that is reliable and transient local, of depth 1.
-    subscriber = zenoh.ext.declare_advanced_subscriber(
-        ros,
-        key,
-        lambda got: late((got.payload.to_bytes(), got.attachment.to_bytes())),
-        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
-        recovery=zenoh.ext.RecoveryConfig(heartbeat=True),
-        subscriber_detection=True,
-    )
-    payload, attached = late.wait(lambda all_: all_[-1][0][-1:] == b"\x01")[-1]
-    assert payload == b"\x00\x01\x00\x00\x01"
-    attachment = rmw.decode_attachment(attached)
-    assert abs(attachment.time_ns - time.time_ns()) < 60e9
-    subscriber.undeclare()
-    standing.close()
-
-
 def test_bad_messages_get_a_line_each_and_hold_up_nothing(
     serve, gateway, join, inbox, ros, rig
 ) -> None:
@@ -365,24 +337,3 @@ def test_a_router_that_comes_back(serve, gateway, join, inbox, port) -> None:
 def test_legs_without_samples_are_told_of(serve, gateway, ros) -> None:
     (line,) = says(gateway(serve().endpoint), "no sample of legs lf, rf yet")
     assert f"{STATE}: " in line
-
-
-def test_a_robot_without_topics_is_refused(program, tmp_path: Path) -> None:
-    path = tmp_path / "robot.toml"
-    path.write_text(ROBOT.split("[ros2]")[0] + '[[leg]]\nid = "a"\njoints = ["x"]\n')
-    refused = program("-m", "adaptive_contact", "bridge", "ros2", "--config", path)
-    assert refused.wait() == 2
-    (said,) = refused.lines
-    assert "write [ros2]" in said
-    assert str(path) in said
-
-
-def test_the_extra_is_named(program, config: Path) -> None:
-    code = (
-        "import sys; sys.modules['rosbags'] = None; sys.argv[0] = 'adaptive-contact'; "
-        "from adaptive_contact.cli.main import main; main()"
-    )
-    refused = program("-c", code, "bridge", "ros2", "--config", config)
-    assert refused.wait() == 2
-    (said,) = refused.lines
-    assert "[ros2]'" in said

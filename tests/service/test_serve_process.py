@@ -108,26 +108,6 @@ def test_a_router_that_joins_another_says_only_what_it_knows(
 
 
 @pytest.mark.e2e
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_a_full_disk_for_its_lines_ends_nothing(
-    router: Link, inbox: Any, program: Any, config: Path, fake: ModuleType
-) -> None:
-    tokens = inbox()
-    router.watch_tokens("robot/service", tokens)
-    with Path("/dev/full").open("w") as full:
-        served = program(
-            *(fake.__file__, "--config", config, "--no-state"),
-            *("--connect", router.endpoints[0]),
-            stdout=full,
-            stderr=full,
-        )
-    assert tokens.wait(1)[0] == ("robot/service", True)
-    statuses = inbox(ServiceStatus).hears(router, SERVICE_STATUS)
-    statuses.wait(2)  # it works on after the line that could not be written
-    assert served.stop() == 0
-
-
-@pytest.mark.e2e
 def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:
     with socket.socket() as mute:  # accepts, says nothing
         mute.bind(("127.0.0.1", 0))

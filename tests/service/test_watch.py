@@ -64,6 +64,11 @@ def test_events_and_statuses_make_a_row() -> None:
     assert row(watch, 7 * S).contact is False
     assert row(watch, 7 * S).contact_age_s == 3.0
     assert row(watch, 7 * S).stale, "the last status is 4 s old"
+    watch.event(event(3), 8 * S, age_ns=4 * S)  # as a late joiner hears it
+    assert row(watch, 8 * S).contact_age_s == 4.0
+    for ticks in (10, 60):  # of a service that was restarted
+        watch.learner(status(ticks=ticks), (8 + ticks // 60) * S)
+    assert row(watch, 9 * S).rate_hz == 50.0
 
 
 def test_p_is_of_the_newest_state_or_event_while_that_is_fresh() -> None:
@@ -107,20 +112,6 @@ def test_states_are_asked_for_by_who_shows_p(router: Link) -> None:
         for _ in range(5):
             assert p() == 0.75
         assert all(leg.p is None for leg in feed_without.view(time.monotonic_ns()).legs)
-
-
-def test_a_late_joiner_knows_how_old_the_contact_is() -> None:
-    watch = Watch()
-    watch.event(event(1), 10 * S, age_ns=4 * S)
-    assert row(watch, 11 * S).contact_age_s == 5.0
-
-
-def test_a_restarted_service_gives_no_negative_rate() -> None:
-    watch = Watch()
-    watch.learner(status(ticks=1000), 0)
-    watch.learner(status(ticks=10), 1 * S)
-    watch.learner(status(ticks=60), 2 * S)
-    assert row(watch, 2 * S).rate_hz == 50.0
 
 
 def test_contacts_that_did_not_arrive_are_counted() -> None:
@@ -223,6 +214,38 @@ def test_truth_judges_events(event_ms: float, seen: int, false_alarms: int) -> N
     assert leg.latency_ms == (event_ms - 1000 if seen else None)
 
 
+@pytest.mark.parametrize(
+    ("watch", "truths", "events", "counted"),
+    [
+        # Truth that comes after the event still counts.
+        (after_one_swing(), [(500, False), (1000, True)], [1020], (1, 1, 0)),
+        # A leg that is first seen loaded has not touched.
+        (Watch(), [(1000, True), (1100, False)], [1020], (0, 0, 0)),
+        # Chatter is one touch, and an event matches once.
+        (
+            after_one_swing(),
+            [(0, False), (100, True), (110, False), (130, True), (400, False)],
+            [112, 450],
+            (1, 1, 1),
+        ),
+        # The event of the first touch after joining may have come before anybody listened.
+        (Watch(), [(500, False), (1000, True)], [10, 1020], (0, 0, 0)),
+    ],
+)
+def test_touches_are_counted_in_any_order(
+    watch: Watch,
+    truths: list[tuple[int, bool]],
+    events: list[int],
+    counted: tuple[int, int, int],
+) -> None:
+    for t_ms in events:
+        watch.event(event(t_ms), 1 * S)
+    for t_ms, contact in truths:
+        watch.truth("rf", truth(t_ms, contact), 1 * S)
+    leg = row(watch, 5 * S)
+    assert (leg.touches, leg.seen, leg.false_alarms) == counted
+
+
 def test_touches_while_the_service_compiles_are_not_missed() -> None:
     watch = Watch()
     watch.service(service(instance="", note="compiling"))
@@ -235,45 +258,6 @@ def test_touches_while_the_service_compiles_are_not_missed() -> None:
     assert (leg.leg, leg.touches, leg.seen) == ("rf", 1, 0), (
         "after the first with a service that judges"
     )
-
-
-def test_truth_that_comes_after_the_event_still_counts() -> None:
-    watch = after_one_swing()
-    watch.truth("rf", truth(500, False), 0)
-    watch.event(event(1020), 2 * S)
-    watch.view(2 * S + 10 * MS)
-    watch.truth("rf", truth(1000, True), 0)
-    assert row(watch, 3 * S).latency_ms == 20.0
-
-
-def test_a_leg_first_seen_loaded_has_not_touched() -> None:
-    watch = Watch()
-    watch.truth("rf", truth(1000, True), 0)
-    watch.truth("rf", truth(1100, False), 0)
-    watch.event(event(1020), 1 * S)
-    leg = row(watch, 2 * S)
-    assert (leg.touches, leg.seen, leg.false_alarms) == (0, 0, 0)
-
-
-def test_chatter_is_one_touch_and_one_event_matches_once() -> None:
-    watch = after_one_swing()
-    for t_ms, contact in [(0, False), (100, True), (110, False), (130, True), (400, False)]:
-        watch.truth("rf", truth(t_ms, contact), 0)
-    watch.event(event(112), 1 * S)
-    watch.event(event(450), 1 * S)
-    leg = row(watch, 2 * S)
-    assert (leg.touches, leg.seen, leg.false_alarms) == (1, 1, 1)
-
-
-def test_the_first_touch_after_joining_is_neither_seen_nor_missed() -> None:
-    """Its event may have come before anybody listened, or come while the truth did not."""
-    watch = Watch()
-    watch.event(event(10), 1 * S)
-    watch.event(event(1020), 1 * S)
-    watch.truth("rf", truth(500, False), 1 * S)
-    watch.truth("rf", truth(1000, True), 1 * S)
-    leg = row(watch, 5 * S)
-    assert (leg.touches, leg.seen, leg.false_alarms) == (0, 0, 0)
 
 
 def test_a_touch_whose_event_may_still_come_is_not_missed() -> None:
@@ -440,13 +424,9 @@ def test_p_has_a_column_where_it_is_known() -> None:
     legs = [LegView(leg="lf", contact=True, p=0.987), LegView(leg="rf", contact=False)]
     head, _, lf, rf = lines(View(legs=legs, alive=True), 120)[2:6]
     assert (head.split()[3], lf.split()[3], rf.split()[3]) == ("p", "0.99", "-")
-    assert " p " not in "\n".join(lines(View(legs=legs[1:], alive=True), 120))
-
-
-def test_without_truth_there_are_no_columns_of_it() -> None:
-    watch = Watch()
-    watch.learner(status(), 0)
-    assert "latency" not in drawn(watch.view(0))
+    without = "\n".join(lines(View(legs=legs[1:], alive=True), 120))
+    assert " p " not in without
+    assert "latency" not in without, "that is of truth, which nobody tells"
 
 
 def test_the_headline_says_what_is_wrong_as_a_whole() -> None:
