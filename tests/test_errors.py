@@ -140,16 +140,3 @@ def test_what_listens_is_part_of_the_whole() -> None:
     extras = whole["optional-dependencies"] | {"doctor": ["numpy>=1.26"]}
     for name, needed in part["optional-dependencies"].items():
         assert set(needed) <= {*extras[name], "numpy>=1.26"}
-
-
-def test_a_learner_imports_no_library_before_it_is_used() -> None:
-    """Half of the time of `import ContactLearner` was theirs."""
-    code = (
-        "import sys; from adaptive_contact import ContactLearner; "
-        "print([m for m in ('scipy.linalg', 'scipy.special', 'sklearn', 'pysindy') "
-        "if m in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
-    )
-    assert done.stdout == "[]\n"

@@ -11,7 +11,6 @@ import signal
 import subprocess
 import threading
 import time
-import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -49,11 +48,6 @@ def status(state: str = "running", **more: object) -> BridgeStatus:
         port="left", t_ns=1, mode="observe", state=state, rate_hz=50.0, wanted_hz=50.0,
         cycle_ms=quiet, jitter_ms=quiet, cycles=1, missed=0, **more,
     )  # fmt: skip
-
-
-def test_the_examples_are_in_the_source_distribution() -> None:
-    settings = tomllib.loads((EXAMPLES.parent / "pyproject.toml").read_text(encoding="utf-8"))
-    assert "examples" in settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
 
 
 @pytest.mark.parametrize(("robot", "leg"), [("hexapod", "rf"), ("quadruped", "fl")])

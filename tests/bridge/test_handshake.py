@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 from anybus import any_servo
-from described import Serve, robot, write
+from described import AX, Serve, robot, write
 
 from adaptive_contact.bridge.discovery import find_servos
 from adaptive_contact.bridge.handshake import check_ports
@@ -22,7 +22,6 @@ from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import parse_robot
 from adaptive_contact_sim.virtual import VirtualServo
 
-AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
 
 

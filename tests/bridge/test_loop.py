@@ -13,16 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from described import AX, SCS, STS, XL
 
 from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Instruction, version_of
-from adaptive_contact.wire import MSGPACK, ServoCounts
-
-AX = {"model": "AX-12A", "protocol": 1}
-XL = {"model": "XL-330", "protocol": 2}
-STS = {"model": "STS3215", "protocol": "sts"}
-SCS = {"model": "SCS0009", "protocol": "scs"}
-FAST = {**XL, "extra": "fast = true"}
-SPEAKS = ServoCounts()
+from adaptive_contact.wire import MSGPACK
 
 
 @pytest.mark.parametrize("kind", [AX, XL, STS, SCS])

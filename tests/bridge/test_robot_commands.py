@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from described import AX, STS, XL
 
 from adaptive_contact.bridge.discovery import describe, find_servos, group
 from adaptive_contact.bridge.training import (
@@ -19,22 +19,17 @@ from adaptive_contact.bridge.training import (
     REST_TICKS,
     free_swings,
 )
-from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
-from adaptive_contact.robot import Leg, Limits, Mount, foot, parse_robot, shipped_robot
+from adaptive_contact.robot import Leg, Limits, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ServoSample
-from programs import invoke
+from programs import invoke, tried
 
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
 real_time = pytest.mark.slow
-
-AX = {"model": "AX-12A", "protocol": 1}
-XL = {"model": "XL330-M288", "protocol": 2}
-STS = {"model": "STS3215", "protocol": "sts"}
 
 
 @real_time
@@ -58,35 +53,6 @@ def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> 
     assert parse_robot(filled, source="filled").leg("l0").limits == Limits((-1.0,) * 3, (1.0,) * 3)
     with pytest.raises(ConfigurationError, match="exists already"):
         invoke("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
-
-
-@real_time
-def test_init_takes_servos_for_the_joints_of_a_urdf(rig: Callable, tmp_path: Path) -> None:
-    rig(**AX)
-    parts = ['<link name="body"/>']
-    for leg, y in (("l", 0.1), ("r", -0.1)):
-        for k, (axis, xyz) in enumerate(
-            (("1 0 0", f"0 {y} 0"), ("0 1 0", "0 0 -0.02"), ("0 1 0", "0 0 -0.1"))
-        ):
-            parent = "body" if k == 0 else f"{leg}{k - 1}"
-            parts.append(
-                f'<link name="{leg}{k}"/><joint name="{leg}_j{k}" type="revolute">'
-                f'<parent link="{parent}"/><child link="{leg}{k}"/><origin xyz="{xyz}"/>'
-                f'<axis xyz="{axis}"/><limit lower="-1" upper="1"/></joint>'
-            )
-    urdf, out = tmp_path / "r.urdf", tmp_path / "robot.toml"
-    urdf.write_text(f'<robot name="r">{"".join(parts)}</robot>')
-    invoke(
-        "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out),
-        "--urdf", str(urdf), "--legs", "l=l2,r=r2", "--tip", "0,0,-0.1",
-    )  # fmt: skip
-    robot = parse_robot(out.read_text(), source="written")
-    right = robot.leg("r")
-    assert right.joints == ("r_j0", "r_j1", "r_j2")
-    assert right.servos.ids == (4, 5, 6)
-    assert right.joint_axes[0] == "roll"
-    assert right.origins_m == ((0.0, 0.0, -0.02), (0.0, 0.0, -0.1), (0.0, 0.0, -0.1))
-    assert robot.quantum_rad == pytest.approx(0.00511, abs=1e-5)
 
 
 def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:
@@ -128,12 +94,8 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
         pose_of("0,1.5,-1", r.robot, r.plans)
     legs = tuple(msgspec.structs.replace(x, lengths_m=(0.05, 0.06, 0.1)) for x in r.robot.legs)
     path.write_text(write_robot(msgspec.structs.replace(r.robot, legs=legs)))
-    result = CliRunner().invoke(
-        cli.app,
-        ["robot", "learn", "--config", str(path), "--drive", "--pose", "0,0.5,-1", "--out",
-         str(tmp_path / "b.json")],
-        input="n\n",
-    )  # fmt: skip
+    words = ("--config", path, "--drive", "--pose", "0,0.5,-1", "--out", tmp_path / "b.json")
+    result = tried("robot", "learn", *words, input="n\n")
     assert result.exit_code == 1
     assert "around 0.0, 0.5, -1.0 rad" in result.output
     assert all(s.writes == 0 for s in r.ports[0].servos)
@@ -271,13 +233,3 @@ def test_the_picture_says_where_front_is_and_which_way_angles_grow() -> None:
     ends = dict(zip(robot.leg_ids, turned[:6], strict=True))
     assert ends["rm"][3] < ends["rm"][1] - 5  # yaw plus takes the right middle leg to the front
     assert ends["lm"][3] > ends["lm"][1] + 5  # and the left one to the rear
-
-
-def test_without_mounts_each_leg_is_drawn_from_above_too() -> None:
-    robot = msgspec.structs.replace(
-        shipped_robot(),
-        legs=tuple(msgspec.structs.replace(one, mount=Mount()) for one in shipped_robot().legs[:3]),
-    )
-    text = draw(robot, {x: [0.3, 0.6, -1.8] for x in robot.leg_ids})
-    assert "front (x)" not in text
-    assert text.count(">from above<") == text.count(">from the side<") == 3

@@ -6,24 +6,23 @@ With a controller of the test's own, and with the example's, as docs/bridge.md h
 from __future__ import annotations
 
 import itertools
+import queue
 import signal
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+from described import AX, goals_written
 
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.wire import Command, command_key
+from adaptive_contact.wire import BridgeStatus, Command, command_key, decode
+from adaptive_contact.wire.received import Received
 from programs import Program
 from waiting import until
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240)]
-
-AX = {"model": "AX-12A", "protocol": 1}
-EXAMPLE = str(Path(__file__).parents[2] / "examples" / "gait_controller.py")
 
 
 class Commands:
@@ -58,20 +57,16 @@ def test_a_leg_is_held_when_commands_stop_or_the_service_dies_and_goes_on_gently
     bridge = start("bridge", "dynamixel", "--drive", "--config", robot, "--connect", endpoint)
     bridge.next_line("driving 6 servos")
     servo = r.servo(1)
-    centre, goals = servo.model.centre, []
-    write = servo.write
-
-    def spy(address: int, data: bytes) -> Any:
-        if address == servo.model.registers["goal_position"].address:
-            goals.append(int.from_bytes(data, "little"))
-        return write(address, data)
-
-    servo.write = spy
+    centre, goals = servo.model.centre, goals_written(servo)
     with Link.open(client_settings([endpoint])) as link:
-        commands = Commands(link, [0.4] * 3)
+        commands, statuses = Commands(link, [0.4] * 3), queue.SimpleQueue[Received]()
+        link.subscribe("robot/bridge/*/status", statuses.put)
         try:
             there = centre + round(0.4 / servo.model.step_rad)
             until(lambda: goals and goals[-1] == there)
+            told = statuses.get(timeout=60.0)
+            status = decode(told.payload, BridgeStatus, told.encoding)
+            assert (status.port, status.mode) == ("p0", "drive")
             commands.goal = None
             bridge.next_line("leg l0: no command for 200 ms, holding the last goal")
             written = len(goals)

@@ -91,16 +91,6 @@ def test_feet_reach_the_floor_of_a_low_stand() -> None:
     assert touched.all()
 
 
-def test_time_that_was_lost_is_let_go() -> None:
-    backend = PassiveBackend(horns())
-    backend.advance(10.0)
-    backend.advance(10.002)
-    steps = backend.plant.steps
-    due = backend.advance(30.0)
-    assert backend.plant.steps == steps
-    assert due == pytest.approx(30.0, abs=0.01)
-
-
 def test_registers_refuse_what_real_ones_refuse() -> None:
     backend = KinematicBackend(1)
     model = models_named("XL330-M288")[0]
@@ -112,45 +102,6 @@ def test_registers_refuse_what_real_ones_refuse() -> None:
     assert servo.write(registers["torque_enable"].address, b"\x01") is None
     assert servo.write(registers["return_delay"].address, b"\x00") is not None  # EEPROM, driving
     assert servo.read(660, 20) is not None
-
-
-def servo_of(name: str, backend: KinematicBackend) -> VirtualServo:
-    return VirtualServo(7, models_named(name)[0], backend, 0, np.random.default_rng(1))
-
-
-def test_an_ax_servo_in_overload_has_no_torque_until_its_limit_is_written() -> None:
-    backend = KinematicBackend(1)
-    servo = servo_of("AX-12A", backend)
-    registers = servo.model.registers
-    servo.write(registers["goal_position"].address, (612).to_bytes(2, "little"))
-    assert servo.drives
-    assert servo.set_errors(0x20) == 0x20
-    assert servo.value("torque_limit") == 0
-    backend.advance(1.0)
-    backend.advance(2.0)
-    assert backend.angle(0) == 0.0
-    assert servo.set_errors(0) == 0
-    servo.write(registers["goal_position"].address, (600).to_bytes(2, "little"))
-    assert not servo.drives
-    servo.write(registers["torque_limit"].address, b"\xff\x03")
-    backend.advance(3.0)
-    assert backend.angle(0) == pytest.approx(88 * servo.model.step_rad, abs=0.01)
-
-
-def test_an_x_servo_in_overload_has_no_torque_until_a_reboot() -> None:
-    servo = servo_of("XM430-W350", KinematicBackend(1))
-    enable = servo.model.registers["torque_enable"].address
-    servo.write(enable, b"\x01")
-    servo.set_errors(0x20)
-    assert not servo.drives
-    assert servo.set_errors(0) == 0x20  # the alert stays
-    assert servo.write(enable, b"\x01") is not None
-    servo.reboot()
-    assert servo.set_errors(0) == 0
-    assert servo.write(enable, b"\x01") is None
-    servo.reboot()
-    servo.set_errors(0x01)  # a low voltage is told, and not shut down for, as delivered
-    assert servo.write(enable, b"\x01") is None
 
 
 def test_a_gentler_slope_lets_a_leg_sag_further() -> None:

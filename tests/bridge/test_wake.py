@@ -7,12 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from described import AX, STS, XL, goals_written
 
 from adaptive_contact.wire import ServoCounts
 
-AX = {"model": "AX-12A", "protocol": 1}
-XL = {"model": "XL-330", "protocol": 2}
-STS = {"model": "STS3215", "protocol": "sts"}
 SPEAKS = ServoCounts()
 
 
@@ -23,19 +21,6 @@ def stand(rig: Any, steps: int, servos: tuple[int, ...] = (1, 2, 3)) -> int:
         rig.servo(i).store("torque_enable", 1)
         rig.servo(i).store("goal_position", goal)
     return goal
-
-
-def goals_written(servo: Any) -> list[int]:
-    """Goals that are written to a servo from now on."""
-    goals, write, register = [], servo.write, servo.model.registers["goal_position"]
-
-    def spy(address: int, data: bytes) -> Any:
-        if address == register.address:
-            goals.append(register.value(data))
-        return write(address, data)
-
-    servo.write = spy
-    return goals
 
 
 @pytest.mark.parametrize("again", [False, True])

@@ -85,34 +85,21 @@ def test_without_extras_the_core_works(bare: Any, tmp_path: Path, recording: Pat
 
 
 @pytest.mark.parametrize(
-    ("args", "extra"),
+    ("line", "extra"),
     [
-        (["sim", "list"], "sim"),
-        (["sim", "walk", "--offline", "--seconds", "1"], "sim"),
-        (["sim", "pose", "--offline", "--seconds", "1"], "sim"),
-        (["sim", "inject", "friction", "--value", "4"], "sim"),
-        (["demo", "--seconds", "10"], "sim"),
+        ("sim list", "sim"),
+        ("sim walk --offline --seconds 1", "sim"),
+        ("sim inject friction --value 4", "sim"),
+        ("demo --seconds 10", "sim"),
+        ("sim walk --offline --seconds 1 --render walk.gif", "plot"),
     ],
 )
 def test_without_an_extra_a_command_says_which(
-    bare: Any, tmp_path: Path, args: list[str], extra: str
+    bare: Any, without_plot: Any, tmp_path: Path, line: str, extra: str
 ) -> None:
-    _says_which(bare, tmp_path, args, extra)
-
-
-@pytest.mark.parametrize(
-    "args",
-    [
-        ["sim", "walk", "--offline", "--seconds", "1", "--render", "walk.gif"],
-    ],
-)
-def test_without_plot_pictures_say_so(without_plot: Any, tmp_path: Path, args: list[str]) -> None:
-    _says_which(without_plot, tmp_path, args, "plot")
-
-
-def _says_which(environment: Any, folder: Path, args: list[str], extra: str) -> None:
-    done = environment.run("-m", "adaptive_contact", *args, cwd=folder)
+    environment = {"sim": bare, "plot": without_plot}[extra]
+    done = environment.run("-m", "adaptive_contact", *line.split(), cwd=tmp_path)
     assert done.returncode == 2
-    (line,) = done.stderr.strip().splitlines()
-    assert f".whl[{extra}]'" in line
-    assert list(folder.iterdir()) == []
+    (said,) = done.stderr.strip().splitlines()
+    assert f".whl[{extra}]'" in said
+    assert list(tmp_path.iterdir()) == []

@@ -14,7 +14,7 @@ from adaptive_contact.cli._replay_plot import check_plot, write_plot
 from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model.model_file import shipped_baseline
-from adaptive_contact.robot import inverse, shipped_robot
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.recording import Record
 from adaptive_contact.service.replay import (
     Counts,
@@ -33,6 +33,7 @@ from adaptive_contact.wire import (
     decode,
     encode,
 )
+from stepping import step
 
 MS = 1_000_000
 TICK = 20 * MS
@@ -81,13 +82,10 @@ def test_a_miss_says_how_far_below_the_threshold(ratios: list[float], says: str)
 
 def standing_records(swings: int) -> list[Record]:
     """A leg that follows its commands, and a truth that has a touch in the middle of a swing."""
-    leg = shipped_robot().leg("rf")
     records = []
     for k in range(40 * swings):
         phase = k % 40
-        height = -0.1 + 0.05 * (1 - abs(phase - 15) / 15 if phase < 30 else 0)
-        angles = [float(q) for q in inverse([0.13, 0.0, height], leg.lengths_m)]
-        word = "swing" if phase < 30 else "stance"
+        angles, word = step(k)
         sample = ServoSample(t_ns=k * TICK, seq=k, measured=angles, desired=angles, phase=word)
         records.append(Record("robot/leg/rf/servo", encode(sample), MSGPACK, k * TICK, k * TICK))
         if phase in (0, 22):

@@ -54,11 +54,6 @@ def test_other_attachments_are_none() -> None:
         assert rmw.decode_attachment(data) is None
 
 
-def test_ids_of_publishers_differ() -> None:
-    assert len(rmw.publisher_id("a")) == 16
-    assert rmw.publisher_id("a") != rmw.publisher_id("b")
-
-
 def test_quality_is_what_a_foreign_sdk_reads() -> None:
     latched = qos.QosProfile.decode(rmw.LATCHED)
     assert latched.durability is qos.QosDurability.TRANSIENT_LOCAL

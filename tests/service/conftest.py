@@ -14,12 +14,11 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
-from typer.testing import CliRunner
 
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Message, ServoSample, decode, servo_key
-from programs import Program
+from programs import Program, tried
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the helpers beside the tests
@@ -125,9 +124,8 @@ def inbox() -> Callable[..., Inbox]:
 @pytest.fixture
 def beside_a_source(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable[..., Any]]:
     """Runs a command beside a source that publishes all samples; ends when they are taken in."""
-    from adaptive_contact.cli import _options, main
+    from adaptive_contact.cli import _options
 
-    main.load_commands()
     threads: list[threading.Thread] = []
 
     def run(samples: list[tuple[str, ServoSample]], *words: str) -> Any:
@@ -154,7 +152,7 @@ def beside_a_source(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[C
 
         threads.append(threading.Thread(target=publish))
         threads[-1].start()
-        result = CliRunner().invoke(main.app, [*words, "--connect", router.endpoints[0]])
+        result = tried(*words, "--connect", router.endpoints[0])
         stop.set()
         return result
 

@@ -28,9 +28,7 @@ from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     MSGPACK,
-    DriftLevel,
     LearnerStatus,
-    RefitCounts,
     ServoSample,
     encode,
     learner_key,
@@ -234,35 +232,3 @@ def test_a_leg_that_cannot_say_how_it_is_begins_anew_and_says_that(
         assert found.note == "begun anew: in its status"
     (line,) = [line for line in logs if line["event"].startswith("fault in learning")]
     assert (line["leg"], str(line["exc_info"])) == ("rf", "in its status")
-
-
-def test_what_became_of_refits_is_logged_once(live: Live, sample: Sample) -> None:
-    with live() as life, capture_logs() as logs:
-        life.hear(sample(1))
-        life.learner.refits = RefitCounts(promoted=1, last_reason="promoted: +0.2 better")
-        life.idle(100)
-        life.learner.refits = RefitCounts(promoted=1, refused=1, last_reason="refused: -0.1")
-        life.idle(100)
-        life.learner.refits = RefitCounts(promoted=1, refused=1, rolled_back=1, last_reason="back")
-        life.idle(100)
-    told = [
-        (line["outcome"], line["why"], line["log_level"])
-        for line in logs
-        if line["event"] == "refit"
-    ]
-    assert told == [
-        ("promoted", "promoted: +0.2 better", "info"),
-        ("refused", "refused: -0.1", "debug"),
-        ("rolled_back", "back", "info"),
-    ]
-
-
-def test_the_kind_of_a_change_is_logged_now_and_then(live: Live, sample: Sample) -> None:
-    """A guess that comes and goes fills no log; each kind has a line in ten seconds at most."""
-    with live() as life, capture_logs() as logs:
-        life.hear(sample(1))
-        for kind in (None, "drive", "friction", None, "friction", "drive"):
-            life.learner.drift = DriftLevel(level=4.0, since_ns=0, kind=kind)
-            life.idle(75)
-    told = [(line["leg"], line["kind"]) for line in logs if line["event"] == "leg changed"]
-    assert told == [("rf", "drive"), ("rf", "friction")]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -85,50 +82,6 @@ def test_publishers_are_told_apart_over_a_restart_as_without_one(
     before, after = whole.position, broken.position
     assert after[:2] == before[:2]
     assert after.superseded == before.superseded
-
-
-def test_a_superseded_publisher_is_taken_back_when_none_of_the_newer_one_comes_between() -> None:
-    admission = Admission(Position(8, 100, superseded=(7,)))
-    refused = Reject.OTHER_PUBLISHER
-    for k in range(200):
-        assert admission.judge(sample(k, run=7)) == refused
-        if k % (TAKE_BACK_SAMPLES - 1) == TAKE_BACK_SAMPLES - 2:
-            assert admission.judge(sample(101 + k, run=8)) == USED
-    told = [admission.judge(sample(k, run=7)) for k in range(200, 230)]
-    waited = told.index(USED)
-    assert waited < TAKE_BACK_SAMPLES
-    assert told[waited:] == [USED] * (30 - waited)
-    assert admission.position.superseded == ()
-    # The one that started last is back: at its third sample, as it was soon gone before.
-    back = [admission.judge(sample(k, run=8)) for k in range(400, 403)]
-    assert back == [refused, refused, USED]
-    assert admission.position.superseded == (7,)
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"measured": [math.nan, 0.0]}, Reject.NOT_FINITE),
-        ({"desired": [0.1]}, Reject.WRONG_JOINTS),
-        ({"seq": -1}, Reject.OUT_OF_RANGE),
-    ],
-)
-def test_what_is_no_sample_brings_no_publisher_back(
-    change: dict[str, object], reason: Reject
-) -> None:
-    admission = Admission(Position(8, 100, superseded=(7,)))
-    for k in range(2 * TAKE_BACK_SAMPLES):
-        told = admission.judge(sample(k, run=7, **change))
-        assert told is reason
-
-
-def test_one_that_started_while_the_service_was_down_is_the_newest() -> None:
-    """The newer one comes first, the one that was in force before the restart goes on, too."""
-    admission = Admission(Position(8, 100))
-    for k in range(100):
-        assert admission.judge(sample(k, run=9)) == USED
-        assert admission.judge(sample(k, run=8)) is Reject.OTHER_PUBLISHER
-    assert admission.missed_down == 0
 
 
 def test_publishers_remembered_are_bounded() -> None:

@@ -143,15 +143,14 @@ def test_viewers_behind_a_proxy_that_stops_reading_hold_up_nobody(
     """
     served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(users.service))
     near = served.endpoint.replace("0.0.0.0", "127.0.0.1")
-    proxy = program("-c", rig.PROXY, near.removeprefix("tcp/"))
-    behind = f"tcp/{proxy.wait_line('127').string}"
-    sessions = (rig.FOREIGN, behind, str(viewers), str(users.viewer), "3600000")
+    wire = rig.Wire(near)
+    sessions = (rig.FOREIGN, wire.endpoint, str(viewers), str(users.viewer), "3600000")
     program("-c", *sessions).wait_line("subscribed")
     robot = rig.Robot50(near, ("lf", "rf"), zenoh_config=users.robot)
     listener = rig.Listener(near, zenoh_config=users.viewer)
-    with rig.closing(listener, robot):
+    with rig.closing(wire, listener, robot):
         listener.steady(robot, "rf", 2)
-        proxy.process.send_signal(signal.SIGSTOP)
+        wire.cut()
         stopped = time.monotonic()
         # What fills them, the kernel's buffers and then Zenoh's: 1.5 MB/s to each.
         with rig.closing(rig.Bulk(near, "rr", zenoh_config=users.robot)):

@@ -9,15 +9,14 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from adaptive_contact.bridge.training import free_swings
-from adaptive_contact.cli import main as cli
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.model.model_file import load_baseline
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ServoSample
+from programs import tried
 
 TOML = """
 [robot]
@@ -126,7 +125,6 @@ def test_other_legs_are_named(learn_live: Callable[..., Any]) -> None:
     ],
 )
 def test_options_of_the_other_source_are_refused(words: tuple[str, ...], says: str) -> None:
-    cli.load_commands()
-    result = CliRunner().invoke(cli.app, ["robot", "learn", *words])
-    assert isinstance(result.exception, ConfigurationError)
-    assert says in str(result.exception)
+    error = tried("robot", "learn", *words).exception
+    assert isinstance(error, ConfigurationError)
+    assert says in str(error)

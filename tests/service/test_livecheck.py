@@ -11,10 +11,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from adaptive_contact.checks.livecheck import LiveCheck, LiveReport
-from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_check import report_lines
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.notes import speaks_of_angles
@@ -22,6 +20,7 @@ from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robo
 from adaptive_contact.service.link import NoRouterError
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 from adaptive_contact.wire.received import Received
+from programs import tried
 
 PERIOD_NS = 20_000_000
 STANDING = (0.0, 0.6, -1.8)
@@ -262,11 +261,9 @@ def test_over_zenoh_a_wrong_sign_ends_with_1_and_json_says_which(run_live: Calla
 
 
 def test_errors_are_one_line() -> None:
-    cli.load_commands()
-
-    def raised(*words: str) -> BaseException | None:
-        return CliRunner().invoke(cli.app, ["robot", "check", *words]).exception
-
-    assert isinstance(raised("--live", "--connect", "tcp/127.0.0.1:1"), NoRouterError)
-    assert isinstance(raised("--live", "--device", "/dev/null"), ConfigurationError)
-    assert isinstance(raised("--connect", "tcp/127.0.0.1:1"), ConfigurationError)
+    for words, error in (
+        (("--live", "--connect", "tcp/127.0.0.1:1"), NoRouterError),
+        (("--live", "--device", "/dev/null"), ConfigurationError),
+        (("--connect", "tcp/127.0.0.1:1"), ConfigurationError),
+    ):
+        assert isinstance(tried("robot", "check", *words).exception, error)

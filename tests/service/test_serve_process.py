@@ -7,7 +7,6 @@ import json
 import os
 import re
 import signal
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -105,22 +104,6 @@ def test_a_router_that_joins_another_says_only_what_it_knows(
         well()
         assert again.is_connected(), "who joins nobody is always there"
     assert served.stop() == 0
-
-
-@pytest.mark.e2e
-def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:
-    with socket.socket() as mute:  # accepts, says nothing
-        mute.bind(("127.0.0.1", 0))
-        mute.listen()
-        address = f"tcp/127.0.0.1:{mute.getsockname()[1]}"
-        served = serve("--connect", address, wait=False)
-        until(
-            lambda: not (f"refused: {address} accepts connections" not in served.log.read_text()),
-            lambda: served.log.read_text(),
-        )
-        began = time.monotonic()
-        assert served.stop() == 0
-        assert time.monotonic() - began < 10.0
 
 
 def named(task: Path) -> str:
@@ -240,9 +223,8 @@ def test_contradictory_options_get_one_line(ours: Any, tmp_path: Path) -> None:
 
 @pytest.mark.e2e
 def test_show_and_reset(
-    serve: Any, join: Join, inbox: Any, sample: Sample, state: Any, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    serve: Any, join: Join, inbox: Any, sample: Sample, state: Any, tmp_path: Path
+) -> None:
     folder = tmp_path / "kept"
     code, _, error = state("show", "--state", str(folder))
     assert (code, error.count("\n")) == (2, 1)
@@ -267,16 +249,10 @@ def test_show_and_reset(
     assert all(row["refused"] is None for row in rows)
     damaged = Path(rows[0]["file"])
     damaged.write_bytes(damaged.read_bytes()[:-9])
-    monkeypatch.setenv("COLUMNS", "80")
     _, out, _ = state("show", "--state", str(folder))
     assert out.startswith(f"mini, in {folder}/mini\n")
     assert f"{damaged.name}: damaged: " in out
-    names = [Path(row["file"]).name for row in rows]
-    listed = [line.split() for line in out.splitlines() if " kB " in line]
-    assert [(line[-1], line[-2]) for line in listed] == [
-        (name, "refused" if name == damaged.name else "sound") for name in names
-    ]
-    assert max(map(len, out.splitlines()[1:5])) <= 80
+    assert (out.count(" refused "), out.count(" sound ")) == (1, 1)
 
     # What the learner refused is no state to go on from, whole as it may be.
     whole = Path(rows[1]["file"])

@@ -173,15 +173,6 @@ def test_what_a_leg_has_changed_in_and_when_is_shown() -> None:
     assert "load" in drawn(watch.view(0)), "its time was of another clock"
 
 
-def test_two_services_whose_counts_differ_are_no_loss() -> None:
-    watch = Watch()
-    for second in range(60):
-        watch.event(event(1000 * second + 500), second * S)
-        watch.learner(status(t_ns=second * S, contacts=second), second * S)
-        watch.learner(status(t_ns=second * S + 1, contacts=5000 + second), second * S)
-    assert row(watch).unheard <= 1
-
-
 def test_a_contact_that_a_status_overtakes_is_not_lost() -> None:
     watch = Watch()
     watch.learner(status(t_ns=0), 0)

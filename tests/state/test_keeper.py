@@ -340,21 +340,6 @@ def test_a_state_that_cannot_be_kept_is_counted_told_and_ends_no_other(
     assert folder.restored()[0] == 3
 
 
-def test_a_folder_that_is_anothers_is_not_written_to_at_the_end(folder: Folder) -> None:
-    """A service that stops has every leg saved, due or not: its own, where it has a folder."""
-    folder.save(5)
-    store = StateStore.open(folder.path, "mini")
-    with capture_logs():
-        second = StateKeeper(store, "mini", lambda _: "s")
-        desk = Desk(learner=Learner(6))
-        second.restore("rf", Learner(), "servo", 0)
-        desk.hear()
-        second.snapshot(desk, 0)
-        second.close(5.0)
-    assert second.facts.saved == 0
-    assert folder.restored()[0] == 5
-
-
 def test_a_folder_that_becomes_free_is_used(folder: Folder) -> None:
     owner = StateStore.open(folder.path, "mini")
     store = StateStore.open(folder.path, "mini")

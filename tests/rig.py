@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
-import socket
+import signal
 import sys
 import threading
 import time
@@ -33,6 +33,7 @@ from adaptive_contact.wire import (
     servo_key,
 )
 from adaptive_contact.wire.received import Received
+from programs import Program
 
 PERIOD_S = 0.02
 HALF = 10  # ticks of contact, ticks without
@@ -253,55 +254,20 @@ class Listener:
 
 
 class Wire:
-    """A TCP wire between a client and a router that can be cut: nothing passes, nobody is told."""
+    """A wire between a client and a router that can be cut: nothing passes, nobody is told."""
 
     def __init__(self, endpoint: str) -> None:
-        host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
-        self._target = (host, int(port))
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
-        self._whole = threading.Event()
-        self._whole.set()
-        self._closing = False
-        self._sockets: list[socket.socket] = []
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._proxy = Program("-c", PROXY, endpoint.removeprefix("tcp/"))
+        self.endpoint = f"tcp/{self._proxy.wait_line('127').string}"
 
     def cut(self) -> None:
-        self._whole.clear()
+        self._proxy.process.send_signal(signal.SIGSTOP)
 
     def mend(self) -> None:
-        self._whole.set()
+        self._proxy.process.send_signal(signal.SIGCONT)
 
     def close(self) -> None:
-        self._closing = True
-        self._whole.set()
-        for one in (self._server, *self._sockets):
-            with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                near, _ = self._server.accept()
-                threading.Thread(target=self._join, args=[near], daemon=True).start()
-
-    def _join(self, near: socket.socket) -> None:
-        self._sockets.append(near)
-        self._whole.wait()
-        with contextlib.suppress(OSError):
-            far = socket.create_connection(self._target, 5)
-            self._sockets.append(far)
-            back = threading.Thread(target=self._carry, args=[far, near], daemon=True)
-            back.start()
-            self._carry(near, far)
-
-    def _carry(self, one: socket.socket, other: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            while data := one.recv(65536):
-                self._whole.wait()  # in the cut the bytes stay here, as they would in the kernel
-                other.sendall(data)
-            other.shutdown(socket.SHUT_RDWR)
+        self._proxy.close()
 
 
 @contextlib.contextmanager
