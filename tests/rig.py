@@ -10,7 +10,6 @@ import contextlib
 import io
 import itertools
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -34,6 +33,7 @@ from adaptive_contact.wire import (
 )
 from adaptive_contact.wire.received import Received
 from programs import Program
+from waiting import Every, until
 
 PERIOD_S = 0.02
 HALF = 10  # ticks of contact, ticks without
@@ -135,25 +135,21 @@ class Robot50(threading.Thread):
         self.link.close()
 
 
-class Pour(threading.Thread):
+class Pour(Every):
     """Publishes 2,000 samples a second of a leg, an event each, until closed."""
 
     def __init__(
         self, endpoint: str, leg: str, *, zenoh_config: Path | None = None, run: int | None = None
     ) -> None:
-        super().__init__(daemon=True)
         self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
-        self.leg = leg
+        self.publisher = self.link.publisher(servo_key(leg))
+        self.seqs = itertools.count(1)
         self.run_id = run
-        self.stop = threading.Event()
-        self.start()
+        super().__init__(0.01, self.pour)
 
-    def run(self) -> None:
-        publisher = self.link.publisher(servo_key(self.leg))
-        for seq in range(1, sys.maxsize):
-            if seq % 20 == 0 and self.stop.wait(0.01):
-                return
-            publisher.put(
+    def pour(self) -> None:
+        for seq in itertools.islice(self.seqs, 20):
+            self.publisher.put(
                 ServoSample(
                     t_ns=seq * 20_000_000,
                     seq=seq,
@@ -164,18 +160,15 @@ class Pour(threading.Thread):
             )
 
     def close(self) -> None:
-        self.stop.set()
-        self.join(5)
+        super().close()
         self.link.close()
 
 
 class Bulk(Pour):
-    """Publishes 1.5 MB/s of what is no sample, until closed."""
+    """Publishes 3 MB/s of what is no sample, until closed."""
 
-    def run(self) -> None:
-        publisher = self.link.publisher(servo_key(self.leg))
-        while not self.stop.wait(0.02):
-            publisher.put_raw(bytes(30_000), MSGPACK)
+    def pour(self) -> None:
+        self.publisher.put_raw(bytes(30_000), MSGPACK)
 
 
 def uncounted(before: LearnerStatus, after: LearnerStatus) -> int:
@@ -191,33 +184,21 @@ class Listener:
         self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
         self.events: list[tuple[float, ContactEvent]] = []
         self.statuses: dict[str, LearnerStatus] = {}
-        self.words: list[tuple[str, str]] = []  # (leg, status) at each change
-        self._changed = threading.Condition()
         self.link.subscribe(ALL_CONTACT, self._event, history=True)
         self.link.subscribe(ALL_LEARNER, self._status)
 
     def _event(self, received: Received) -> None:
         event = decode(received.payload, ContactEvent, received.encoding)
         assert isinstance(event, ContactEvent)
-        with self._changed:
-            self.events.append((received.arrival_ns / 1e9, event))
-            self._changed.notify_all()
+        self.events.append((received.arrival_ns / 1e9, event))
 
     def _status(self, received: Received) -> None:
         status = decode(received.payload, LearnerStatus, received.encoding)
-        with self._changed:
-            before = self.statuses.get(status.leg)
-            if before is None or before.status != status.status:
-                self.words.append((status.leg, status.status))
-            self.statuses[status.leg] = status
-            self._changed.notify_all()
+        self.statuses[status.leg] = status
 
     def wait(self, test: Any, timeout_s: float = 30.0) -> None:
-        """Wait until ``test(self)`` holds; it is looked at whenever something arrives."""
-        with self._changed:
-            assert self._changed.wait_for(lambda: test(self), timeout_s), (
-                f"not in {timeout_s} s; {self.statuses}; last events {self.events[-3:]}"
-            )
+        """Wait until ``test(self)`` holds."""
+        until(lambda: test(self), lambda: (self.statuses, self.events[-3:]), timeout_s)
 
     def wait_event(
         self, leg: str, robot: Robot50, *, after: float, timeout_s: float = 30.0
@@ -239,8 +220,7 @@ class Listener:
 
     def steady(self, robot: Robot50, leg: str, count: int = 4) -> None:
         """From now on every change must come, once, at the tick at which it happens."""
-        with self._changed:
-            begin = len(self.events)
+        begin = len(self.events)
         self.wait(lambda me: len(me.of(leg, begin)) >= count)
         seqs = [event.seq for event in self.of(leg, begin)]
         assert all(event.contact == touches(event.seq) for event in self.of(leg, begin))

@@ -10,6 +10,7 @@ import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -37,14 +38,10 @@ def test_an_extra_comes_from_where_the_package_came(
     wheel.parent.mkdir()
     wheel.touch()
 
-    class Listen:
-        def read_text(self, _: str) -> str:
-            return json.dumps({"url": url.format(tmp_path)})
-
-    def distribution(name: str) -> Listen:
+    def distribution(name: str) -> SimpleNamespace:
         if name == "adaptive-contact":
             raise metadata.PackageNotFoundError
-        return Listen()
+        return SimpleNamespace(read_text=lambda _: json.dumps({"url": url.format(tmp_path)}))
 
     monkeypatch.setattr(metadata, "distribution", distribution)
     here = url.startswith("file://{}")

@@ -39,6 +39,7 @@ from described import Serve
 from kinematic import KinematicBackend
 
 from programs import Program
+from waiting import until
 
 PERIOD_S = 0.02
 
@@ -86,30 +87,19 @@ class Catcher:
         self.ticks: list[dict[str, ServoSample]] = []
         self.statuses: list[BridgeStatus] = []
         self.lines: list[str] = []
-        self._changed = threading.Condition()
+        self.status = self.statuses.append
+        self.say = self.lines.append
 
     def samples(self, samples: Mapping[str, ServoSample]) -> None:
-        with self._changed:
-            if len(samples) == self._legs:
-                self.ticks.append(dict(samples))
-                self._changed.notify_all()
-
-    def status(self, status: BridgeStatus) -> None:
-        with self._changed:
-            self.statuses.append(status)
-            self._changed.notify_all()
-
-    def say(self, line: str) -> None:
-        with self._changed:
-            self.lines.append(line)
-            self._changed.notify_all()
+        if len(samples) == self._legs:
+            self.ticks.append(dict(samples))
 
     def wait(self, true: Callable[[Catcher], Any], timeout_s: float = 40.0) -> None:
-        with self._changed:
-            assert self._changed.wait_for(lambda: true(self), timeout_s), (
-                f"not within {timeout_s} s: {len(self.ticks)} ticks, {self.lines}, "
-                f"{self.statuses[-1:]}"
-            )
+        until(
+            lambda: true(self),
+            lambda: f"{len(self.ticks)} ticks, {self.lines}, {self.statuses[-1:]}",
+            timeout_s,
+        )
 
 
 def robot_text(
@@ -233,7 +223,9 @@ class Running:
         payload = encode(Command(desired=list(desired), preview=preview))
         self.mailbox.put(leg, payload, MSGPACK, time.monotonic_ns())
 
-    def commanding(self, desired: Sequence[float]) -> Callable[[Check], Check]:
+    def commanding(
+        self, desired: Sequence[float], preview: list[list[float]] | None = None
+    ) -> Callable[[Check], Check]:
         """Make of what is waited for the same, with a command to the first leg before each look.
 
         The command is read anew each time, so that it may be changed in place.
@@ -241,7 +233,7 @@ class Running:
 
         def feed(true: Check) -> Check:
             def check(catcher: Any) -> Any:
-                self.command("l0", *desired)
+                self.command("l0", *desired, preview=preview)
                 return true(catcher)
 
             return check

@@ -17,21 +17,6 @@ from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.robot import Port, ServoLaw
 
 
-class Sdk:
-    """A port opened by the SDK's own classes, patient on a busy computer."""
-
-    def __init__(self, device: object, end: int, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("scservo_sdk.port_handler.LATENCY_TIMER", 200)
-        self.packets = sdk.PacketHandler(end)
-        self.port = sdk.PortHandler(str(device))
-        assert self.port.setBaudRate(1_000_000)
-
-    def word(self, servo: int, address: int) -> int:
-        value, result, error = self.packets.read2ByteTxRx(self.port, servo, address)
-        assert (result, error) == (sdk.COMM_SUCCESS, 0)
-        return int(value)
-
-
 @pytest.mark.parametrize(
     ("kind", "end", "number", "raw"),
     # Half a rad below the centre; beyond zero in multi-turn mode, sign and magnitude.
@@ -41,12 +26,14 @@ class Sdk:
 def test_the_sdk_reads_what_the_servo_means(
     bus: Serve, kind: str, end: int, number: int, raw: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("scservo_sdk.port_handler.LATENCY_TIMER", 200)  # on a busy computer
     device, _ = bus(f"1-3:{kind}:at=-0.5")
-    own = Sdk(device, end, monkeypatch)
+    packets, port = sdk.PacketHandler(end), sdk.PortHandler(str(device))
+    assert port.setBaudRate(1_000_000)
     try:
-        assert own.packets.ping(own.port, 2)[:2] == (number, sdk.COMM_SUCCESS)
-        assert own.word(2, 56) == raw
-        group = sdk.GroupSyncRead(own.port, own.packets, 56, 4)
+        assert packets.ping(port, 2)[:2] == (number, sdk.COMM_SUCCESS)
+        assert packets.read2ByteTxRx(port, 2, 56) == (raw, sdk.COMM_SUCCESS, 0)
+        group = sdk.GroupSyncRead(port, packets, 56, 4)
         assert all(group.addParam(servo) for servo in (1, 2, 3))
         result = group.txRxPacket()
         if end:  # the SCS series knows no sync read
@@ -55,7 +42,7 @@ def test_the_sdk_reads_what_the_servo_means(
             assert result == sdk.COMM_SUCCESS
             assert [group.getData(servo, 56, 2) for servo in (1, 2, 3)] == [raw] * 3
     finally:
-        own.port.closePort()
+        port.closePort()
 
 
 @pytest.mark.parametrize(("kind", "questions"), [(STS, 1), (SCS, 6)])

@@ -67,13 +67,6 @@ def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:
         group([found], 5, ("a", "b"))
 
 
-def test_an_unknown_model_is_named(rig: Callable, tmp_path: Path) -> None:
-    r = rig(**AX)
-    r.servo(3).store("model_number", 999)
-    with pytest.raises(BusError, match=r"servo 3 \(model number 999\) is of no known model"):
-        group([find_servos("p0", str(tmp_path / "p0"))], 3)
-
-
 def test_nobody_answers(rig: Callable, tmp_path: Path) -> None:
     r = rig(**AX)
     r.fault("silent:")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key, servo_key
 from programs import invoke, tried
+from waiting import Every, until
 
 PERIOD_S = 0.02
 
@@ -148,30 +149,22 @@ def test_what_another_controller_swings_is_learned_with_an_earlier_recording(
     robot: Any, tmp_path: Path
 ) -> None:
     recorded(robot.robot, 5600, tmp_path / "early.mcap")
-    stop, begun = threading.Event(), threading.Event()
+    goals = [swings(robot.robot, i) for i in range(2)]
 
     def control() -> None:
         """The robot's own controller, which writes goals whenever it likes."""
-        goals = [swings(robot.robot, i) for i in range(2)]
-        while not stop.wait(PERIOD_S):
-            for i, goal in enumerate(goals):
-                for j, angle in enumerate(next(goal)):
-                    servo = robot.servo(3 * i + j + 1)
-                    steps = servo.model.centre + round(angle / servo.model.step_rad)
-                    servo.write(servo.model.registers["goal_position"].address,
-                                steps.to_bytes(2, "little"))  # fmt: skip
-            begun.set()
+        for i, goal in enumerate(goals):
+            for j, angle in enumerate(next(goal)):
+                servo = robot.servo(3 * i + j + 1)
+                steps = servo.model.centre + round(angle / servo.model.step_rad)
+                servo.write(servo.model.registers["goal_position"].address,
+                            steps.to_bytes(2, "little"))  # fmt: skip
 
-    controller = threading.Thread(target=control)
-    controller.start()
-    try:
-        assert begun.wait(60.0)
+    with contextlib.closing(Every(PERIOD_S, control)):
+        until(lambda: robot.servo(1).writes)
         said = invoke(
             "robot", "learn", "--config", "robot.toml", "--seconds", "2", "--more", "early.mcap"
         )
-    finally:
-        stop.set()
-        controller.join()
     live = samples_of(Path("baseline.mcap"), "l1")
     # Nobody else moves the leg; how far a swing gets in these seconds is the machine's.
     assert np.ptp([sample.desired[1] for sample in live]) > 0.05

@@ -14,7 +14,6 @@ from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import foot, shipped_robot
-from adaptive_contact_sim import Simulation, load_scenario
 from adaptive_contact_sim.elements import HEXAPOD
 from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.virtual import (
@@ -23,7 +22,7 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 from adaptive_contact_sim.virtual.assembly import with_ports
-from adaptive_contact_sim.virtual.backend import GaitedBackend, Horns, LocalSource, PassiveBackend
+from adaptive_contact_sim.virtual.backend import Horns, PassiveBackend
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
 from quadruped import LEGS
@@ -31,64 +30,6 @@ from quadruped import LEGS
 
 def horns() -> Horns:
     return Horns.of(plan_ports(with_ports(shipped_robot(), Path("x"), None)), HEXAPOD.servos)
-
-
-def test_a_robot_with_a_gait_is_the_simulators_own() -> None:
-    settings = load_scenario("walk-rough").settings
-    offline = Simulation(settings)
-    expected = [offline.tick() for _ in range(40)]
-    got = []
-    backend = GaitedBackend(LocalSource(settings, got.append), horns())
-    for k in range(41):
-        backend.advance(1000.0 + 0.02 * k + 0.001)
-    for one, other in zip(expected, got, strict=False):
-        for leg, sample in one.samples.items():
-            assert other.samples[leg].measured == sample.measured
-            assert other.samples[leg].desired == sample.desired
-    assert len(got) >= 40
-
-
-def test_a_reading_sees_the_robot_between_two_ticks() -> None:
-    backend = GaitedBackend(LocalSource(load_scenario("walk-rough").settings), horns())
-    angles = []
-    for ms in range(1200):
-        backend.advance(5.0 + ms / 1000)
-        angles.append([backend.angle(i) for i in range(18)])
-    steps = np.abs(np.diff(np.array(angles), axis=0))
-    assert steps.max() < 0.02  # 12 rad/s at a kick, two steps at most: no jump where ticks meet
-    assert (steps > 0).mean() > 0.6
-    assert backend.goal(0) is not None
-
-
-def test_a_robot_on_a_stand_moves_only_with_torque() -> None:
-    backend = PassiveBackend(horns())
-    now = 3.0
-    for index in range(18):
-        backend.set_goal(index, 0.4)
-    for _ in range(700):
-        now += 0.001
-        backend.advance(now)
-    limp = [backend.angle(i) for i in range(18)]
-    assert np.abs(np.array(limp)[0::3]).max() < 0.1  # coxae hang where they were
-    for index in range(18):
-        backend.set_torque(index, True)
-    for _ in range(700):
-        now += 0.001
-        backend.advance(now)
-    assert [backend.angle(i) for i in range(18)] == pytest.approx([0.4] * 18, abs=0.12)
-
-
-def test_feet_reach_the_floor_of_a_low_stand() -> None:
-    backend, touched = PassiveBackend(horns(), height_m=0.10), np.zeros(6, dtype=bool)
-    now = 3.0
-    for index in range(18):
-        backend.set_torque(index, True)
-        backend.set_goal(index, (0.0, 0.0, -1.2)[index % 3])
-    for _ in range(1500):
-        now += 0.001
-        backend.advance(now)
-        touched |= backend.plant.forces[0] > 0.5
-    assert touched.all()
 
 
 def test_registers_refuse_what_real_ones_refuse() -> None:

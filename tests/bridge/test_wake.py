@@ -37,12 +37,8 @@ def test_a_standing_robot_is_taken_over_from_the_goals_in_force(
         r.rig.fault()
         r.catcher.wait(lambda c: any("is back" in line for line in c.lines))
     step = r.rig.servo(1).model.step_rad
-
-    def feed(_: Any) -> bool:
-        r.command("l0", 90 * step, 60 * step, 60 * step)
-        return bool(written) and written[-1] == goal + 30
-
-    r.catcher.wait(feed)
+    feed = r.commanding([90 * step, 60 * step, 60 * step])
+    r.catcher.wait(feed(lambda _: written and written[-1] == goal + 30))
     assert written[0] >= goal
     assert written == sorted(written)  # never away from the goal in force, nor back
 

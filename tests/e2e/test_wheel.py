@@ -41,25 +41,6 @@ def test_what_is_imported_is_the_wheel(installed: Any, tmp_path: Path) -> None:
         assert Path(path).is_relative_to(installed.site)
 
 
-def test_commands_work_in_an_empty_folder(installed: Any, tmp_path: Path) -> None:
-    def ours(*args: str) -> str:
-        done = installed.run("-m", "adaptive_contact", *args, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        return str(done.stdout)
-
-    help_ = ours("--help")
-    for name in ("serve", "watch", "doctor", "record", "replay", "score", "fit", "demo", "sim"):
-        assert f" {name} " in help_
-    listed = json.loads(ours("sim", "list", "--json"))
-    assert "walk-rough" in listed["scenarios"]
-    assert "friction" in listed["drift"]
-    ours("sim", "walk", "--seconds", "20", "--offline", "--record", "walk.mcap")
-    ours("replay", "walk.mcap", "--events", "walk.jsonl")
-    score = json.loads(ours("score", "walk.mcap", "--events", "walk.jsonl", "--json"))
-    assert score["counted"]["recall"] > 0.9, "the shipped baseline was found"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.jsonl", "walk.mcap"]
-
-
 @pytest.fixture(scope="module")
 def recording(installed: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recording")

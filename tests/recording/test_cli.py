@@ -124,16 +124,6 @@ def test_events_of_a_file_are_scored(walk: Path, tmp_path: Path) -> None:
     assert json.loads(printed("score", walk, "--events", events, "--json"))["detections"] == 0
 
 
-def test_a_cut_recording_is_scored_up_to_the_cut(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    write_walk(path, swings=20)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) * 3 // 5])
-    text = json.loads(printed("score", path, "--json"))
-    assert text["truncated"] is True
-    assert 3 < text["swings"] < 20
-
-
 @pytest.mark.parametrize(
     ("make", "arguments", "word"),
     [

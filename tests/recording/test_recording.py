@@ -53,14 +53,6 @@ def sample(k: int) -> ServoSample:
     )
 
 
-def write_walk(path: Path, ticks: int) -> list[Record]:
-    with RecordingWriter(path) as writer:
-        for k in range(ticks):
-            for leg in LEGS:
-                writer.write_message(servo_key(leg), sample(k), k * TICK)
-    return list(read_recording(path))
-
-
 records = st.builds(
     Record,
     key=st.text(st.characters(codec="utf-8", exclude_categories=("Cs",)), min_size=1, max_size=40),
@@ -221,25 +213,6 @@ def is_part(got: list[Record], written: list[Record]) -> bool:
     """Whether all of ``got`` is among ``written``, in the same order."""
     rest = iter(written)
     return all(any(record == one for one in rest) for record in got)
-
-
-def test_recordings_joined_by_cat_are_told(tmp_path: Path) -> None:
-    path, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    written = write_walk(path, 60)
-    write_walk(other, 20)
-    one = path.read_bytes()
-    for more in (one, other.read_bytes()):
-        path.write_bytes(one + more)
-        recording = read_recording(path)
-        assert list(recording) == written
-        assert recording.damage == (
-            "another recording is appended, which is not read; "
-            f"the {len(written)} messages before it are intact"
-        )
-    path.write_bytes(one)
-    recording = read_recording(path)
-    assert list(recording) == written
-    assert recording.damage is None
 
 
 def test_flipped_bytes_never_raise_and_never_invent(tmp_path: Path) -> None:

@@ -96,7 +96,9 @@ def standing_records(swings: int) -> list[Record]:
     return records
 
 
-def test_tracing_changes_no_event_and_ratios_are_those_of_the_events() -> None:
+@pytest.fixture(scope="module")
+def replayed() -> tuple[list[ContactEvent], LegTrace]:
+    """Events of a replay, and what it traces: that changes no event."""
     robot = shipped_robot()
     baseline = shipped_baseline(robot.name)
     plain = list(replay_events(standing_records(4), LearnerBank(robot, baseline), Counts()))
@@ -104,6 +106,11 @@ def test_tracing_changes_no_event_and_ratios_are_those_of_the_events() -> None:
     traced = TracedRecords(standing_records(4), robot)
     assert list(replay_events(traced, bank, Counts())) == plain
     (found,) = bank.traces(traced)
+    return plain, found
+
+
+def test_ratios_are_those_of_the_events(replayed: tuple[list[ContactEvent], LegTrace]) -> None:
+    plain, found = replayed
     assert found.leg == "rf"
     assert len(found.t_s) == len(found.ratio) == 160
     assert np.isfinite(found.ratio).sum() > 40
@@ -175,13 +182,10 @@ def test_other_suffixes_are_refused_before_any_work() -> None:
         check_plot(Path("plot.pdf"))
 
 
-def test_curves_are_the_samples(tmp_path: Path) -> None:
-    robot = shipped_robot()
-    bank = TraceBank(LearnerBank(robot, shipped_baseline(robot.name)))
-    traced = TracedRecords(standing_records(4), robot)
-    for _ in replay_events(traced, bank, Counts()):
-        pass
-    (found,) = bank.traces(traced)
+def test_curves_are_the_samples(
+    tmp_path: Path, replayed: tuple[list[ContactEvent], LegTrace]
+) -> None:
+    _, found = replayed
     angles = found.angles
     assert angles.shape == (160, 3, 3)
     samples = [decode(record.payload, ServoSample) for record in standing_records(4)]

@@ -19,6 +19,7 @@ from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Message, ServoSample, decode, servo_key
 from programs import Program, tried
+from waiting import until
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the helpers beside the tests
@@ -42,12 +43,9 @@ class Inbox:
 
     def __init__(self) -> None:
         self.items: list[Any] = []
-        self._changed = threading.Condition()
 
     def __call__(self, *item: Any) -> None:
-        with self._changed:
-            self.items.append(item[0] if len(item) == 1 else item)
-            self._changed.notify_all()
+        self.items.append(item[0] if len(item) == 1 else item)
 
     def hears(self, link: Link, key: str, *, history: bool = False) -> Inbox:
         link.subscribe(key, self, history=history)
@@ -56,11 +54,12 @@ class Inbox:
     def wait(self, enough: Callable[[list[Any]], bool] | int, timeout_s: float = 60.0) -> list[Any]:
         """Wait until there are so many items, or the items are enough; fails after the timeout."""
         test = enough if callable(enough) else lambda items: len(items) >= enough
-        with self._changed:
-            assert self._changed.wait_for(lambda: self.items and test(self.items), timeout_s), (
-                f"after {timeout_s} s there are {len(self.items)} items: {self.items[-3:]}"
-            )
-            return list(self.items)
+        until(
+            lambda: self.items and test(self.items),
+            lambda: f"there are {len(self.items)} items: {self.items[-3:]}",
+            timeout_s,
+        )
+        return list(self.items)
 
 
 class MessageInbox(Inbox):

@@ -3,8 +3,6 @@ from __future__ import annotations
 import json
 import math
 import random
-import subprocess
-import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -14,7 +12,6 @@ import pytest
 from adaptive_contact.checks.findings import Fault, Finding
 from adaptive_contact.checks.legcheck import check_leg
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
-from adaptive_contact.service.link import Link
 from adaptive_contact.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     JSON,
@@ -29,6 +26,7 @@ from adaptive_contact.wire import (
     servo_key,
 )
 from adaptive_contact.wire.received import Received
+from programs import tried
 from waiting import free_address
 
 FACTS = LegFacts(joints=["coxa", "femur", "tibia"], lengths=True)
@@ -390,37 +388,18 @@ def test_a_flood_of_keys_is_bounded() -> None:
 
 
 @pytest.mark.e2e
-def test_the_command(
-    serve: Any, cli: Any, join: Callable[..., Link], sample: Callable[..., ServoSample]
-) -> None:
-    arguments = ("doctor", "--seconds", "1.2", "--connect")
+def test_the_command(beside_a_source: Any) -> None:
     nobody = free_address()
-    alone = cli(*arguments, nobody)
-    assert alone.wait() == 2
-    alone.wait_line(f"unreachable: nobody listens on tcp/{nobody}")
-
-    served = serve()
-    publishers = {leg: join(served.endpoint).publisher(servo_key(leg)) for leg in ("lf", "rf")}
-    listening = cli(*arguments, served.endpoint, "--json", stderr=subprocess.DEVNULL)
-    stop = threading.Event()
-    seq = 0
-    while listening.process.poll() is None and not stop.wait(0.02) and seq < 1000:
-        for leg, publisher in publishers.items():
-            joints = 2 if leg == "rf" else 3
-            publisher.put(
-                sample(seq, phase="swing", measured=[0.1] * joints, desired=[0.1] * joints)
-            )
-        seq += 1
-    assert listening.wait() == 1
-    diagnosis = json.loads("".join(listening.lines))
-    assert diagnosis["router"] == "connected"
-    assert diagnosis["service_alive"]
-    rates = {key["key"]: key["rate_hz"] for key in diagnosis["keys"]}
-    assert 25 < rates[servo_key("lf")] < 60
+    alone = tried("doctor", "--connect", nobody)
+    assert (alone.exit_code, f"nobody listens on tcp/{nobody}" in alone.output) == (2, True)
+    samples = [("rf", one) for one in stream(75)]
+    result = beside_a_source(samples, "doctor", "--seconds", "3", "--json")
+    assert result.exit_code == 1
+    diagnosis = json.loads(result.stdout)
+    assert (diagnosis["router"], diagnosis["service_alive"]) == ("connected", False)
+    assert [key["key"] for key in diagnosis["keys"]] == [servo_key("rf")]
     findings = [msgspec.convert(row, Finding) for row in diagnosis["findings"]]
-    found = [(f.leg, f.what) for f in findings if f.level != "note" and f.cause != "learning"]
-    assert ("rf", "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)") in found
-    assert all(leg != "lf" for leg, _ in found)
+    assert "a router is there, but no service" in [finding.what for finding in findings]
 
 
 def test_what_the_service_says_of_itself_is_found() -> None:

@@ -80,35 +80,6 @@ def delays_since(robot: Any, listener: Any, leg: str, since: float) -> list[floa
 
 
 @pytest.mark.parametrize("links", LINKS)
-def test_subscribers_that_hang_hold_up_nobody(
-    serve: Any, program: Any, rig: ModuleType, links: int
-) -> None:
-    served = serve()
-    robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
-    hanging = program("-c", rig.FOREIGN, served.endpoint, links)
-    hanging.wait_line("subscribed")
-    with rig.closing(listener, robot):
-        listener.steady(robot, "rf", 2)
-        hanging.process.send_signal(signal.SIGSTOP)
-        stopped = time.monotonic()
-        began = len(listener.of("rf"))
-        try:
-            with rig.closing(rig.Pour(served.endpoint, "lf")):
-                listener.wait(lambda me: len(me.of("rf")) >= began + 25, 40.0)
-        finally:
-            hanging.process.send_signal(signal.SIGCONT)
-        assert max(delays_since(robot, listener, "rf", stopped)) < LONGEST_S
-        listener.steady(robot, "rf")
-        assert listener.statuses["rf"].missed == 0
-        shown = rig.watched(listener.link)
-    assert served.stop() == 0
-    # Those that the service did not drop lost their links by their silence of 2 s.
-    dropped = re.search(r"(\d+) links of subscribers dropped", shown)
-    assert dropped is None or int(dropped[1]) <= links
-    assert not dropped or TOLD.search(served.log.read_text())
-
-
-@pytest.mark.parametrize("links", LINKS)
 def test_subscribers_that_hang_on_a_unix_socket_hold_up_nobody(
     serve: Any, program: Any, rig: ModuleType, tmp_path: Path, links: int
 ) -> None:

@@ -126,28 +126,6 @@ def test_a_waiting_worker_wakes_at_once() -> None:
     assert time.monotonic() - began < 30.0
 
 
-def test_offers_from_many_threads_lose_nothing_uncounted() -> None:
-    legs = ["a", "b", "c", "d"]
-    intake: SampleQueue[object] = SampleQueue(legs, queue_samples=16)
-
-    def pump(leg: str) -> None:
-        for n in range(2000):
-            intake.offer(received(leg, n=n))
-
-    threads = [threading.Thread(target=pump, args=[leg]) for leg in legs]
-    for thread in threads:
-        thread.start()
-    seen: Counter[str] = Counter()
-    while any(thread.is_alive() for thread in threads):
-        round_ = intake.take(0.01)
-        seen.update(round_.samples.keys())
-        seen.update(round_.overflow)
-    while round_ := intake.take(0.0):
-        seen.update(round_.samples.keys())
-        seen.update(round_.overflow)
-    assert seen == Counter(dict.fromkeys(legs, 2000))
-
-
 def test_huge_payloads_are_refused_and_not_kept() -> None:
     intake: SampleQueue[object] = SampleQueue()
     intake.offer(received("lf", bytes(MAX_SAMPLE_BYTES + 1)))

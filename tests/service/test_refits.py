@@ -61,20 +61,6 @@ class Large(RefitJob):
 
 
 @dataclasses.dataclass(frozen=True)
-class Noted:
-    """Leaves a line where it was done."""
-
-    leg: str
-    number: int
-    path: str
-
-    def run(self) -> str:
-        with Path(self.path).open("a") as file:
-            file.write(f"{self.leg} {self.number}\n")
-        return "done"
-
-
-@dataclasses.dataclass(frozen=True)
 class Standing:
     """Tells how the process stands: its priority, its threads, and what it would have to import."""
 
@@ -92,7 +78,7 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Large, Noted, Standing):
+    for kind in (Large, Standing):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
     made = ProcessRefitter(timeout_s=120.0)
@@ -159,7 +145,9 @@ def test_the_result_is_that_of_a_refit_in_line(
 
 
 @pytest.mark.e2e
-def test_a_replay_waits_for_its_results() -> None:
+def test_a_replay_waits_for_its_results_and_leaves_no_process(
+    started: list[subprocess.Popen[bytes]],
+) -> None:
     inline = InlineRefitter()
     with contextlib.closing(WaitingRefitter(timeout_s=120.0)) as refitter:
         for number in (1, 2):
@@ -169,13 +157,6 @@ def test_a_replay_waits_for_its_results() -> None:
             for leg in ("lf", "rf"):
                 expected, found = inline.collect(leg, number), refitter.collect(leg, number)
                 assert np.array_equal(coefficients(found), coefficients(expected))
-
-
-@pytest.mark.e2e
-def test_a_replay_without_refits_leaves_no_process(
-    started: list[subprocess.Popen[bytes]],
-) -> None:
-    WaitingRefitter().close()
     (process,) = started
     assert process.poll() is not None
 
@@ -290,28 +271,6 @@ def test_one_that_was_started_before_is_used_and_ended(
     assert not started, "no other was needed"
     assert process.wait(60) == -signal.SIGKILL
     end_process(process)  # once more does no harm
-
-
-@pytest.mark.e2e
-def test_only_the_newest_job_of_a_leg_waits(
-    refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
-    done = tmp_path / "done"
-    refitter.submit(Noted("rf", 0, str(done)))  # type: ignore[arg-type]
-    assert wait(refitter, "rf", 0) == "done"
-    started[0].send_signal(signal.SIGSTOP)
-    for number in range(1, 50):
-        for leg in ("rf", "lf"):
-            refitter.submit(Noted(leg, number, str(done)))  # type: ignore[arg-type]
-    started[0].send_signal(signal.SIGCONT)
-    for leg in ("rf", "lf"):
-        assert wait(refitter, leg, 49) == "done"
-        assert refitter.collect(leg, 48) is None
-    # One may have been under way when the others came; all that waited in between is void.
-    first, *under_way, last, newest = done.read_text().splitlines()
-    assert first == "rf 0"
-    assert len(under_way) <= 1
-    assert {last, newest} == {"rf 49", "lf 49"}
 
 
 # -- What a leg is told of a refit that was given up

@@ -5,13 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 import threading
-import time
 from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any
 
 import pytest
-from rig import at_work
 from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot, parse_robot
@@ -39,6 +37,7 @@ from adaptive_contact.wire import (
     servo_key,
 )
 from adaptive_contact.wire.received import Received
+from rig import at_work
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -199,20 +198,13 @@ BAD: dict[str, Callable[[Sample], bytes]] = {
 
 
 def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
-    router: Link,
-    join: Callable[..., Link],
-    inbox: Any,
-    fake: ModuleType,
-    robot: Robot,
-    sample: Sample,
+    step: Lockstep, inbox: Any, fake: ModuleType, robot: Robot, sample: Sample
 ) -> None:
-    bank = fake.FakeBank(robot)
-    service = Service(router, bank, robot, baseline=None, now_ns=time.monotonic_ns())
-    client, events, told = join(router.endpoints[0]), inbox(ContactEvent), inbox(ServiceStatus)
-    client.subscribe(contact_key("extra"), events, history=True)
-    client.subscribe(SERVICE_STATUS, told)
-    client.query(SERVICE_STATUS)
-    with at_work(service):
+    bank, client = step.bank, step.client
+    events = inbox(ContactEvent).hears(client, contact_key("extra"), history=True)
+    told = inbox(ServiceStatus).hears(client, SERVICE_STATUS)
+    step.settle()
+    with at_work(step.service):
         for reason, payload in BAD.items():
             for n in range(8):
                 client.publisher(servo_key(f"{reason}{n}")).put_raw(payload(sample), MSGPACK)

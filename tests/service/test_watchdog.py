@@ -11,18 +11,17 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from rig import at_work
 from structlog.testing import capture_logs
 
 from adaptive_contact.errors import LinkError
 from adaptive_contact.robot import Robot
-from adaptive_contact.service import server
 from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.watchdog import LOOK_S, Watchdog
 from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import ContactTruth, Message, ServoSample, servo_key
+from rig import at_work
 from waiting import until
 
 S = 1_000_000_000
@@ -224,33 +223,6 @@ def test_what_waits_at_the_end_is_counted_as_lost_and_not_sent_after_all() -> No
     gate.open.set()
     sender.join(5)
     assert (gate.got, box.lost) == ([0], 10)
-
-
-def test_the_last_status_tells_of_events_lost_at_the_end(
-    router: Link,
-    join: Callable[..., Link],
-    inbox: Any,
-    fake: ModuleType,
-    robot: Robot,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    box = EventPublisher()
-    monkeypatch.setattr(server, "EventPublisher", lambda _: box)
-    service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
-    got = inbox(ServiceStatus).hears(join(router.endpoints[0]), SERVICE_STATUS, history=True)
-    gate, stop = Gate(), threading.Event()
-    box.start()
-    monkeypatch.setattr(box, "start", lambda: None)
-    try:
-        box.post(gate, message(0), 0)
-        assert gate.entered.wait(60)
-        for n in (1, 2):
-            box.post(gate, message(n), 0)
-        stop.set()
-        service.run(stop)
-        assert got.wait(1)[-1].events_lost == 2
-    finally:
-        gate.open.set()
 
 
 def test_what_is_held_up_now_is_told(

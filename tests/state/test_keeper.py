@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import itertools
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -47,21 +45,6 @@ def test_the_learners_own_refusal_is_told_and_it_starts_clean(folder: Folder) ->
     assert lines == ["state refused: of 3 joints"]
 
 
-def test_of_many_refusals_the_first_are_told_and_how_many_more(folder: Folder) -> None:
-    keeper = folder.open()
-    for number in range(6):
-        leg = f"l{number}"
-        keeper.restore(leg, Learner(), "servo", 0)
-        save(keeper, Desk(leg))
-    keeper = folder.open()
-    for number in range(6):
-        keeper.restore(f"l{number}", Learner(joints=4), "servo", 0)
-        assert len(keeper.facts.refused) == min(number + 1, 5)
-    told = keeper.facts.refused
-    assert [line.endswith(": of 3 joints") for line in told] == [True] * 4 + [False]
-    assert told[-1] == "2 more, as the log says"
-
-
 def test_other_settings_start_clean_and_keep_the_old(folder: Folder) -> None:
     folder.save(1)
     with capture_logs() as logs:
@@ -92,17 +75,6 @@ def test_every_ten_seconds_and_at_once_after_a_promotion(folder: Folder) -> None
     keeper.snapshot(desk, 12 * S)
     desk.hear()
     assert not keeper.due(desk, 13 * S)
-
-
-def test_legs_are_not_due_together(folder: Folder) -> None:
-    keeper = folder.open()
-    desks = [Desk(leg) for leg in ("lf", "lm", "lr", "rf", "rm", "rr")]
-    for desk in desks:
-        keeper.restore(desk.leg, desk.learner, "servo", 0)
-        desk.hear()
-    due = [[desk.leg for desk in desks if keeper.due(desk, s * S)] for s in range(1, 11)]
-    assert len(due[-1]) == 6
-    assert max(len(b) - len(a) for a, b in itertools.pairwise(due)) == 1
 
 
 def test_a_promotion_before_the_first_save_is_saved_at_once(folder: Folder) -> None:
@@ -149,22 +121,6 @@ def test_robots_of_one_kind_are_told_apart_by_their_namespaces(tmp_path: Path) -
 
 
 # -- A disk that is slow, full or closed, and a state that fits no file: told, and nobody wai
-
-
-@contextlib.contextmanager
-def unprivileged() -> Iterator[None]:
-    """Be nobody, where the tests are run by root, who may do everything."""
-    if os.geteuid() != 0:
-        yield
-        return
-    try:
-        os.seteuid(65534)
-    except OSError:
-        pytest.skip("this root can become nobody else")
-    try:
-        yield
-    finally:
-        os.seteuid(0)
 
 
 def slowed(
@@ -265,7 +221,6 @@ def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
 ) -> None:
     folder.save(9)
     folder.close()
-    folder.keeper = None
 
     opens = os.open
 
@@ -286,24 +241,6 @@ def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
     desk = Desk()
     desk.hear()
     assert not folder.keeper.due(desk, 100 * S)
-
-
-def test_a_folder_that_may_not_be_looked_into_is_one_line(folder: Folder) -> None:
-    """Not two more for each leg, of files that may not even be there."""
-    folder.save(9)
-    folder.close()
-    folder.keeper = None
-    folder.path.chmod(0)
-    try:
-        with unprivileged():
-            number, refused, lines = folder.restored()
-    finally:
-        folder.path.chmod(0o700)
-    assert (number, refused) == (0, [])
-    assert lines == [
-        f"state is not saved: {folder.store.folder} cannot be written to (permission denied); "
-        "give another --state DIR, or --no-state"
-    ]
 
 
 def raises() -> dict[str, object]:
