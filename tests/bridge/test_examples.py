@@ -23,10 +23,8 @@ from adaptive_contact.service.link import Link, Publisher, router_settings
 from adaptive_contact.wire import (
     HEARTBEAT,
     MSGPACK,
-    BridgeStatus,
     Command,
     ContactEvent,
-    Quantiles,
     ServoSample,
     command_key,
     contact_key,
@@ -39,14 +37,6 @@ from waiting import Every, until
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MODEL = EXAMPLES.parent / "models" / "adaptive_contact_models" / "hexapod" / "robot.toml"
-
-
-def status(state: str = "running", **more: object) -> BridgeStatus:
-    quiet = Quantiles()
-    return BridgeStatus(
-        port="left", t_ns=1, mode="observe", state=state, rate_hz=50.0, wanted_hz=50.0,
-        cycle_ms=quiet, jitter_ms=quiet, cycles=1, missed=0, **more,
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize(("robot", "leg"), [("hexapod", "rf"), ("quadruped", "fl")])

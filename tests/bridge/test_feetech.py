@@ -58,21 +58,6 @@ def test_the_sts_series_is_asked_in_common(rig: Callable, kind: dict, questions:
 
 
 @pytest.mark.parametrize("kind", [STS, SCS])
-def test_configure_unlocks_and_locks_again(rig: Callable, kind: dict) -> None:
-    r = rig(**kind)
-    for servo in r.ports[0].servos:
-        servo.store("return_delay", 250)
-    findings = check_ports(r.plans, full=False)
-    assert "is 500 us, expected 100 or less" in findings.advice[0]
-    assert [servo.writes for servo in r.ports[0].servos] == [0] * 6
-    assert len(check_ports(r.plans, full=False, configure=True).done) == 6
-    for servo in r.ports[0].servos:
-        assert servo.value("eeprom_lock") == 1
-        servo.reboot()
-        assert servo.value("return_delay") == 0
-
-
-@pytest.mark.parametrize("kind", [STS, SCS])
 def test_a_moving_robot_is_let_through(rig: Callable, kind: dict) -> None:
     """What is read twice alike must not hold what changes with every reading."""
     r = rig(noise_steps=20.0, **kind)

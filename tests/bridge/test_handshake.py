@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 from anybus import any_servo
-from described import AX, Serve, robot, write
+from described import AX, SCS, STS, Serve, robot, write
 
 from adaptive_contact.bridge.discovery import find_servos
 from adaptive_contact.bridge.handshake import check_ports
@@ -72,7 +72,7 @@ def test_a_servo_that_has_shut_itself_down(
     assert words in line
 
 
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS, SCS])
 def test_nothing_is_written_unless_asked_for(rig: Callable, kind: dict) -> None:
     r = rig(**kind)
     servos = r.ports[0].servos
@@ -83,6 +83,9 @@ def test_nothing_is_written_unless_asked_for(rig: Callable, kind: dict) -> None:
     assert "--configure" in findings.advice[0]
     assert [servo.writes for servo in servos] == [0] * 6
     assert len(check_ports(r.plans, full=False, configure=True).done) == 6
+    for servo in servos:
+        assert kind in (AX, XL) or servo.value("eeprom_lock") == 1
+        servo.reboot()  # what is written while an EEPROM is locked would be gone
     assert [servo.value("return_delay") for servo in servos] == [0] * 6
 
 

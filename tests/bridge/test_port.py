@@ -20,9 +20,20 @@ from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
 
-def test_missing_port(tmp_path: Path) -> None:
-    with pytest.raises(BusError, match=r"port legs: /nowhere/x does not exist; .* plug"):
-        Bus("legs", Port(device="/nowhere/x")).open()
+@pytest.mark.parametrize(
+    ("device", "baud", "words"),
+    [
+        ("/nowhere/x", 57_600, r"port legs: /nowhere/x does not exist; .* plug"),
+        (__file__, 57_600, "no serial port"),
+        ("p0", -1, r"cannot be opened .* baudrate"),
+    ],
+)
+def test_a_device_that_cannot_be(
+    rig: Callable, tmp_path: Path, device: str, baud: int, words: str
+) -> None:
+    rig(**AX)
+    with pytest.raises(BusError, match=words):
+        Bus("legs", Port(device=str(tmp_path / device), baud=baud)).open()
 
 
 def test_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,18 +111,6 @@ def test_an_adapter_that_holds_bytes_back_is_told_of(
         assert "latency timer is 16 ms, expected 1; run: echo 1 | sudo tee" in advice
         assert advice.endswith("ttyUSB7/latency_timer")
     assert latency_advice("/dev/ttyACM0", tmp_path) is None
-
-
-def test_no_serial_port(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no port")
-    with pytest.raises(BusError, match="no serial port"):
-        Bus("legs", Port(device=str(tmp_path / "file"))).open()
-
-
-def test_a_baud_rate_that_cannot_be(rig: Callable, tmp_path: Path) -> None:
-    rig(**AX)
-    with pytest.raises(BusError, match=r"cannot be opened .* baudrate"):
-        Bus("p0", Port(device=str(tmp_path / "p0"), baud=-1)).open()
 
 
 def test_reading_sleeps_instead_of_spinning(rig: Callable, opened: Callable) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from described import AX, STS, XL
+from described import AX
 
 from adaptive_contact.bridge.discovery import describe, find_servos, group
 from adaptive_contact.bridge.training import (
@@ -22,37 +22,11 @@ from adaptive_contact.bridge.training import (
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
-from adaptive_contact.robot import Leg, Limits, foot, parse_robot, shipped_robot
+from adaptive_contact.robot import Leg, Limits, foot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ServoSample
 from programs import invoke, tried
-
-# Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
-real_time = pytest.mark.slow
-
-
-@real_time
-@pytest.mark.parametrize("kind", [AX, XL, STS])
-def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> None:
-    r = rig(**kind)
-    out = tmp_path / "robot.toml"
-    said = invoke(
-        "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out), "--legs", "l0,l1",
-        "--name", "rig", "--lengths", "0.05,0.06,0.1",
-    )  # fmt: skip
-    assert f"6 x {kind['model']}, ids 1-6" in said
-    robot = parse_robot(out.read_text(), source="written")
-    assert robot.leg_ids == ("l0", "l1")
-    assert robot.leg("l1").servos.ids == (4, 5, 6)
-    assert robot.leg("l1").lengths_m == (0.05, 0.06, 0.1)
-    assert robot.ports["p0"].protocol == kind["protocol"]
-    assert all(s.writes == 0 for s in r.ports[0].servos)
-    # What is commented out can be used as it stands, and filled in.
-    filled = out.read_text().replace("# limits = {", "limits = {")
-    assert parse_robot(filled, source="filled").leg("l0").limits == Limits((-1.0,) * 3, (1.0,) * 3)
-    with pytest.raises(ConfigurationError, match="exists already"):
-        invoke("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
 
 
 def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ from adaptive_contact_sim.virtual import (
 )
 from adaptive_contact_sim.virtual.assembly import with_ports
 from adaptive_contact_sim.virtual.backend import Horns, PassiveBackend
-from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
 from quadruped import LEGS
 
@@ -125,14 +124,3 @@ def test_two_buses_do_not_share_a_folder(tmp_path: Path) -> None:
     for _ in range(2):  # a folder is free again when its bus has ended
         run(plan, ended, on_start=second)
     assert not (tmp_path / "port0").is_symlink()
-
-
-def test_a_port_takes_away_no_link_but_its_own(tmp_path: Path) -> None:
-    faults = FaultSchedule([], np.random.default_rng(0))
-    first, second = (VirtualPort("port0", tmp_path / "port0", [], faults) for _ in range(2))
-    first.open()
-    second.open()
-    first.close()
-    assert second.path.exists()
-    second.close()
-    assert not second.path.is_symlink()

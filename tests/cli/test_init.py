@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.cli._robot_picture import chain, draw
+from adaptive_contact.cli._robot_picture import draw
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, Mount, Robot, load_robot
 from programs import invoke
@@ -90,20 +90,6 @@ def test_a_urdf_in_millimetres_is_named() -> None:
 def walker() -> Robot:
     invoke("robot", "init", "--urdf", "walker.urdf", "--legs", FEET, *STEPS)
     return load_robot("robot.toml")
-
-
-def test_the_picture_of_a_chain_has_its_joints_from_two_sides() -> None:
-    robot = walker()
-    pose = [0.3, 0.7, -1.4]
-    text = draw(robot, {leg.id: pose for leg in robot.legs})
-    assert text.count("from the side<") == text.count("from the front<") == 4
-    # On the whole robot and in both views each leg has three links.
-    assert text.count('class="link"') == 4 * 3 * 3
-    assert "fl_hip +40.1°, link 160 mm" in text
-    points = chain(robot.leg("fl"), pose)
-    assert points[-1] == pytest.approx(robot.leg("fl").chain.foot(pose))  # type: ignore[union-attr]
-    # Beside each of the four legs two pitches turn, and in front the roll.
-    assert len(re.findall(r" A [-\d.]+ [-\d.]+ 0 0 [01] ", text)) == 4 * 3
 
 
 def turned(text: str) -> tuple[float, float, float, float]:

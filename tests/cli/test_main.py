@@ -163,20 +163,15 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.parametrize(
-    ("later_s", "said"), [("0", "cleaned up\ninterrupted\n"), ("2.1", "interrupted\n")]
+    ("before", "later_s", "said"),
+    [
+        ("", "0", "cleaned up\ninterrupted\n"),
+        ("", "2.1", "interrupted\n"),
+        ("signal.signal(2, signal.SIG_IGN); ", "0", "cleaned up\n"),  # ignored, it stays so
+    ],
 )
-def test_a_second_ctrl_c_waits_until_the_first_has_cleaned_up(later_s: str, said: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", CLEANING, later_s], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == said
-
-
-def test_where_ctrl_c_is_ignored_it_stays_so() -> None:
-    code = CLEANING.replace(
-        "_signals.interrupt", "signal.signal(2, signal.SIG_IGN); _signals.interrupt"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, "0"], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "cleaned up\n"
+def test_a_second_ctrl_c_waits_until_the_first_has_cleaned_up(
+    before: str, later_s: str, said: str
+) -> None:
+    code = CLEANING.replace("_signals.interrupt", f"{before}_signals.interrupt")
+    assert ran("-c", code, later_s).stdout == said

@@ -67,6 +67,8 @@ REFUSED = {
     "bridge ros2": "names no topics of ROS 2",
     "bridge virtual --dir /dev/null/x": "give another --dir",
     "demo --robot nosuch": "no robot 'nosuch' is simulated",
+    "demo --robot leg5": "does not walk; expected hexapod or quadruped12",
+    "demo --seconds nan": "'nan' is no duration; expected seconds",
     "demo --seconds 1": "expected 8 to 3600 s",
     "doctor --seconds 0.1": "Invalid value for '--seconds'",
     "doctor --seconds 1h": "'1h' is 3600 s; expected 0.5 to 600 s",

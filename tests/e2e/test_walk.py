@@ -87,24 +87,3 @@ def test_feet_that_come_late_are_found(command: Callable[..., str], tmp_path: Pa
 
 
 # -- Files instead of a network: simulate, replay, score, fit, through the real command line
-
-
-@pytest.fixture
-def pose(command: Callable[..., str], tmp_path: Path) -> Path:
-    """The paper's set-up for two minutes, half of the descents onto obstacles."""
-    obstacles = ["--leg", "rf", "--obstacles", "0.5", "--workspace", "whole"]
-    run = ["--seconds", "120", "--seed", "11", "--offline", "--record", "pose.mcap"]
-    command("sim", "pose", *obstacles, *run)
-    return tmp_path / "pose.mcap"
-
-
-def test_pose_replay_and_score(command: Callable[..., str], pose: Path, tmp_path: Path) -> None:
-    command("replay", pose, "--events", "one.jsonl")
-    events = (tmp_path / "one.jsonl").read_bytes()
-    assert {json.loads(line)["leg"] for line in events.splitlines()} == {"rf"}
-
-    score = json.loads(command("score", pose, "--events", "one.jsonl", "--json"))
-    assert score["counted"]["touches"] > 60
-    assert score["counted"]["recall"] >= 0.95
-    assert score["rows"]["headline"]["latency_median_ms"] <= 20
-    assert score["false_alarms"] <= 1

@@ -344,20 +344,12 @@ def test_a_ring_of_files_keeps_the_newest(tmp_path: Path) -> None:
 LIMIT_BYTES = 600 << 20  # Python with numpy reserves 200 MB of addresses, a chunk takes 128 MB
 
 
-def limited() -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
-
-
-def read_in_a_child(path: Path) -> str:
-    code = (
-        "import sys\n"
-        "from adaptive_contact.service.recording import read_recording\n"
-        "r = read_recording(sys.argv[1])\n"
-        "print(sum(1 for _ in r), r.damage)\n"
-    )
+def child(code: str, path: Path, which: int, limit: int) -> str:
+    """What a process says that reads a file, with a limit of its own."""
     done = subprocess.run(
         [sys.executable, "-c", code, path],
-        preexec_fn=limited,
+        env={**os.environ, "TMPDIR": str(path.parent)},
+        preexec_fn=lambda: resource.setrlimit(which, (limit, limit)),
         capture_output=True,
         text=True,
         timeout=600,
@@ -365,6 +357,32 @@ def read_in_a_child(path: Path) -> str:
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+READ = """
+import sys
+from adaptive_contact.service.recording import read_recording
+r = read_recording(sys.argv[1])
+print(sum(1 for _ in r), r.damage)
+"""
+READ_A_BAG = '''
+import resource, sys
+from adaptive_contact.errors import RecordingError
+from adaptive_contact.robot import parse_robot
+from adaptive_contact.service.recording.bags import Bag
+robot = parse_robot("""
+    ros2 = {state = "/state"}
+    robot = {name = "mini", period_s = 0.02, quantum_rad = 0.005}
+    leg = [{id = "lf", joints = ["a"], ros2 = {joints = ["a"]}}]
+""", source="test")
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    bag = Bag(sys.argv[1], robot)
+    print(len(list(bag)), bag.damage, bag.notes)
+except RecordingError as error:
+    print(error)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) >> 10)
+'''
 
 
 def chunk(name: bytes, packed: bytes, size: int) -> bytes:
@@ -390,7 +408,7 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_stepped_over(
         packed = frame.begin() + b"".join(frame.compress(block) for _ in range(2000))
         packed += frame.flush()
     path.write_bytes(whole[:at] + chunk(name.encode(), packed, says) + whole[at:])
-    out = read_in_a_child(path)
+    out = child(READ, path, resource.RLIMIT_AS, LIMIT_BYTES)
     assert out.startswith("1 1 damaged place"), out
 
 
@@ -427,25 +445,6 @@ BAG_BOMBS: dict[str, tuple[Callable[[Path], object], str]] = {
     "gz.db3": (lambda path: path.write_bytes(gzip.compress(bytes(1 << 28))), "is not a database"),
     "bz2.mcap.zstd": (lambda path: path.write_bytes(bz2.compress(bytes(1 << 28))), "be unpacked"),
 }
-READ_A_BAG = """
-import resource, sys
-from pathlib import Path
-from adaptive_contact.errors import RecordingError
-from adaptive_contact.robot import parse_robot
-from adaptive_contact.service.recording.bags import Bag
-robot = parse_robot('''
-    ros2 = {state = "/state"}
-    robot = {name = "mini", period_s = 0.02, quantum_rad = 0.005}
-    leg = [{id = "lf", joints = ["a"], ros2 = {joints = ["a"]}}]
-''', source="test")
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-try:
-    bag = Bag(sys.argv[1], robot)
-    print(len(list(bag)), bag.damage, bag.notes)
-except RecordingError as error:
-    print(error)
-print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) >> 10)
-"""
 
 
 @pytest.mark.parametrize("name", BAG_BOMBS)
@@ -453,20 +452,10 @@ def test_a_bag_that_unpacks_to_gigabytes_fills_neither_memory_nor_disk(
     tmp_path: Path, name: str
 ) -> None:
     (tmp_path / "bag").mkdir()
-    (tmp_path / "tmp").mkdir()
     make, says = BAG_BOMBS[name]
     make(tmp_path / "bag" / name)
-    done = subprocess.run(
-        [sys.executable, "-c", READ_A_BAG, tmp_path / "bag"],
-        env={**os.environ, "TMPDIR": str(tmp_path / "tmp")},
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100 << 20, 100 << 20)),
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    line, grown_mb = done.stdout.splitlines()
+    out = child(READ_A_BAG, tmp_path / "bag", resource.RLIMIT_FSIZE, 100 << 20)
+    line, grown_mb = out.splitlines()
     assert says in line
     assert int(grown_mb) < 200
-    assert list((tmp_path / "tmp").iterdir()) == []
+    assert list(tmp_path.iterdir()) == [tmp_path / "bag"]

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from adaptive_contact.cli._replay_plot import check_plot, write_plot
 from adaptive_contact.core.bank import LearnerBank
@@ -123,29 +122,6 @@ def test_ratios_are_those_of_the_events(replayed: tuple[list[ContactEvent], LegT
     begins = [round(begin, 3) for begin, _ in found.truth]
     assert begins == [0.0, 0.441, 1.241, 2.041, 2.841]
     assert len(found.touches) >= 4
-
-
-def test_an_outage_is_no_span() -> None:
-    """A source that dies in stance while its foot touches, and is back after 8 s."""
-    robot = shipped_robot()
-    records = [record for record in standing_records(4) if record.key.endswith("/servo")]
-    late = 8 * 10**9
-    for k in range(75, len(records)):  # tick 75 is in stance
-        sample = decode(records[k].payload, ServoSample)
-        moved = replace(sample, t_ns=sample.t_ns + late)
-        records[k] = records[k]._replace(payload=encode(moved))
-    bank = TraceBank(LearnerBank(robot))
-    traced = TracedRecords(records, robot)
-    for _ in replay_events(traced, bank, Counts()):
-        pass
-    touch = ContactEvent(
-        leg="rf", t_ns=62 * TICK, seq=62, onset_ns=62 * TICK, contact=True, status="valid",
-        score=2.0, residual=[0.0] * 3, model_version=0,
-    )  # fmt: skip
-    bank._events = [touch]
-    (found,) = bank.traces(traced)
-    assert found.contact == [(1.24, 1.48)]
-    assert {(1.4, 1.48), (9.5, 9.6)} <= set(found.stance)
 
 
 def test_the_page_needs_nothing_from_elsewhere_and_shows_text_as_text(tmp_path: Path) -> None:

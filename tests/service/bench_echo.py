@@ -1,6 +1,6 @@
 """Sample in -> event out through the service, against a bare Zenoh echo; a script, not a test.
 
-    python tests/service/bench_echo.py [--events N] [--blocks N] [--realtime] [--assert]
+    python tests/service/bench_echo.py [--assert]
 
 Three processes: this one publishes six legs at 50 Hz and times the answers; the other is first
 an echo (a router whose callback puts the payload back), then the whole service with its own
@@ -12,7 +12,6 @@ A tick's samples are put one right after the other, as a bus gives them, so the 
 waits for five, as the service's does.  The walk gives some eight events a second: it lasts as long
 as 3,000 of them need, some eight minutes, because a p99 over a few hundred is that of six answers.
 What else the machine does changes by the minute, so the echo and the service take turns, in blocks.
-With ``--realtime`` the echo and the services run before ordinary processes.
 The 95 % interval of the ratio of the two p99 is a bootstrap over seconds within their blocks:
 answers that wait for the same core are not independent.  With ``--assert`` the exit code is 1
 where the ratio is above 2, or there are too few events to tell.
@@ -32,7 +31,6 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.wire import ContactEvent, ServoSample, contact_key, decode, servo_key
 
@@ -70,10 +68,7 @@ while True:
 """
 
 
-def echo(*, realtime: bool) -> None:
-    refused = take_priority() if realtime else None
-    if refused is not None:
-        sys.exit(refused)
+def echo() -> None:
     with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
         publishers = {
             servo_key(leg): link.publisher(contact_key(leg), reliable=True) for leg in LEGS
@@ -183,20 +178,19 @@ def running(*command: str) -> Iterator[str]:
             process.terminate()
 
 
-def main(events: int, blocks: int, rng: np.random.Generator, *, realtime: bool) -> bool:
+def main(rng: np.random.Generator) -> bool:
     """Measure; True where the service is as fast as it must be."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "robot.toml"
         legs = "".join(f'[[leg]]\nid = "{leg}"\njoints = ["a", "b", "c"]\n' for leg in LEGS)
         config.write_text(f'[robot]\nname = "b"\nperiod_s = 0.02\nquantum_rad = 0.005\n{legs}')
         listen = ("--listen", "tcp/127.0.0.1:0", "--log-level", "warning")
-        fast = ("--realtime",) if realtime else ()
-        state = ("--state", str(Path(folder) / "state"), *fast)
+        state = ("--state", str(Path(folder) / "state"))
         fake = (str(HERE / "fake_service.py"), *listen, "--config", str(config), *state)
         real = ("-m", "adaptive_contact", "serve", *listen, *state)
-        echoes = (__file__, "--echo", *fast)
-        ticks = walked(events / WALK_EVENTS_PER_S)
-        length = -(-len(ticks) // blocks)
+        echoes = (__file__, "--echo")
+        ticks = walked(EVENTS / WALK_EVENTS_PER_S)
+        length = -(-len(ticks) // BLOCKS)
         walk = [ticks[begin : begin + length] for begin in range(0, len(ticks), length)]
         # The echo of a block has as many answers as it takes for its own p99 to stand still.
         every = made_up(max(MADE_UP_S, len(walk[0]) / 50 / 2))
@@ -235,24 +229,17 @@ def main(events: int, blocks: int, rng: np.random.Generator, *, realtime: bool) 
         f"p99 of the service over that of the echo: {ratio:.2f}, 95 % interval {low:.2f} to "
         f"{high:.2f}, at most {MOST:g}"
     )
-    if heard < events:
-        print(f"{heard} events of its own learners are too few, expected {events}")
-    return ratio <= MOST and heard >= events
-
-
-def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="sample in -> event out, against a bare echo")
-    parser.add_argument("--events", type=int, default=EVENTS, help="of the service's own learners")
-    parser.add_argument("--blocks", type=int, default=BLOCKS, help="in which the two take turns")
-    parser.add_argument("--realtime", action="store_true", help="before ordinary processes")
-    parser.add_argument("--assert", dest="strict", action="store_true", help="fail above 2")
-    return parser.parse_args()
+    if heard < EVENTS:
+        print(f"{heard} events of its own learners are too few, expected {EVENTS}")
+    return ratio <= MOST and heard >= EVENTS
 
 
 if __name__ == "__main__":
-    if "--echo" in sys.argv:
-        echo(realtime="--realtime" in sys.argv)
+    parser = argparse.ArgumentParser(description="sample in -> event out, against a bare echo")
+    parser.add_argument("--echo", action="store_true", help="be the echo")
+    parser.add_argument("--assert", dest="strict", action="store_true", help="fail above 2")
+    asked = parser.parse_args()
+    if asked.echo:
+        echo()
     else:
-        asked = arguments()
-        well = main(asked.events, asked.blocks, np.random.default_rng(0), realtime=asked.realtime)
-        sys.exit(1 if asked.strict and not well else 0)
+        sys.exit(not main(np.random.default_rng(0)) and asked.strict)

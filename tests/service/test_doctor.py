@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import functools
 import json
 import math
 import random
@@ -8,15 +9,16 @@ from typing import Any, TypeVar
 
 import msgspec
 import pytest
+import views
+from views import status as learner
 
 from adaptive_contact.checks.findings import Fault, Finding
 from adaptive_contact.checks.legcheck import check_leg
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
-from adaptive_contact.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, LegFacts
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,
-    LearnerStatus,
     Reject,
     Rejected,
     ServoSample,
@@ -204,32 +206,7 @@ def test_what_is_no_fault(samples: list[ServoSample]) -> None:
 # -- the whole wire ---------------------------------------------------------------------------
 
 
-def service(**fields: Any) -> ServiceStatus:
-    return ServiceStatus(
-        **{
-            "version": "1",
-            "robot": "mini",
-            "period_s": 0.02,
-            "baseline": "b.json",
-            "legs": {"rf": FACTS},
-            "uptime_s": 5.0,
-            **fields,
-        }
-    )
-
-
-def learner(**fields: Any) -> LearnerStatus:
-    return LearnerStatus(
-        **{
-            "leg": "rf",
-            "t_ns": 0,
-            "status": "valid",
-            "model_version": 1,
-            "residual_rms": [],
-            "noise_floor": [],
-            **fields,
-        }
-    )
+service = functools.partial(views.service, baseline="b.json", legs={"rf": FACTS})
 
 
 def receive(*messages: tuple[str, bytes], encoding: str = MSGPACK) -> Examination:

@@ -55,14 +55,6 @@ class Admission:
     def position(self) -> Position | None:
         return self.downtime.position(self.learner)
 
-    @property
-    def missed_down(self) -> int:
-        return self.downtime.missed
-
-    @property
-    def resuming(self) -> bool:
-        return self.downtime.before is not None
-
 
 @given(
     st.lists(
@@ -98,16 +90,16 @@ def test_one_wild_number_after_a_restart_of_the_service_counts_nothing() -> None
     told = [admission.judge(sample(k)) for k in range(200, 240)]
     assert told[-1] == USED
     # What passed until the source was believed; the samples refused meanwhile among it.
-    assert admission.missed_down == told.index(USED) + 200 - 101
-    assert admission.position == Position(1, 239, admission.missed_down)
+    assert admission.downtime.missed == told.index(USED) + 200 - 101
+    assert admission.position == Position(1, 239, admission.downtime.missed)
 
 
 def test_a_long_gap_over_a_restart_counts_though_the_service_is_killed_again_before() -> None:
     first = Admission(Position(1, 100))
     assert first.judge(sample(5000)) == USED
-    assert first.resuming
+    assert first.downtime.before is not None
     again = Admission(first.position)
     told = [again.judge(sample(k)) for k in range(6000, 6010)]
     assert told == [USED] * 10
-    assert not again.resuming
-    assert again.missed_down == 6000 - 101
+    assert again.downtime.before is None
+    assert again.downtime.missed == 6000 - 101

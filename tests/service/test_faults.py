@@ -44,7 +44,6 @@ def test_a_killed_router_comes_back(serve: Any, program: Any, rig: ModuleType) -
         router.process.kill()
         router.wait()
         last = robot.seq
-        listener_lost = time.monotonic()
         while robot.seq < last + 50:  # a second of outage
             time.sleep(0.02)
         start()
@@ -56,7 +55,6 @@ def test_a_killed_router_comes_back(serve: Any, program: Any, rig: ModuleType) -
         status = listener.statuses["rf"]
         assert rig.uncounted(before, status) == 0
         assert str(status.missed) in rig.watched(listener.link).split()
-        assert listener_lost < back
     assert served.stop() == 0
     log = served.log.read_text()
     assert f"unreachable: nobody listens on {endpoint}" in log

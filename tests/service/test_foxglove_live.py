@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import struct
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
@@ -16,8 +15,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
-from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.foxglove_live import FoxgloveServer
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import (
     HEARTBEAT,
@@ -186,9 +185,3 @@ def test_the_command_says_where_and_ends_on_a_signal(router: Link, program: Any)
     client.close()
     assert bridge.stop() == 0
     assert len(bridge.lines) == 1
-
-
-def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(MissingExtraError, match=r"pip install '.*\[foxglove\]'"):
-        check_installed()

@@ -16,7 +16,7 @@ from adaptive_contact.checks.livecheck import LiveCheck, LiveReport
 from adaptive_contact.cli._robot_check import report_lines
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.notes import speaks_of_angles
-from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
+from adaptive_contact.robot import Leg, Mount, Robot, foot, shipped_robot
 from adaptive_contact.service.link import NoRouterError
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 from adaptive_contact.wire.received import Received
@@ -139,15 +139,6 @@ def test_a_joint_moved_by_hand_is_named_with_the_way_its_foot_went() -> None:
     (right,) = moved((0.4, 0.6, -1.8), STANDING)
     assert "to the right (clockwise" in right
     assert moved(STANDING, (0.0, 0.65, -1.8)) == []  # 3 degrees are no move
-
-
-def test_a_move_is_told_in_the_frame_of_the_description() -> None:
-    robot = shipped_robot()
-    down = Angles(directions=(1, -1, -1))
-    legs = tuple(msgspec.structs.replace(leg, angles=down) for leg in robot.legs)
-    robot = msgspec.structs.replace(robot, legs=legs)
-    (line,) = moved((0.0, -0.6, 1.8), (0.0, -1.1, 1.8), robot=robot)
-    assert "femur +28.6°: the foot went up" in line
 
 
 def hanging(yaw_rad: float = 0.0) -> Robot:

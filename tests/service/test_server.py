@@ -8,7 +8,9 @@ import threading
 from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any
+from unittest import mock
 
+import msgspec
 import pytest
 from structlog.testing import capture_logs
 
@@ -64,25 +66,6 @@ class Lockstep:
         self.service.work(Batch(samples=raws), now_ns)
         self.service.finish()
         self.service.look(now_ns)
-
-
-class OneDisk:
-    """A keeper that saves nothing and reports what its disk is set to."""
-
-    def __init__(self) -> None:
-        self.error: str | None = None
-
-    @property
-    def facts(self) -> StateFacts:
-        return StateFacts(
-            folder="kept", restored=[], refused=[], saved=0, failed=0, error=self.error
-        )
-
-    def restore(self, *_: object) -> None:
-        return None
-
-    def due(self, *_: object) -> bool:
-        return False
 
 
 @pytest.fixture
@@ -271,14 +254,16 @@ def test_a_complaint_that_comes_or_goes_is_published_at_once(
     router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot, inbox: Any
 ) -> None:
     """Not a second later: who reads "state is saved again" in the log looks at `watch` next."""
-    disk: Any = OneDisk()
+    facts = StateFacts(folder="kept", restored=[], refused=[], saved=0, failed=0, error=None)
+    disk = mock.Mock(facts=facts)
+    disk.restore.return_value, disk.due.return_value = None, False
     service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, keeper=disk)
     client = join(router.endpoints[0])
     got = inbox(ServiceStatus).hears(client, SERVICE_STATUS, history=True)
     client.query(SERVICE_STATUS)
     errors = [None, None, "disk full", "disk full, still", None, None]
     for tick, error in enumerate(errors):
-        disk.error = error
+        disk.facts = msgspec.structs.replace(facts, error=error)
         service.look(tick * 100 * MS)
     service.look(S + 400 * MS)
     notes = [(status.note, status.uptime_s) for status in got.wait(4)]

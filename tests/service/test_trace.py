@@ -98,23 +98,6 @@ def test_what_is_kept_and_what_is_answered_is_bounded(tracer: Tracer) -> None:
     assert asked(tracer)["rf"] == list(range(newest - 199, newest + 1))
 
 
-def test_who_falls_behind_gets_all_in_several_answers(tracer: Tracer) -> None:
-    for seq in range(MOST_TICKS):
-        tracer.record([("rf", sample(seq), None), ("lf", sample(seq), None)])
-    seen: dict[str, list[int]] = {"rf": [], "lf": []}
-    after, answers = 0, 0
-    while after < MOST_TICKS:
-        traces = tracer.answer(("rf", "lf"), str(after), 0)
-        assert sum(len(trace.seq) for trace in traces) <= 201
-        for trace in traces:
-            seen[trace.leg] += trace.seq
-        assert len({trace.number for trace in traces}) == 1
-        after = traces[0].number
-        answers += 1
-    assert answers == 4
-    assert seen == {"rf": list(range(MOST_TICKS)), "lf": list(range(MOST_TICKS))}
-
-
 def test_a_prediction_is_in_the_angles_of_the_source(tracer: Tracer) -> None:
     # In the description's angles the reading of the femur is 0.5 - 0.2, and was expected at 0.28.
     scores = np.array([1.5, 0.1, np.nan])

@@ -156,26 +156,6 @@ def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
     assert written == [1, 5]
 
 
-def test_a_disk_that_is_too_slow_at_the_end_is_told(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keeper = folder.open()
-    writing, go_on, _ = slowed(folder, monkeypatch)
-    for leg in ("lf", "rm", "lr"):  # the first is being written, the others wait
-        desk = Desk(leg)
-        keeper.restore(leg, desk.learner, "servo", 0)
-        desk.hear()
-        keeper.snapshot(desk, 0)
-        assert writing.wait(60)
-    with capture_logs() as logs:
-        keeper.close(0.01)
-    folder.keeper = None
-    go_on.set()
-    (line,) = logs
-    assert line["event"] == "state not saved in time, the one before it stays"
-    assert line["legs"] == "lf lr rm"
-
-
 def test_the_end_waits_for_a_slow_disk_and_is_over_before_the_service_is_killed(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:

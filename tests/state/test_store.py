@@ -194,11 +194,6 @@ def test_names_stay_inside_the_folder(tmp_path: Path) -> None:
     assert robot_folder(tmp_path, "hexapod-ax12a").name == "hexapod-ax12a"
 
 
-def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(tmp_path: Path) -> None:
-    root = tmp_path / os.fsdecode(b"kept\xff")
-    assert StateStore(root).shown == str(tmp_path / "kept\N{REPLACEMENT CHARACTER}")
-
-
 def test_unreadable_and_huge_files_are_refused(
     opened: StateStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
