@@ -12,7 +12,7 @@ from described import Serve, init, robot
 
 from adaptive_contact.bridge import discovery, handshake
 from adaptive_contact.bridge.bus import Bus, Pong
-from adaptive_contact.bridge.discovery import find_servos, group, wanted_legs
+from adaptive_contact.bridge.discovery import find_servos, wanted_legs
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.bridge.tables import feetech_of
@@ -190,16 +190,6 @@ def test_init_leaves_a_mute_head_alone(bus: Serve) -> None:
     _, found = init(device, "--configure", "--ids", "1,2,3")
     assert [servo.answers for servo in servos] == [2, 2, 2, 0]
     assert found.ports["main"].ignore == (20,)
-
-
-def test_find_servos_names_what_it_wrote_nothing_to(bus: Serve) -> None:
-    device, servos = bus("1-2:AX-12A:status_return=0")
-    found = find_servos("main", str(device))
-    assert found.mute == (1, 2)
-    assert found.done == ()
-    with pytest.raises(BusError, match="servo 1, 2 answers to pings but not to reads"):
-        group([found], 2)
-    assert all(servo.writes == 0 for servo in servos)
 
 
 def test_the_other_firmware_of_an_mx(bus: Serve) -> None:

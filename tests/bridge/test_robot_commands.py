@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from described import AX
 
-from adaptive_contact.bridge.discovery import describe, find_servos, group
+from adaptive_contact.bridge.discovery import find_servos
 from adaptive_contact.bridge.training import (
     HELD_SWINGS,
     HELD_TICKS,
@@ -27,18 +27,6 @@ from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ServoSample
 from programs import invoke, tried
-
-
-def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:
-    r = rig(**AX)
-    r.ports[0].servos = r.ports[0].servos[:5]
-    found = find_servos("p0", str(tmp_path / "p0"))
-    assert describe([found])[0].endswith("1000000 baud, protocol 1")
-    with pytest.raises(BusError, match="5 servos do not make legs of 3"):
-        group([found], 3)
-    assert [leg.id for leg in group([found], 5).legs] == ["leg1"]
-    with pytest.raises(BusError, match="2 legs are named"):
-        group([found], 5, ("a", "b"))
 
 
 def test_nobody_answers(rig: Callable, tmp_path: Path) -> None:

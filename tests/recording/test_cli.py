@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +32,7 @@ from adaptive_contact.wire import (
 )
 from programs import succeeded
 from stepping import step
+from waiting import until
 
 MS = 1_000_000
 TICK = 20 * MS
@@ -203,15 +204,18 @@ def test_a_recording_without_samples_is_not_replayed(tmp_path: Path) -> None:
 
 def publish_until_file_grows(router: Link, path: Path) -> int:
     """Publish samples until some are written out; how many were put."""
-    publisher = router.publisher("robot/leg/rf/servo")
-    until = time.monotonic() + WAIT_S
-    size = path.stat().st_size
-    count = 0
-    while path.stat().st_size == size and time.monotonic() < until:
-        publisher.put_raw(b"sample %06d" % count, MSGPACK)
-        count += 1
-        time.sleep(0.002)
-    return count
+    publisher, size, count = (
+        router.publisher(servo_key("rf")),
+        path.stat().st_size,
+        itertools.count(),
+    )
+
+    def grown() -> bool:
+        publisher.put_raw(b"sample %06d" % next(count), MSGPACK)
+        return path.stat().st_size > size
+
+    until(grown)
+    return next(count)
 
 
 @pytest.mark.e2e
@@ -268,19 +272,12 @@ def test_encodings_and_keys_that_zenoh_cannot_send_are_counted(
             writer.write("robot/leg/rf/servo", b"{}", "x" * length, k)
             writer.write("robot/leg/rf/servo", b"{}", "é" * (length // 2), k)
     arrived: list[int] = []
-    heard = threading.Event()
-
-    def hear(received: Any) -> None:
-        arrived.append(len(received.encoding.encode()))
-        if len(arrived) == 6:
-            heard.set()
-
-    router.subscribe("robot/leg/*/servo", hear)
+    router.subscribe(servo_key("*"), lambda got: arrived.append(len(got.encoding.encode())))
     player = cli("replay", path, "--connect", router.endpoints[0], "--speed", "max", "--all")
     assert player.wait() == 0
     player.wait_line("malformed 9")
     assert not [line for line in player.lines if "panic" in line]
-    assert heard.wait(WAIT_S)
+    until(lambda: len(arrived) == 6)
     assert sorted(n for n in arrived if n > 100) == [254, 254, 254, 255]
 
 

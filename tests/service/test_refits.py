@@ -109,14 +109,7 @@ def large(number: int) -> Large:
 
 
 def wait(refitter: Refitter, leg: str, number: int) -> object:
-    found: list[object] = []
-
-    def there() -> bool:
-        found[:] = [refitter.collect(leg, number)]
-        return found[0] is not None
-
-    until(there)
-    return found[0]
+    return until(lambda: refitter.collect(leg, number))
 
 
 def refitted(refitter: Refitter, job: RefitJob) -> RefitResult:

@@ -174,15 +174,6 @@ def test_what_a_leg_has_changed_in_and_when_is_shown() -> None:
     assert "load" in drawn(watch.view(0)), "its time was of another clock"
 
 
-def test_a_contact_that_a_status_overtakes_is_not_lost() -> None:
-    watch = Watch()
-    watch.learner(status(t_ns=0), 0)
-    for second in range(1, 2000):
-        watch.learner(status(t_ns=second * S, contacts=second), second * S)
-        watch.event(event(second * 1000 - 300), second * S)
-    assert row(watch).unheard == 0
-
-
 @pytest.mark.parametrize(
     ("event_ms", "seen", "false_alarms"),
     [

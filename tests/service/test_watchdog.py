@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from unittest import mock
 
 import pytest
 from structlog.testing import capture_logs
@@ -49,6 +50,11 @@ fake_service.main()
 
 def message(n: int) -> Message:
     return ContactTruth(t_ns=n, contact=True, force=1.0)
+
+
+def putting(does: Any) -> mock.Mock:
+    """A publisher whose ``put`` does something, or raises it."""
+    return mock.Mock(put=mock.Mock(side_effect=does))
 
 
 class Gate:
@@ -163,28 +169,21 @@ def test_slow_puts_and_closed_links_are_counted(
 ) -> None:
     """Only a link that was seen to take nothing makes its subscriber the cause."""
 
-    class Slow:
-        def put(self, message: Message) -> None:
-            now[0] += S
-
-    class Broken:
-        def __init__(self, fault: Exception) -> None:
-            self.fault = fault
-
-        def put(self, message: Message) -> None:
-            raise self.fault
-
     now = [0]
+
+    def takes_a_second(_: Message) -> None:
+        now[0] += S
+
     monkeypatch.setattr(
         "adaptive_contact.service.event_publisher.time.monotonic_ns", lambda: now[0]
     )
     box = EventPublisher(lambda: held_s * S)
     with capture_logs() as logs:
         now[0] = S
-        box.post(Slow(), message(1), now[0])
-        box.post(Broken(LinkError("closed")), message(2), now[0])
+        box.post(putting(takes_a_second), message(1), now[0])
+        box.post(putting(LinkError("closed")), message(2), now[0])
         for _ in range(2):  # braked: the next line within a while would say how often
-            box.post(Broken(TypeError("no such thing")), message(3), now[0])
+            box.post(putting(TypeError("no such thing")), message(3), now[0])
         box.missed(3, "links dropped that held up contact events")
     late = held_s < 1
     assert (box.slow, box.late, box.lost, box.cut_off, box.latencies()) == (1, late, 3, 3, [S])

@@ -77,17 +77,6 @@ def test_every_ten_seconds_and_at_once_after_a_promotion(folder: Folder) -> None
     assert not keeper.due(desk, 13 * S)
 
 
-def test_a_promotion_before_the_first_save_is_saved_at_once(folder: Folder) -> None:
-    keeper = folder.open()
-    for leg in ("lf", "lm", "lr", "rm", "rr", "rf"):  # the last one's turn comes late
-        keeper.restore(leg, Learner(), "servo", 0)
-    desk = Desk()
-    desk.hear()
-    assert not keeper.due(desk, 0), "what it began with is no promotion"
-    desk.model_version = 2
-    assert keeper.due(desk, 1)
-
-
 def test_settings_are_told_apart() -> None:
     text = """
     [robot]
@@ -123,28 +112,19 @@ def test_robots_of_one_kind_are_told_apart_by_their_namespaces(tmp_path: Path) -
 # -- A disk that is slow, full or closed, and a state that fits no file: told, and nobody wai
 
 
-def slowed(
+def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> tuple[threading.Event, threading.Event, list[int]]:
-    """A disk that saves once it may: whether it has begun, that it may, and what it has saved."""
-    writing, go_on, written = threading.Event(), threading.Event(), list[int]()
-    save = folder.store.save
+) -> None:
+    keeper, desk = folder.begin()
+    writing, go_on, written, save_ = threading.Event(), threading.Event(), [], folder.store.save
 
     def slow(record: Record) -> None:
         writing.set()
         assert go_on.wait(60)
         written.append(record.body["number"])
-        save(record)
+        save_(record)
 
     monkeypatch.setattr(folder.store, "save", slow)
-    return writing, go_on, written
-
-
-def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keeper, desk = folder.begin()
-    writing, go_on, written = slowed(folder, monkeypatch)
     for number in range(1, 6):
         desk.learner.number = number  # type: ignore[attr-defined]
         desk.hear()

@@ -7,7 +7,7 @@ import re
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -23,23 +23,20 @@ from .running import FRAME, Running, answer_of, everything, read_until
 
 @pytest.fixture
 def running() -> Iterator[Running]:
-    site = Running(WebSettings())
-    yield site
-    site.close()
+    with closing(Running(WebSettings())) as site:
+        yield site
 
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[Running]:
-    site = Running(WebSettings())
-    yield site
-    site.close()
+    with closing(Running(WebSettings())) as site:
+        yield site
 
 
 @pytest.fixture
 def guarded() -> Iterator[Running]:
-    site = Running(WebSettings(token="s3cret-token"))
-    yield site
-    site.close()
+    with closing(Running(WebSettings(token="s3cret-token"))) as site:
+        yield site
 
 
 # -- what is served ------------------------------------------------------------------------------
@@ -330,8 +327,7 @@ def test_strangers_without_the_token_keep_its_owner_out_at_no_time(
 
 
 def test_beyond_loopback_an_address_or_an_own_name_is_let_in() -> None:
-    site = Running(WebSettings(host="0.0.0.0", token="t"))
-    try:
+    with closing(Running(WebSettings(host="0.0.0.0", token="t"))) as site:
         port = site.port
         for host, status in (
             (f"192.168.1.7:{port}", 403),
@@ -342,8 +338,6 @@ def test_beyond_loopback_an_address_or_an_own_name_is_let_in() -> None:
         ):
             request = f"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n".encode()
             assert site.send(request)[0] == status, host
-    finally:
-        site.close()
 
 
 # -- the port ------------------------------------------------------------------------------------
