@@ -10,10 +10,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from click.testing import Result
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
@@ -113,13 +115,34 @@ class Program:
             self.process.stdout.close()
 
 
-def invoke(*words: object) -> str:
-    """What a command of ours that succeeds says, run in this process."""
-    result = CliRunner().invoke(cli.app, [str(word) for word in words])
+def commands() -> Iterator[tuple[tuple[str, ...], Any]]:
+    """All commands of ours and groups of them, each with its words."""
+    cli.load_commands()
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), get_command(cli.app))]
+    for words, command in waiting:
+        yield words, command
+        below = getattr(command, "commands", {})
+        waiting += [((*words, name), one) for name, one in below.items()]
+
+
+def tried(*words: object, **more: Any) -> Result:
+    """What becomes of a command of ours, run in this process."""
+    cli.load_commands()
+    return CliRunner().invoke(cli.app, [str(word) for word in words], **more)
+
+
+def succeeded(*words: object) -> Result:
+    """The same of one that succeeds; an error is raised."""
+    result = tried(*words)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     assert result.exit_code == 0, result.output
-    return result.output
+    return result
+
+
+def invoke(*words: object) -> str:
+    """What a command of ours that succeeds says, on both streams."""
+    return succeeded(*words).output
 
 
 def resident_mb(pid: int) -> float:

@@ -93,7 +93,10 @@ def quotes(name: str) -> list[Quote]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_lead_somewhere_and_python_compiles(page: Path) -> None:
+    for language, body in parts(page)[1]:
+        if language == "python":
+            compile(body, str(page), "exec")
     for target in _LINK.findall(parts(page)[0]):
         if re.match(r"[a-z]+:", target):
             continue  # of another site, which a test does not ask
@@ -200,13 +203,6 @@ def test_make_targets_exist(quote: Quote) -> None:
     for target in quote.words[1:]:
         if re.fullmatch(r"[a-z][a-z-]*", target):
             assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"no target '{target}'"
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_python_compiles(page: Path) -> None:
-    for language, body in parts(page)[1]:
-        if language == "python":
-            compile(body, str(page), "exec")
 
 
 def test_the_readme_s_control_loop_runs(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import pty
 import stat
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from typing import Any
 import pytest
 
 from adaptive_contact.errors import BaselineError, ConfigurationError
-from adaptive_contact.files import holds_content, why_not_writable, write_file
+from adaptive_contact.files import why_not_writable, write_file
 
 
 def names(folder: Path) -> list[str]:
@@ -82,21 +81,6 @@ def test_a_fifo_is_written_to_and_stays(tmp_path: Path) -> None:
     assert got == [b"x" * 200_000]
     assert stat.S_ISFIFO(path.lstat().st_mode)
     assert names(tmp_path) == ["fifo"]
-
-
-def test_a_device_is_written_to_and_stays() -> None:
-    master, slave = pty.openpty()
-    try:
-        path = Path(os.ttyname(slave))
-        before = path.stat()
-        write_file(path, b"words\n")
-        assert os.read(master, 100) == b"words\r\n"
-        assert os.path.samestat(path.stat(), before)
-        assert not holds_content(path)
-        assert why_not_writable(path) is None
-    finally:
-        os.close(master)
-        os.close(slave)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

@@ -12,9 +12,7 @@ import time
 import unicodedata
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -28,7 +26,6 @@ from adaptive_contact.robot import load_robot
 from adaptive_contact.robot.urdf import read_urdf
 from adaptive_contact.service.watch import LegView, View
 from adaptive_contact.service.watch_table import table
-from adaptive_contact.wire import Drift, ServoSample, decode
 
 SECONDS = 2.0
 MANY = 100_000
@@ -165,32 +162,6 @@ def test_urdfs(tmp_path: Path, kind: str) -> None:
     refused(read, tmp_path / "a.urdf", URDFS[kind])
 
 
-@pytest.mark.parametrize("message", [Drift, ServoSample])
-@pytest.mark.parametrize(
-    "payload",
-    [
-        *(
-            f'{{"v":1,"kind":"mass","value":{value}}}'.encode()
-            for name, value in VALUES.items()
-            if name != "65 bits"  # a number, far out of range
-        ),
-        b'{"v":1,"' + b"a" * MANY + b'":1}',
-        b'{"v":1,"kind":"\xff","value":1}',
-        b"\x91" * 200_000,
-        b"\x81\xa1a" * 60_000,
-        *(head + b"\xff\xff\xff\xff" for head in (b"\xdd", b"\xdf", b"\xdb", b"\xc6", b"\xc9")),
-        msgpack.packb({"v": 1, "kind": "mass", "value": [1] * MANY}),
-        msgpack.packb({"v": 1, "a" * MANY: 1}),
-    ],
-    ids=itertools.count(),
-)
-def test_payloads(message: Any, payload: bytes) -> None:
-    began_s = time.process_time()
-    found = decode(payload, message)
-    assert time.process_time() - began_s < SECONDS
-    assert len(found.detail) < 300
-
-
 # -- Text from the wire is shown, never obeyed by a terminal
 
 HOSTILE = "\x1b[31mred\x1b]0;title\x07 \x9b2J \u202eback [bold]markup[/] \x7f\r\n"
@@ -206,11 +177,6 @@ def test_no_control_character_is_left(text: str) -> None:
 
 
 _OVERRIDES = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
-
-
-def test_ordinary_text_stays_as_it_is() -> None:
-    text = "Bein µ 0.5° × 脚 ñ"
-    assert printable(text) == text
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"])))

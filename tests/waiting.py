@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -34,3 +35,22 @@ def free_address() -> str:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"127.0.0.1:{free.getsockname()[1]}"
+
+
+class Every(threading.Thread):
+    """Calls something once in a period, until it is closed."""
+
+    def __init__(self, period_s: float, call: Callable[[], object]) -> None:
+        super().__init__(daemon=True)
+        self._period_s = period_s
+        self._call = call
+        self._over = threading.Event()
+        self.start()
+
+    def run(self) -> None:
+        while not self._over.wait(self._period_s):
+            self._call()
+
+    def close(self) -> None:
+        self._over.set()
+        self.join(60)

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from adaptive_contact.bridge import discovery, handshake
+from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.bridge.transport import Mailbox
-from adaptive_contact.cli import main as cli
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, ServoSample, encode
 from adaptive_contact_sim.virtual import (
@@ -39,13 +39,9 @@ from described import Serve
 from kinematic import KinematicBackend
 
 from programs import Program
+from waiting import until
 
 PERIOD_S = 0.02
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _commands() -> None:
-    cli.load_commands()
 
 
 @pytest.fixture(autouse=True)
@@ -91,30 +87,19 @@ class Catcher:
         self.ticks: list[dict[str, ServoSample]] = []
         self.statuses: list[BridgeStatus] = []
         self.lines: list[str] = []
-        self._changed = threading.Condition()
+        self.status = self.statuses.append
+        self.say = self.lines.append
 
     def samples(self, samples: Mapping[str, ServoSample]) -> None:
-        with self._changed:
-            if len(samples) == self._legs:
-                self.ticks.append(dict(samples))
-                self._changed.notify_all()
-
-    def status(self, status: BridgeStatus) -> None:
-        with self._changed:
-            self.statuses.append(status)
-            self._changed.notify_all()
-
-    def say(self, line: str) -> None:
-        with self._changed:
-            self.lines.append(line)
-            self._changed.notify_all()
+        if len(samples) == self._legs:
+            self.ticks.append(dict(samples))
 
     def wait(self, true: Callable[[Catcher], Any], timeout_s: float = 40.0) -> None:
-        with self._changed:
-            assert self._changed.wait_for(lambda: true(self), timeout_s), (
-                f"not within {timeout_s} s: {len(self.ticks)} ticks, {self.lines}, "
-                f"{self.statuses[-1:]}"
-            )
+        until(
+            lambda: true(self),
+            lambda: f"{len(self.ticks)} ticks, {self.lines}, {self.statuses[-1:]}",
+            timeout_s,
+        )
 
 
 def robot_text(
@@ -146,11 +131,25 @@ def robot_text(
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
-    """Makes rigs; their threads end with the test."""
-    stop = threading.Event()
-    threads: list[threading.Thread] = []
-    servers: list[VirtualServer] = []
+def served() -> Iterator[Callable[[VirtualServer], None]]:
+    """Serves virtual servers from threads, which end with the test."""
+    stop, threads = threading.Event(), list[threading.Thread]()
+    with contextlib.ExitStack() as stack:
+
+        def start(server: VirtualServer) -> None:
+            stack.enter_context(server)
+            threads.append(threading.Thread(target=server.run, args=(stop,), daemon=True))
+            threads[-1].start()
+
+        yield start
+        stop.set()
+        for thread in threads:
+            thread.join(5.0)
+
+
+@pytest.fixture
+def rig(tmp_path: Path, served: Callable[[VirtualServer], None]) -> Callable[..., Rig]:
+    """Makes rigs."""
 
     def make(noise_steps: float = 0.0, wire_time: bool = False, seed: int = 7, **shape: Any) -> Rig:
         robot = parse_robot(robot_text(tmp_path, **shape), source="rig")
@@ -181,20 +180,24 @@ def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
             )
             for plan in plans
         )
-        server = VirtualServer(ports, backend)
-        server.__enter__()
-        servers.append(server)
-        thread = threading.Thread(target=server.run, args=(stop,), daemon=True)
-        thread.start()
-        threads.append(thread)
+        served(VirtualServer(ports, backend))
         return Rig(robot, plans, backend, faults, ports)
 
-    yield make
-    stop.set()
-    for thread in threads:
-        thread.join(5.0)
-    for server in servers:
-        server.__exit__()
+    return make
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[[Rig], Bus]]:
+    """Opens the first port of a rig, patiently: this computer may be busy."""
+    with contextlib.ExitStack() as stack:
+
+        def open_(rig: Rig) -> Bus:
+            bus = stack.enter_context(contextlib.closing(Bus("p0", rig.plans[0].port)))
+            bus.open()
+            bus.port.timeout_ms = max(bus.port.timeout_ms, 100.0)
+            return bus
+
+        yield open_
 
 
 @pytest.fixture
@@ -220,7 +223,9 @@ class Running:
         payload = encode(Command(desired=list(desired), preview=preview))
         self.mailbox.put(leg, payload, MSGPACK, time.monotonic_ns())
 
-    def commanding(self, desired: Sequence[float]) -> Callable[[Check], Check]:
+    def commanding(
+        self, desired: Sequence[float], preview: list[list[float]] | None = None
+    ) -> Callable[[Check], Check]:
         """Make of what is waited for the same, with a command to the first leg before each look.
 
         The command is read anew each time, so that it may be changed in place.
@@ -228,7 +233,7 @@ class Running:
 
         def feed(true: Check) -> Check:
             def check(catcher: Any) -> Any:
-                self.command("l0", *desired)
+                self.command("l0", *desired, preview=preview)
                 return true(catcher)
 
             return check
@@ -277,24 +282,16 @@ def run(rig: Callable, catcher: Callable, ended: Callable) -> Callable[..., Runn
 
 
 @pytest.fixture
-def bus(tmp_path: Path) -> Iterator[Serve]:
+def bus(tmp_path: Path, served: Callable[[VirtualServer], None]) -> Serve:
     """Serve the servos of SPECs (see ``anybus``) on a port."""
-    stop, stack = threading.Event(), contextlib.ExitStack()
-    threads: list[threading.Thread] = []
 
     def make(*specs: str, where: str = "bus") -> tuple[Path, Sequence[VirtualServo]]:
         (tmp_path / where).mkdir()
         server, _ = serve(tmp_path / where, specs)
-        stack.enter_context(server)
-        threads.append(threading.Thread(target=server.run, args=(stop,), daemon=True))
-        threads[-1].start()
+        served(server)
         return tmp_path / where / "port0", server.ports[0].servos
 
-    yield make
-    stop.set()
-    for thread in threads:
-        thread.join(5.0)
-    stack.close()
+    return make
 
 
 @pytest.fixture

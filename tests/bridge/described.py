@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -11,6 +12,12 @@ from adaptive_contact.robot import Robot, load_robot, parse_robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact_sim.virtual import VirtualServo
 from programs import invoke
+
+# Servos of a rig, one of each way to speak.
+AX = {"model": "AX-12A", "protocol": 1}
+XL = {"model": "XL330-M288", "protocol": 2}
+STS = {"model": "STS3215", "protocol": "sts"}
+SCS = {"model": "SCS0009", "protocol": "scs"}
 
 # Serves the servos of SPECs (see ``anybus``) on a port: its device, and they.
 Serve = Callable[..., tuple[Path, Sequence[VirtualServo]]]
@@ -44,3 +51,16 @@ def _toml(value: object) -> str:
 def write(path: Path, described: Robot) -> Path:
     path.write_text(write_robot(described), encoding="utf-8")
     return path
+
+
+def goals_written(servo: VirtualServo) -> list[int]:
+    """Goals that are written to a servo from now on."""
+    goals, write, register = list[int](), servo.write, servo.model.registers["goal_position"]
+
+    def spy(address: int, data: bytes) -> Any:
+        if address == register.address:
+            goals.append(register.value(data))
+        return write(address, data)
+
+    servo.write = spy  # type: ignore[method-assign]
+    return goals

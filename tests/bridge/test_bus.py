@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from described import AX, SCS, STS, XL
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
 from adaptive_contact.bridge.bus import Bus
@@ -16,24 +17,14 @@ from adaptive_contact.bridge.tables import Block
 from adaptive_contact.errors import BusError
 from adaptive_contact_sim.virtual import VirtualServo
 
-AX = {"model": "AX-12A", "protocol": 1}
-XL = {"model": "XL330-M288", "protocol": 2}
 FAST = {**XL, "extra": "fast = true"}
-STS = {"model": "STS3215", "protocol": "sts"}
-SCS = {"model": "SCS0009", "protocol": "scs"}
-
-
-def opened(rig) -> Bus:
-    plan = rig.plans[0]
-    bus = Bus(plan.name, plan.port)
-    bus.open()
-    bus.port.timeout_ms = max(bus.port.timeout_ms, 100.0)  # however busy the machine is
-    return bus
 
 
 @pytest.mark.parametrize("kind", [XL, FAST])
 @pytest.mark.parametrize("alone", [True, False])
-def test_data_that_look_like_a_header_are_read(rig: Callable, kind: dict, alone: bool) -> None:
+def test_data_that_look_like_a_header_are_read(
+    rig: Callable, opened: Callable, kind: dict, alone: bool
+) -> None:
     r = rig(**kind)
     for servo in r.ports[0].servos:
         servo.store("profile_velocity", 2**32 - 1)
@@ -43,22 +34,10 @@ def test_data_that_look_like_a_header_are_read(rig: Callable, kind: dict, alone:
         readings = bus.read(servos, Block(112, 8 + more))
         assert {readings[i].data[:8] for i in servos} == {b"\xff\xff\xff\xff\xfd\xff\xff\xff"}
         assert [reading.fault for reading in readings.values()] == [None] * len(servos)
-    bus.close()
 
 
 @pytest.mark.parametrize("kind", [AX, XL, FAST, STS, SCS])
-def test_a_silent_servo_hides_no_other(rig: Callable, kind: dict) -> None:
-    r = rig(**kind, timeout_ms=100)  # however busy the machine is
-    bus, joints = opened(r), r.plans[0].joints
-    r.fault("silent:id=2")
-    readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
-    assert readings[2].fault == "no_answer"
-    assert all(readings[j.servo].data is not None for j in joints if j.servo != 2)
-    bus.close()
-
-
-@pytest.mark.parametrize("kind", [AX, XL, FAST, STS, SCS])
-def test_flipped_bits_are_never_taken_for_data(rig: Callable, kind: dict) -> None:
+def test_flipped_bits_are_never_taken_for_data(rig: Callable, opened: Callable, kind: dict) -> None:
     r = rig(**kind)
     for i in range(6):
         r.backend.place(i, 0.3)
@@ -76,7 +55,6 @@ def test_flipped_bits_are_never_taken_for_data(rig: Callable, kind: dict) -> Non
                 assert joints[0].angle(steps) == pytest.approx(0.3, abs=0.01)
     assert good > 100
     assert faulty > 10
-    bus.close()
 
 
 def last_byte(packet: bytes) -> bytes:
@@ -90,7 +68,7 @@ def first_byte(packet: bytes) -> bytes:
 @pytest.mark.parametrize("broken", [last_byte, first_byte])
 @pytest.mark.parametrize("kind", [XL, FAST, STS])
 def test_every_wrong_checksum_of_a_common_answer_is_counted(
-    rig: Callable, kind: dict, broken: Callable[[bytes], bytes]
+    rig: Callable, opened: Callable, kind: dict, broken: Callable[[bytes], bytes]
 ) -> None:
     r = rig(**kind)
     bus, joints = opened(r), r.plans[0].joints
@@ -116,13 +94,18 @@ def test_every_wrong_checksum_of_a_common_answer_is_counted(
         counted += corrupt == broken_ids
         assert all(reading.data is not None for reading in readings.values())
     assert counted >= 16
-    bus.close()
 
 
 @pytest.mark.parametrize("kind", [AX, XL, FAST, STS, SCS])
-def test_silent_servos_take_no_longer_than_there_is_time(rig: Callable, kind: dict) -> None:
+def test_silent_servos_hide_no_other_and_take_no_longer_than_there_is_time(
+    rig: Callable, opened: Callable, kind: dict
+) -> None:
     r = rig(**kind, timeout_ms=100)
     bus, joints = opened(r), r.plans[0].joints
+    r.fault("silent:id=2")
+    readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
+    assert readings[2].fault == "no_answer"
+    assert all(readings[j.servo].data is not None for j in joints if j.servo != 2)
     r.fault("silent:")
     began = time.monotonic()
     readings = bus.read(
@@ -133,20 +116,20 @@ def test_silent_servos_take_no_longer_than_there_is_time(rig: Callable, kind: di
     r.fault()
     readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
     assert all(reading.data is not None for reading in readings.values())
-    bus.close()
 
 
-def test_an_error_without_data_is_no_index_error(rig: Callable) -> None:
+def test_an_error_without_data_is_no_index_error(rig: Callable, opened: Callable) -> None:
     r = rig(**AX)
     bus = opened(r)
     reading = bus.read([1], Block(48, 40))[1]  # beyond the table: error status without data
     assert reading.fault == "refused"
     assert "range" in reading.alarms
-    bus.close()
 
 
 @pytest.mark.parametrize("kind", [AX, XL, STS], ids=["AX", "XL", "STS"])
-def test_a_late_answer_is_counted_for_the_servo_that_gave_it(rig: Callable, kind: dict) -> None:
+def test_a_late_answer_is_counted_for_the_servo_that_gave_it(
+    rig: Callable, opened: Callable, kind: dict
+) -> None:
     """A dead one has none, whatever comes late of others: it would pass for the computer's."""
     r = rig(**kind)
     bus, joints = opened(r), r.plans[0].joints
@@ -157,10 +140,11 @@ def test_a_late_answer_is_counted_for_the_servo_that_gave_it(rig: Callable, kind
             bus.read([servo], block)
     assert bus.late[2] >= 3
     assert bus.late[5] == 0
-    bus.close()
 
 
-def test_two_servos_of_one_id_that_answer_one_after_the_other_are_seen(rig: Callable) -> None:
+def test_two_servos_of_one_id_that_answer_one_after_the_other_are_seen(
+    rig: Callable, opened: Callable
+) -> None:
     r = rig(**AX, wire_time=True)
     slow = VirtualServo(3, r.servo(3).model, r.backend, 3, np.random.default_rng(1))
     slow.store("return_delay", 250)
@@ -169,7 +153,6 @@ def test_two_servos_of_one_id_that_answer_one_after_the_other_are_seen(rig: Call
     bus.port.timeout_ms = 25.0
     pongs = [bus.ping(3) for _ in range(5)]
     assert any(pong is not None and pong.doubled for pong in pongs)
-    bus.close()
 
 
 class OldHandler(Protocol2PacketHandler):
@@ -183,7 +166,7 @@ class OldHandler(Protocol2PacketHandler):
 
 
 def test_an_sdk_without_fast_reads_does_all_the_rest(
-    rig: Callable, monkeypatch: pytest.MonkeyPatch
+    rig: Callable, opened: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dynamixel_sdk.PacketHandler", lambda _: OldHandler())
     r = rig(**XL)
@@ -193,47 +176,15 @@ def test_an_sdk_without_fast_reads_does_all_the_rest(
     asked = r.requests
     bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
     assert r.requests == asked + 1  # one sync read
-    bus.close()
     fast = Bus("p0", msgspec.structs.replace(r.plans[0].port, fast=True))
     with pytest.raises(BusError, match=r"fast needs dynamixel-sdk 3\.8 or newer; update it, or"):
         fast.open()
 
 
-def test_a_late_common_answer_is_asked_for_again(rig: Callable) -> None:
+def test_a_late_common_answer_is_asked_for_again(rig: Callable, opened: Callable) -> None:
     r = rig(**FAST)
     bus, joints = opened(r), r.plans[0].joints
     ids = [j.servo for j in joints]
     r.fault("late:id=3,ms=25")
     assert bus.read(ids, joints[0].model.goal_and_motion)[1].data is not None  # alone, in time
     assert r.faults.struck["late"] >= 1
-    bus.close()
-
-
-@pytest.mark.parametrize(("kind", "value"), [(AX, 34), (XL, 1)])
-def test_a_new_id_and_baud_rate_hold_at_once(
-    rig: Callable, kind: dict, value: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import dynamixel_sdk as sdk
-
-    # The SDK's own port waits for twice this, in ms: enough on a busy machine, too.
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 1000)
-
-    r = rig(**kind)
-    registers = r.plans[0].joints[0].model.registers
-    packets = sdk.PacketHandler(float(kind["protocol"]))
-    port = sdk.PortHandler(r.plans[0].port.device)
-    port.setBaudRate(1_000_000)
-    try:
-        assert packets.write1ByteTxRx(port, 6, registers["id"].address, 60)[0] == sdk.COMM_SUCCESS
-        assert packets.ping(port, 60)[1] == sdk.COMM_SUCCESS
-        assert packets.ping(port, 6)[1] != sdk.COMM_SUCCESS
-        if kind is XL:
-            r.servo(5).store("torque_enable", 1)
-            assert packets.reboot(port, 5)[0] == sdk.COMM_SUCCESS
-            assert not r.servo(5).torque
-        packets.write1ByteTxRx(port, 60, registers["baud"].address, value)
-        assert packets.ping(port, 60)[1] != sdk.COMM_SUCCESS
-        port.setBaudRate(57_600)
-        assert packets.ping(port, 60)[1] == sdk.COMM_SUCCESS
-    finally:
-        port.closePort()

@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 import pytest
 from described import Serve, robot, write
-from typer.testing import CliRunner
 
 from adaptive_contact.bridge.compare import COMPARED, Servo, compare, read_servos
 from adaptive_contact.bridge.handshake import check_ports
@@ -15,8 +14,8 @@ from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.bridge.tables import (
     models_named,
 )
-from adaptive_contact.cli import main as cli
 from adaptive_contact.robot import Port, parse_robot
+from programs import invoke
 
 
 def test_check_tells_what_differs_and_what_shapes_the_motion(bus: Serve) -> None:
@@ -24,14 +23,12 @@ def test_check_tells_what_differs_and_what_shapes_the_motion(bus: Serve) -> None
     legs = ((1, 2, 3), "AX-12A"), ((4, 5, 6), "AX-12A")
     described = robot(device, *legs, timeout_ms=10)
     path = device.parent / "robot.toml"
-    said = CliRunner().invoke(cli.app, ["robot", "check", "--config", str(write(path, described))])
-    assert said.exit_code == 0
+    said = invoke("robot", "check", "--config", write(path, described))
     assert (
-        "CCW compliance slope differs among AX-12A: 32 in 5 servos, 64 in servo 6 (l1 j2)"
-        in said.output
+        "CCW compliance slope differs among AX-12A: 32 in 5 servos, 64 in servo 6 (l1 j2)" in said
     )
-    assert "moving speed of servo 6 (l1 j2) is 200: goals are followed at 2.3 rad/s" in said.output
-    assert said.output.count("differs") == 1
+    assert "moving speed of servo 6 (l1 j2) is 200: goals are followed at 2.3 rad/s" in said
+    assert said.count("differs") == 1
     assert all(servo.writes == 0 for servo in servos)
 
 
@@ -77,6 +74,16 @@ def servo_of(model: str, number: int, **values: int) -> Servo:
              "PWM limit of servo 1 (l1 j) is 442 of 885: it drives with 50 %"],
         ),
         ([servo_of("AX-12A", 1, torque_limit=0)], []),
+        (
+            [servo_of("STS3215", 1, torque_limit=500, acceleration=20)],
+            ["acceleration of servo 1 (l1 j) is 20: goals are followed with a limited acceleration"
+             " (3.07 rad/s²)",
+             "torque limit of servo 1 (l1 j) is 500 of 1000: it drives with 50 %"],
+        ),
+        (
+            [servo_of("STS3215", n, max_acceleration=50 if n == 3 else 254) for n in (1, 2, 3)],
+            ["max acceleration differs among STS3215: 254 in 2 servos, 50 in servo 3 (l3 j)"],
+        ),
         ([servo_of("MX-28", n, position_p=32, goal_acceleration=0) for n in (1, 2)], []),
         ([servo_of("MX-28", 1, position_p=32), servo_of("MX-64", 2, position_p=8)], []),
         (

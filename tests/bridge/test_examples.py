@@ -9,9 +9,7 @@ import runpy
 import shutil
 import signal
 import subprocess
-import threading
 import time
-import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -25,10 +23,8 @@ from adaptive_contact.service.link import Link, Publisher, router_settings
 from adaptive_contact.wire import (
     HEARTBEAT,
     MSGPACK,
-    BridgeStatus,
     Command,
     ContactEvent,
-    Quantiles,
     ServoSample,
     command_key,
     contact_key,
@@ -37,23 +33,10 @@ from adaptive_contact.wire import (
 )
 from adaptive_contact.wire.received import Received
 from programs import Program
-from waiting import until
+from waiting import Every, until
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MODEL = EXAMPLES.parent / "models" / "adaptive_contact_models" / "hexapod" / "robot.toml"
-
-
-def status(state: str = "running", **more: object) -> BridgeStatus:
-    quiet = Quantiles()
-    return BridgeStatus(
-        port="left", t_ns=1, mode="observe", state=state, rate_hz=50.0, wanted_hz=50.0,
-        cycle_ms=quiet, jitter_ms=quiet, cycles=1, missed=0, **more,
-    )  # fmt: skip
-
-
-def test_the_examples_are_in_the_source_distribution() -> None:
-    settings = tomllib.loads((EXAMPLES.parent / "pyproject.toml").read_text(encoding="utf-8"))
-    assert "examples" in settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
 
 
 @pytest.mark.parametrize(("robot", "leg"), [("hexapod", "rf"), ("quadruped", "fl")])
@@ -200,19 +183,9 @@ def test_no_contact_outlives_its_source_in_c(reading_in_c: Reading) -> None:
     heartbeats = link.publisher(HEARTBEAT)
 
     def beat_until(words: str, legs: object) -> None:
-        come = threading.Event()
-
-        def beat() -> None:
-            while not come.wait(0.1):
-                heartbeats.put_raw(msgspec.msgpack.encode({"v": 1, "legs": legs}), MSGPACK)
-
-        beating = threading.Thread(target=beat)
-        beating.start()
-        try:
+        beat = msgspec.msgpack.encode({"v": 1, "legs": legs})
+        with contextlib.closing(Every(0.1, lambda: heartbeats.put_raw(beat, MSGPACK))):
             assert line() == words
-        finally:
-            come.set()
-            beating.join()
 
     young = {"t_ns": 1, "age_s": 0.02, "contact": True}
     old = [{"rf": {**young, "age_s": age}} for age in (0.6, 7, -1.0, math.nan)]
@@ -241,37 +214,24 @@ def test_the_subscriber_in_c_says_in_one_line_what_is_wrong(
     assert ended.stderr.count("\n") == 1
 
 
-class FakeBridge:
+class FakeBridge(Every):
     """Samples of one leg at 50 Hz, whose servos are where they were sent a tick before."""
 
     def __init__(self, link: Link, leg: str) -> None:
         self.commands: list[list[float]] = []
-        self._at = [0.0, 0.5, -1.6]
         self._out = link.publisher(servo_key(leg))
-        self._stop = threading.Event()
+        self._seqs = itertools.count()
         link.subscribe(command_key(leg), self._command)
-        self._thread = threading.Thread(target=self._run)
+        super().__init__(0.02, self._tick)
 
     def _command(self, received: Received) -> None:
         command = decode(received.payload, Command, received.encoding)
         self.commands.append(list(command.desired))
-        self._at = list(command.desired)
 
-    def _run(self) -> None:
-        seq = 0
-        while not self._stop.wait(0.02):
-            at = self._at
-            t_ns = time.monotonic_ns()
-            self._out.put(ServoSample(t_ns=t_ns, seq=seq, measured=at, desired=at))
-            seq += 1
-
-    def __enter__(self) -> FakeBridge:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
+    def _tick(self) -> None:
+        at = [[0.0, 0.5, -1.6], *self.commands[-1:]][-1]
+        t_ns = time.monotonic_ns()
+        self._out.put(ServoSample(t_ns=t_ns, seq=next(self._seqs), measured=at, desired=at))
 
 
 @pytest.mark.slow
@@ -297,7 +257,10 @@ def test_the_gait_controller_holds_still_while_serve_is_dead(
         heights = [height(goal) for goal in bridge.commands[-4:]]
         return [after - before for before, after in itertools.pairwise(heights)]
 
-    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link, FakeBridge(link, "rf") as bridge:
+    with (
+        Link.open(router_settings(["tcp/127.0.0.1:0"])) as link,
+        contextlib.closing(FakeBridge(link, "rf")) as bridge,
+    ):
         serve = service()
         words = ("--steps", "1000", "--connect", link.endpoints[0])
         controller = start(str(EXAMPLES / "gait_controller.py"), *words)

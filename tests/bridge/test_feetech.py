@@ -4,39 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 import scservo_sdk as sdk
-from described import Serve, init, robot
+from described import SCS, STS, Serve, init, robot
 
 from adaptive_contact.bridge import discovery
 from adaptive_contact.bridge.bus import Bus
-from adaptive_contact.bridge.compare import compare, read_servos
 from adaptive_contact.bridge.handshake import check_ports
-from adaptive_contact.bridge.modes import setting
 from adaptive_contact.bridge.plan import plan_ports
-from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.robot import Port, ServoLaw
-
-STS = {"model": "STS3215", "protocol": "sts"}
-SCS = {"model": "SCS0009", "protocol": "scs"}
-
-
-class Sdk:
-    """A port opened by the SDK's own classes, patient on a busy computer."""
-
-    def __init__(self, device: object, end: int, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("scservo_sdk.port_handler.LATENCY_TIMER", 200)
-        self.packets = sdk.PacketHandler(end)
-        self.port = sdk.PortHandler(str(device))
-        assert self.port.setBaudRate(1_000_000)
-
-    def word(self, servo: int, address: int) -> int:
-        value, result, error = self.packets.read2ByteTxRx(self.port, servo, address)
-        assert (result, error) == (sdk.COMM_SUCCESS, 0)
-        return int(value)
 
 
 @pytest.mark.parametrize(
@@ -48,12 +26,14 @@ class Sdk:
 def test_the_sdk_reads_what_the_servo_means(
     bus: Serve, kind: str, end: int, number: int, raw: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("scservo_sdk.port_handler.LATENCY_TIMER", 200)  # on a busy computer
     device, _ = bus(f"1-3:{kind}:at=-0.5")
-    own = Sdk(device, end, monkeypatch)
+    packets, port = sdk.PacketHandler(end), sdk.PortHandler(str(device))
+    assert port.setBaudRate(1_000_000)
     try:
-        assert own.packets.ping(own.port, 2)[:2] == (number, sdk.COMM_SUCCESS)
-        assert own.word(2, 56) == raw
-        group = sdk.GroupSyncRead(own.port, own.packets, 56, 4)
+        assert packets.ping(port, 2)[:2] == (number, sdk.COMM_SUCCESS)
+        assert packets.read2ByteTxRx(port, 2, 56) == (raw, sdk.COMM_SUCCESS, 0)
+        group = sdk.GroupSyncRead(port, packets, 56, 4)
         assert all(group.addParam(servo) for servo in (1, 2, 3))
         result = group.txRxPacket()
         if end:  # the SCS series knows no sync read
@@ -62,7 +42,7 @@ def test_the_sdk_reads_what_the_servo_means(
             assert result == sdk.COMM_SUCCESS
             assert [group.getData(servo, 56, 2) for servo in (1, 2, 3)] == [raw] * 3
     finally:
-        own.port.closePort()
+        port.closePort()
 
 
 @pytest.mark.parametrize(("kind", "questions"), [(STS, 1), (SCS, 6)])
@@ -77,50 +57,11 @@ def test_the_sts_series_is_asked_in_common(rig: Callable, kind: dict, questions:
     assert r.requests == questions
 
 
-def test_what_is_written_while_eeprom_is_locked_is_gone_with_the_power(
-    bus: Serve, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    device, (servo,) = bus("1:STS3215")
-    own = Sdk(device, 0, monkeypatch)
-    try:
-        for lock, kept in ((1, 0), (0, 77)):
-            own.packets.write1ByteTxRx(own.port, 1, 55, lock)
-            own.packets.write1ByteTxRx(own.port, 1, 7, 77)
-            assert servo.value("return_delay") == 77
-            servo.reboot()
-            assert servo.value("return_delay") == kept
-    finally:
-        own.port.closePort()
-
-
-@pytest.mark.parametrize("kind", [STS, SCS])
-def test_configure_unlocks_and_locks_again(rig: Callable, kind: dict) -> None:
-    r = rig(**kind)
-    for servo in r.ports[0].servos:
-        servo.store("return_delay", 250)
-    findings = check_ports(r.plans, full=False)
-    assert "is 500 us, expected 100 or less" in findings.advice[0]
-    assert [servo.writes for servo in r.ports[0].servos] == [0] * 6
-    assert len(check_ports(r.plans, full=False, configure=True).done) == 6
-    for servo in r.ports[0].servos:
-        assert servo.value("eeprom_lock") == 1
-        servo.reboot()
-        assert servo.value("return_delay") == 0
-
-
 @pytest.mark.parametrize("kind", [STS, SCS])
 def test_a_moving_robot_is_let_through(rig: Callable, kind: dict) -> None:
     """What is read twice alike must not hold what changes with every reading."""
     r = rig(noise_steps=20.0, **kind)
     assert check_ports(r.plans, full=False).errors == []
-
-
-def test_a_servo_that_has_shut_itself_down_is_named_before_the_start(rig: Callable) -> None:
-    r = rig(**STS)
-    r.servo(2).set_errors(0x20)  # overload; a voltage that is wrong shuts no STS servo down
-    r.fault("error:id=3,bits=voltage")
-    advice = check_ports(r.plans, full=False).advice
-    assert [line.split(": ")[1] for line in advice if "shut down" in line] == ["servo 2"]
 
 
 def test_servos_of_the_other_byte_order_are_named(bus: Serve) -> None:
@@ -148,37 +89,6 @@ def test_init_finds_the_series(
     )
     assert check_ports(plan_ports(found), full=False, drive=True).errors == []
     assert all(servo.writes == 0 for servo in servos)
-
-
-def test_multi_turn_is_driven_within_its_turn_and_an_scs_wheel_is_refused() -> None:
-    def judged(name: str, **registers: int) -> Any:
-        (model,) = models_named(name)
-        (block,) = model.settings
-        data = bytearray(block.size)
-        for key, value in registers.items():
-            at = model.registers[key].address - block.address
-            data[at : at + model.registers[key].size] = model.registers[key].data(value)
-        return setting(model, [bytes(data)])
-
-    turns = judged("STS3215", resolution_divider=1)  # both limits 0
-    assert turns.wrong is None
-    assert (turns.lowest, turns.highest, turns.ends) == (0, 4095, None)
-    assert "is in multi-turn mode (both angle limits are 0)" in turns.advice
-    assert "is in wheel mode" in judged("SCS0009").wrong
-    gain = judged("STS3215", resolution_divider=1, position_p=99)
-    assert gain.values == turns.values  # a gain may change while it is driven
-
-
-def test_check_says_what_shapes_the_motion(rig: Callable) -> None:
-    r = rig(**STS)
-    r.servo(1).store("torque_limit", 500)
-    r.servo(2).store("acceleration", 20)
-    r.servo(3).store("max_acceleration", 50)
-    lines = "\n".join(compare(read_servos(r.plans)))
-    assert "torque limit of servo 1 (l0 j0) is 500 of 1000: it drives with 50 %" in lines
-    assert "acceleration of servo 2 (l0 j1) is 20: goals are followed with a limited" in lines
-    assert "(3.07 rad/s²)" in lines
-    assert "max acceleration differs among STS3215: 254 in 5 servos, 50 in servo 3" in lines
 
 
 @pytest.mark.parametrize(("present", "why"), [(False, "is not installed"), (True, "cannot be")])

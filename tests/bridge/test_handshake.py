@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 from anybus import any_servo
-from described import Serve, robot, write
+from described import AX, SCS, STS, Serve, robot, write
 
 from adaptive_contact.bridge.discovery import find_servos
 from adaptive_contact.bridge.handshake import check_ports
@@ -22,7 +22,6 @@ from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import parse_robot
 from adaptive_contact_sim.virtual import VirtualServo
 
-AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
 
 
@@ -73,7 +72,7 @@ def test_a_servo_that_has_shut_itself_down(
     assert words in line
 
 
-@pytest.mark.parametrize("kind", [AX, XL])
+@pytest.mark.parametrize("kind", [AX, XL, STS, SCS])
 def test_nothing_is_written_unless_asked_for(rig: Callable, kind: dict) -> None:
     r = rig(**kind)
     servos = r.ports[0].servos
@@ -84,6 +83,9 @@ def test_nothing_is_written_unless_asked_for(rig: Callable, kind: dict) -> None:
     assert "--configure" in findings.advice[0]
     assert [servo.writes for servo in servos] == [0] * 6
     assert len(check_ports(r.plans, full=False, configure=True).done) == 6
+    for servo in servos:
+        assert kind in (AX, XL) or servo.value("eeprom_lock") == 1
+        servo.reboot()  # what is written while an EEPROM is locked would be gone
     assert [servo.value("return_delay") for servo in servos] == [0] * 6
 
 
@@ -110,6 +112,9 @@ servos = { ids = [1, 2] }
 """
 
 
+LEG = BASE[BASE.index("[[leg]]") :]
+
+
 def planned(text: str):
     return plan_ports(parse_robot(text, source="r.toml"))
 
@@ -131,17 +136,16 @@ def planned(text: str):
             "'x' cannot move: .* do not meet",
         ),
         ("servos =", "#", "has no servos"),
+        (
+            LEG,
+            LEG + LEG.replace('"l"', '"m"').replace("[1, 2]", '[2, 3], port = "a"'),
+            r"servo id 2 is used twice on a port \(by leg",
+        ),
     ],
 )  # fmt: skip
 def test_bad_descriptions_are_told_in_one_line(old: str, new: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
         planned(BASE.replace(old, new))
-
-
-def test_a_servo_of_two_legs_though_one_leaves_the_only_port_out() -> None:
-    other = BASE[BASE.index("[[leg]]") :].replace('"l"', '"m"').replace("[1, 2]", "[2, 3]")
-    with pytest.raises(ConfigurationError, match=r"servo id 2 is used twice on a port \(by leg"):
-        planned(BASE + other.replace("[2, 3]", '[2, 3], port = "a"'))
 
 
 def test_two_ports_on_one_device(tmp_path: Path) -> None:
@@ -284,28 +288,19 @@ def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:
 
 
 @pytest.mark.parametrize(
-    ("port", "message"),
+    ("model", "port", "message"),
     [
-        ({"ignore": [253]}, "port.ignore[0] is 253; expected at most 252"),
-        ({"ignore": [2]}, "servo id 2 is in ignore of [port.main], too"),
-        ({"ignore": ["x"]}, "ignore"),
-        ({"ignroe": [2]}, "did you mean"),
+        ("AX-12A", {"ignore": [253]}, "port.ignore[0] is 253; expected at most 252"),
+        ("AX-12A", {"ignore": [2]}, "servo id 2 is in ignore of [port.main], too"),
+        ("AX-12A", {"ignore": ["x"]}, "ignore"),
+        ("AX-12A", {"ignroe": [2]}, "did you mean"),
+        *((model, {}, "model") for model in (7, ["AX-12A", 7, "AX-12A"], [], True)),
+        ("XL-320", {"protocol": 2, "fast": True}, "XL-320 knows no fast sync read"),
     ],
 )
-def test_an_ignore_that_cannot_be(port: dict[str, Any], message: str) -> None:
+def test_settings_that_cannot_be(model: object, port: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(message)):
-        robot(Path("/dev/x"), ((1, 2, 3), "AX-12A"), **port)
-
-
-@pytest.mark.parametrize("model", [7, ["AX-12A", 7, "AX-12A"], [], True])
-def test_a_model_that_is_no_name(model: object) -> None:
-    with pytest.raises(ConfigurationError, match="model"):
-        robot(Path("/dev/x"), ((1, 2, 3), model))
-
-
-def test_fast_sync_read_is_not_for_an_xl320() -> None:
-    with pytest.raises(ConfigurationError, match="XL-320 knows no fast sync read"):
-        plan_ports(robot(Path("/dev/x"), ((1,), "XL-320"), protocol=2, fast=True))
+        plan_ports(robot(Path("/dev/x"), ((1, 2, 3), model), **port))
 
 
 @pytest.mark.parametrize(

@@ -9,19 +9,17 @@ from pathlib import Path
 import msgspec
 import pytest
 from described import Serve, init, robot
-from typer.testing import CliRunner
 
 from adaptive_contact.bridge import discovery, handshake
 from adaptive_contact.bridge.bus import Bus, Pong
-from adaptive_contact.bridge.discovery import find_servos, group, wanted_legs
+from adaptive_contact.bridge.discovery import find_servos, wanted_legs
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.bridge.tables import feetech_of
-from adaptive_contact.cli import main as cli
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import load_robot
 from adaptive_contact_sim.virtual.servo import VirtualServo
-from programs import invoke
+from programs import invoke, tried
 
 
 def test_legs_of_any_ids_and_the_rest_ignored(bus: Serve) -> None:
@@ -124,9 +122,7 @@ def test_a_servo_at_another_rate_is_looked_for_and_told(bus: Serve) -> None:
         ((), "5 servos do not make legs"),
         (("--ids", "1,2,3/4,5,6"), "port main has no servo 6"),
     ]:
-        ended = CliRunner().invoke(
-            cli.app, ["robot", "init", "--device", str(device), "--out", str(out), *words]
-        )
+        ended = tried("robot", "init", "--device", device, "--out", out, *words)
         assert why in str(ended.exception)
         assert "servo 6 answers at 57600 baud, protocol 1" in ended.output
     described = robot(device, ((1, 2, 3), "AX-12A"), ((4, 5, 6), "AX-12A"), timeout_ms=20)
@@ -172,8 +168,7 @@ def test_the_rate_of_most_servos_is_the_ports(bus: Serve) -> None:
     """A new servo at its own rate is the odd one, though it is heard first."""
     device, _ = bus("1:AX-12A:at=0.2", "2-4:AX-12A:baud=115200")
     out = device.parent / "robot.toml"
-    words = ["robot", "init", "--device", str(device), "--out", str(out), "--force"]
-    said = CliRunner().invoke(cli.app, words).output
+    said = tried("robot", "init", "--device", device, "--out", out, "--force").output
     assert "ids 2-4; 115200 baud, protocol 1" in said
     assert "servo 1 answers at 1000000 baud, protocol 1" in said
     assert load_robot(out).ports["main"].baud == 115200
@@ -195,16 +190,6 @@ def test_init_leaves_a_mute_head_alone(bus: Serve) -> None:
     _, found = init(device, "--configure", "--ids", "1,2,3")
     assert [servo.answers for servo in servos] == [2, 2, 2, 0]
     assert found.ports["main"].ignore == (20,)
-
-
-def test_find_servos_names_what_it_wrote_nothing_to(bus: Serve) -> None:
-    device, servos = bus("1-2:AX-12A:status_return=0")
-    found = find_servos("main", str(device))
-    assert [servo for servo, pong in found.pongs.items() if not pong.reads] == [1, 2]
-    assert found.done == ()
-    with pytest.raises(BusError, match="servo 1, 2 answers to pings but not to reads"):
-        group([found], 2)
-    assert all(servo.writes == 0 for servo in servos)
 
 
 def test_the_other_firmware_of_an_mx(bus: Serve) -> None:

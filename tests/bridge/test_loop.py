@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,16 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from described import AX, SCS, STS, XL
 
 from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Instruction, version_of
-from adaptive_contact.wire import MSGPACK, ServoCounts
-
-AX = {"model": "AX-12A", "protocol": 1}
-XL = {"model": "XL-330", "protocol": 2}
-STS = {"model": "STS3215", "protocol": "sts"}
-SCS = {"model": "SCS0009", "protocol": "scs"}
-FAST = {**XL, "extra": "fast = true"}
-SPEAKS = ServoCounts()
+from adaptive_contact.wire import MSGPACK
+from waiting import Every
 
 
 @pytest.mark.parametrize("kind", [AX, XL, STS, SCS])
@@ -59,12 +53,7 @@ def test_samples_are_a_tick_apart_and_numbered(run: Callable, kind: dict) -> Non
 
 def test_the_sample_pairs_a_reading_with_the_command_written_after_it(run: Callable) -> None:
     r = run("drive", ticks=3, **XL)
-
-    def feed(c: Any) -> bool:
-        r.command("l0", 0.01, 0.0, 0.0)
-        return c.ticks[-1]["l0"].desired[0] > 0.009
-
-    r.catcher.wait(feed)
+    r.catcher.wait(r.commanding([0.01, 0.0, 0.0])(lambda c: c.ticks[-1]["l0"].desired[0] > 0.009))
     servo = r.rig.servo(1)
 
     def agrees(c: Any) -> bool:
@@ -142,25 +131,16 @@ def test_a_driven_leg_goes_on_without_a_dead_servo_after_a_pulled_cable_and_says
 def test_a_leg_none_of_whose_servos_can_be_read_says_that_its_commands_wait(run: Callable) -> None:
     r = run("drive", ticks=5, **AX)
     r.rig.fault(*(f"silent:id={i}" for i in (1, 2, 3)))
-
-    def feed(c: Any) -> bool:
-        r.command("l0", 0.4, 0.4, 0.4)
-        return bool(c.statuses) and c.statuses[-1].note == (
-            "leg l0: commands wait for servo 1, 2, 3 (no answer)"
-        )
-
-    r.catcher.wait(feed)
+    told = "leg l0: commands wait for servo 1, 2, 3 (no answer)"
+    feed = r.commanding([0.4] * 3)
+    r.catcher.wait(feed(lambda c: c.statuses and c.statuses[-1].note == told))
     assert all(r.rig.servo(i).writes == 0 for i in (1, 2, 3))
 
 
 def test_a_preview_is_in_the_sample_of_its_command(run: Callable) -> None:
     r = run("drive", ticks=3, **XL)
-
-    def feed(c: Any) -> bool:
-        r.command("l0", 0.0, 0.0, 0.0, preview=[[0.1, 0.0, 0.0], [9.0, 0.0, 0.0]])
-        return c.ticks[-1]["l0"].preview is not None
-
-    r.catcher.wait(feed)
+    feed = r.commanding([0.0] * 3, preview=[[0.1, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].preview is not None))
     [first, second] = r.catcher.ticks[-1]["l0"].preview
     assert first == pytest.approx([0.1, 0.0, 0.0])
     assert second == pytest.approx([0.25, 0.0, 0.0])  # no further than a goal would go
@@ -212,7 +192,7 @@ READ, WRITE, SYNC_WRITE = Instruction.READ, Instruction.WRITE, Instruction.SYNC_
 SWING_RAD = 0.3
 
 
-class Controller:
+class Controller(Every):
     """Another master: writes goals, reads servos, and talks while others do.
 
     What it says goes to the servos and, as on a wire, to the bridge's ear as well.
@@ -223,30 +203,25 @@ class Controller:
         self._model = self._port.servos[0].model
         self._codec = Codec(version_of(self._model.protocol))
         self._fd = os.open(Path(rig.plans[0].port.device), os.O_RDWR | os.O_NOCTTY)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        self._rng = np.random.default_rng(3)
+        super().__init__(0.002, self._talk)
 
-    def _run(self) -> None:
+    def _talk(self) -> None:
         width, goal = self._codec.version, self._model.registers["goal_position"]
         place, size = (x.to_bytes(width, "little") for x in (goal.address, goal.size))
-        rng = np.random.default_rng(3)
-        began_s = time.monotonic()
-        while not self._stop.wait(rng.uniform(0.0005, 0.004)):
-            angle = SWING_RAD * math.sin(3.0 * (time.monotonic() - began_s))
-            steps = self._model.centre + round(angle / self._model.step_rad)
-            data = goal.data(steps)
-            servo, what = int(rng.integers(1, 7)), rng.uniform()
-            if what < 0.3:
-                rows = b"".join(bytes((one.id,)) + data for one in self._port.servos)
-                self._say(self._codec.instruction(BROADCAST_ID, SYNC_WRITE, place + size + rows))
-            elif what < 0.5:  # in protocol 1.0 only its length tells it from the servo's answer
-                self._say(self._codec.instruction(servo, WRITE, place + data))
-            elif what < 0.8:  # only heard: the servo's own answer would come as well
-                asks = self._codec.instruction(servo, READ, place + size)
-                self._hear(asks + self._codec.status(servo, 0, data))
-            else:  # both talk at once: what either says is broken
-                self._say(self._codec.instruction(servo, WRITE, place + data)[:-3])
+        steps = round(SWING_RAD * math.sin(3.0 * time.monotonic()) / self._model.step_rad)
+        data = goal.data(self._model.centre + steps)
+        servo, what = int(self._rng.integers(1, 7)), self._rng.uniform()
+        if what < 0.3:
+            rows = b"".join(bytes((one.id,)) + data for one in self._port.servos)
+            self._say(self._codec.instruction(BROADCAST_ID, SYNC_WRITE, place + size + rows))
+        elif what < 0.5:  # in protocol 1.0 only its length tells it from the servo's answer
+            self._say(self._codec.instruction(servo, WRITE, place + data))
+        elif what < 0.8:  # only heard: the servo's own answer would come as well
+            asks = self._codec.instruction(servo, READ, place + size)
+            self._hear(asks + self._codec.status(servo, 0, data))
+        else:  # both talk at once: what either says is broken
+            self._say(self._codec.instruction(servo, WRITE, place + data)[:-3])
 
     def _say(self, packet: bytes) -> None:
         os.write(self._fd, packet)
@@ -257,8 +232,7 @@ class Controller:
             os.write(self._port.master, packet)
 
     def end(self) -> None:
-        self._stop.set()
-        self._thread.join(5.0)
+        self.close()
         os.close(self._fd)
 
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 import pytest
+from described import AX, STS
 
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.health import News, ServoHealth
@@ -14,11 +15,9 @@ from adaptive_contact.bridge.packets import Status, fast_sync_status, split_fast
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
 
-AX = {"model": "AX-12A", "protocol": 1}
 MX = {"model": "MX-28", "protocol": 1}
 MX64 = {"model": "MX-64", "protocol": 1}
 XM = {"model": "XM430-W350", "protocol": 2}
-STS = {"model": "STS3215", "protocol": "sts"}
 
 WRONG = [
     (AX, {"lower_limit": 0, "upper_limit": 0}, "is in wheel mode (both angle limits are 0)"),
@@ -131,6 +130,17 @@ def test_a_homing_offset_takes_away_the_turn_that_torque_would_lose() -> None:
     modes = {"operating_mode": 3, "homing_offset": -512, "secondary_id": 255}
     found = setting(model, read_from(model, **ends, **modes))
     assert (found.lowest, found.highest) == (2048, 3583)
+
+
+def test_multi_turn_is_driven_within_its_turn_and_an_scs_wheel_is_refused() -> None:
+    [sts], [scs] = models_named("STS3215"), models_named("SCS0009")
+    turns = setting(sts, read_from(sts, resolution_divider=1))  # both limits 0
+    assert turns.wrong is None
+    assert (turns.lowest, turns.highest, turns.ends) == (0, 4095, None)
+    assert "is in multi-turn mode (both angle limits are 0)" in turns.advice
+    assert "is in wheel mode" in setting(scs, read_from(scs)).wrong
+    gain = setting(sts, read_from(sts, resolution_divider=1, position_p=99))
+    assert gain.values == turns.values  # a gain may change while it is driven
 
 
 @pytest.mark.parametrize("kind", [AX, MX, XM])

@@ -378,19 +378,3 @@ def test_a_late_answer_never_passes_for_one_to_a_later_question(
         horns.place(0, 0.01 * n)
         assert line.bus.read([1], block)[1].data == servo.read(block.address, block.size)
     assert line.bus.late[1] == late + len(blocks) ** 2
-
-
-@pytest.mark.parametrize("name", ["AX-12A", "XL430-W250"])
-def test_a_late_confirmation_is_no_answer(lines: dict[Protocol, Line], name: str) -> None:
-    [model] = models_named(name)
-    line, delay = lines[model.protocol], model.registers["return_delay"]
-    servo = any_servo(1, name, Horns(1), 0)
-    line.port.servos = (servo,)
-    before, line.late = line.bus.late[1], 1.0
-    line.bus.put(1, delay, 77)
-    line.late = 0.0
-    assert line.bus.get(1, model.registers["torque_enable"]) == 0
-    assert line.bus.get(1, delay) == 77
-    assert line.bus.late[1] > before
-    assert line.bus.put(1, delay, 5)
-    assert line.bus.get(1, delay) == 5

@@ -125,14 +125,6 @@ def test_fast_sync_read_is_answered_as_in_the_document() -> None:
     assert split_fast_sync(frame.parameters, 4) == answers
 
 
-def test_fast_sync_read_of_the_second_document() -> None:
-    # ROBOTIS JA40, "Fast Sync Read": ids 1 and 2 at 2000 and 9, complete.
-    answers = [Status(1, 0, (2000).to_bytes(4, "little")), Status(2, 0, (9).to_bytes(4, "little"))]
-    assert fast_sync_status(answers) == bytes.fromhex(
-        "FF FF FD 00 FE 11 00 55 00 01 D0 07 00 00 0C 83 00 02 09 00 00 00 11 40"
-    )
-
-
 def test_a_header_inside_is_stuffed() -> None:
     packet = Codec(2).instruction(1, I.WRITE, bytes.fromhex("74 00 FF FF FD 00"))
     assert packet[5] == 0x0A  # one byte longer than what was asked for

@@ -12,25 +12,28 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from described import AX
 
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.port import latency_advice
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
-AX = {"model": "AX-12A", "protocol": 1}
 
-
-def opened(rig) -> Bus:
-    plan = rig.plans[0]
-    bus = Bus(plan.name, plan.port)
-    bus.open()
-    return bus
-
-
-def test_missing_port(tmp_path: Path) -> None:
-    with pytest.raises(BusError, match=r"port legs: /nowhere/x does not exist; .* plug"):
-        Bus("legs", Port(device="/nowhere/x")).open()
+@pytest.mark.parametrize(
+    ("device", "baud", "words"),
+    [
+        ("/nowhere/x", 57_600, r"port legs: /nowhere/x does not exist; .* plug"),
+        (__file__, 57_600, "no serial port"),
+        ("p0", -1, r"cannot be opened .* baudrate"),
+    ],
+)
+def test_a_device_that_cannot_be(
+    rig: Callable, tmp_path: Path, device: str, baud: int, words: str
+) -> None:
+    rig(**AX)
+    with pytest.raises(BusError, match=words):
+        Bus("legs", Port(device=str(tmp_path / device), baud=baud)).open()
 
 
 def test_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,7 +47,7 @@ def test_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         Bus("legs", Port(device="/dev/ttyX")).open()
 
 
-def test_a_port_in_use(rig: Callable) -> None:
+def test_a_port_in_use(rig: Callable, opened: Callable) -> None:
     r = rig(**AX)
     first = opened(r)
     with pytest.raises(BusError, match="in use by another program"):
@@ -52,7 +55,7 @@ def test_a_port_in_use(rig: Callable) -> None:
     first.close()
 
 
-def test_a_port_that_other_software_uses_without_a_lock(rig: Callable) -> None:
+def test_a_port_that_other_software_uses_without_a_lock(rig: Callable, opened: Callable) -> None:
     """The SDK as it comes, in a process of its own: it locks nothing."""
     r = rig(**AX)
     device = r.plans[0].port.device
@@ -73,7 +76,9 @@ def test_a_port_that_other_software_uses_without_a_lock(rig: Callable) -> None:
     opened(r).close()
 
 
-def test_an_open_port_is_closed_to_others(rig: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_open_port_is_closed_to_others(
+    rig: Callable, opened: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     r = rig(**AX)
     monkeypatch.setattr("adaptive_contact.bridge.port.is_pseudo", lambda _: False)
 
@@ -108,27 +113,14 @@ def test_an_adapter_that_holds_bytes_back_is_told_of(
     assert latency_advice("/dev/ttyACM0", tmp_path) is None
 
 
-def test_no_serial_port(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no port")
-    with pytest.raises(BusError, match="no serial port"):
-        Bus("legs", Port(device=str(tmp_path / "file"))).open()
-
-
-def test_a_baud_rate_that_cannot_be(rig: Callable, tmp_path: Path) -> None:
-    rig(**AX)
-    with pytest.raises(BusError, match=r"cannot be opened .* baudrate"):
-        Bus("p0", Port(device=str(tmp_path / "p0"), baud=-1)).open()
-
-
-def test_reading_sleeps_instead_of_spinning(rig: Callable) -> None:
+def test_reading_sleeps_instead_of_spinning(rig: Callable, opened: Callable) -> None:
     r = rig(**AX)
     bus = opened(r)
     r.fault("silent:")
-    model = r.plans[0].joints[0].model
+    model, bus.timeout_ms = r.plans[0].joints[0].model, r.plans[0].port.timeout_ms
     cpu, wall = time.thread_time(), time.monotonic()
     for _ in range(40):
         bus.read([1], model.goal_and_motion)
     cpu, wall = time.thread_time() - cpu, time.monotonic() - wall
     assert wall > 40 * 0.005
     assert cpu < 0.35 * wall
-    bus.close()

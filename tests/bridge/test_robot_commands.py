@@ -10,102 +10,23 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from described import AX
 
-from adaptive_contact.bridge.discovery import describe, find_servos, group
+from adaptive_contact.bridge.discovery import find_servos
 from adaptive_contact.bridge.training import (
     HELD_SWINGS,
     HELD_TICKS,
     REST_TICKS,
     free_swings,
 )
-from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
-from adaptive_contact.robot import Leg, Limits, Mount, foot, parse_robot, shipped_robot
+from adaptive_contact.robot import Leg, Limits, foot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ServoSample
-from programs import invoke
-
-# Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
-real_time = pytest.mark.slow
-
-AX = {"model": "AX-12A", "protocol": 1}
-XL = {"model": "XL330-M288", "protocol": 2}
-STS = {"model": "STS3215", "protocol": "sts"}
-
-
-@real_time
-@pytest.mark.parametrize("kind", [AX, XL, STS])
-def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> None:
-    r = rig(**kind)
-    out = tmp_path / "robot.toml"
-    said = invoke(
-        "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out), "--legs", "l0,l1",
-        "--name", "rig", "--lengths", "0.05,0.06,0.1",
-    )  # fmt: skip
-    assert f"6 x {kind['model']}, ids 1-6" in said
-    robot = parse_robot(out.read_text(), source="written")
-    assert robot.leg_ids == ("l0", "l1")
-    assert robot.leg("l1").servos.ids == (4, 5, 6)
-    assert robot.leg("l1").lengths_m == (0.05, 0.06, 0.1)
-    assert robot.ports["p0"].protocol == kind["protocol"]
-    assert all(s.writes == 0 for s in r.ports[0].servos)
-    # What is commented out can be used as it stands, and filled in.
-    filled = out.read_text().replace("# limits = {", "limits = {")
-    assert parse_robot(filled, source="filled").leg("l0").limits == Limits((-1.0,) * 3, (1.0,) * 3)
-    with pytest.raises(ConfigurationError, match="exists already"):
-        invoke("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
-
-
-@real_time
-def test_init_takes_servos_for_the_joints_of_a_urdf(rig: Callable, tmp_path: Path) -> None:
-    rig(**AX)
-    parts = ['<link name="body"/>']
-    for leg, y in (("l", 0.1), ("r", -0.1)):
-        for k, (axis, xyz) in enumerate(
-            (("1 0 0", f"0 {y} 0"), ("0 1 0", "0 0 -0.02"), ("0 1 0", "0 0 -0.1"))
-        ):
-            parent = "body" if k == 0 else f"{leg}{k - 1}"
-            parts.append(
-                f'<link name="{leg}{k}"/><joint name="{leg}_j{k}" type="revolute">'
-                f'<parent link="{parent}"/><child link="{leg}{k}"/><origin xyz="{xyz}"/>'
-                f'<axis xyz="{axis}"/><limit lower="-1" upper="1"/></joint>'
-            )
-    urdf, out = tmp_path / "r.urdf", tmp_path / "robot.toml"
-    urdf.write_text(f'<robot name="r">{"".join(parts)}</robot>')
-    invoke(
-        "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out),
-        "--urdf", str(urdf), "--legs", "l=l2,r=r2", "--tip", "0,0,-0.1",
-    )  # fmt: skip
-    robot = parse_robot(out.read_text(), source="written")
-    right = robot.leg("r")
-    assert right.joints == ("r_j0", "r_j1", "r_j2")
-    assert right.servos.ids == (4, 5, 6)
-    assert right.joint_axes[0] == "roll"
-    assert right.origins_m == ((0.0, 0.0, -0.02), (0.0, 0.0, -0.1), (0.0, 0.0, -0.1))
-    assert robot.quantum_rad == pytest.approx(0.00511, abs=1e-5)
-
-
-def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:
-    r = rig(**AX)
-    r.ports[0].servos = r.ports[0].servos[:5]
-    found = find_servos("p0", str(tmp_path / "p0"))
-    assert describe([found])[0].endswith("1000000 baud, protocol 1")
-    with pytest.raises(BusError, match="5 servos do not make legs of 3"):
-        group([found], 3)
-    assert [leg.id for leg in group([found], 5).legs] == ["leg1"]
-    with pytest.raises(BusError, match="2 legs are named"):
-        group([found], 5, ("a", "b"))
-
-
-def test_an_unknown_model_is_named(rig: Callable, tmp_path: Path) -> None:
-    r = rig(**AX)
-    r.servo(3).store("model_number", 999)
-    with pytest.raises(BusError, match=r"servo 3 \(model number 999\) is of no known model"):
-        group([find_servos("p0", str(tmp_path / "p0"))], 3)
+from programs import invoke, tried
 
 
 def test_nobody_answers(rig: Callable, tmp_path: Path) -> None:
@@ -128,12 +49,8 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
         pose_of("0,1.5,-1", r.robot, r.plans)
     legs = tuple(msgspec.structs.replace(x, lengths_m=(0.05, 0.06, 0.1)) for x in r.robot.legs)
     path.write_text(write_robot(msgspec.structs.replace(r.robot, legs=legs)))
-    result = CliRunner().invoke(
-        cli.app,
-        ["robot", "learn", "--config", str(path), "--drive", "--pose", "0,0.5,-1", "--out",
-         str(tmp_path / "b.json")],
-        input="n\n",
-    )  # fmt: skip
+    words = ("--config", path, "--drive", "--pose", "0,0.5,-1", "--out", tmp_path / "b.json")
+    result = tried("robot", "learn", *words, input="n\n")
     assert result.exit_code == 1
     assert "around 0.0, 0.5, -1.0 rad" in result.output
     assert all(s.writes == 0 for s in r.ports[0].servos)
@@ -272,13 +189,3 @@ def test_the_picture_says_where_front_is_and_which_way_angles_grow() -> None:
     ends = dict(zip(robot.leg_ids, turned[:6], strict=True))
     assert ends["rm"][3] < ends["rm"][1] - 5  # yaw plus takes the right middle leg to the front
     assert ends["lm"][3] > ends["lm"][1] + 5  # and the left one to the rear
-
-
-def test_without_mounts_each_leg_is_drawn_from_above_too() -> None:
-    robot = msgspec.structs.replace(
-        shipped_robot(),
-        legs=tuple(msgspec.structs.replace(one, mount=Mount()) for one in shipped_robot().legs[:3]),
-    )
-    text = draw(robot, {x: [0.3, 0.6, -1.8] for x in robot.leg_ids})
-    assert "front (x)" not in text
-    assert text.count(">from above<") == text.count(">from the side<") == 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from described import AX
 from kinematic import KinematicBackend
-from typer.testing import CliRunner
 
 from adaptive_contact.bridge import training
 from adaptive_contact.bridge.training import free_swings
-from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import fit_samples, free_file
 from adaptive_contact.cli.fit import gather
 from adaptive_contact.errors import AdaptiveContactError, TooLittleDataError
@@ -25,17 +24,10 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key, servo_key
+from programs import invoke, tried
+from waiting import Every, until
 
-AX = {"model": "AX-12A", "protocol": 1}
 PERIOD_S = 0.02
-
-
-def learn(*words: str) -> Any:
-    result = CliRunner().invoke(cli.app, ["robot", "learn", *words])
-    if isinstance(result.exception, AdaptiveContactError):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result
 
 
 @pytest.fixture
@@ -98,7 +90,7 @@ def test_too_little_is_told_in_seconds_and_kept(robot: Any, tmp_path: Path) -> N
     words = ("--config", "robot.toml", "--drive", "--yes", "--seconds", "2", "--out", "b.json")
     words += ("--more", "early.mcap")
     with pytest.raises(TooLittleDataError) as told:
-        learn(*words)
+        invoke("robot", "learn", *words)
     line = str(told.value)
     for leg in ("l0", "l1"):
         assert f"leg {leg} " in line
@@ -110,7 +102,7 @@ def test_too_little_is_told_in_seconds_and_kept(robot: Any, tmp_path: Path) -> N
     assert not Path("b.json").exists()
     # Two of them are told of together, and none is replaced.
     with pytest.raises(TooLittleDataError, match=r"--more b.mcap --more b-2.mcap to add"):
-        learn(*words, "--more", "b.mcap")
+        invoke("robot", "learn", *words, "--more", "b.mcap")
     assert seconds_of(Path("b-2.mcap"), "l0") > 1.0
 
 
@@ -130,14 +122,14 @@ def test_a_busy_computer_reads_on_until_it_has_enough(
 
     monkeypatch.setattr(training, "collect", collect)
     words = ("--config", "robot.toml", "--drive", "--yes", "--out", "b.json")
-    said = learn(*words, "--seconds", "18")
-    assert f"going on for {asked[1]} s" in said.output
+    said = invoke("robot", "learn", *words, "--seconds", "18")
+    assert f"going on for {asked[1]} s" in said
     assert sum(asked) <= 3 * 18
     assert sorted(load_baseline("b.json").legs) == ["l0", "l1"]
     assert seconds_of(Path("b.mcap"), "l1") > 6.0 + sum(asked[1:]) - 0.1
     asked.clear()
     with pytest.raises(TooLittleDataError, match=r"run this again with --more b-2\.mcap"):
-        learn(*words, "--seconds", "1", "--force")
+        invoke("robot", "learn", *words, "--seconds", "1", "--force")
     assert asked == [1], "what takes more than three times as long is asked for"
 
 
@@ -157,34 +149,28 @@ def test_what_another_controller_swings_is_learned_with_an_earlier_recording(
     robot: Any, tmp_path: Path
 ) -> None:
     recorded(robot.robot, 5600, tmp_path / "early.mcap")
-    stop, begun = threading.Event(), threading.Event()
+    goals = [swings(robot.robot, i) for i in range(2)]
 
     def control() -> None:
         """The robot's own controller, which writes goals whenever it likes."""
-        goals = [swings(robot.robot, i) for i in range(2)]
-        while not stop.wait(PERIOD_S):
-            for i, goal in enumerate(goals):
-                for j, angle in enumerate(next(goal)):
-                    servo = robot.servo(3 * i + j + 1)
-                    steps = servo.model.centre + round(angle / servo.model.step_rad)
-                    servo.write(servo.model.registers["goal_position"].address,
-                                steps.to_bytes(2, "little"))  # fmt: skip
-            begun.set()
+        for i, goal in enumerate(goals):
+            for j, angle in enumerate(next(goal)):
+                servo = robot.servo(3 * i + j + 1)
+                steps = servo.model.centre + round(angle / servo.model.step_rad)
+                servo.write(servo.model.registers["goal_position"].address,
+                            steps.to_bytes(2, "little"))  # fmt: skip
 
-    controller = threading.Thread(target=control)
-    controller.start()
-    try:
-        assert begun.wait(60.0)
-        said = learn("--config", "robot.toml", "--seconds", "2", "--more", "early.mcap")
-    finally:
-        stop.set()
-        controller.join()
+    with contextlib.closing(Every(PERIOD_S, control)):
+        until(lambda: robot.servo(1).writes)
+        said = invoke(
+            "robot", "learn", "--config", "robot.toml", "--seconds", "2", "--more", "early.mcap"
+        )
     live = samples_of(Path("baseline.mcap"), "l1")
     # Nobody else moves the leg; how far a swing gets in these seconds is the machine's.
     assert np.ptp([sample.desired[1] for sample in live]) > 0.05
     assert np.ptp([sample.measured[1] for sample in live]) > 0.05
     assert sorted(load_baseline("baseline.json").legs) == ["l0", "l1"]
-    assert said.output.count("x the noise of its readings") == 2
+    assert said.count("x the noise of its readings") == 2
 
 
 def test_recordings_are_not_replaced(tmp_path: Path) -> None:
@@ -211,7 +197,7 @@ def test_what_cannot_be_is_told_before_any_work(
 ) -> None:
     config = () if words[0] == "init" else ("--config", "robot.toml")
     before = robot.requests
-    result = CliRunner().invoke(cli.app, ["robot", *words, *config])
+    result = tried("robot", *words, *config)
     assert isinstance(result.exception, AdaptiveContactError), result.output
     assert message in str(result.exception)
     assert robot.requests == before

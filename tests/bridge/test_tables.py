@@ -56,11 +56,17 @@ def test_a_name_of_no_model(name: str, message: str) -> None:
     assert len(str(caught.value)) < 200
 
 
-def test_models_that_are_named_though_there_is_no_table() -> None:
-    assert number_name(107, 1) == "EX-106+, model number 107"
-    assert number_name(117, 1) == "DX-117, model number 117"
-    assert number_name(35073, 1) == "RH-P12-RN, model number 35073"
-    assert number_name(999, 1) == "model number 999"
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [
+        (107, "EX-106+, model number 107"),
+        (117, "DX-117, model number 117"),
+        (35073, "RH-P12-RN, model number 35073"),
+        (999, "model number 999"),
+    ],
+)
+def test_models_that_are_named_though_there_is_no_table(number: int, told: str) -> None:
+    assert number_name(number, 1) == told
 
 
 # -- Slopes of servos from their registers, and descriptions of mixed robots

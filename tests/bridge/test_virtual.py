@@ -14,7 +14,6 @@ from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import foot, shipped_robot
-from adaptive_contact_sim import Simulation, load_scenario
 from adaptive_contact_sim.elements import HEXAPOD
 from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.virtual import (
@@ -23,82 +22,13 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 from adaptive_contact_sim.virtual.assembly import with_ports
-from adaptive_contact_sim.virtual.backend import GaitedBackend, Horns, LocalSource, PassiveBackend
-from adaptive_contact_sim.virtual.port import VirtualPort
+from adaptive_contact_sim.virtual.backend import Horns, PassiveBackend
 from adaptive_contact_sim.virtual.session import run
 from quadruped import LEGS
 
 
 def horns() -> Horns:
     return Horns.of(plan_ports(with_ports(shipped_robot(), Path("x"), None)), HEXAPOD.servos)
-
-
-def test_a_robot_with_a_gait_is_the_simulators_own() -> None:
-    settings = load_scenario("walk-rough").settings
-    offline = Simulation(settings)
-    expected = [offline.tick() for _ in range(40)]
-    got = []
-    backend = GaitedBackend(LocalSource(settings, got.append), horns())
-    for k in range(41):
-        backend.advance(1000.0 + 0.02 * k + 0.001)
-    for one, other in zip(expected, got, strict=False):
-        for leg, sample in one.samples.items():
-            assert other.samples[leg].measured == sample.measured
-            assert other.samples[leg].desired == sample.desired
-    assert len(got) >= 40
-
-
-def test_a_reading_sees_the_robot_between_two_ticks() -> None:
-    backend = GaitedBackend(LocalSource(load_scenario("walk-rough").settings), horns())
-    angles = []
-    for ms in range(1200):
-        backend.advance(5.0 + ms / 1000)
-        angles.append([backend.angle(i) for i in range(18)])
-    steps = np.abs(np.diff(np.array(angles), axis=0))
-    assert steps.max() < 0.02  # 12 rad/s at a kick, two steps at most: no jump where ticks meet
-    assert (steps > 0).mean() > 0.6
-    assert backend.goal(0) is not None
-
-
-def test_a_robot_on_a_stand_moves_only_with_torque() -> None:
-    backend = PassiveBackend(horns())
-    now = 3.0
-    for index in range(18):
-        backend.set_goal(index, 0.4)
-    for _ in range(700):
-        now += 0.001
-        backend.advance(now)
-    limp = [backend.angle(i) for i in range(18)]
-    assert np.abs(np.array(limp)[0::3]).max() < 0.1  # coxae hang where they were
-    for index in range(18):
-        backend.set_torque(index, True)
-    for _ in range(700):
-        now += 0.001
-        backend.advance(now)
-    assert [backend.angle(i) for i in range(18)] == pytest.approx([0.4] * 18, abs=0.12)
-
-
-def test_feet_reach_the_floor_of_a_low_stand() -> None:
-    backend, touched = PassiveBackend(horns(), height_m=0.10), np.zeros(6, dtype=bool)
-    now = 3.0
-    for index in range(18):
-        backend.set_torque(index, True)
-        backend.set_goal(index, (0.0, 0.0, -1.2)[index % 3])
-    for _ in range(1500):
-        now += 0.001
-        backend.advance(now)
-        touched |= backend.plant.forces[0] > 0.5
-    assert touched.all()
-
-
-def test_time_that_was_lost_is_let_go() -> None:
-    backend = PassiveBackend(horns())
-    backend.advance(10.0)
-    backend.advance(10.002)
-    steps = backend.plant.steps
-    due = backend.advance(30.0)
-    assert backend.plant.steps == steps
-    assert due == pytest.approx(30.0, abs=0.01)
 
 
 def test_registers_refuse_what_real_ones_refuse() -> None:
@@ -112,45 +42,6 @@ def test_registers_refuse_what_real_ones_refuse() -> None:
     assert servo.write(registers["torque_enable"].address, b"\x01") is None
     assert servo.write(registers["return_delay"].address, b"\x00") is not None  # EEPROM, driving
     assert servo.read(660, 20) is not None
-
-
-def servo_of(name: str, backend: KinematicBackend) -> VirtualServo:
-    return VirtualServo(7, models_named(name)[0], backend, 0, np.random.default_rng(1))
-
-
-def test_an_ax_servo_in_overload_has_no_torque_until_its_limit_is_written() -> None:
-    backend = KinematicBackend(1)
-    servo = servo_of("AX-12A", backend)
-    registers = servo.model.registers
-    servo.write(registers["goal_position"].address, (612).to_bytes(2, "little"))
-    assert servo.drives
-    assert servo.set_errors(0x20) == 0x20
-    assert servo.value("torque_limit") == 0
-    backend.advance(1.0)
-    backend.advance(2.0)
-    assert backend.angle(0) == 0.0
-    assert servo.set_errors(0) == 0
-    servo.write(registers["goal_position"].address, (600).to_bytes(2, "little"))
-    assert not servo.drives
-    servo.write(registers["torque_limit"].address, b"\xff\x03")
-    backend.advance(3.0)
-    assert backend.angle(0) == pytest.approx(88 * servo.model.step_rad, abs=0.01)
-
-
-def test_an_x_servo_in_overload_has_no_torque_until_a_reboot() -> None:
-    servo = servo_of("XM430-W350", KinematicBackend(1))
-    enable = servo.model.registers["torque_enable"].address
-    servo.write(enable, b"\x01")
-    servo.set_errors(0x20)
-    assert not servo.drives
-    assert servo.set_errors(0) == 0x20  # the alert stays
-    assert servo.write(enable, b"\x01") is not None
-    servo.reboot()
-    assert servo.set_errors(0) == 0
-    assert servo.write(enable, b"\x01") is None
-    servo.reboot()
-    servo.set_errors(0x01)  # a low voltage is told, and not shut down for, as delivered
-    assert servo.write(enable, b"\x01") is None
 
 
 def test_a_gentler_slope_lets_a_leg_sag_further() -> None:
@@ -233,14 +124,3 @@ def test_two_buses_do_not_share_a_folder(tmp_path: Path) -> None:
     for _ in range(2):  # a folder is free again when its bus has ended
         run(robot, tmp_path, ended, on_start=second)
     assert not (tmp_path / "port0").is_symlink()
-
-
-def test_a_port_takes_away_no_link_but_its_own(tmp_path: Path) -> None:
-    faults = FaultSchedule([], np.random.default_rng(0))
-    first, second = (VirtualPort("port0", tmp_path / "port0", [], faults) for _ in range(2))
-    first.open()
-    second.open()
-    first.close()
-    assert second.path.exists()
-    second.close()
-    assert not second.path.is_symlink()

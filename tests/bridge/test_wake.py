@@ -7,12 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from described import AX, STS, XL, goals_written
 
 from adaptive_contact.wire import ServoCounts
 
-AX = {"model": "AX-12A", "protocol": 1}
-XL = {"model": "XL-330", "protocol": 2}
-STS = {"model": "STS3215", "protocol": "sts"}
 SPEAKS = ServoCounts()
 
 
@@ -23,19 +21,6 @@ def stand(rig: Any, steps: int, servos: tuple[int, ...] = (1, 2, 3)) -> int:
         rig.servo(i).store("torque_enable", 1)
         rig.servo(i).store("goal_position", goal)
     return goal
-
-
-def goals_written(servo: Any) -> list[int]:
-    """Goals that are written to a servo from now on."""
-    goals, write, register = [], servo.write, servo.model.registers["goal_position"]
-
-    def spy(address: int, data: bytes) -> Any:
-        if address == register.address:
-            goals.append(register.value(data))
-        return write(address, data)
-
-    servo.write = spy
-    return goals
 
 
 @pytest.mark.parametrize("again", [False, True])
@@ -52,12 +37,8 @@ def test_a_standing_robot_is_taken_over_from_the_goals_in_force(
         r.rig.fault()
         r.catcher.wait(lambda c: any("is back" in line for line in c.lines))
     step = r.rig.servo(1).model.step_rad
-
-    def feed(_: Any) -> bool:
-        r.command("l0", 90 * step, 60 * step, 60 * step)
-        return bool(written) and written[-1] == goal + 30
-
-    r.catcher.wait(feed)
+    feed = r.commanding([90 * step, 60 * step, 60 * step])
+    r.catcher.wait(feed(lambda _: written and written[-1] == goal + 30))
     assert written[0] >= goal
     assert written == sorted(written)  # never away from the goal in force, nor back
 

@@ -8,35 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_picture import draw
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, Mount, Robot, load_robot
 from programs import invoke
+from urdfs import SIDES, quadruped
 
-SIDES = (("fl", 0.2, 0.05), ("fr", 0.2, -0.05), ("hl", -0.2, 0.05), ("hr", -0.2, -0.05))
-
-
-def quadruped() -> str:
-    """Twelve joints: hips roll, knees bend backwards with plus, as in most URDFs."""
-    parts, limit = ['<link name="base"/>'], '<limit lower="-2" upper="1" effort="9" velocity="9"/>'
-    for leg, x, y in SIDES:
-        aside = 0.08 if y > 0 else -0.08
-        for name, kind, parent, child, xyz, axis in (
-            ("roll", "revolute", "base", f"{leg}_hip", f"{x} {y} 0", "1 0 0"),
-            ("hip", "revolute", f"{leg}_hip", f"{leg}_thigh", f"0 {aside} 0", "0 1 0"),
-            ("knee", "revolute", f"{leg}_thigh", f"{leg}_shank", "0 0 -0.16", "0 1 0"),
-            ("tip", "fixed", f"{leg}_shank", f"{leg}_foot", "0 0 -0.16", "0 0 1"),
-        ):
-            parts.append(
-                f'<link name="{child}"/><joint name="{leg}_{name}" type="{kind}">'
-                f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
-                f'<axis xyz="{axis}"/>{limit}</joint>'
-            )
-    return f'<robot name="walker">{"".join(parts)}</robot>'
-
-
-FEET = ",".join(f"{leg}={leg}_foot" for leg, *_ in SIDES)
+FEET = ",".join(f"{leg}={leg}_foot" for leg in SIDES)
 STEPS = ("--resolution", "0.00153", "--rate", "100")
 
 
@@ -44,7 +22,6 @@ STEPS = ("--resolution", "0.00153", "--rate", "100")
 def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("walker.urdf").write_text(quadruped())
-    cli.load_commands()
 
 
 def test_a_urdf_becomes_a_robot() -> None:
@@ -113,49 +90,6 @@ def test_a_urdf_in_millimetres_is_named() -> None:
 def walker() -> Robot:
     invoke("robot", "init", "--urdf", "walker.urdf", "--legs", FEET, *STEPS)
     return load_robot("robot.toml")
-
-
-def test_the_picture_of_a_chain_has_its_joints_from_two_sides() -> None:
-    robot = walker()
-    pose = [0.3, 0.7, -1.4]
-    text = draw(robot, {leg.id: pose for leg in robot.legs})
-    assert text.count("from the side<") == text.count("from the front<") == 4
-    # On the whole robot and in both views each leg has three links.
-    assert text.count('class="link"') == 4 * 3 * 3
-    assert "fl_hip +40.1°, link 160 mm" in text
-    # Beside each of the four legs two pitches turn, and in front the roll.
-    assert len(re.findall(r" A [-\d.]+ [-\d.]+ 0 0 [01] ", text)) == 4 * 3
-
-
-def test_a_urdf_hexapods_legs_are_seen_in_every_panel() -> None:
-    """Whichever way a leg points, it is drawn in its own plane and from above."""
-    legs = tuple(
-        Leg(
-            id=name,
-            joints=("coxa", "femur", "tibia"),
-            axes=("yaw", (y, -x, 0.0), (y, -x, 0.0)),
-            origins_m=((0.05 * x, 0.05 * y, 0.0), (0.07 * x, 0.07 * y, 0.0), (0.0, 0.0, -0.13)),
-            mount=Mount(xyz_m=(0.1 * x, 0.1 * y, 0.0)),
-        )
-        for name, (x, y) in {
-            "lf": (0.6, 0.8), "lm": (0.0, 1.0), "rm": (0.0, -1.0), "rr": (-0.6, -0.8),
-        }.items()
-    )  # fmt: skip
-    robot = Robot(name="r", period_s=0.02, quantum_rad=0.001, legs=legs)
-    text = draw(robot, {leg.id: [0.1, 0.3, -0.2] for leg in legs})
-    panels = re.split(r'<text [^>]*font-weight="bold"[^>]*>(?:lf|lm|rm|rr)</text>', text)[-8:]
-    assert [">from above<" in p or "from above" in p for p in panels] == [False, True] * 4
-    shapes = []
-    for panel in panels:
-        links = re.findall(
-            r'x1="([-\d.]+)" y1="([-\d.]+)" x2="([-\d.]+)" y2="([-\d.]+)" class', panel
-        )
-        (x, y), *rest = [(float(a), float(b)) for a, b, _, _ in links]
-        end = float(links[-1][2]), float(links[-1][3])
-        shapes.append([(round(a - x), round(b - y)) for a, b in (*rest, end)])
-        assert np.hypot(*shapes[-1][1]) > 60  # px, from the first joint to the knee
-    # In its own plane each leg looks the same.
-    assert np.ptp(np.array(shapes[::2]), axis=0).max() <= 1
 
 
 def turned(text: str) -> tuple[float, float, float, float]:

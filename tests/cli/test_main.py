@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import os
-import pty
 import queue
 import re
-import select
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -149,41 +146,6 @@ def test_a_command_loads_itself_alone(asked: str, others: int) -> None:
     assert found == 0 if others == 0 else found >= others
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_watch_gives_the_terminal_its_cursor_back(router: Any, number: signal.Signals) -> None:
-    """On a terminal, with a service to look at."""
-    words = ("watch", "--connect", router.endpoints[0])
-    master, slave = pty.openpty()
-    try:
-        with subprocess.Popen(
-            [sys.executable, "-m", "adaptive_contact", *words],
-            stdout=slave,
-            stderr=slave,
-            env=WIDE,
-        ) as watch:
-            os.close(slave)
-            shown = until(master, b"\x1b[?25l")  # the cursor is hidden: it is drawing
-            watch.send_signal(number)
-            shown = until(master, b"\x1b[?25h")
-            assert watch.wait(60) == 0
-        assert b"Traceback" not in shown
-    finally:
-        os.close(master)
-
-
-def until(master: int, mark: bytes, timeout_s: float = 60.0) -> bytes:
-    """What a terminal shows, up to a mark."""
-    shown, end = b"", time.monotonic() + timeout_s
-    while mark not in shown:
-        ready, _, _ = select.select([master], [], [], max(0.0, end - time.monotonic()))
-        assert ready, shown
-        try:
-            shown += os.read(master, 65536)
-        except OSError:  # it has ended
-            raise AssertionError(f"{mark!r} is not in {shown!r}") from None
-    return shown
-
-
 CLEANING = """
 import os, signal, sys, time
 from adaptive_contact.cli import _signals
@@ -201,20 +163,15 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.parametrize(
-    ("later_s", "said"), [("0", "cleaned up\ninterrupted\n"), ("2.1", "interrupted\n")]
+    ("before", "later_s", "said"),
+    [
+        ("", "0", "cleaned up\ninterrupted\n"),
+        ("", "2.1", "interrupted\n"),
+        ("signal.signal(2, signal.SIG_IGN); ", "0", "cleaned up\n"),  # ignored, it stays so
+    ],
 )
-def test_a_second_ctrl_c_waits_until_the_first_has_cleaned_up(later_s: str, said: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", CLEANING, later_s], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == said
-
-
-def test_where_ctrl_c_is_ignored_it_stays_so() -> None:
-    code = CLEANING.replace(
-        "_signals.interrupt", "signal.signal(2, signal.SIG_IGN); _signals.interrupt"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, "0"], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "cleaned up\n"
+def test_a_second_ctrl_c_waits_until_the_first_has_cleaned_up(
+    before: str, later_s: str, said: str
+) -> None:
+    code = CLEANING.replace("_signals.interrupt", f"{before}_signals.interrupt")
+    assert ran("-c", code, later_s).stdout == said

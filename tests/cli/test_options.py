@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -10,39 +9,25 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.main import get_command
-from typer.testing import CliRunner
 
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli import main
 from adaptive_contact.durations import seconds_of
+from programs import commands, invoke
 
 
-@pytest.fixture(scope="module")
-def program() -> Any:
-    main.load_commands()
-    return get_command(main.app)
-
-
-def _all(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    yield path, command
-    for name, below in getattr(command, "commands", {}).items():
-        yield from _all(below, (*path, name))
-
-
-def test_square_brackets_of_a_help_are_shown(program: Any, monkeypatch: Any) -> None:
+def test_square_brackets_of_a_help_are_shown(monkeypatch: Any) -> None:
     """A default stands in them, and what looks like markup would be swallowed."""
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("NO_COLOR", "1")
-    text = CliRunner().invoke(main.app, ["sim", "pose", "--help"]).output
+    text = invoke("sim", "pose", "--help")
     assert "Which legs move. [hexapod rf, leg5 leg]" in text
     assert "[1, max with --offline]" in text
 
 
-def test_every_option_in_seconds_is_a_duration(program: Any) -> None:
+def test_every_option_in_seconds_is_a_duration() -> None:
     """Whoever adds one takes the same option; those in other units have these in their names."""
     found = {}
-    for path, command in _all(program):
+    for path, command in commands():
         for option in command.params:
             if option.name in ("seconds", "duration", "wait", "from_s", "to_s"):
                 found[(*path, option.name)] = option.metavar

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.main import get_command
 
-from adaptive_contact.cli import main
+from programs import commands
 from waiting import until
 
 FULL = Path("/dev/full")
@@ -134,49 +133,35 @@ def test_an_error_that_cannot_be_said_keeps_its_code(
         assert ran(*words, env=env, stderr=pipe) == (code, "")
 
 
-@needs_full
-def test_an_unexpected_fault_keeps_its_code() -> None:
+def broken(raises: str, **streams: object) -> subprocess.CompletedProcess[str]:
+    """A command that prints and then raises."""
     code = (
+        "import errno\n"
         "import adaptive_contact.cli.main as cli\n"
         "def broken(*_, **__):\n"
         "    print('half a table')\n"
-        "    raise ValueError('a fault')\n"
+        f"    raise {raises}\n"
         "cli.load_commands, cli.app = (lambda asked: None), broken\n"
         "cli.main()"
     )
+    given = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, env=BUFFERED, text=True, timeout=600, check=False, **given)  # type: ignore[call-overload,no-any-return]
+
+
+@needs_full
+def test_an_unexpected_fault_keeps_its_code() -> None:
     with FULL.open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env=BUFFERED,
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=600,
-            check=False,
-        )
+        done = broken("ValueError('a fault')", stdout=full)
     assert done.returncode == 1
     assert done.stderr.rstrip().endswith("ValueError: a fault")
 
 
 def test_a_file_on_a_full_disk_is_named() -> None:
     """It is not standard output that has no room."""
-    code = (
-        "import errno\n"
-        "import adaptive_contact.cli.main as cli\n"
-        "def broken(*_, **__): raise OSError(errno.ENOSPC, 'No space left on device', 'a.json')\n"
-        "cli.load_commands, cli.app = (lambda asked: None), broken\n"
-        "cli.main()"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=BUFFERED,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    done = broken("OSError(errno.ENOSPC, 'No space left on device', 'a.json')")
     says = "adaptive-contact: a.json cannot be written (No space left on device); make room\n"
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", says)
+    assert (done.returncode, done.stderr) == (2, says)
 
 
 @needs_full
@@ -273,15 +258,6 @@ OTHERS = {
 }
 
 
-def _all(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Options that name files, each by its command."""
-    for option in command.params:
-        if re.search("FILE|DIR|FOLDER|OUT|PATH$|RECORD|MCAP", str(option.metavar)):
-            yield (*path, option.name)
-    for name, below in getattr(command, "commands", {}).items():
-        yield from _all(below, (*path, name))
-
-
 @pytest.fixture
 def said(monkeypatch: Any, tmp_path: Path, ours: Any) -> Any:
     """Run a command in an empty folder: its exit code, and what it says on standard error."""
@@ -312,8 +288,12 @@ def test_a_file_that_is_there_is_kept(where: tuple[str, ...], tmp_path: Path, sa
 
 
 def test_every_option_that_names_a_file_is_looked_at() -> None:
-    main.load_commands()
-    found = set(_all(get_command(main.app)))
+    found = {
+        (*words, option.name)
+        for words, command in commands()
+        for option in command.params
+        if re.search("FILE|DIR|FOLDER|OUT|PATH$|RECORD|MCAP", str(option.metavar))
+    }
     assert {one for one in found if one not in OTHERS and one[-1] not in OTHERS} == {*WRITTEN}
 
 

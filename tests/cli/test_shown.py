@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 from collections.abc import Callable
@@ -13,11 +12,9 @@ import msgpack
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rich.console import Console
 
 from adaptive_contact.cli import doctor
-from adaptive_contact.cli.doctor import traffic_table
-from adaptive_contact.service.doctor import Diagnosis, Examination, KeyTraffic, diagnose
+from adaptive_contact.service.doctor import Examination, diagnose
 from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.wire import JSON, MSGPACK, ContactTruth, ServoSample, encode
 from adaptive_contact.wire.received import Received
@@ -155,17 +152,3 @@ def test_a_robot_s_name_is_shown_as_written(run: Callable[..., str], tmp_path: P
     assert "[bold]x[/bold]" in run(
         "fit", _recording(tmp_path / "a.mcap", "x"), "--config", path, "-o", tmp_path / "out"
     )
-
-
-@pytest.mark.parametrize("width", [50, 60, 80])
-def test_doctor_shows_whole_keys_on_narrow_terminals(width: int) -> None:
-    keys = ["robot/leg/lf/servo", "robot/service/status"]
-    seen = [
-        KeyTraffic(key=key, rate_hz=50.0, bytes_per_s=6e3, mean_bytes=120.0, encodings=[MSGPACK])
-        for key in keys
-    ]
-    screen = Console(width=width, file=io.StringIO())
-    screen.print(traffic_table(Diagnosis(router="connected", router_line="", keys=seen)))
-    shown = screen.file.getvalue()  # type: ignore[attr-defined]
-    assert all(key in shown for key in keys)
-    assert all(len(line) <= width for line in shown.splitlines())

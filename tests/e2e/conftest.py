@@ -133,13 +133,6 @@ def _environment(folder: Path, packages: str) -> Environment:
 
 
 @pytest.fixture(scope="session")
-def wheel(built: Path) -> Path:
-    """The wheel of this source tree."""
-    (found,) = built.glob("*.whl")
-    return found
-
-
-@pytest.fixture(scope="session")
 def installed(built: Path) -> Environment:
     """The wheel with all extras."""
     return _environment(built, str(built / "full"))
@@ -295,6 +288,4 @@ def shell(installed: Environment, tmp_path: Path) -> Iterator[Callable[..., Shel
     yield make
     for one in made:  # those of a test that failed; a demo ends its children by itself
         for _, job in one.jobs:
-            if job.process.poll() is None:
-                job.stop()
             job.close()

@@ -104,21 +104,3 @@ def test_the_failure_of_a_process_is_one_line(
     assert demo.lines[-1].startswith(f"adaptive-contact: {which} ended too early (exit code -9)")
     assert not any("Traceback" in line for line in demo.lines)
     assert not (tmp_path / "out" / "report.html").exists()
-
-
-@pytest.mark.parametrize(
-    ("args", "word"),
-    [
-        (["--seconds", "nan"], "'nan' is no duration; expected seconds"),
-        (["--out", "file"], "cannot be used"),
-        (["--robot", "leg5"], "does not walk; expected hexapod or quadruped12"),
-    ],
-)
-def test_what_cannot_be_is_one_line(
-    installed: Any, tmp_path: Path, args: list[str], word: str
-) -> None:
-    (tmp_path / "file").write_text("")
-    done = installed.run("-m", "adaptive_contact", "demo", *args, cwd=tmp_path)
-    assert done.returncode == 2
-    (line,) = done.stderr.strip().splitlines()
-    assert word in line

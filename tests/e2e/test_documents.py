@@ -17,6 +17,7 @@ import pytest
 import zenoh
 
 from adaptive_contact.robot import parse_robot
+from urdfs import quadruped
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(3600)]
 
@@ -131,30 +132,6 @@ def blocks(page: Path) -> list[Block]:
     return [Block(*found) for found in FENCE.findall(page.read_text(encoding="utf-8"))]
 
 
-def urdf(end: str) -> str:
-    """Four legs of three joints: hips roll, and feet whose names end so."""
-    parts, limit = ['<link name="base"/>'], '<limit lower="-3" upper="2" effort="9" velocity="9"/>'
-    for leg, x, y in (
-        ("fl", 0.2, 0.05),
-        ("fr", 0.2, -0.05),
-        ("hl", -0.2, 0.05),
-        ("hr", -0.2, -0.05),
-    ):
-        names = [f"{leg}_hip", f"{leg}_thigh", f"{leg}_shank", f"{leg}{end}"]
-        if end.isupper():
-            names[3] = names[3].upper()
-        places = (f"{x} {y} 0", f"0 {0.08 if y > 0 else -0.08} 0", "0 0 -0.16", "0 0 -0.16")
-        axes = ("1 0 0", "0 1 0", "0 1 0", "0 0 1")
-        for parent, child, xyz, axis in zip(["base", *names], names, places, axes, strict=False):
-            kind = "fixed" if child == names[3] else "revolute"
-            parts.append(
-                f'<link name="{child}"/><joint name="to_{child}" type="{kind}">'
-                f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
-                f'<axis xyz="{axis}"/>{limit}</joint>'
-            )
-    return f'<robot name="walker">{"".join(parts)}</robot>'
-
-
 def prepare(shell: Any, what: str, page: Path) -> None:
     """Put there what a page takes for granted."""
     kind, *words = what.split()
@@ -163,7 +140,7 @@ def prepare(shell: Any, what: str, page: Path) -> None:
     elif kind == "baseline":
         shutil.copy(MODELS / "hexapod" / "baseline.json", shell.folder / words[0])
     elif kind == "urdf":
-        (shell.folder / words[0]).write_text(urdf(words[1]))
+        (shell.folder / words[0]).write_text(quadruped(words[1]))
         (shell.folder / "source.py").write_text(SOURCE)
     elif kind == "ros2":
         (of_page,) = (block.body for block in blocks(page) if block.language == "toml")

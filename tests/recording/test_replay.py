@@ -5,7 +5,8 @@ from __future__ import annotations
 import collections
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import msgpack
 import numpy as np
@@ -13,13 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.service.link import Link, Received, client_settings, router_settings
+from adaptive_contact.service.link import Link, Received, client_settings
 from adaptive_contact.service.recording import Record
-from adaptive_contact.service.replay import Counts, WirePlayer, control_ticks, replay_events
+from adaptive_contact.service.replay import Counts, WirePlayer, control_ticks
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,
-    ContactEvent,
     ContactTruth,
     Reject,
     ServoSample,
@@ -29,10 +29,10 @@ from adaptive_contact.wire import (
     servo_key,
     truth_key,
 )
+from waiting import until
 
 TICK = 20_000_000
 LEGS = ("lf", "lm", "lr", "rf", "rm", "rr")
-WAIT_S = 10.0
 
 
 def record(leg: str, k: int, *, run: int | None = 1, encoding: str = MSGPACK) -> Record:
@@ -40,20 +40,6 @@ def record(leg: str, k: int, *, run: int | None = 1, encoding: str = MSGPACK) ->
         t_ns=k * TICK, seq=k, measured=[0.1, k * 1e-3, 0.0], desired=[0.0, 0.0, 0.0], run=run
     )
     return Record(servo_key(leg), encode(sample, encoding), encoding, k * TICK, k * TICK)
-
-
-class NullBank:
-    """Takes everything, decides nothing."""
-
-    def __init__(self) -> None:
-        self.ticks = 0
-
-    def learner(self, leg: str, joints: int | None = None, /) -> object | None:
-        return None if leg == "unwanted" else self
-
-    def update(self, samples: Mapping[str, ServoSample], /) -> list[ContactEvent]:
-        self.ticks += 1
-        return []
 
 
 def everyone(leg: str, joints: int) -> bool:
@@ -106,58 +92,23 @@ def test_bad_samples_are_counted_and_left_out() -> None:
     assert counts.messages == 7
 
 
-def test_events_come_in_the_order_of_decision() -> None:
-    class Echo(NullBank):
-        def update(self, samples: Mapping[str, ServoSample], /) -> list[ContactEvent]:
-            return [event(leg, sample.t_ns) for leg, sample in samples.items()]
+class Wire(NamedTuple):
+    """The session of the one who plays, and what comes to a router."""
 
-    records = [record(leg, k) for k in range(3) for leg in ("b", "a")]
-    events = list(replay_events(records, Echo(), Counts()))
-    assert [(e.leg, e.t_ns // TICK) for e in events] == [
-        (leg, k) for k in range(3) for leg in ("b", "a")
-    ]
-
-
-def event(leg: str, t_ns: int) -> ContactEvent:
-    return ContactEvent(
-        leg=leg,
-        t_ns=t_ns,
-        seq=0,
-        onset_ns=t_ns,
-        contact=True,
-        status="valid",
-        score=1.5,
-        residual=[0.0],
-        model_version=1,
-    )
-
-
-class Wire:
-    """A router with somebody who listens, and the session of the one who plays."""
-
-    def __init__(self) -> None:
-        self.router = Link.open(router_settings(["tcp/127.0.0.1:0"]))
-        self.heard: list[Received] = []
-        self.router.subscribe("**", self.heard.append)
-        self.player = Link.open(client_settings(list(self.router.endpoints)))
+    player: Link
+    heard: list[Received]
 
     def wait_for(self, count: int) -> list[Received]:
-        until = time.monotonic() + WAIT_S
-        while len(self.heard) < count and time.monotonic() < until:
-            time.sleep(0.005)
-        assert len(self.heard) >= count
+        until(lambda: len(self.heard) >= count)
         return self.heard
-
-    def close(self) -> None:
-        self.player.close()
-        self.router.close()
 
 
 @pytest.fixture
-def wire() -> Iterator[Wire]:
-    made = Wire()
-    yield made
-    made.close()
+def wire(router: Link) -> Iterator[Wire]:
+    with Link.open(client_settings(router.endpoints)) as player:
+        made = Wire(player, [])
+        router.subscribe("**", made.heard.append)
+        yield made
 
 
 RECORDED = [

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from adaptive_contact.cli._replay_plot import check_plot, write_plot
 from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model.model_file import shipped_baseline
-from adaptive_contact.robot import inverse, shipped_robot
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.recording import Record
 from adaptive_contact.service.replay import (
     Counts,
@@ -33,6 +32,7 @@ from adaptive_contact.wire import (
     decode,
     encode,
 )
+from stepping import step
 
 MS = 1_000_000
 TICK = 20 * MS
@@ -81,13 +81,10 @@ def test_a_miss_says_how_far_below_the_threshold(ratios: list[float], says: str)
 
 def standing_records(swings: int) -> list[Record]:
     """A leg that follows its commands, and a truth that has a touch in the middle of a swing."""
-    leg = shipped_robot().leg("rf")
     records = []
     for k in range(40 * swings):
         phase = k % 40
-        height = -0.1 + 0.05 * (1 - abs(phase - 15) / 15 if phase < 30 else 0)
-        angles = [float(q) for q in inverse([0.13, 0.0, height], leg.lengths_m)]
-        word = "swing" if phase < 30 else "stance"
+        angles, word = step(k)
         sample = ServoSample(t_ns=k * TICK, seq=k, measured=angles, desired=angles, phase=word)
         records.append(Record("robot/leg/rf/servo", encode(sample), MSGPACK, k * TICK, k * TICK))
         if phase in (0, 22):
@@ -98,7 +95,9 @@ def standing_records(swings: int) -> list[Record]:
     return records
 
 
-def test_tracing_changes_no_event_and_ratios_are_those_of_the_events() -> None:
+@pytest.fixture(scope="module")
+def replayed() -> tuple[list[ContactEvent], LegTrace]:
+    """Events of a replay, and what it traces: that changes no event."""
     robot = shipped_robot()
     baseline = shipped_baseline(robot.name)
     plain = list(replay_events(standing_records(4), LearnerBank(robot, baseline), Counts()))
@@ -106,6 +105,11 @@ def test_tracing_changes_no_event_and_ratios_are_those_of_the_events() -> None:
     traced = TracedRecords(standing_records(4), robot)
     assert list(replay_events(traced, bank, Counts())) == plain
     (found,) = bank.traces(traced)
+    return plain, found
+
+
+def test_ratios_are_those_of_the_events(replayed: tuple[list[ContactEvent], LegTrace]) -> None:
+    plain, found = replayed
     assert found.leg == "rf"
     assert len(found.t_s) == len(found.ratio) == 160
     assert np.isfinite(found.ratio).sum() > 40
@@ -118,29 +122,6 @@ def test_tracing_changes_no_event_and_ratios_are_those_of_the_events() -> None:
     begins = [round(begin, 3) for begin, _ in found.truth]
     assert begins == [0.0, 0.441, 1.241, 2.041, 2.841]
     assert len(found.touches) >= 4
-
-
-def test_an_outage_is_no_span() -> None:
-    """A source that dies in stance while its foot touches, and is back after 8 s."""
-    robot = shipped_robot()
-    records = [record for record in standing_records(4) if record.key.endswith("/servo")]
-    late = 8 * 10**9
-    for k in range(75, len(records)):  # tick 75 is in stance
-        sample = decode(records[k].payload, ServoSample)
-        moved = replace(sample, t_ns=sample.t_ns + late)
-        records[k] = records[k]._replace(payload=encode(moved))
-    bank = TraceBank(LearnerBank(robot))
-    traced = TracedRecords(records, robot)
-    for _ in replay_events(traced, bank, Counts()):
-        pass
-    touch = ContactEvent(
-        leg="rf", t_ns=62 * TICK, seq=62, onset_ns=62 * TICK, contact=True, status="valid",
-        score=2.0, residual=[0.0] * 3, model_version=0,
-    )  # fmt: skip
-    bank._events = [touch]
-    (found,) = bank.traces(traced)
-    assert found.contact == [(1.24, 1.48)]
-    assert {(1.4, 1.48), (9.5, 9.6)} <= set(found.stance)
 
 
 def test_the_page_needs_nothing_from_elsewhere_and_shows_text_as_text(tmp_path: Path) -> None:
@@ -177,13 +158,10 @@ def test_other_suffixes_are_refused_before_any_work() -> None:
         check_plot(Path("plot.pdf"))
 
 
-def test_curves_are_the_samples(tmp_path: Path) -> None:
-    robot = shipped_robot()
-    bank = TraceBank(LearnerBank(robot, shipped_baseline(robot.name)))
-    traced = TracedRecords(standing_records(4), robot)
-    for _ in replay_events(traced, bank, Counts()):
-        pass
-    (found,) = bank.traces(traced)
+def test_curves_are_the_samples(
+    tmp_path: Path, replayed: tuple[list[ContactEvent], LegTrace]
+) -> None:
+    _, found = replayed
     angles = found.angles
     assert angles.shape == (160, 3, 3)
     samples = [decode(record.payload, ServoSample) for record in standing_records(4)]

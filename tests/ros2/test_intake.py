@@ -266,13 +266,6 @@ def test_a_leg_that_moves_without_commands_gives_no_samples(rig, made, joints) -
     assert reads(225, 0.1) == {"lf", "rf"}
 
 
-def test_a_command_of_strange_joints_is_named(rig, made, joints) -> None:
-    used = rig(BOTH)
-    used.take("/commands", RosType.JOINT_STATE, made.joints(["q1", "q2"], [0.0, 0.0]))
-    assert used.reasons == ["unmapped"]
-    assert "q1, q2 belong to no leg" in used.problems[0][2]
-
-
 def test_an_array_needs_its_order(rig, made, joints) -> None:
     values = made.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     used = rig(BOTH)
@@ -285,10 +278,12 @@ def test_an_array_needs_its_order(rig, made, joints) -> None:
     assert ordered.reasons == ["no_positions"]
 
 
-def test_a_trajectory_of_many_points_is_no_command(rig, made, joints) -> None:
+def test_what_is_no_command_is_told(rig, made, joints) -> None:
     used = rig(BOTH)
+    used.take("/commands", RosType.JOINT_STATE, made.joints(["q1", "q2"], [0.0, 0.0]))
     used.take("/commands", RosType.TRAJECTORY, made.trajectory(joints, [[0.0] * 6, [1.0] * 6]))
-    assert used.reasons == ["trajectory"]
+    assert used.reasons == ["unmapped", "trajectory"]
+    assert "q1, q2 belong to no leg" in used.problems[0][2]
 
 
 def test_a_command_that_is_nan_leaves_the_last_one(rig, made, joints) -> None:

@@ -1,20 +1,17 @@
 """Sample in -> event out through the service, against a bare Zenoh echo; a script, not a test.
 
-    python tests/service/bench_echo.py [--events N] [--blocks N] [--realtime] [--assert]
+    python tests/service/bench_echo.py [--assert]
 
 Three processes: this one publishes six legs at 50 Hz and times the answers; the other is first
 an echo (a router whose callback puts the payload back), then the whole service with its own
 learners on a simulated walk, and last the service with a learner that costs nothing and changes its
 mind at every sample, so that each sample gives an event.  Meanwhile a fourth process refits without
-a pause, as the service's own worker does now and then; one echo is measured without it.
+a pause, as the service's own worker does now and then.
 
 A tick's samples are put one right after the other, as a bus gives them, so the echo's sixth answer
 waits for five, as the service's does.  The walk gives some eight events a second: it lasts as long
 as 3,000 of them need, some eight minutes, because a p99 over a few hundred is that of six answers.
 What else the machine does changes by the minute, so the echo and the service take turns, in blocks.
-The first second of each process counts, and what is found without it is printed beside: with its
-first samples a service tells of every leg that it is free, and these six are one in a hundred of a
-block's events.  With ``--realtime`` the echo and the services run before ordinary processes.
 The 95 % interval of the ratio of the two p99 is a bootstrap over seconds within their blocks:
 answers that wait for the same core are not independent.  With ``--assert`` the exit code is 1
 where the ratio is above 2, or there are too few events to tell.
@@ -34,7 +31,6 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.wire import ContactEvent, ServoSample, contact_key, decode, servo_key
 
@@ -72,10 +68,7 @@ while True:
 """
 
 
-def echo(*, realtime: bool) -> None:
-    refused = take_priority() if realtime else None
-    if refused is not None:
-        sys.exit(refused)
+def echo() -> None:
     with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
         publishers = {
             servo_key(leg): link.publisher(contact_key(leg), reliable=True) for leg in LEGS
@@ -145,14 +138,6 @@ def measure(endpoint: str, ticks: list[Tick], answers: int | None) -> Trips:
     return trips
 
 
-def settled(blocks: list[Trips]) -> list[Trips]:
-    """Blocks without the first second of their process."""
-    return [
-        {second: found for second, found in block.items() if second > min(block)}
-        for block in blocks
-    ]
-
-
 def flat(blocks: list[Trips]) -> list[float]:
     """All round trips of some blocks, the fastest first."""
     return sorted(trip for block in blocks for second in block.values() for trip in second)
@@ -181,12 +166,6 @@ def interval(
     return float(low), float(high)
 
 
-def blocks_of(ticks: list[Tick], count: int) -> list[list[Tick]]:
-    """A walk in blocks of one length."""
-    length = -(-len(ticks) // count)
-    return [ticks[begin : begin + length] for begin in range(0, len(ticks), length)]
-
-
 @contextlib.contextmanager
 def running(*command: str) -> Iterator[str]:
     """A process, ended at the end; gives its first line."""
@@ -199,19 +178,20 @@ def running(*command: str) -> Iterator[str]:
             process.terminate()
 
 
-def main(events: int, blocks: int, rng: np.random.Generator, *, realtime: bool) -> bool:
+def main(rng: np.random.Generator) -> bool:
     """Measure; True where the service is as fast as it must be."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "robot.toml"
         legs = "".join(f'[[leg]]\nid = "{leg}"\njoints = ["a", "b", "c"]\n' for leg in LEGS)
         config.write_text(f'[robot]\nname = "b"\nperiod_s = 0.02\nquantum_rad = 0.005\n{legs}')
         listen = ("--listen", "tcp/127.0.0.1:0", "--log-level", "warning")
-        fast = ("--realtime",) if realtime else ()
-        state = ("--state", str(Path(folder) / "state"), *fast)
+        state = ("--state", str(Path(folder) / "state"))
         fake = (str(HERE / "fake_service.py"), *listen, "--config", str(config), *state)
         real = ("-m", "adaptive_contact", "serve", *listen, *state)
-        echoes = (__file__, "--echo", *fast)
-        walk = blocks_of(walked(events / WALK_EVENTS_PER_S), blocks)
+        echoes = (__file__, "--echo")
+        ticks = walked(EVENTS / WALK_EVENTS_PER_S)
+        length = -(-len(ticks) // BLOCKS)
+        walk = [ticks[begin : begin + length] for begin in range(0, len(ticks), length)]
         # The echo of a block has as many answers as it takes for its own p99 to stand still.
         every = made_up(max(MADE_UP_S, len(walk[0]) / 50 / 2))
 
@@ -231,46 +211,35 @@ def main(events: int, blocks: int, rng: np.random.Generator, *, realtime: bool) 
             return p99(found)
 
         count = len(every) * len(LEGS)
-        row("echo, nobody refits", [trips(echoes, every, count)])
         echoed: list[Trips] = []
         own: list[Trips] = []
         with running("-c", REFIT):
             for number, block in enumerate(walk):
-                # Who goes first changes, too.
-                for echo_now in (number % 2 == 0, number % 2 == 1):
-                    if echo_now:
-                        echoed.append(trips(echoes, every, count))
-                    else:
-                        own.append(trips(real, block, None))
+                if number % 2:  # who goes first changes, too
+                    own.append(trips(real, block, None))
+                echoed.append(trips(echoes, every, count))
+                if number % 2 == 0:
+                    own.append(trips(real, block, None))
             echo_ms = row("echo", echoed)
             own_ms = row("service, its own learners", own)
-            later = row("the same, without first seconds", settled(own))
-            later /= row("echo, without first seconds", settled(echoed))
             row("service, a learner that costs nothing", [trips(fake, every, count)])
     low, high = interval(own, echoed, rng)
     heard, ratio = len(flat(own)), own_ms / echo_ms
     print(
         f"p99 of the service over that of the echo: {ratio:.2f}, 95 % interval {low:.2f} to "
-        f"{high:.2f}, at most {MOST:g}; without first seconds {later:.2f}"
+        f"{high:.2f}, at most {MOST:g}"
     )
-    if heard < events:
-        print(f"{heard} events of its own learners are too few, expected {events}")
-    return ratio <= MOST and heard >= events
-
-
-def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="sample in -> event out, against a bare echo")
-    parser.add_argument("--events", type=int, default=EVENTS, help="of the service's own learners")
-    parser.add_argument("--blocks", type=int, default=BLOCKS, help="in which the two take turns")
-    parser.add_argument("--realtime", action="store_true", help="before ordinary processes")
-    parser.add_argument("--assert", dest="strict", action="store_true", help="fail above 2")
-    return parser.parse_args()
+    if heard < EVENTS:
+        print(f"{heard} events of its own learners are too few, expected {EVENTS}")
+    return ratio <= MOST and heard >= EVENTS
 
 
 if __name__ == "__main__":
-    if "--echo" in sys.argv:
-        echo(realtime="--realtime" in sys.argv)
+    parser = argparse.ArgumentParser(description="sample in -> event out, against a bare echo")
+    parser.add_argument("--echo", action="store_true", help="be the echo")
+    parser.add_argument("--assert", dest="strict", action="store_true", help="fail above 2")
+    asked = parser.parse_args()
+    if asked.echo:
+        echo()
     else:
-        asked = arguments()
-        well = main(asked.events, asked.blocks, np.random.default_rng(0), realtime=asked.realtime)
-        sys.exit(1 if asked.strict and not well else 0)
+        sys.exit(not main(np.random.default_rng(0)) and asked.strict)

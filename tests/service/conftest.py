@@ -14,12 +14,12 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
-from typer.testing import CliRunner
 
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Message, ServoSample, decode, servo_key
-from programs import Program
+from programs import Program, tried
+from waiting import until
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the helpers beside the tests
@@ -43,12 +43,9 @@ class Inbox:
 
     def __init__(self) -> None:
         self.items: list[Any] = []
-        self._changed = threading.Condition()
 
     def __call__(self, *item: Any) -> None:
-        with self._changed:
-            self.items.append(item[0] if len(item) == 1 else item)
-            self._changed.notify_all()
+        self.items.append(item[0] if len(item) == 1 else item)
 
     def hears(self, link: Link, key: str, *, history: bool = False) -> Inbox:
         link.subscribe(key, self, history=history)
@@ -57,11 +54,12 @@ class Inbox:
     def wait(self, enough: Callable[[list[Any]], bool] | int, timeout_s: float = 60.0) -> list[Any]:
         """Wait until there are so many items, or the items are enough; fails after the timeout."""
         test = enough if callable(enough) else lambda items: len(items) >= enough
-        with self._changed:
-            assert self._changed.wait_for(lambda: self.items and test(self.items), timeout_s), (
-                f"after {timeout_s} s there are {len(self.items)} items: {self.items[-3:]}"
-            )
-            return list(self.items)
+        until(
+            lambda: self.items and test(self.items),
+            lambda: f"there are {len(self.items)} items: {self.items[-3:]}",
+            timeout_s,
+        )
+        return list(self.items)
 
 
 class MessageInbox(Inbox):
@@ -125,9 +123,8 @@ def inbox() -> Callable[..., Inbox]:
 @pytest.fixture
 def beside_a_source(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable[..., Any]]:
     """Runs a command beside a source that publishes all samples; ends when they are taken in."""
-    from adaptive_contact.cli import _options, main
+    from adaptive_contact.cli import _options
 
-    main.load_commands()
     threads: list[threading.Thread] = []
 
     def run(samples: list[tuple[str, ServoSample]], *words: str) -> Any:
@@ -154,7 +151,7 @@ def beside_a_source(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[C
 
         threads.append(threading.Thread(target=publish))
         threads[-1].start()
-        result = CliRunner().invoke(main.app, [*words, "--connect", router.endpoints[0]])
+        result = tried(*words, "--connect", router.endpoints[0])
         stop.set()
         return result
 

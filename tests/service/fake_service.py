@@ -200,17 +200,15 @@ def no_process(**_: object) -> None:
 
 
 def main() -> None:
-    bank = types.ModuleType("adaptive_contact.core.bank")
-    bank.LearnerBank = FakeBank  # type: ignore[attr-defined]
-    bank.compile_ahead = no_process  # type: ignore[attr-defined]
-    sys.modules["adaptive_contact.core.bank"] = bank
-    refits = types.ModuleType("adaptive_contact.service.refits")
-    refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
-    sys.modules["adaptive_contact.service.refits"] = refits
-    process = types.ModuleType("adaptive_contact.service.refit_process")
-    process.start_process = no_process  # type: ignore[attr-defined]
-    process.end_process = None  # type: ignore[attr-defined]
-    sys.modules["adaptive_contact.service.refit_process"] = process
+    instead: dict[str, dict[str, object]] = {
+        "core.bank": {"LearnerBank": FakeBank, "compile_ahead": no_process},
+        "service.refits": {"ProcessRefitter": FakeRefitter},
+        "service.refit_process": {"start_process": no_process, "end_process": None},
+    }
+    for name, content in instead.items():
+        module = types.ModuleType(f"adaptive_contact.{name}")
+        vars(module).update(content)
+        sys.modules[module.__name__] = module
     if "--save-often" in sys.argv:
         sys.argv.remove("--save-often")
         from adaptive_contact.service.state.keeper import StateKeeper

@@ -7,25 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from views import S, service, status
 
 from adaptive_contact.service.attention import Attention, remedy_of
 from adaptive_contact.service.watch import LegView, View
-from adaptive_contact.status import LegFacts, ServiceStatus
+from adaptive_contact.status import ServiceStatus
 from adaptive_contact.wire import LearnerStatus
 
 OPERATING = Path(__file__).parents[2] / "docs" / "operating.md"
-S = 1_000_000_000
-
-
-def service(**fields: Any) -> ServiceStatus:
-    facts = {leg: LegFacts(joints=["coxa", "femur", "tibia"]) for leg in ("lf", "rf")}
-    given = {"baseline": "shipped", "legs": facts, "uptime_s": 9.0, **fields}
-    return ServiceStatus(version="1", robot="mini", period_s=0.02, **given)
-
-
-def status(leg: str, **fields: Any) -> LearnerStatus:
-    given: dict[str, Any] = {"status": "valid", "model_version": 1, "t_ns": S, **fields}
-    return LearnerStatus(leg=leg, residual_rms=[0.0] * 3, noise_floor=[0.0] * 3, **given)
 
 
 def view(of: ServiceStatus | None, *statuses: LearnerStatus, **fields: Any) -> View:
@@ -53,7 +42,7 @@ def test_each_note_of_the_page_has_a_remedy(note: str) -> None:
 
 
 def test_all_is_well() -> None:
-    legs = status("lf"), status("rf")
+    legs = status(leg="lf"), status(leg="rf")
     assert look(view(service(), *legs), *legs) == []
 
 
@@ -72,28 +61,42 @@ def test_what_is_not_there_is_the_only_entry(of: View, what: str) -> None:
     assert "adaptive-contact serve" in entry[3]
 
 
-def test_one_cause_of_several_legs_is_one_entry() -> None:
-    note = "no sample for 4.0 s"
-    legs = status("lf", status="silent", note=note), status("rf", status="silent", note=note)
-    (entry,) = look(view(service(), *legs), *legs)
-    assert entry[:2] == ("error", ["lf", "rf"])
-    assert entry[3].startswith("Start the bridge or the controller")
+SILENT = {"status": "silent", "note": "no sample for 4.0 s"}
+CAUGHT = "the foot came 40 % of its command's way, 3 swings in a row: caught, or no strength"
+LOST = "lifts have been 3.1 times as far from the model as they should for 40 swings: x"
 
 
-def test_a_note_comes_with_its_own_remedy() -> None:
-    note = "the foot came 40 % of its command's way, 3 swings in a row: caught, or no strength"
-    legs = status("lf"), status("rf", status="ambiguous", note=note, doubt="held")
-    (entry,) = look(view(service(), *legs), *legs)
-    assert entry[1] == ["rf"]
-    assert entry[3].startswith("Free the foot.")
-
-
-def test_all_legs_lost_point_to_what_they_have_in_common() -> None:
-    note = "lifts have been 3.1 times as far from the model as they should for 40 swings: x"
-    legs = [status(leg, status="ambiguous", note=note) for leg in ("lf", "lm", "rf", "rm")]
-    (entry,) = look(view(service(), *legs), *legs)
-    assert "no leg moves as its model predicts" in entry[2]
-    assert "signs" in entry[3]
+@pytest.mark.parametrize(
+    ("legs", "whose", "what", "remedy"),
+    [
+        (
+            {"lf": SILENT, "rf": SILENT},
+            ["lf", "rf"],
+            "no sample",
+            "Start the bridge or the controller",
+        ),
+        (
+            {"lf": {}, "rf": {"status": "ambiguous", "note": CAUGHT, "doubt": "held"}},
+            ["rf"],
+            "the foot came",
+            "Free the foot.",
+        ),
+        (
+            {leg: {"status": "ambiguous", "note": LOST} for leg in ("lf", "lm", "rf", "rm")},
+            ["lf", "lm", "rf", "rm"],
+            "no leg moves as its model predicts",
+            "signs",
+        ),
+    ],
+)
+def test_a_cause_of_one_leg_or_of_several_is_an_entry_with_its_remedy(
+    legs: dict[str, dict[str, Any]], whose: list[str], what: str, remedy: str
+) -> None:
+    statuses = [status(leg=leg, **fields) for leg, fields in legs.items()]
+    (entry,) = look(view(service(), *statuses), *statuses)
+    assert entry[1] == whose
+    assert what in entry[2]
+    assert remedy in entry[3]
 
 
 def test_a_count_is_shown_when_it_grows_and_for_a_minute() -> None:

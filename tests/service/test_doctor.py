@@ -1,25 +1,24 @@
 from __future__ import annotations
 
+import functools
 import json
 import math
 import random
-import subprocess
-import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import msgspec
 import pytest
+import views
+from views import status as learner
 
 from adaptive_contact.checks.findings import Fault, Finding
 from adaptive_contact.checks.legcheck import check_leg
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
-from adaptive_contact.service.link import Link
-from adaptive_contact.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.status import SERVICE_STATUS, LegFacts
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,
-    LearnerStatus,
     Reject,
     Rejected,
     ServoSample,
@@ -29,6 +28,7 @@ from adaptive_contact.wire import (
     servo_key,
 )
 from adaptive_contact.wire.received import Received
+from programs import tried
 from waiting import free_address
 
 FACTS = LegFacts(joints=["coxa", "femur", "tibia"], lengths=True)
@@ -82,11 +82,6 @@ def only(findings: list[Found]) -> Found:
 
 def text(fault: Fault) -> str:
     return fault.what if fault.detail is None else f"{fault.what}: {fault.detail}"
-
-
-def test_a_leg_that_hangs_still_has_no_findings() -> None:
-    """Standing still is no fault, even with a reading that never changes."""
-    assert judge(stream(measured=[0.1, 0.2, 0.3], desired=[0.12, 0.2, 0.3])) == []
 
 
 def test_nothing_at_all() -> None:
@@ -197,40 +192,21 @@ def test_joints_phase_and_unknown_legs_are_held_against_robot_toml() -> None:
     assert (told.level, told.detail) == ("note", "samples come every 20.0 ms (50.0 Hz)")
 
 
-def test_a_restart_of_the_source_is_no_fault() -> None:
-    twice = stream(75) + stream(75, run=2)
-    assert judge(twice) == []
+@pytest.mark.parametrize(
+    "samples",
+    [
+        stream(75) + stream(75, run=2),  # a restart of the source
+        stream(measured=[0.1, 0.2, 0.3], desired=[0.12, 0.2, 0.3]),  # it hangs still
+    ],
+)
+def test_what_is_no_fault(samples: list[ServoSample]) -> None:
+    assert judge(samples) == []
 
 
 # -- the whole wire ---------------------------------------------------------------------------
 
 
-def service(**fields: Any) -> ServiceStatus:
-    return ServiceStatus(
-        **{
-            "version": "1",
-            "robot": "mini",
-            "period_s": 0.02,
-            "baseline": "b.json",
-            "legs": {"rf": FACTS},
-            "uptime_s": 5.0,
-            **fields,
-        }
-    )
-
-
-def learner(**fields: Any) -> LearnerStatus:
-    return LearnerStatus(
-        **{
-            "leg": "rf",
-            "t_ns": 0,
-            "status": "valid",
-            "model_version": 1,
-            "residual_rms": [],
-            "noise_floor": [],
-            **fields,
-        }
-    )
+service = functools.partial(views.service, baseline="b.json", legs={"rf": FACTS})
 
 
 def receive(*messages: tuple[str, bytes], encoding: str = MSGPACK) -> Examination:
@@ -276,29 +252,27 @@ def test_a_stranger_that_published_once_is_a_note() -> None:
     assert (note.level, note.cause, note.legs) == ("note", "silent", ["RF"])
 
 
-def test_no_service() -> None:
-    diagnosis = diagnose(receive(*good()), 3.0, alive=False)
-    assert whats(diagnosis) == [
-        "error: a router is there, but no service",
-        "note: there is no robot.toml to compare with: samples come every 20.0 ms (50.0 Hz)",
-    ]
+@pytest.mark.parametrize(
+    ("messages", "alive", "told"),
+    [
+        (good(), False, ["error: a router is there, but no service"]),
+        (
+            [],
+            False,
+            ["error: a router is there, but no service", "error: nobody publishes servo samples"],
+        ),
+        (good()[1:], True, ["warning: a service runs, but has published no status"]),
+        (
+            [(SERVICE_STATUS, encode(service(note="compiling: wait"))), *good()[2:]],
+            True,
+            ["error: note of the service: compiling: wait"],
+        ),
+    ],
+)
+def test_what_is_not_there(messages: list[tuple[str, bytes]], alive: bool, told: list[str]) -> None:
+    diagnosis = diagnose(receive(*messages), 3.0, alive=alive)
+    assert [line for line in whats(diagnosis) if not line.startswith("note: ")] == told
     assert diagnosis.exit_code == 1
-
-
-def test_a_service_that_says_nothing() -> None:
-    diagnosis = diagnose(receive(*good()[1:]), 3.0, alive=True)
-    assert "warning: a service runs, but has published no status" in whats(diagnosis)
-
-
-def test_a_service_that_compiles_is_one_entry() -> None:
-    compiles = (SERVICE_STATUS, encode(service(note="compiling: wait")))
-    diagnosis = diagnose(receive(compiles, *good()[2:]), 3.0, alive=True)
-    assert whats(diagnosis) == ["error: note of the service: compiling: wait"]
-
-
-def test_nobody_publishes() -> None:
-    diagnosis = diagnose(Examination(), 3.0, alive=False)
-    assert "error: nobody publishes servo samples" in whats(diagnosis)
 
 
 def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
@@ -391,37 +365,18 @@ def test_a_flood_of_keys_is_bounded() -> None:
 
 
 @pytest.mark.e2e
-def test_the_command(
-    serve: Any, cli: Any, join: Callable[..., Link], sample: Callable[..., ServoSample]
-) -> None:
-    arguments = ("doctor", "--seconds", "1.2", "--connect")
+def test_the_command(beside_a_source: Any) -> None:
     nobody = free_address()
-    alone = cli(*arguments, nobody)
-    assert alone.wait() == 2
-    alone.wait_line(f"unreachable: nobody listens on tcp/{nobody}")
-
-    served = serve()
-    publishers = {leg: join(served.endpoint).publisher(servo_key(leg)) for leg in ("lf", "rf")}
-    listening = cli(*arguments, served.endpoint, "--json", stderr=subprocess.DEVNULL)
-    stop = threading.Event()
-    seq = 0
-    while listening.process.poll() is None and not stop.wait(0.02) and seq < 1000:
-        for leg, publisher in publishers.items():
-            joints = 2 if leg == "rf" else 3
-            publisher.put(
-                sample(seq, phase="swing", measured=[0.1] * joints, desired=[0.1] * joints)
-            )
-        seq += 1
-    assert listening.wait() == 1
-    diagnosis = json.loads("".join(listening.lines))
-    assert diagnosis["router"] == "connected"
-    assert diagnosis["service_alive"]
-    rates = {key["key"]: key["rate_hz"] for key in diagnosis["keys"]}
-    assert 25 < rates[servo_key("lf")] < 60
+    alone = tried("doctor", "--connect", nobody)
+    assert (alone.exit_code, f"nobody listens on tcp/{nobody}" in alone.output) == (2, True)
+    samples = [("rf", one) for one in stream(75)]
+    result = beside_a_source(samples, "doctor", "--seconds", "3", "--json")
+    assert result.exit_code == 1
+    diagnosis = json.loads(result.stdout)
+    assert (diagnosis["router"], diagnosis["service_alive"]) == ("connected", False)
+    assert [key["key"] for key in diagnosis["keys"]] == [servo_key("rf")]
     findings = [msgspec.convert(row, Finding) for row in diagnosis["findings"]]
-    found = [(f.leg, f.what) for f in findings if f.level != "note" and f.cause != "learning"]
-    assert ("rf", "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)") in found
-    assert all(leg != "lf" for leg, _ in found)
+    assert "a router is there, but no service" in [finding.what for finding in findings]
 
 
 def test_what_the_service_says_of_itself_is_found() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -58,14 +55,6 @@ class Admission:
     def position(self) -> Position | None:
         return self.downtime.position(self.learner)
 
-    @property
-    def missed_down(self) -> int:
-        return self.downtime.missed
-
-    @property
-    def resuming(self) -> bool:
-        return self.downtime.before is not None
-
 
 @given(
     st.lists(
@@ -87,50 +76,6 @@ def test_publishers_are_told_apart_over_a_restart_as_without_one(
     assert after.superseded == before.superseded
 
 
-def test_a_superseded_publisher_is_taken_back_when_none_of_the_newer_one_comes_between() -> None:
-    admission = Admission(Position(8, 100, superseded=(7,)))
-    refused = Reject.OTHER_PUBLISHER
-    for k in range(200):
-        assert admission.judge(sample(k, run=7)) == refused
-        if k % (TAKE_BACK_SAMPLES - 1) == TAKE_BACK_SAMPLES - 2:
-            assert admission.judge(sample(101 + k, run=8)) == USED
-    told = [admission.judge(sample(k, run=7)) for k in range(200, 230)]
-    waited = told.index(USED)
-    assert waited < TAKE_BACK_SAMPLES
-    assert told[waited:] == [USED] * (30 - waited)
-    assert admission.position.superseded == ()
-    # The one that started last is back: at its third sample, as it was soon gone before.
-    back = [admission.judge(sample(k, run=8)) for k in range(400, 403)]
-    assert back == [refused, refused, USED]
-    assert admission.position.superseded == (7,)
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"measured": [math.nan, 0.0]}, Reject.NOT_FINITE),
-        ({"desired": [0.1]}, Reject.WRONG_JOINTS),
-        ({"seq": -1}, Reject.OUT_OF_RANGE),
-    ],
-)
-def test_what_is_no_sample_brings_no_publisher_back(
-    change: dict[str, object], reason: Reject
-) -> None:
-    admission = Admission(Position(8, 100, superseded=(7,)))
-    for k in range(2 * TAKE_BACK_SAMPLES):
-        told = admission.judge(sample(k, run=7, **change))
-        assert told is reason
-
-
-def test_one_that_started_while_the_service_was_down_is_the_newest() -> None:
-    """The newer one comes first, the one that was in force before the restart goes on, too."""
-    admission = Admission(Position(8, 100))
-    for k in range(100):
-        assert admission.judge(sample(k, run=9)) == USED
-        assert admission.judge(sample(k, run=8)) is Reject.OTHER_PUBLISHER
-    assert admission.missed_down == 0
-
-
 def test_publishers_remembered_are_bounded() -> None:
     admission = Admission(Position(0, 1))
     for run in range(1, 100):
@@ -145,16 +90,16 @@ def test_one_wild_number_after_a_restart_of_the_service_counts_nothing() -> None
     told = [admission.judge(sample(k)) for k in range(200, 240)]
     assert told[-1] == USED
     # What passed until the source was believed; the samples refused meanwhile among it.
-    assert admission.missed_down == told.index(USED) + 200 - 101
-    assert admission.position == Position(1, 239, admission.missed_down)
+    assert admission.downtime.missed == told.index(USED) + 200 - 101
+    assert admission.position == Position(1, 239, admission.downtime.missed)
 
 
 def test_a_long_gap_over_a_restart_counts_though_the_service_is_killed_again_before() -> None:
     first = Admission(Position(1, 100))
     assert first.judge(sample(5000)) == USED
-    assert first.resuming
+    assert first.downtime.before is not None
     again = Admission(first.position)
     told = [again.judge(sample(k)) for k in range(6000, 6010)]
     assert told == [USED] * 10
-    assert not again.resuming
-    assert again.missed_down == 6000 - 101
+    assert again.downtime.before is None
+    assert again.downtime.missed == 6000 - 101

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import base64
-import importlib
 import json
 import struct
-import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import Any
 
 import pytest
@@ -17,8 +15,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
-from adaptive_contact.service import foxglove_live
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.foxglove_live import FoxgloveServer
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import (
@@ -30,6 +27,7 @@ from adaptive_contact.wire import (
     contact_key,
     servo_key,
 )
+from waiting import Every
 
 # A tick of a source whose clock began some days ago.
 T_NS = 300_000_000_000_000
@@ -125,36 +123,23 @@ def client(server: FoxgloveServer) -> Iterator[Client]:
     one.close()
 
 
-class Source:
-    """Publishes until somebody has seen it."""
-
-    def __init__(self, link: Link) -> None:
-        self._servo = link.publisher(servo_key("lf"))
-        self._contact = link.publisher(contact_key("lf"), reliable=True, history=1)
-        self._heartbeat = link.publisher(HEARTBEAT)
-        self._stop = threading.Event()
-        self._worker = threading.Thread(target=self._run)
-        self._worker.start()
-
-    def _run(self) -> None:
-        while not self._stop.wait(0.02):
-            self._servo.put(SAMPLE)
-            self._heartbeat.put(Heartbeat(legs={"lf": BEAT}))
-            self._contact.put(EVENT)
-
-    def close(self) -> None:
-        self._stop.set()
-        self._worker.join(5)
-
-
 @pytest.fixture
-def source(router: Link) -> Iterator[Source]:
-    one = Source(router)
-    yield one
-    one.close()
+def source(router: Link) -> Iterator[None]:
+    """Publishes again and again, as somebody may not be there yet."""
+    servo, heartbeat = router.publisher(servo_key("lf")), router.publisher(HEARTBEAT)
+    contact = router.publisher(contact_key("lf"), reliable=True, history=1)
+
+    def publish() -> None:
+        servo.put(SAMPLE)
+        heartbeat.put(Heartbeat(legs={"lf": BEAT}))
+        contact.put(EVENT)
+
+    with closing(Every(0.02, publish)):
+        yield
 
 
-def test_keys_are_topics_and_messages_keep_their_values(source: Source, client: Client) -> None:
+@pytest.mark.usefixtures("source")
+def test_keys_are_topics_and_messages_keep_their_values(client: Client) -> None:
     assert client.info["capabilities"] == [], "nothing comes in"
     client.subscribe("robot/leg/lf/servo")
     topic, time_ns, servo = client.message()
@@ -169,8 +154,9 @@ def test_keys_are_topics_and_messages_keep_their_values(source: Source, client: 
     assert (event.contact, event.score, event.onset_ns) == (True, 1.5, T_NS - 5)
 
 
+@pytest.mark.usefixtures("source")
 def test_what_cannot_be_read_is_counted(
-    router: Link, server: FoxgloveServer, source: Source, client: Client
+    router: Link, server: FoxgloveServer, client: Client
 ) -> None:
     client.subscribe("robot/leg/lf/servo")
     bad = router.publisher(servo_key("rf"))
@@ -199,9 +185,3 @@ def test_the_command_says_where_and_ends_on_a_signal(router: Link, program: Any)
     client.close()
     assert bridge.stop() == 0
     assert len(bridge.lines) == 1
-
-
-def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(MissingExtraError, match=r"pip install '.*\[foxglove\]'"):
-        importlib.reload(foxglove_live)

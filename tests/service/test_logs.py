@@ -19,10 +19,7 @@ def test_a_full_disk_ends_nobody(as_json: bool) -> None:
     configure_logs(json=as_json, stream=full)
     for level in ("info", "warning", "error", "critical"):
         getattr(structlog.get_logger(), level)("disk is full", leg="rf")
-    try:
-        raise ValueError("once")
-    except ValueError:
-        structlog.get_logger().exception("a fault")
+    structlog.get_logger().error("a fault", exc_info=ValueError("once"))
     with pytest.raises(OSError, match="No space left"):
         full.close()  # its buffer is full of lines
 
@@ -59,10 +56,7 @@ def test_a_line_shows_what_a_terminal_would_obey(as_json: bool) -> None:
     stream = io.StringIO()
     configure_logs(json=as_json, stream=stream)
     structlog.get_logger().info("refused", key=hostile, many=[hostile])
-    try:
-        raise ValueError(hostile)
-    except ValueError:
-        structlog.get_logger().exception(hostile)
+    structlog.get_logger().error(hostile, exc_info=ValueError(hostile))
     text = stream.getvalue()
     assert not set(text) & set("\x1b\x07\x9b\u202e\x7f\r")
     assert "\\u001b[31mred" in text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import signal
@@ -34,6 +35,7 @@ from adaptive_contact.wire import (
 )
 from programs import Program
 from test_docs import contacts_class
+from waiting import until
 
 LEGS = ("lf", "rf")
 BOUND_S = 0.7
@@ -47,20 +49,16 @@ class Forms:
 
     def __init__(self) -> None:
         self.said: dict[tuple[str, str], tuple[str, float]] = {}
-        self._changed = threading.Condition()
         self.faults: list[object] = []
 
     def say(self, form: str, leg: str, contact: object, known: object = True) -> None:
         word = ("contact" if contact else "free") if known else "unknown"
-        with self._changed:
-            if self.said.get((form, leg), ("", 0.0))[0] != word:
-                self.said[form, leg] = word, time.monotonic()
-                self._changed.notify_all()
+        if self.said.get((form, leg), ("", 0.0))[0] != word:
+            self.said[form, leg] = word, time.monotonic()
 
     def wait_any(self, keys: list[tuple[str, str]]) -> None:
         """Wait until forms have said something."""
-        with self._changed:
-            assert self._changed.wait_for(lambda: self.said.keys() >= set(keys), 60.0), self.said
+        until(lambda: self.said.keys() >= set(keys), lambda: self.said)
 
     def wait(self, wanted: dict[tuple[str, str], str], timeout_s: float = 30.0) -> dict[str, float]:
         """When each form began to say what is wanted, the last of its legs."""
@@ -69,12 +67,11 @@ class Forms:
             said = {key: self.said.get(key, ("nothing", 0.0))[0] for key in wanted}
             return {key: word for key, word in said.items() if word != wanted[key]}
 
-        with self._changed:
-            assert self._changed.wait_for(lambda: not missing(), timeout_s), missing()
-            since: dict[str, float] = {}
-            for form, leg in wanted:
-                since[form] = max(since.get(form, 0.0), self.said[form, leg][1])
-            return since
+        until(lambda: not missing(), missing, timeout_s)
+        since: dict[str, float] = {}
+        for form, leg in wanted:
+            since[form] = max(since.get(form, 0.0), self.said[form, leg][1])
+        return since
 
 
 def read_ros(forms: Forms, session: zenoh.Session) -> list[object]:
@@ -199,7 +196,7 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
         shown = foxglove.wait_line(r"open ws://127\.0\.0\.1:(\d+)")
         quietly(over, read_foxglove, forms, int(shown[1]))
         quietly(over, read_page, forms, page.wait_line(r"live page at (\S+)")[1])
-        lines = (json.loads(text) for text in _follow(watch))
+        lines = (json.loads(watch.next_line(r"\{", 600.0).string) for _ in itertools.count())
         quietly(over, read_rows, "watch", forms, lines)
 
         publishers = source.publishers
@@ -258,16 +255,6 @@ def test_no_form_shows_a_contact_for_longer_than_is_known(
         forms.wait({("contacts", leg): "unknown" for leg in LEGS})
         forms.wait({("Bool", leg): "free" for leg in LEGS})
         assert forms.faults == []
-
-
-def _follow(running: Program) -> Iterator[str]:
-    """Lines as they come."""
-    seen = 0
-    while running.process.poll() is None:
-        lines = running.lines[seen:]
-        seen += len(lines)
-        yield from lines
-        time.sleep(0.02)
 
 
 def event(t_ns: int, contact: bool = True, **fields: Any) -> ContactEvent:

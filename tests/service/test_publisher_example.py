@@ -15,10 +15,6 @@ from waiting import free_address
 EXAMPLE = Path(__file__).parents[2] / "examples" / "publisher.py"
 
 
-def test_it_needs_nothing_of_this_package() -> None:
-    assert "adaptive_contact" not in EXAMPLE.read_text(encoding="utf-8")
-
-
 @pytest.mark.e2e
 def test_the_loop_waits_for_the_router_and_its_samples_are_used(
     program: Any, join: Any, inbox: Any

@@ -19,22 +19,14 @@ import pytest
 from structlog.testing import capture_logs
 from threadpoolctl import threadpool_info
 
-from adaptive_contact.core.learn.periodic_refit import (
-    REFIT_DUE_TICKS,
-    PeriodicRefit,
-    first_refit_after,
-)
-from adaptive_contact.core.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.fit import FitStatus
-from adaptive_contact.fit.refit_job import InlineRefitter, Job, RefitJob, RefitResult, Refitter
+from adaptive_contact.fit.refit_job import InlineRefitter, RefitJob, RefitResult, Refitter
 from adaptive_contact.model import Library
-from adaptive_contact.model.labelled_swing import ROW, Rows
 from adaptive_contact.model.leg_prior import leg_prior
-from adaptive_contact.model.library import with_changes
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service import refits
 from adaptive_contact.service.refit_process import end_process, start_process
-from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter, result_of_lost
+from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter
 from waiting import until
 
 # A worker that reads a job and hangs within its answer.
@@ -69,29 +61,6 @@ class Large(RefitJob):
 
 
 @dataclasses.dataclass(frozen=True)
-class Deadly(RefitJob):
-    """A fit that no process survives."""
-
-    def run(self) -> RefitResult:
-        os.kill(os.getpid(), signal.SIGKILL)
-        raise AssertionError
-
-
-@dataclasses.dataclass(frozen=True)
-class Noted:
-    """Leaves a line where it was done."""
-
-    leg: str
-    number: int
-    path: str
-
-    def run(self) -> str:
-        with Path(self.path).open("a") as file:
-            file.write(f"{self.leg} {self.number}\n")
-        return "done"
-
-
-@dataclasses.dataclass(frozen=True)
 class Standing:
     """Tells how the process stands: its priority, its threads, and what it would have to import."""
 
@@ -109,7 +78,7 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Large, Deadly, Noted, Standing):
+    for kind in (Large, Standing):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
     made = ProcessRefitter(timeout_s=120.0)
@@ -140,14 +109,7 @@ def large(number: int) -> Large:
 
 
 def wait(refitter: Refitter, leg: str, number: int) -> object:
-    found: list[object] = []
-
-    def there() -> bool:
-        found[:] = [refitter.collect(leg, number)]
-        return found[0] is not None
-
-    until(there)
-    return found[0]
+    return until(lambda: refitter.collect(leg, number))
 
 
 def refitted(refitter: Refitter, job: RefitJob) -> RefitResult:
@@ -155,11 +117,6 @@ def refitted(refitter: Refitter, job: RefitJob) -> RefitResult:
     found = wait(refitter, job.leg, job.number)
     assert isinstance(found, RefitResult)
     return found
-
-
-def _submitted(refitter: ProcessRefitter, job: Standing | Noted) -> int:
-    refitter.submit(job)  # type: ignore[arg-type]
-    return job.number
 
 
 @pytest.mark.e2e
@@ -181,7 +138,9 @@ def test_the_result_is_that_of_a_refit_in_line(
 
 
 @pytest.mark.e2e
-def test_a_replay_waits_for_its_results() -> None:
+def test_a_replay_waits_for_its_results_and_leaves_no_process(
+    started: list[subprocess.Popen[bytes]],
+) -> None:
     inline = InlineRefitter()
     with contextlib.closing(WaitingRefitter(timeout_s=120.0)) as refitter:
         for number in (1, 2):
@@ -191,38 +150,8 @@ def test_a_replay_waits_for_its_results() -> None:
             for leg in ("lf", "rf"):
                 expected, found = inline.collect(leg, number), refitter.collect(leg, number)
                 assert np.array_equal(coefficients(found), coefficients(expected))
-
-
-@pytest.mark.e2e
-def test_a_replay_without_refits_leaves_no_process(
-    started: list[subprocess.Popen[bytes]],
-) -> None:
-    WaitingRefitter().close()
     (process,) = started
     assert process.poll() is not None
-
-
-@pytest.mark.e2e
-def test_a_process_that_hangs_before_a_large_job_is_replaced(
-    refitter: ProcessRefitter,
-    started: list[subprocess.Popen[bytes]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    assert refitted(refitter, job()).status is FitStatus.OK
-    (hanging,) = started
-    hanging.send_signal(signal.SIGSTOP)
-    start = start_process
-
-    def patient() -> subprocess.Popen[bytes]:
-        refitter.timeout_s = 120.0  # the next one has to import everything first
-        return start()
-
-    monkeypatch.setattr(refits, "start_process", patient)
-    refitter.timeout_s = 1.0
-    # The job fills the pipe, so that writing it never ends by itself.
-    assert refitted(refitter, large(2)).status is FitStatus.OK
-    assert refitter.failures == 0
-    assert hanging.wait(60) == -signal.SIGKILL
 
 
 @pytest.mark.e2e
@@ -275,18 +204,6 @@ def test_closing_does_not_wait_for_a_process_that_hangs(
 
 
 @pytest.mark.e2e
-def test_a_job_that_kills_its_process_twice_is_answered_as_failed(
-    refitter: ProcessRefitter,
-) -> None:
-    deadly = Deadly(**{f.name: getattr(job(), f.name) for f in dataclasses.fields(RefitJob)})
-    found = refitted(refitter, deadly)
-    assert found.status is FitStatus.LOST
-    assert found.start is None
-    assert refitter.failures == 1
-    assert refitted(refitter, job("rf", 2)).status is FitStatus.OK
-
-
-@pytest.mark.e2e
 def test_a_process_that_cannot_be_started_costs_its_job_and_no_other(
     refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,8 +249,8 @@ def test_it_stands_behind_others_in_one_thread_and_has_loaded_all(
     starter.start()
     starter.join()
     until(lambda: started)
-    found = wait(refitter, "rf", _submitted(refitter, Standing("rf", 1)))
-    assert found == (os.SCHED_OTHER, min(nice + 5, 19), {1}, [])
+    refitter.submit(Standing("rf", 1))  # type: ignore[arg-type]
+    assert wait(refitter, "rf", 1) == (os.SCHED_OTHER, min(nice + 5, 19), {1}, [])
     assert len(started) == 1
 
 
@@ -349,68 +266,4 @@ def test_one_that_was_started_before_is_used_and_ended(
     end_process(process)  # once more does no harm
 
 
-@pytest.mark.e2e
-def test_only_the_newest_job_of_a_leg_waits(
-    refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
-    done = tmp_path / "done"
-    assert wait(refitter, "rf", _submitted(refitter, Noted("rf", 0, str(done)))) == "done"
-    started[0].send_signal(signal.SIGSTOP)
-    for number in range(1, 50):
-        for leg in ("rf", "lf"):
-            _submitted(refitter, Noted(leg, number, str(done)))
-    started[0].send_signal(signal.SIGCONT)
-    for leg in ("rf", "lf"):
-        assert wait(refitter, leg, 49) == "done"
-        assert refitter.collect(leg, 48) is None
-    # One may have been under way when the others came; all that waited in between is void.
-    first, *under_way, last, newest = done.read_text().splitlines()
-    assert first == "rf 0"
-    assert len(under_way) <= 1
-    assert {last, newest} == {"rf 49", "lf 49"}
-
-
 # -- What a leg is told of a refit that was given up
-
-WHY = "the process that fits died or took too long"
-
-
-class Giving:
-    """Gives up every refit, as lost or with another status in its place."""
-
-    def __init__(self, up_with: FitStatus) -> None:
-        self._status = up_with
-        self._result: object = None
-
-    def submit(self, job: Job) -> None:
-        """Fail at once."""
-        result = result_of_lost(job)
-        assert result.status is FitStatus.LOST
-        self._result = dataclasses.replace(result, status=self._status)
-
-    def collect(self, leg: str, number: int) -> object:
-        """The failure."""
-        return self._result
-
-
-def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> None:
-    """Through the leg's own refits, whose reason is what LearnerStatus carries."""
-    plain = Library("linear", ("a", "b"), ("pitch", "pitch"))
-    library = with_changes(plain, np.zeros((plain.size, 2)))
-    p = library.size
-    rng = np.random.default_rng(0)
-    buffer = ReplayBuffer()
-    for _ in range(40):
-        values = np.concatenate([np.tile(rng.normal(size=p), (12, 1)), np.zeros((12, 4))], axis=1)
-        buffer.add(Rows(values, np.zeros(12, dtype=ROW), 2), 0, 0)
-    for status, words in (
-        (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
-        (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
-    ):
-        refit = PeriodicRefit("rf", library, 0.005, Giving(up_with=status))
-        for _ in range(first_refit_after("rf")[0]):
-            refit.end_swing(buffer, 0, learned=True)
-        for _ in range(REFIT_DUE_TICKS + 1):
-            refit.tick()
-        assert refit.counts.refused == 1
-        assert refit.counts.last_reason == words

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import gc
 import itertools
 import math
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any
+from unittest import mock
 
+import msgspec
 import pytest
-from rig import at_work
 from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot, parse_robot
@@ -40,6 +39,7 @@ from adaptive_contact.wire import (
     servo_key,
 )
 from adaptive_contact.wire.received import Received
+from rig import at_work
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -66,25 +66,6 @@ class Lockstep:
         self.service.work(Batch(samples=raws), now_ns)
         self.service.finish()
         self.service.look(now_ns)
-
-
-class OneDisk:
-    """A keeper that saves nothing and reports what its disk is set to."""
-
-    def __init__(self) -> None:
-        self.error: str | None = None
-
-    @property
-    def facts(self) -> StateFacts:
-        return StateFacts(
-            folder="kept", restored=[], refused=[], saved=0, failed=0, error=self.error
-        )
-
-    def restore(self, *_: object) -> None:
-        return None
-
-    def due(self, *_: object) -> bool:
-        return False
 
 
 @pytest.fixture
@@ -200,20 +181,13 @@ BAD: dict[str, Callable[[Sample], bytes]] = {
 
 
 def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
-    router: Link,
-    join: Callable[..., Link],
-    inbox: Any,
-    fake: ModuleType,
-    robot: Robot,
-    sample: Sample,
+    step: Lockstep, inbox: Any, fake: ModuleType, robot: Robot, sample: Sample
 ) -> None:
-    bank = fake.FakeBank(robot)
-    service = Service(router, bank, robot, baseline=None, now_ns=time.monotonic_ns())
-    client, events, told = join(router.endpoints[0]), inbox(ContactEvent), inbox(ServiceStatus)
-    client.subscribe(contact_key("extra"), events, history=True)
-    client.subscribe(SERVICE_STATUS, told)
-    client.query(SERVICE_STATUS)
-    with at_work(service):
+    bank, client = step.bank, step.client
+    events = inbox(ContactEvent).hears(client, contact_key("extra"), history=True)
+    told = inbox(ServiceStatus).hears(client, SERVICE_STATUS)
+    step.settle()
+    with at_work(step.service):
         for reason, payload in BAD.items():
             for n in range(8):
                 client.publisher(servo_key(f"{reason}{n}")).put_raw(payload(sample), MSGPACK)
@@ -231,27 +205,23 @@ def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
 
 
 def test_a_learner_that_is_being_made_holds_up_no_event(
-    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
-    sample: Sample, monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    step: Lockstep, inbox: Any, sample: Sample, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Who invents legs costs those that are described nothing."""
-    bank = fake.FakeBank(robot)
-    service = Service(router, bank, robot, baseline=None, now_ns=time.monotonic_ns())
-    making, go_on, make = threading.Event(), threading.Event(), bank.make
+    making, go_on, make = threading.Event(), threading.Event(), step.bank.make
 
     def slow(leg: str, joints: int) -> object:
         making.set()
         assert go_on.wait(60)
         return make(leg, joints)
 
-    monkeypatch.setattr(bank, "make", slow)
-    client, events = join(router.endpoints[0]), inbox(ContactEvent)
-    client.subscribe(ALL_CONTACT, events)
-    client.query(SERVICE_STATUS)
-    with at_work(service, go_on):
-        client.publisher(servo_key("extra")).put(sample(1, contact=True))
+    monkeypatch.setattr(step.bank, "make", slow)
+    events = inbox(ContactEvent).hears(step.client, ALL_CONTACT)
+    step.settle()
+    with at_work(step.service, go_on):
+        step.client.publisher(servo_key("extra")).put(sample(1, contact=True))
         assert making.wait(60)
-        client.publisher(servo_key("lf")).put(sample(1, contact=True))
+        step.client.publisher(servo_key("lf")).put(sample(1, contact=True))
         assert events.wait(1)[0].leg == "lf"
         go_on.set()
         assert events.wait(2)[1].leg == "extra"
@@ -284,27 +254,25 @@ def test_a_complaint_that_comes_or_goes_is_published_at_once(
     router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot, inbox: Any
 ) -> None:
     """Not a second later: who reads "state is saved again" in the log looks at `watch` next."""
-    disk: Any = OneDisk()
+    facts = StateFacts(folder="kept", restored=[], refused=[], saved=0, failed=0, error=None)
+    disk = mock.Mock(facts=facts)
+    disk.restore.return_value, disk.due.return_value = None, False
     service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, keeper=disk)
     client = join(router.endpoints[0])
     got = inbox(ServiceStatus).hears(client, SERVICE_STATUS, history=True)
     client.query(SERVICE_STATUS)
     errors = [None, None, "disk full", "disk full, still", None, None]
     for tick, error in enumerate(errors):
-        disk.error = error
+        disk.facts = msgspec.structs.replace(facts, error=error)
         service.look(tick * 100 * MS)
     service.look(S + 400 * MS)
     notes = [(status.note, status.uptime_s) for status in got.wait(4)]
     assert notes == [(None, 0.0), ("state: disk full", 0.2), (None, 0.4), (None, 1.4)]
 
 
-def test_models_are_told_when_asked(
-    router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot
-) -> None:
-    bank = fake.FakeBank(robot)
-    service = Service(router, bank, robot, baseline=None, now_ns=0)
-    client = join(router.endpoints[0])
-    with at_work(service):
+def test_models_are_told_when_asked(step: Lockstep) -> None:
+    bank, client = step.bank, step.client
+    with at_work(step.service):
         replies = client.query(model_key("*"))
         reports = [decode(reply.payload, ModelReport, reply.encoding) for reply in replies]
         assert sorted(r.leg for r in reports if isinstance(r, ModelReport)) == ["lf", "rf"]
@@ -321,29 +289,19 @@ def test_models_are_told_when_asked(
 
 
 def test_an_event_does_not_wait_for_learning(
-    router: Link,
-    join: Callable[..., Link],
-    inbox: Any,
-    fake: ModuleType,
-    robot: Robot,
-    sample: Sample,
-    monkeypatch: pytest.MonkeyPatch,
+    step: Lockstep, inbox: Any, sample: Sample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bank = fake.FakeBank(robot)
-    got = inbox(ContactEvent)
     heard, learned = threading.Event(), threading.Event()
 
     def finish() -> None:
         if heard.wait(5):
             learned.set()
 
-    service = Service(router, bank, robot, baseline=None, now_ns=0)
-    monkeypatch.setattr(bank, "finish", finish)
-    client = join(router.endpoints[0])
-    client.subscribe(ALL_CONTACT, got)
-    client.query(SERVICE_STATUS)
-    with at_work(service, heard):
-        client.publisher(servo_key("lf")).put(sample(1, contact=True))
+    monkeypatch.setattr(step.bank, "finish", finish)
+    got = inbox(ContactEvent).hears(step.client, ALL_CONTACT)
+    step.settle()
+    with at_work(step.service, heard):
+        step.client.publisher(servo_key("lf")).put(sample(1, contact=True))
         assert got.wait(1)[0].contact
         assert not learned.is_set()
         heard.set()
@@ -384,15 +342,6 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
 
 
 # -- Garbage is collected between ticks, and not by Python
-
-
-@pytest.fixture
-def sweeper() -> Iterator[Sweeper]:
-    made = Sweeper(most_objects=5000)
-    made.start(0)
-    yield made
-    gc.enable()
-    gc.unfreeze()
 
 
 def test_garbage_is_collected_after_a_tick(

@@ -52,15 +52,12 @@ def test_any_text_is_an_endpoint_or_a_clear_refusal(text: str) -> None:
     assert endpoint(full) == full
 
 
-@pytest.mark.parametrize("name", ["hexapod1", "lab/hexapod1", "a.b-c_d/9"])
-def test_good_namespaces(name: str) -> None:
-    assert client_settings(namespace=name).namespace == name
-
-
 @pytest.mark.parametrize("name", ["", "/a", "a/", "a//b", "*", "a/**", "a b", "$x", "é", "@/x"])
 def test_bad_namespaces(name: str) -> None:
     with pytest.raises(ConfigurationError, match="namespace"):
         client_settings(namespace=name)
+    for good in ("hexapod1", "lab/hexapod1", "a.b-c_d/9"):
+        assert client_settings(namespace=good).namespace == good
 
 
 def test_the_service_listens_on_loopback_unless_it_only_joins() -> None:

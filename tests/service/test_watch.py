@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import io
-import json
 import re
-import subprocess
 import time
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -24,8 +21,7 @@ from adaptive_contact.wire import (
     DriftLevel,
     LearnerStatus,
     LegState,
-    ServoSample,
-    servo_key,
+    contact_key,
     state_key,
     truth_key,
 )
@@ -64,6 +60,11 @@ def test_events_and_statuses_make_a_row() -> None:
     assert row(watch, 7 * S).contact is False
     assert row(watch, 7 * S).contact_age_s == 3.0
     assert row(watch, 7 * S).stale, "the last status is 4 s old"
+    watch.event(event(3), 8 * S, age_ns=4 * S)  # as a late joiner hears it
+    assert row(watch, 8 * S).contact_age_s == 4.0
+    for ticks in (10, 60):  # of a service that was restarted
+        watch.learner(status(ticks=ticks), (8 + ticks // 60) * S)
+    assert row(watch, 9 * S).rate_hz == 50.0
 
 
 def test_p_is_of_the_newest_state_or_event_while_that_is_fresh() -> None:
@@ -103,24 +104,15 @@ def test_states_are_asked_for_by_who_shows_p(router: Link) -> None:
 
         until(lambda: p() == 0.75)
         assert states.matched
+        truths, contacts = own.publisher(truth_key("rf")), own.publisher(contact_key("rf"))
+        for t_ms in (100, 300, 500, 700):  # the first touch is neither seen nor missed
+            matched(truths).put(truth(t_ms, t_ms % 400 == 300))
+        contacts.put(event(710))
+        until(lambda: p() and feed.view(time.monotonic_ns()).legs[0].latency_ms == 10.0)
         feed_without = Feed(router)
         for _ in range(5):
             assert p() == 0.75
         assert all(leg.p is None for leg in feed_without.view(time.monotonic_ns()).legs)
-
-
-def test_a_late_joiner_knows_how_old_the_contact_is() -> None:
-    watch = Watch()
-    watch.event(event(1), 10 * S, age_ns=4 * S)
-    assert row(watch, 11 * S).contact_age_s == 5.0
-
-
-def test_a_restarted_service_gives_no_negative_rate() -> None:
-    watch = Watch()
-    watch.learner(status(ticks=1000), 0)
-    watch.learner(status(ticks=10), 1 * S)
-    watch.learner(status(ticks=60), 2 * S)
-    assert row(watch, 2 * S).rate_hz == 50.0
 
 
 def test_contacts_that_did_not_arrive_are_counted() -> None:
@@ -182,24 +174,6 @@ def test_what_a_leg_has_changed_in_and_when_is_shown() -> None:
     assert "load" in drawn(watch.view(0)), "its time was of another clock"
 
 
-def test_two_services_whose_counts_differ_are_no_loss() -> None:
-    watch = Watch()
-    for second in range(60):
-        watch.event(event(1000 * second + 500), second * S)
-        watch.learner(status(t_ns=second * S, contacts=second), second * S)
-        watch.learner(status(t_ns=second * S + 1, contacts=5000 + second), second * S)
-    assert row(watch).unheard <= 1
-
-
-def test_a_contact_that_a_status_overtakes_is_not_lost() -> None:
-    watch = Watch()
-    watch.learner(status(t_ns=0), 0)
-    for second in range(1, 2000):
-        watch.learner(status(t_ns=second * S, contacts=second), second * S)
-        watch.event(event(second * 1000 - 300), second * S)
-    assert row(watch).unheard == 0
-
-
 @pytest.mark.parametrize(
     ("event_ms", "seen", "false_alarms"),
     [
@@ -223,6 +197,38 @@ def test_truth_judges_events(event_ms: float, seen: int, false_alarms: int) -> N
     assert leg.latency_ms == (event_ms - 1000 if seen else None)
 
 
+@pytest.mark.parametrize(
+    ("watch", "truths", "events", "counted"),
+    [
+        # Truth that comes after the event still counts.
+        (after_one_swing(), [(500, False), (1000, True)], [1020], (1, 1, 0)),
+        # A leg that is first seen loaded has not touched.
+        (Watch(), [(1000, True), (1100, False)], [1020], (0, 0, 0)),
+        # Chatter is one touch, and an event matches once.
+        (
+            after_one_swing(),
+            [(0, False), (100, True), (110, False), (130, True), (400, False)],
+            [112, 450],
+            (1, 1, 1),
+        ),
+        # The event of the first touch after joining may have come before anybody listened.
+        (Watch(), [(500, False), (1000, True)], [10, 1020], (0, 0, 0)),
+    ],
+)
+def test_touches_are_counted_in_any_order(
+    watch: Watch,
+    truths: list[tuple[int, bool]],
+    events: list[int],
+    counted: tuple[int, int, int],
+) -> None:
+    for t_ms in events:
+        watch.event(event(t_ms), 1 * S)
+    for t_ms, contact in truths:
+        watch.truth("rf", truth(t_ms, contact), 1 * S)
+    leg = row(watch, 5 * S)
+    assert (leg.touches, leg.seen, leg.false_alarms) == counted
+
+
 def test_touches_while_the_service_compiles_are_not_missed() -> None:
     watch = Watch()
     watch.service(service(instance="", note="compiling"))
@@ -237,45 +243,6 @@ def test_touches_while_the_service_compiles_are_not_missed() -> None:
     )
 
 
-def test_truth_that_comes_after_the_event_still_counts() -> None:
-    watch = after_one_swing()
-    watch.truth("rf", truth(500, False), 0)
-    watch.event(event(1020), 2 * S)
-    watch.view(2 * S + 10 * MS)
-    watch.truth("rf", truth(1000, True), 0)
-    assert row(watch, 3 * S).latency_ms == 20.0
-
-
-def test_a_leg_first_seen_loaded_has_not_touched() -> None:
-    watch = Watch()
-    watch.truth("rf", truth(1000, True), 0)
-    watch.truth("rf", truth(1100, False), 0)
-    watch.event(event(1020), 1 * S)
-    leg = row(watch, 2 * S)
-    assert (leg.touches, leg.seen, leg.false_alarms) == (0, 0, 0)
-
-
-def test_chatter_is_one_touch_and_one_event_matches_once() -> None:
-    watch = after_one_swing()
-    for t_ms, contact in [(0, False), (100, True), (110, False), (130, True), (400, False)]:
-        watch.truth("rf", truth(t_ms, contact), 0)
-    watch.event(event(112), 1 * S)
-    watch.event(event(450), 1 * S)
-    leg = row(watch, 2 * S)
-    assert (leg.touches, leg.seen, leg.false_alarms) == (1, 1, 1)
-
-
-def test_the_first_touch_after_joining_is_neither_seen_nor_missed() -> None:
-    """Its event may have come before anybody listened, or come while the truth did not."""
-    watch = Watch()
-    watch.event(event(10), 1 * S)
-    watch.event(event(1020), 1 * S)
-    watch.truth("rf", truth(500, False), 1 * S)
-    watch.truth("rf", truth(1000, True), 1 * S)
-    leg = row(watch, 5 * S)
-    assert (leg.touches, leg.seen, leg.false_alarms) == (0, 0, 0)
-
-
 def test_a_touch_whose_event_may_still_come_is_not_missed() -> None:
     """A table printed 0.1 s after a touch shows no miss that is none."""
     watch = after_one_swing()
@@ -288,41 +255,6 @@ def test_a_touch_whose_event_may_still_come_is_not_missed() -> None:
     watch.truth("rf", truth(2000, True), 4 * S)
     leg = row(watch, 5 * S)
     assert (leg.touches, leg.seen) == (2, 1), "by then it is missed"
-
-
-@pytest.mark.e2e
-def test_the_command_over_zenoh(
-    serve: Any, cli: Any, join: Callable[..., Any], sample: Callable[..., ServoSample], rig: Any
-) -> None:
-    served = serve()
-    client = join(served.endpoint)
-    # A publisher that does not wait drops messages beside other work.
-    servo, real = (client.publisher(key("rf"), reliable=True) for key in (servo_key, truth_key))
-    matched(servo)
-    arguments = ("watch", "--connect", served.endpoint, "--once")
-    watching = cli(*arguments, "--json", "--seconds", "3", stderr=subprocess.DEVNULL)
-    # Until it subscribes there is nobody for the truth; from then on it sees the touches.
-    matched(real)
-    real.put(truth(0, False))
-    real.put(truth(100, True))
-    real.put(truth(300, False))
-    for seq in range(1, 40):
-        if seq == 29:
-            real.put(truth(20 * seq - 5, True))
-        servo.put(sample(seq, contact=seq >= 29))
-    standing = rig.Robot50(served.endpoint, epoch_ns=0, first=40, touch=lambda _: True)
-    assert watching.wait() == 0
-    view = json.loads("".join(watching.lines))
-    assert view["alive"]
-    assert view["service"]["robot"] == "mini"
-    (leg,) = [leg for leg in view["legs"] if leg["leg"] == "rf"]
-    assert (leg["contact"], leg["touches"], leg["seen"]) == (True, 1, 1)
-    assert leg["latency_ms"] == 5.0
-    drawing = cli(*arguments, "--seconds", "0.3")
-    assert drawing.wait() == 0
-    standing.close()
-    assert "mini" in "".join(drawing.lines)
-    assert "CONTACT" in "".join(drawing.lines)
 
 
 @pytest.mark.e2e
@@ -368,9 +300,11 @@ def lines(view: View, width: int) -> list[str]:
     return out.getvalue().splitlines()
 
 
-def test_a_leg_whose_status_has_not_come_yet_says_so() -> None:
+def test_a_leg_whose_status_has_not_come_yet_says_so_in_its_place() -> None:
     watch = Watch()
+    watch.event(event(1, leg="aa"), 0)
     watch.service(service())
+    assert [leg.leg for leg in watch.view(0).legs] == ["rf", "lf", "aa"]
     (row,) = [line for line in lines(watch.view(S), 120) if line.startswith("rf ")]
     assert row.split()[:3] == ["rf", "unknown", "waiting"]
 
@@ -393,13 +327,6 @@ def test_a_row_is_a_line_at_any_width(width: int) -> None:
     if width >= 80:
         for column in ("state", "status", "last contact", "seen", "false", "missed", "rejects"):
             assert column in head
-
-
-def test_rows_come_in_the_order_of_the_robot() -> None:
-    watch = Watch()
-    watch.event(event(1, leg="aa"), 0)
-    watch.service(service())
-    assert [leg.leg for leg in watch.view(0).legs] == ["rf", "lf", "aa"]
 
 
 def test_the_table_says_what_matters() -> None:
@@ -440,13 +367,9 @@ def test_p_has_a_column_where_it_is_known() -> None:
     legs = [LegView(leg="lf", contact=True, p=0.987), LegView(leg="rf", contact=False)]
     head, _, lf, rf = lines(View(legs=legs, alive=True), 120)[2:6]
     assert (head.split()[3], lf.split()[3], rf.split()[3]) == ("p", "0.99", "-")
-    assert " p " not in "\n".join(lines(View(legs=legs[1:], alive=True), 120))
-
-
-def test_without_truth_there_are_no_columns_of_it() -> None:
-    watch = Watch()
-    watch.learner(status(), 0)
-    assert "latency" not in drawn(watch.view(0))
+    without = "\n".join(lines(View(legs=legs[1:], alive=True), 120))
+    assert " p " not in without
+    assert "latency" not in without, "that is of truth, which nobody tells"
 
 
 def test_the_headline_says_what_is_wrong_as_a_whole() -> None:

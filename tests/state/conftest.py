@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from adaptive_contact.service.state import StateStore, list_states
+from adaptive_contact.service.state import StateStore
 from adaptive_contact.service.state.format import Position
 from adaptive_contact.service.state.keeper import StateKeeper
 
@@ -78,6 +78,7 @@ class Folder:
     def close(self) -> None:
         if self.keeper is not None:
             self.keeper.close(5.0)
+            self.keeper = None
 
     def save(self, number: int) -> None:
         keeper, desk = self.begin()
@@ -92,10 +93,6 @@ class Folder:
             keeper.restore("rf", made, "servo", 0)
         lines = [f"{line['event']}: {line.get('why', '')}" for line in logs]
         return made.number, keeper.facts.refused, lines
-
-    @property
-    def files(self) -> list[Path]:
-        return [stored.path for stored in list_states(self.path)]
 
 
 @pytest.fixture

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import itertools
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -47,21 +45,6 @@ def test_the_learners_own_refusal_is_told_and_it_starts_clean(folder: Folder) ->
     assert lines == ["state refused: of 3 joints"]
 
 
-def test_of_many_refusals_the_first_are_told_and_how_many_more(folder: Folder) -> None:
-    keeper = folder.open()
-    for number in range(6):
-        leg = f"l{number}"
-        keeper.restore(leg, Learner(), "servo", 0)
-        save(keeper, Desk(leg))
-    keeper = folder.open()
-    for number in range(6):
-        keeper.restore(f"l{number}", Learner(joints=4), "servo", 0)
-        assert len(keeper.facts.refused) == min(number + 1, 5)
-    told = keeper.facts.refused
-    assert [line.endswith(": of 3 joints") for line in told] == [True] * 4 + [False]
-    assert told[-1] == "2 more, as the log says"
-
-
 def test_other_settings_start_clean_and_keep_the_old(folder: Folder) -> None:
     folder.save(1)
     with capture_logs() as logs:
@@ -92,28 +75,6 @@ def test_every_ten_seconds_and_at_once_after_a_promotion(folder: Folder) -> None
     keeper.snapshot(desk, 12 * S)
     desk.hear()
     assert not keeper.due(desk, 13 * S)
-
-
-def test_legs_are_not_due_together(folder: Folder) -> None:
-    keeper = folder.open()
-    desks = [Desk(leg) for leg in ("lf", "lm", "lr", "rf", "rm", "rr")]
-    for desk in desks:
-        keeper.restore(desk.leg, desk.learner, "servo", 0)
-        desk.hear()
-    due = [[desk.leg for desk in desks if keeper.due(desk, s * S)] for s in range(1, 11)]
-    assert len(due[-1]) == 6
-    assert max(len(b) - len(a) for a, b in itertools.pairwise(due)) == 1
-
-
-def test_a_promotion_before_the_first_save_is_saved_at_once(folder: Folder) -> None:
-    keeper = folder.open()
-    for leg in ("lf", "lm", "lr", "rm", "rr", "rf"):  # the last one's turn comes late
-        keeper.restore(leg, Learner(), "servo", 0)
-    desk = Desk()
-    desk.hear()
-    assert not keeper.due(desk, 0), "what it began with is no promotion"
-    desk.model_version = 2
-    assert keeper.due(desk, 1)
 
 
 def test_settings_are_told_apart() -> None:
@@ -151,44 +112,19 @@ def test_robots_of_one_kind_are_told_apart_by_their_namespaces(tmp_path: Path) -
 # -- A disk that is slow, full or closed, and a state that fits no file: told, and nobody wai
 
 
-@contextlib.contextmanager
-def unprivileged() -> Iterator[None]:
-    """Be nobody, where the tests are run by root, who may do everything."""
-    if os.geteuid() != 0:
-        yield
-        return
-    try:
-        os.seteuid(65534)
-    except OSError:
-        pytest.skip("this root can become nobody else")
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-
-
-def slowed(
+def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> tuple[threading.Event, threading.Event, list[int]]:
-    """A disk that saves once it may: whether it has begun, that it may, and what it has saved."""
-    writing, go_on, written = threading.Event(), threading.Event(), list[int]()
-    save = folder.store.save
+) -> None:
+    keeper, desk = folder.begin()
+    writing, go_on, written, save_ = threading.Event(), threading.Event(), [], folder.store.save
 
     def slow(record: Record) -> None:
         writing.set()
         assert go_on.wait(60)
         written.append(record.body["number"])
-        save(record)
+        save_(record)
 
     monkeypatch.setattr(folder.store, "save", slow)
-    return writing, go_on, written
-
-
-def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keeper, desk = folder.begin()
-    writing, go_on, written = slowed(folder, monkeypatch)
     for number in range(1, 6):
         desk.learner.number = number  # type: ignore[attr-defined]
         desk.hear()
@@ -198,26 +134,6 @@ def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
     go_on.set()
     assert keeper.flush(5)
     assert written == [1, 5]
-
-
-def test_a_disk_that_is_too_slow_at_the_end_is_told(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keeper = folder.open()
-    writing, go_on, _ = slowed(folder, monkeypatch)
-    for leg in ("lf", "rm", "lr"):  # the first is being written, the others wait
-        desk = Desk(leg)
-        keeper.restore(leg, desk.learner, "servo", 0)
-        desk.hear()
-        keeper.snapshot(desk, 0)
-        assert writing.wait(60)
-    with capture_logs() as logs:
-        keeper.close(0.01)
-    folder.keeper = None
-    go_on.set()
-    (line,) = logs
-    assert line["event"] == "state not saved in time, the one before it stays"
-    assert line["legs"] == "lf lr rm"
 
 
 def test_the_end_waits_for_a_slow_disk_and_is_over_before_the_service_is_killed(
@@ -265,7 +181,6 @@ def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
 ) -> None:
     folder.save(9)
     folder.close()
-    folder.keeper = None
 
     opens = os.open
 
@@ -286,24 +201,6 @@ def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
     desk = Desk()
     desk.hear()
     assert not folder.keeper.due(desk, 100 * S)
-
-
-def test_a_folder_that_may_not_be_looked_into_is_one_line(folder: Folder) -> None:
-    """Not two more for each leg, of files that may not even be there."""
-    folder.save(9)
-    folder.close()
-    folder.keeper = None
-    folder.path.chmod(0)
-    try:
-        with unprivileged():
-            number, refused, lines = folder.restored()
-    finally:
-        folder.path.chmod(0o700)
-    assert (number, refused) == (0, [])
-    assert lines == [
-        f"state is not saved: {folder.store.folder} cannot be written to (permission denied); "
-        "give another --state DIR, or --no-state"
-    ]
 
 
 def raises() -> dict[str, object]:
@@ -338,21 +235,6 @@ def test_a_state_that_cannot_be_kept_is_counted_told_and_ends_no_other(
     assert (logs[0]["event"], logs[0]["leg"]) == ("state not saved", "lf")
     assert why in logs[0]["why"]
     assert folder.restored()[0] == 3
-
-
-def test_a_folder_that_is_anothers_is_not_written_to_at_the_end(folder: Folder) -> None:
-    """A service that stops has every leg saved, due or not: its own, where it has a folder."""
-    folder.save(5)
-    store = StateStore.open(folder.path, "mini")
-    with capture_logs():
-        second = StateKeeper(store, "mini", lambda _: "s")
-        desk = Desk(learner=Learner(6))
-        second.restore("rf", Learner(), "servo", 0)
-        desk.hear()
-        second.snapshot(desk, 0)
-        second.close(5.0)
-    assert second.facts.saved == 0
-    assert folder.restored()[0] == 5
 
 
 def test_a_folder_that_becomes_free_is_used(folder: Folder) -> None:

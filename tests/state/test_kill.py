@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,8 +15,9 @@ from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.service.state import Record, StateStore, list_states
 from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
-from adaptive_contact.wire import ServoSample, decode, servo_key
+from adaptive_contact.wire import decode
 from programs import Program
+from rig import Robot50
 from waiting import until
 
 from .saver import LEGS, identity
@@ -66,32 +66,6 @@ def test_random_kills(tmp_path: Path) -> None:
 
 
 @contextlib.contextmanager
-def fed(endpoint: str) -> Iterator[None]:
-    """Six legs that stand still at 50 Hz: enough for the service to keep and to save them."""
-    stop = threading.Event()
-
-    def feed(link: Link) -> None:
-        publishers = {leg: link.publisher(servo_key(leg)) for leg in shipped_robot().leg_ids}
-        seq = 0
-        while not stop.wait(0.02):
-            seq += 1
-            sample = ServoSample(
-                t_ns=seq * 20_000_000, seq=seq, measured=[0.0] * 3, desired=[0.0] * 3, run=1
-            )
-            for publisher in publishers.values():
-                publisher.put(sample)
-
-    with Link.open(client_settings([endpoint], wait=False)) as link:
-        thread = threading.Thread(target=feed, args=[link])
-        thread.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            thread.join(5)
-
-
-@contextlib.contextmanager
 def serving(endpoint: str, folder: Path) -> Iterator[None]:
     """The real service, killed at the end."""
     words = ("-m", "adaptive_contact", "serve", "--connect", endpoint, "--state", folder)
@@ -121,7 +95,8 @@ def test_random_kills_of_a_whole_service(tmp_path: Path) -> None:
     legs = len(shipped_robot().leg_ids)
     with Link.open(router_settings(["tcp/127.0.0.1:0"])) as router:
         endpoint = router.endpoints[0]
-        with fed(endpoint), Link.open(client_settings([endpoint], wait=False)) as link:
+        robot = Robot50(endpoint, shipped_robot().leg_ids, run=1, touch=lambda _: False)
+        with contextlib.closing(robot), Link.open(client_settings([endpoint])) as link:
             with serving(endpoint, tmp_path):  # until then there may be nothing to open
                 wait_status(link, lambda s: s.state is not None and s.state.saved >= legs)
             for _ in range(kills):

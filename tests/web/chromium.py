@@ -124,11 +124,6 @@ class Tab:
             mobile=phone,
         )
 
-    def scheme(self, name: str) -> None:
-        """Prefer ``light`` or ``dark``."""
-        features = [{"name": "prefers-color-scheme", "value": name}]
-        self.call("Emulation.setEmulatedMedia", features=features)
-
     def go(self, url: str) -> None:
         """Go to a page."""
         result = self.call("Page.navigate", url=url)

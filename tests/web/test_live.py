@@ -257,25 +257,6 @@ _FOOT_COLOUR = """(leg) => {
 
 
 @pytest.mark.slow
-def test_legs_without_geometry_stand_where_their_names_say(tab: Tab) -> None:
-    for names in (
-        ["lf", "lm", "lr", "rf", "rm", "rr"],
-        ["FL", "FR", "RL", "RR"],
-        ["front_left", "front_right", "hind_left", "hind_right"],
-    ):
-        places = tab.value(f"above.schematic({names})")
-        for name, (*_, x, y) in zip(names, places, strict=True):
-            left = "left" in name or ("l" in name.lower() if len(name) == 2 else False)
-            if name in ("lr", "rl", "lf", "rf", "lm", "rm", "rr"):
-                left = name[0] == "l"
-            assert (y > 0) is left, name
-            front = name[-1] == "f" if name.islower() and len(name) == 2 else name[0] in "Ff"
-            assert (x > 0) is front, name
-    ring = tab.value("above.schematic(['a', 'b', 'c', 'd', 'e'])")
-    assert len({(round(x), round(y)) for *_, x, y in ring}) == 5
-
-
-@pytest.mark.slow
 def test_a_mark_stands_over_all_plots_and_can_be_gone_back_to(tab: Tab) -> None:
     tab.value("document.getElementById('mark-label').value = ' <b>slip</b> '")
     tab.value("document.getElementById('mark').click()")
@@ -350,20 +331,6 @@ def test_the_page_starts_and_stops_a_recording(
         tab.close()
         assert page.stop() == 0
         page.close()
-
-
-@pytest.mark.slow
-def test_six_legs_fill_a_large_screen(tab: Tab) -> None:
-    tab.size(2560, 1440)
-    tab.wait("innerWidth === 2560 && document.querySelectorAll('.leg').length === 6")
-    boxes = tab.value(
-        "[...document.querySelectorAll('.leg canvas')].map((one) => {"
-        " const box = one.getBoundingClientRect(); return [box.left, box.top, box.right,"
-        " box.bottom]; })"
-    )
-    area = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)
-    assert area > 0.75 * 2560 * 1440
-    assert max(bottom for *_, bottom in boxes) < 1440, "no leg has to be scrolled to"
 
 
 @pytest.mark.slow
@@ -523,20 +490,6 @@ globalThis.feedFrames = (first, count) => {
   }
 }
 """
-
-
-@pytest.mark.slow
-def test_pictures(tab: Tab, tmp_path: Path) -> None:
-    """A picture in light and dark: the page follows what the reader prefers."""
-    shades = {}
-    for scheme in ("light", "dark"):
-        tab.scheme(scheme)
-        tab.wait(f"document.documentElement.dataset.theme === '{scheme}'")
-        back = tab.value("getComputedStyle(document.body).backgroundColor")
-        shades[scheme] = sum(map(int, re.findall(r"\d+", back)[:3]))
-        tab.picture(tmp_path / f"{scheme}.png")
-    assert shades["light"] > 600
-    assert shades["dark"] < 150
 
 
 def test_a_port_in_use_and_options_that_do_not_go_together_are_one_line(robot: Robot) -> None:

@@ -249,10 +249,3 @@ def test_a_recording_ends_by_itself_and_with_the_page(
         file = json.loads(act(live, "/record/start")[1])["file"]
     assert Recording(tmp_path / file).about["key"] == "robot/**"
     assert not list(Recording(tmp_path / file))
-
-
-def test_closing_twice_is_safe() -> None:
-    live = LivePage(WebSettings())
-    live.close("over")
-    live.close()
-    live.wait()

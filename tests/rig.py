@@ -9,8 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
-import socket
-import sys
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -33,6 +32,8 @@ from adaptive_contact.wire import (
     servo_key,
 )
 from adaptive_contact.wire.received import Received
+from programs import Program
+from waiting import Every, until
 
 PERIOD_S = 0.02
 HALF = 10  # ticks of contact, ticks without
@@ -134,43 +135,40 @@ class Robot50(threading.Thread):
         self.link.close()
 
 
-class Pour(threading.Thread):
+class Pour(Every):
     """Publishes 2,000 samples a second of a leg, an event each, until closed."""
 
-    def __init__(self, endpoint: str, leg: str, *, zenoh_config: Path | None = None) -> None:
-        super().__init__(daemon=True)
+    def __init__(
+        self, endpoint: str, leg: str, *, zenoh_config: Path | None = None, run: int | None = None
+    ) -> None:
         self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
-        self.leg = leg
-        self.stop = threading.Event()
-        self.start()
+        self.publisher = self.link.publisher(servo_key(leg))
+        self.seqs = itertools.count(1)
+        self.run_id = run
+        super().__init__(0.01, self.pour)
 
-    def run(self) -> None:
-        publisher = self.link.publisher(servo_key(self.leg))
-        for seq in range(1, sys.maxsize):
-            if seq % 20 == 0 and self.stop.wait(0.01):
-                return
-            publisher.put(
+    def pour(self) -> None:
+        for seq in itertools.islice(self.seqs, 20):
+            self.publisher.put(
                 ServoSample(
                     t_ns=seq * 20_000_000,
                     seq=seq,
                     measured=[0.5 * (seq % 2), 0.1, 0.2],
                     desired=[0.0, 0.1, 0.2],
+                    run=self.run_id,
                 )
             )
 
     def close(self) -> None:
-        self.stop.set()
-        self.join(5)
+        super().close()
         self.link.close()
 
 
 class Bulk(Pour):
-    """Publishes 1.5 MB/s of what is no sample, until closed."""
+    """Publishes 3 MB/s of what is no sample, until closed."""
 
-    def run(self) -> None:
-        publisher = self.link.publisher(servo_key(self.leg))
-        while not self.stop.wait(0.02):
-            publisher.put_raw(bytes(30_000), MSGPACK)
+    def pour(self) -> None:
+        self.publisher.put_raw(bytes(30_000), MSGPACK)
 
 
 def uncounted(before: LearnerStatus, after: LearnerStatus) -> int:
@@ -186,33 +184,21 @@ class Listener:
         self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
         self.events: list[tuple[float, ContactEvent]] = []
         self.statuses: dict[str, LearnerStatus] = {}
-        self.words: list[tuple[str, str]] = []  # (leg, status) at each change
-        self._changed = threading.Condition()
         self.link.subscribe(ALL_CONTACT, self._event, history=True)
         self.link.subscribe(ALL_LEARNER, self._status)
 
     def _event(self, received: Received) -> None:
         event = decode(received.payload, ContactEvent, received.encoding)
         assert isinstance(event, ContactEvent)
-        with self._changed:
-            self.events.append((received.arrival_ns / 1e9, event))
-            self._changed.notify_all()
+        self.events.append((received.arrival_ns / 1e9, event))
 
     def _status(self, received: Received) -> None:
         status = decode(received.payload, LearnerStatus, received.encoding)
-        with self._changed:
-            before = self.statuses.get(status.leg)
-            if before is None or before.status != status.status:
-                self.words.append((status.leg, status.status))
-            self.statuses[status.leg] = status
-            self._changed.notify_all()
+        self.statuses[status.leg] = status
 
     def wait(self, test: Any, timeout_s: float = 30.0) -> None:
-        """Wait until ``test(self)`` holds; it is looked at whenever something arrives."""
-        with self._changed:
-            assert self._changed.wait_for(lambda: test(self), timeout_s), (
-                f"not in {timeout_s} s; {self.statuses}; last events {self.events[-3:]}"
-            )
+        """Wait until ``test(self)`` holds."""
+        until(lambda: test(self), lambda: (self.statuses, self.events[-3:]), timeout_s)
 
     def wait_event(
         self, leg: str, robot: Robot50, *, after: float, timeout_s: float = 30.0
@@ -234,8 +220,7 @@ class Listener:
 
     def steady(self, robot: Robot50, leg: str, count: int = 4) -> None:
         """From now on every change must come, once, at the tick at which it happens."""
-        with self._changed:
-            begin = len(self.events)
+        begin = len(self.events)
         self.wait(lambda me: len(me.of(leg, begin)) >= count)
         seqs = [event.seq for event in self.of(leg, begin)]
         assert all(event.contact == touches(event.seq) for event in self.of(leg, begin))
@@ -249,55 +234,20 @@ class Listener:
 
 
 class Wire:
-    """A TCP wire between a client and a router that can be cut: nothing passes, nobody is told."""
+    """A wire between a client and a router that can be cut: nothing passes, nobody is told."""
 
     def __init__(self, endpoint: str) -> None:
-        host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
-        self._target = (host, int(port))
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
-        self._whole = threading.Event()
-        self._whole.set()
-        self._closing = False
-        self._sockets: list[socket.socket] = []
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._proxy = Program("-c", PROXY, endpoint.removeprefix("tcp/"))
+        self.endpoint = f"tcp/{self._proxy.wait_line('127').string}"
 
     def cut(self) -> None:
-        self._whole.clear()
+        self._proxy.process.send_signal(signal.SIGSTOP)
 
     def mend(self) -> None:
-        self._whole.set()
+        self._proxy.process.send_signal(signal.SIGCONT)
 
     def close(self) -> None:
-        self._closing = True
-        self._whole.set()
-        for one in (self._server, *self._sockets):
-            with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                near, _ = self._server.accept()
-                threading.Thread(target=self._join, args=[near], daemon=True).start()
-
-    def _join(self, near: socket.socket) -> None:
-        self._sockets.append(near)
-        self._whole.wait()
-        with contextlib.suppress(OSError):
-            far = socket.create_connection(self._target, 5)
-            self._sockets.append(far)
-            back = threading.Thread(target=self._carry, args=[far, near], daemon=True)
-            back.start()
-            self._carry(near, far)
-
-    def _carry(self, one: socket.socket, other: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            while data := one.recv(65536):
-                self._whole.wait()  # in the cut the bytes stay here, as they would in the kernel
-                other.sendall(data)
-            other.shutdown(socket.SHUT_RDWR)
+        self._proxy.close()
 
 
 @contextlib.contextmanager
