@@ -99,33 +99,6 @@ def test_a_rate_off_by_a_fifth_is_said_and_not_learned(
     assert learner.drain_confirmed()
 
 
-@pytest.mark.parametrize("counted", [True, False])
-def test_a_stream_that_stops_in_a_swing_teaches_nothing_of_it(
-    robot: Robot, baseline: Baseline, *, counted: bool
-) -> None:
-    """For a minute, and then goes on in another swing, whether its numbers tell of it or not."""
-    stream = FakeLeg(seed=22).stream(80)
-    learner = ContactLearner(robot, "rf", baseline)
-    play(learner, stream[: 28 * 40 + 15])
-    learner.drain_confirmed()
-    resumed = [
-        msgspec.structs.replace(
-            s,
-            t_ns=s.t_ns + 60 * 50 * PERIOD,
-            seq=s.seq + (60 * 50 if counted else -28),
-        )
-        for s in stream[28 * 41 + 15 :]
-    ]
-    events = play(learner, resumed[:28])
-    assert [e for e in events if e.contact] == []
-    # Of the swing it stopped in and of that it came back in, nothing is confirmed.
-    bounds = stream[28 * 40].t_ns, resumed[9].t_ns
-    assert not [t for t in learner.drain_confirmed() if bounds[0] <= t <= bounds[1]]
-    play(learner, resumed[28:])
-    assert learner.drain_confirmed()
-    assert learner.status.status == "valid"
-
-
 def test_a_preview_that_lacks_is_told_of_while_it_does(robot: Robot, baseline: Baseline) -> None:
     """One sample without is no lack for good, nor does a restart of the service make it one."""
     library = leg_library(robot, robot.leg("rf"), "servo", Window(preview=2))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -13,35 +11,8 @@ from adaptive_contact import ContactLearner
 from adaptive_contact.core.learn.drift import EARLY_BEGIN, EARLY_END, EARLY_SWINGS, EarlyContacts
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
-from adaptive_contact.robot.kinematics import inverse
-from adaptive_contact.wire import ServoSample
 
-from .conftest import LENGTHS, FakeLeg, play, samples
-
-TOP, GROUND = -0.04, -0.10
-STANCE = 4
-
-
-def stream(heights: Sequence[float], commanded: Sequence[float]) -> list[ServoSample]:
-    """A swing after a stance, the foot's height and its command's given; then the next stance.
-
-    Args:
-        heights: of the foot, of the swing's samples, m.
-        commanded: of its command.
-    """
-    foot = [GROUND] * STANCE + [*heights, heights[-1]]
-    goal = [GROUND] * STANCE + [*commanded, commanded[-1]]
-    return [
-        ServoSample(
-            t_ns=k,
-            seq=k,
-            measured=inverse(np.array([0.16, 0.0, foot[k]]), LENGTHS).tolist(),
-            desired=inverse(np.array([0.16, 0.0, goal[k]]), LENGTHS).tolist(),
-            phase="swing" if STANCE <= k < len(foot) - 1 else "stance",
-        )
-        for k in range(len(foot))
-    ]
-
+from .conftest import FakeLeg, samples
 
 SHARES = st.floats(0.3, 1.0).flatmap(
     lambda share: st.lists(st.floats(0.0, 1.0).map(lambda x: x < share), max_size=120)
@@ -110,23 +81,6 @@ def test_swings_that_all_end_in_a_touch_are_no_such_change(
     status, _, confirmed = followed(robot, baseline, run)
     assert set(status) == {"valid"}
     assert sum(confirmed[100:]) > 100
-
-
-def test_what_was_heard_outlives_a_restart_and_asks_for_no_refits(
-    robot: Robot, baseline: Baseline
-) -> None:
-    run = FakeLeg(seed=5).run(120, falling=lambda n: 0.4 if n >= 60 else 1.0)
-    stream, learner = samples(*run[:3]), ContactLearner(robot, "rf", baseline)
-    play(learner, stream[: 28 * 100])
-    assert learner.status.status == "ambiguous"
-    adapter = learner.lifecycle.adapter
-    before = adapter.refits
-    again = ContactLearner(robot, "rf", baseline)
-    assert again.restore(learner.snapshot()) is None
-    assert (again.status.status, again.status.note) == ("ambiguous", learner.status.note)
-    play(again, stream[28 * 100 :])
-    assert again.status.status == "ambiguous"
-    assert again.status.refits == before
 
 
 @pytest.mark.parametrize("saved", [None, 3, {"lately": 4}, {"lately": [1] * 5, "told": True}])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -172,17 +171,6 @@ def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
     assert adapter.monitor.drift == DriftLevel(level=adapter.monitor.variance_scale), (
         "no change any more"
     )
-
-
-def test_a_swing_that_began_before_the_source_says_nothing_of_how_long_swings_are(
-    baseline: Baseline,
-) -> None:
-    stream = FakeLeg(seed=6).stream(30)
-    learner = ContactLearner(without_lengths(), "rf", baseline)
-    play(learner, stream[: 28 * 20])
-    for part, run in ((stream[28 * 20 + 18 : 28 * 22], 1), (stream[28 * 23 + 18 :], 1)):
-        play(learner, [msgspec.structs.replace(s, run=run) for s in part])
-        assert learner.status.note is None
 
 
 def test_where_swings_are_too_short_for_that_it_is_said(baseline: Baseline) -> None:

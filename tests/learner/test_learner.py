@@ -148,24 +148,6 @@ def test_a_stream_of_contacts_does_not_blind_it(robot: Robot, baseline: Baseline
     assert touching[confirmed].mean() <= 0.001
 
 
-def test_standing_changes_nothing(robot: Robot, baseline: Baseline) -> None:
-    stream = FakeLeg(seed=9).stream(30)
-    learner = ContactLearner(robot, "rf", baseline)
-    play(learner, stream)
-    model = learner.model
-    before = model.coefficients.copy()
-    last = stream[-1]
-    still = [
-        msgspec.structs.replace(last, seq=last.seq + i, t_ns=last.t_ns + i * PERIOD, phase="stance")
-        for i in range(1, 5000)
-    ]
-    assert play(learner, still) == []
-    # What the last swing confirmed is still drained in the first ticks of standing.
-    after = learner.model
-    assert np.abs(after.coefficients - before).max() < 0.02
-    assert learner.status.status == "valid"
-
-
 def test_the_report_says_what_its_terms_of_changes_speak_of(
     robot: Robot, baseline: Baseline
 ) -> None:

@@ -7,28 +7,13 @@ import itertools
 
 import msgspec
 import numpy as np
-import pytest
 
 from adaptive_contact.checks.conventions.motion import LegMotion
-from adaptive_contact.checks.leg_ids import IdWatch, Owner, judge_ids
-from adaptive_contact.checks.watch import Track
-from adaptive_contact.core.detect.history import MAX_STEP_RAD_S
-from adaptive_contact.core.detect.leg_batch import LegBatch, LegPlace
-from adaptive_contact.fit.refit_job import InlineRefitter
-from adaptive_contact.model import leg_library
-from adaptive_contact.model.library import with_changes
-from adaptive_contact.robot import Leg, Mount, Robot, foot, shipped_robot
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.checks.leg_ids import judge_ids
+from adaptive_contact.robot import Mount, Robot, foot, shipped_robot
 
 TICKS = 600
 PERIOD_NS = 20_000_000
-
-
-def place_of(robot: Robot, leg: Leg) -> LegPlace:
-    """Arrays of one leg that has seen nothing."""
-    plain = leg_library(robot, leg)
-    library = with_changes(plain, np.zeros((plain.size, len(leg.joints))))
-    return LegPlace(LegBatch([leg], library, [0.005], PERIOD_NS, max_step=MAX_STEP_RAD_S * 0.02))
 
 
 def commands_of(robot: Robot, seed: int) -> dict[str, LegMotion]:
@@ -108,36 +93,3 @@ def test_nothing_is_said_without_mounts_or_of_legs_that_hang() -> None:
         wild = np.cumsum(rng.normal(0.0, 0.01, (TICKS, 3)), axis=0)
         rows[leg] = LegMotion(rows[leg].t_ns, wild, wild, np.zeros(TICKS, dtype=bool))
     assert judge_ids(robot, None, rows) == {}
-
-
-@pytest.mark.parametrize("ahead", [0, 7000])
-def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
-    robot = odd_robot()
-    rows = commands_of(robot, 1)
-    a, b, *_ = robot.leg_ids
-    swapped = {**rows, a: rows[b], b: rows[a]}
-    watch = IdWatch(robot, None, InlineRefitter())
-    legs: dict[str, Leg] = {leg.id: leg for leg in robot.legs}
-    places = {name: place_of(robot, leg) for name, leg in legs.items()}
-    tracks: dict[str, Track[Owner]] = {}
-    for name, leg in legs.items():
-        track = watch.track(leg, places[name])
-        assert track is not None
-        tracks[name] = track
-    said = []
-    for k in range(1100):
-        for number, name in enumerate(tracks):
-            row = swapped[name]
-            sample = ServoSample(
-                t_ns=round(k * 2e7),
-                seq=k + number * ahead,  # legs may count by themselves
-                measured=row.measured[k % TICKS].tolist(),
-                desired=row.desired[k % TICKS].tolist(),
-                phase="stance",
-            )
-            places[name].take(sample, 0, k == 0)
-            places[name].batch.judge()
-        watch.look()
-        said.append([name for name, track in tracks.items() if track.finding is not None])
-    assert said[900] == []  # after one judgement
-    assert said[-1] == [a, b]

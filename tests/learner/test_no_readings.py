@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner, ServoSample
-from adaptive_contact.core.detect.layout import VALUES
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 
@@ -108,22 +107,3 @@ def test_a_seam_in_the_travel_is_no_movement(
     learner = ContactLearner(robot, "rf", baseline)
     assert told(learner, stream) == clean
     assert not learner.status.rejects
-
-
-@pytest.mark.parametrize("joint", [0, 1, 2])
-def test_no_value_is_refused_for_being_itself(robot: Robot, baseline: Baseline, joint: int) -> None:
-    """After each value of a sweep has been refused twice, it is still believed in passing."""
-    stream = FakeLeg(seed=32).stream(60)
-    learner = ContactLearner(robot, "rf", baseline)
-    play(learner, stream)
-    assert not learner.status.rejects, "and stops, and lifts, of a clean leg are none, too"
-    batch, leg = learner.place.batch, learner.place.record
-    for sample in stream:
-        if sample.seq % 4 == 0:  # of the values to come, as many as are remembered
-            to_come = [s.measured[joint] for s in stream[sample.seq : sample.seq + VALUES]]
-            batch.values[0, : len(to_come)], batch.counts[0] = to_come, 2
-            leg["values_n"] = len(to_come)
-        t_ns = sample.t_ns + 1680 * 20_000_000
-        play(learner, [msgspec.structs.replace(sample, seq=sample.seq + 1680, t_ns=t_ns)])
-    refused = learner.status.rejects.get("implausible", 0)
-    assert refused < 0.01 * 3 * len(stream)

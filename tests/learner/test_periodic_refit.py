@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import signal
-import time
 
 import msgspec
 import numpy as np
@@ -20,16 +18,14 @@ from adaptive_contact.core.learn.periodic_refit import (
 from adaptive_contact.core.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.fit import FitStatus
-from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult, refit
-from adaptive_contact.model import Baseline
+from adaptive_contact.fit.refit_job import RefitJob, RefitResult, refit
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact.model.library import Library, leg_library, with_changes
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.refits import WaitingRefitter
 
-from .conftest import FakeLeg, outcomes, play, samples
+from .conftest import FakeLeg, outcomes, play
 from .ticks import Tick, rows_of
 
 SLOPE = 0.164  # of the fake leg
@@ -46,14 +42,6 @@ def free_rows(library: Library, swings: int = 60, seed: int = 1) -> np.ndarray:
     cut = stack(measured, desired, library.window)
     theta = library.evaluate(cut.measured, cut.desired, cut.preview)
     return np.concatenate([theta, cut.increment], axis=1)[swing[cut.tick] & swing[cut.tick + 1]]
-
-
-def test_windows_come_back_out_of_their_terms(robot: Robot) -> None:
-    library = library_of(robot, 0.7)
-    window = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 24))
-    np.testing.assert_allclose(
-        library.window_of(library.evaluate_flat(window)), window, rtol=0, atol=1e-12
-    )
 
 
 @pytest.mark.parametrize("described", [0.25, 0.4, 1.0, 2.5, 4.0])
@@ -272,51 +260,3 @@ def test_a_saved_slope_that_no_servo_has_is_refused(misdescribed: Robot, slope: 
 
 
 # -- A learner whose fitting process is killed in the middle of every fit
-
-
-SWINGS = 150
-STOPS = [16 if n % 2 else None for n in range(SWINGS)]
-
-
-class Assassin(WaitingRefitter):
-    """Kills its process whenever that has a job in hand."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.killed = 0
-
-    def submit(self, job: Job) -> None:
-        """Hold the process up, give it the job, and kill it."""
-        process = self._process
-        process.send_signal(signal.SIGSTOP)
-        super().submit(job)
-        until = time.monotonic() + 20.0
-        with self._changed:
-            while self._waiting:
-                assert time.monotonic() < until
-                self._changed.wait(0.01)
-        process.kill()
-        self.killed += 1
-
-
-@pytest.mark.e2e
-def test_a_worker_killed_in_every_fit_costs_its_learner_nothing(
-    robot: Robot, baseline: Baseline
-) -> None:
-    gain = [1.0 if n < 20 else 0.85 for n in range(SWINGS)]
-    leg = FakeLeg(seed=31).run(SWINGS, touch=lambda n: STOPS[n], change=lambda n: gain[n])
-    stream = samples(*leg[:3])
-    kept, killed = WaitingRefitter(), Assassin()
-    try:
-        known = ContactLearner(robot, "rf", baseline, refitter=kept)
-        events = play(known, stream)
-        learner = ContactLearner(robot, "rf", baseline, refitter=killed)
-        assert play(learner, stream) == events
-    finally:
-        kept.close()
-        killed.close()
-    assert killed.killed >= 2, "or this test says nothing"
-    assert killed.failures == 0
-    assert learner.status == known.status
-    assert np.array_equal(learner.model.coefficients, known.model.coefficients)
-    assert outcomes(events, range(60, SWINGS), STOPS).count("hit") >= 43

@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import msgspec
-import numpy as np
 import pytest
 
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ContactEvent, ServoSample
 from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
 from adaptive_contact_sim.robots import simulated_robot
@@ -70,14 +68,3 @@ def test_decisions_do_not_depend_on_the_size_of_a_leg(run: Run, says: bool) -> N
     assert len(usual[1]) > 100
     for factor in (0.25, 4.0):
         assert decided(sized(factor), leg, t_ns, says=says) == usual
-
-
-def test_an_inferred_phase_does_not_depend_on_the_size_of_a_leg(run: Run) -> None:
-    leg = run.legs[LEG]
-    usual = infer_phase(leg.desired, sized(1.0).leg(LEG))
-    assert usual is not None
-    assert (usual == leg.swing).mean() > 0.95
-    for factor in (0.25, 4.0):
-        assert np.array_equal(usual, infer_phase(leg.desired, sized(factor).leg(LEG)))
-    hexapod = shipped_robot().leg("rf").chain
-    assert hexapod.size == 1.0  # exactly: figures published of it stay

@@ -278,21 +278,6 @@ def test_a_leg_that_only_fits_badly_is_withheld_where_that_is_asked(
     }
 
 
-def test_a_leg_that_is_well_says_nothing_of_it() -> None:
-    event = ContactEvent(
-        leg="rf",
-        t_ns=1,
-        seq=1,
-        onset_ns=1,
-        contact=True,
-        status="valid",
-        score=2.0,
-        residual=[0.1],
-        model_version=0,
-    )
-    assert not {"withheld", "doubt"} & set(msgspec.to_builtins(event))
-
-
 def test_turned_readings_are_a_foot_that_does_not_rise(robot: Robot, baseline: Baseline) -> None:
     stream = swings(40)
     middle = np.median([s.measured for s in stream], axis=0)
