@@ -142,30 +142,23 @@ def test_a_leg_of_unknown_lengths_is_followed_by_its_phase(baseline: Baseline) -
 
 
 def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
-    baseline: Baseline,
+    adapter: Adapter, baseline: Baseline
 ) -> None:
     """Mud that is washed off: more than the recursion follows at once."""
     known = baseline.legs["rf"]
-    recent = NoiseTracker(known.noise, baseline.tails, 1.0)
-    adapter = Adapter("rf", known, recent, LearnerMode.FULL, InlineRefitter(), 0.005)
     rng = np.random.default_rng(1)
     clean = known.model.coefficients
-
-    def walk(coefficients: Array, swings: int, first: int) -> None:
-        for number in range(first, first + swings):
-            theta = rng.normal(size=(8, len(clean))) * known.scale[:, None].T
-            target = theta @ coefficients
-            off = (target - theta @ adapter.model.coefficients) / known.noise.rms
-            level = 1.0 + float(np.square(off).mean())
-            target += known.noise.rms * rng.normal(size=(8, 3))
-            swing(adapter, lift_of(theta, target, level=level), number)
-
     # Each of the terms that count has come to count for less.
-    walk(0.6 * clean, 40, 0)
-    muddy = adapter.model.coefficients
-    assert np.abs(muddy - clean).max() > 0.03 * np.abs(clean).max()
-    assert adapter.monitor.drift.since_ns is not None
-    walk(clean, 6, 40)
+    for number, coefficients in enumerate([0.6 * clean] * 40 + [clean] * 6):
+        if number == 40:
+            assert np.abs(adapter.model.coefficients - clean).max() > 0.03 * np.abs(clean).max()
+            assert adapter.monitor.drift.since_ns is not None
+        theta = rng.normal(size=(8, len(clean))) * known.scale[:, None].T
+        target = theta @ coefficients
+        off = (target - theta @ adapter.model.coefficients) / known.noise.rms
+        level = 1.0 + float(np.square(off).mean())
+        target += known.noise.rms * rng.normal(size=(8, 3))
+        swing(adapter, lift_of(theta, target, level=level), number)
     assert adapter.refits.rolled_back >= 1
     assert "rolled back: the baseline fits 3 lifts better" in (adapter.refits.last_reason or "")
     assert adapter.monitor.drift == DriftLevel(level=adapter.monitor.variance_scale), (
