@@ -289,11 +289,6 @@ swapped = angles(lambda row: [row[0], row[2], row[1]])
 swapped_readings = angles(lambda row: [row[0], row[2], row[1]], "measured")
 turned_readings = angles(lambda row: [row[1], row[2], row[0]], "measured")
 one_turn_off = angles(lambda row: [row[0] + math.tau, *row[1:]], "measured")
-without_phase = each_sample(
-    lambda sent, _: dataclasses.replace(
-        sent, body={name: value for name, value in sent.body.items() if name != "phase"}
-    )
-)
 never_stance = each_sample(lambda sent, _: sent.but(phase="swing"))
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from adaptive_contact import ContactLearner
 from adaptive_contact.fit.train import Stretch, learn
-from adaptive_contact.model import Baseline, LegModel
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.robot.kinematics import inverse
 from adaptive_contact.wire import ContactEvent, ServoSample
@@ -137,12 +137,3 @@ def outcome(events: list[ContactEvent], first: int, stop: int | None) -> str:
 
 def outcomes(events: list[ContactEvent], swings: range, stops: list[int | None]) -> list[str]:
     return [outcome(events, 28 * n, stops[n]) for n in swings]
-
-
-@pytest.fixture
-def model(baseline: Baseline) -> LegModel:
-    """The first term alone, for every joint."""
-    of = baseline.legs["rf"].model
-    coefficients = np.zeros_like(of.coefficients)
-    coefficients[0] = 0.05
-    return of.moved(coefficients, 0)

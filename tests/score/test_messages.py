@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import random
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -203,17 +205,18 @@ def test_runs_that_follow_each_other_are_scored_together() -> None:
     assert score.total.swings == 4
 
 
-def test_runs_that_overlap_are_refused() -> None:
-    restarted = [*walk(3, run=7), *walk(3, run=9), air()]
+@pytest.mark.parametrize(
+    "walks",
+    [
+        [walk(3, run=7), walk(3, run=9)],
+        # Two sources at once, whose times happen never to go back.
+        [walk(1, run=7), walk(1, run=9, start=50), walk(1, run=7, start=100)],
+        zip(walk(2, run=7), walk(2, run=9), strict=True),
+    ],
+)
+def test_runs_that_overlap_are_refused(walks: Iterable[Iterable[LiftAssessment]]) -> None:
     with pytest.raises(RecordingError, match="runs whose times overlap"):
-        score_messages(restarted, ROBOT, [])
-    # Two sources at once, whose times happen never to go back.
-    one, other, again = walk(1, run=7), walk(1, run=9, start=50), walk(1, run=7, start=100)
-    with pytest.raises(RecordingError, match="runs whose times overlap"):
-        score_messages([*one, *other, *again, air()], ROBOT, [])
-    interleaved = [m for pair in zip(walk(2, run=7), walk(2, run=9), strict=True) for m in pair]
-    with pytest.raises(RecordingError, match="runs whose times overlap"):
-        score_messages([*interleaved, air()], ROBOT, [])
+        score_messages([*itertools.chain(*walks), air()], ROBOT, [])
 
 
 def test_what_is_missing_is_one_clear_line() -> None:

@@ -139,11 +139,6 @@ def test_without_mujoco_it_says_which_extra(monkeypatch: pytest.MonkeyPatch) -> 
 TEXT = (Path(__file__).parents[2] / "docs/simulator.md").read_text(encoding="utf-8")
 
 
-def row(start: str) -> list[str]:
-    (line,) = (line for line in TEXT.splitlines() if line.startswith(f"| {start}"))
-    return [cell.strip() for cell in line.strip("|").split("|")]
-
-
 def test_the_scenario_in_it_can_be_run() -> None:
     blocks = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
     assert len(blocks) == 1

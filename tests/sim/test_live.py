@@ -7,6 +7,8 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import pytest
 
@@ -32,12 +34,12 @@ from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 
 
+@dataclass
 class FakeRequest:
-    def __init__(self, payload: bytes) -> None:
-        self.payload = payload
-        self.encoding = MSGPACK
-        self.replies: list[DriftReply] = []
-        self.closed = False
+    payload: bytes
+    encoding: str = MSGPACK
+    replies: list[DriftReply] = field(default_factory=list)
+    closed: bool = False
 
     def reply(self, message: DriftReply, key: str) -> None:
         assert key == SIM_DRIFT
@@ -54,28 +56,14 @@ class FakeLink:
         self.published: list[tuple[str, Message]] = []
         self.sinks: dict[str, Callable] = {}
 
-    def publisher(self, key: str, **_: object) -> FakeLink.Out:
-        return FakeLink.Out(self, key)
+    def publisher(self, key: str, **_: object) -> SimpleNamespace:
+        return SimpleNamespace(put=lambda message: self.published.append((key, message)))
 
-    def queryable(self, key: str, sink: Callable) -> FakeLink.Held:
+    def queryable(self, key: str, sink: Callable) -> SimpleNamespace:
         self.sinks[key] = sink
-        return FakeLink.Held(self, key)
+        return SimpleNamespace(close=lambda: self.sinks.pop(key))
 
     subscribe = queryable
-
-    class Out:
-        def __init__(self, link: FakeLink, key: str) -> None:
-            self.link, self.key = link, key
-
-        def put(self, message: Message) -> None:
-            self.link.published.append((self.key, message))
-
-    class Held:
-        def __init__(self, link: FakeLink, key: str) -> None:
-            self.link, self.key = link, key
-
-        def close(self) -> None:
-            del self.link.sinks[self.key]
 
 
 def run_fake(
@@ -106,38 +94,32 @@ def test_everything_a_tick_gives_is_published_in_order() -> None:
             assert next(published) == (f"robot/leg/{truth.leg}/truth", truth.message)
 
 
+ONE_JOINT = encode(Drift(kind="friction", value=4.0, leg="rf", joint="femur"))
+HOLDS = {"friction": {"rf": {"femur": 4.0}}}
+# What is asked one after the other: whether it is done, what holds then, and why not.
+ASKED = [
+    (b"", True, {}, ""),
+    (ONE_JOINT, True, HOLDS, ""),
+    (ONE_JOINT, True, HOLDS, ""),
+    (encode(Drift(kind="friction", value=400.0)), False, HOLDS, "expected 0.1 to 10"),
+    (b"\xc1rubbish", False, HOLDS, "not a drift"),
+    (encode(Drift(kind="friction", value=1.0)), True, {}, ""),
+]
+
+
 def test_drifts_are_answered_with_what_holds() -> None:
-    asked: list[FakeRequest] = []
-    payloads = deque(
-        [
-            b"",
-            encode(Drift(kind="friction", value=4.0, leg="rf", joint="femur")),
-            encode(Drift(kind="friction", value=4.0, leg="rf", joint="femur")),
-            encode(Drift(kind="friction", value=400.0)),
-            b"\xc1rubbish",
-            encode(Drift(kind="friction", value=1.0)),
-        ]
-    )
+    requests = [FakeRequest(payload) for payload, *_ in ASKED]
+    waiting = deque(requests)
 
     def ask(link: FakeLink, _: Tick) -> None:
-        if payloads:
-            asked.append(FakeRequest(payloads.popleft()))
-            link.sinks[SIM_DRIFT](asked[-1])
+        if waiting:
+            link.sinks[SIM_DRIFT](waiting.popleft())
 
     run_fake(Simulation(SimulationSettings()), 0.4, ask)
-    replies = [request.replies for request in asked]
-    assert all(len(r) == 1 for r in replies)
-    assert all(request.closed for request in asked)
-    nothing, first, again, refused, rubbish, undone = (r[0] for r in replies)
-    holds = {"friction": {"rf": {"femur": 4.0}}}
-    assert (nothing.ok, nothing.holds) == (True, {})
-    assert (first.ok, first.holds) == (True, holds)
-    assert (again.ok, again.holds) == (True, holds)
-    assert (refused.ok, refused.holds) == (False, holds)
-    assert "expected 0.1 to 10" in str(refused.error)
-    assert not rubbish.ok
-    assert "not a drift" in str(rubbish.error)
-    assert (undone.ok, undone.holds) == (True, {})
+    for request, (_, ok, holds, why) in zip(requests, ASKED, strict=True):
+        (reply,) = request.replies
+        assert (request.closed, reply.ok, reply.holds) == (True, ok, holds)
+        assert why in str(reply.error)
 
 
 def test_contact_events_stop_legs_and_bad_ones_do_not() -> None:
@@ -170,20 +152,6 @@ def test_contact_events_stop_legs_and_bad_ones_do_not() -> None:
         for link in (deaf, told)
     ]
     assert swings[1] < 0.9 * swings[0]
-
-
-def test_a_stop_ends_the_run() -> None:
-    stop = threading.Event()
-    seen = []
-
-    def on_tick(tick: Tick) -> None:
-        seen.append(tick)
-        if len(seen) == 5:
-            stop.set()
-
-    sim = Simulation(SimulationSettings())
-    run_live(sim, FakeLink(), seconds=None, pace=Pace(0.0), stop=stop, on_tick=on_tick)
-    assert len(seen) == 5
 
 
 class Clock:

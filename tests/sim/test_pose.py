@@ -141,21 +141,6 @@ def test_the_robot_stands_while_three_legs_meet_obstacles(legs: tuple[str, ...])
         assert (swinging[leg] > 400) == (leg in legs), swinging
 
 
-def test_surfaces_are_those_of_the_leg_that_touches() -> None:
-    legs = TRIPODS[1]
-    soft = ObstacleSettings(probability=1.0, soft=1.0)
-    poses = [PoseSettings(legs=(leg,), obstacles=ObstacleSettings(probability=1.0)) for leg in legs]
-    poses[1] = PoseSettings(legs=(legs[1],), obstacles=soft)
-    sim = Simulation(SimulationSettings(motion=PoseGroupSettings(tuple(poses)), seed=3))
-    seen: dict[str, set[str]] = {leg: set() for leg in legs}
-    for _ in range(400):
-        for leg, truth in sim.tick().truth:
-            geom_leg = leg in legs
-            if geom_leg and truth.contact and truth.surface is not None and sim.ticks > 60:
-                seen[leg].add(truth.surface)
-    assert seen == {legs[0]: {"hard"}, legs[1]: {"soft"}, legs[2]: {"hard"}}
-
-
 @pytest.mark.parametrize(
     ("poses", "found"),
     [

@@ -71,19 +71,6 @@ def test_loaded_at_the_start() -> None:
     ]
 
 
-def test_recent_is_up_to_date() -> None:
-    tracker = TruthTracker(0.001, SUBSTEPS)
-    tracker.start(np.zeros(N), 0)
-    empty = tuple(deque() for _ in LEGS)
-    rows = np.zeros((SUBSTEPS, N))
-    rows[12:, 0] = 4.0
-    tracker.update(rows, empty, 20)
-    assert tracker.recent[0] == 13
-    assert tracker.recent[1] is None
-    tracker.update(np.zeros((SUBSTEPS, N)), empty, 40)
-    assert tracker.recent[0] is None
-
-
 def test_touch_is_the_one_that_led_to_the_contact() -> None:
     touches = [Touch(step, 3, 0.1 * step, False, 0) for step in (20, 95, 101, 140)]
     change = track(trace((100, 0.0), (60, 5.0), (100, 0.0)), touches)[1]
