@@ -17,10 +17,8 @@ from adaptive_contact.checks.information import (
     basis,
     departure,
     equal_to_commands,
-    held_shares,
     is_old,
     low_pass,
-    steps_of,
     survey,
 )
 
@@ -186,21 +184,6 @@ def test_an_open_joint_that_hardly_moves_stays_open() -> None:
         assert (said, check.unproved) == ([], unproved), strides
 
 
-def test_one_look_is_a_suspicion() -> None:
-    u, swing = commands(12)
-    y = grid(servo(u, swing, gain=0.4))
-    y[6 * STRIDE :] = delayed(u, 2)[6 * STRIDE :]
-    check, all_of = InformationCheck(2, STEP), Samples(np.arange(len(y)), y, u, swing)
-    said = list[tuple[bool, bool]]()
-    for at in (np.flatnonzero(np.diff(swing.astype(int))) + 2).tolist():
-        check.look(at, all_of.part(0, at), begins=bool(swing[at - 1]))
-        said.append((check.suspicion is not None, check.found is not None))
-    first = said.index((True, False))
-    assert said == [(False, False)] * first + [(True, False)] + [(False, True)] * (
-        len(said) - first - 1
-    )
-
-
 @pytest.mark.parametrize("noise", [0.5, 1.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_copy_with_noise_is_found_where_the_leg_has_shown_itself(noise: float, seed: int) -> None:
@@ -343,20 +326,6 @@ def test_a_low_pass_is_its_recursion(pole: float) -> None:
     for of, passed in zip(u, low_pass(u, (pole,))[0], strict=True):
         f = pole * f + (1.0 - pole) * of
         assert passed == pytest.approx(f, abs=1e-9)
-
-
-def test_steps_are_those_of_the_readings() -> None:
-    y = np.random.default_rng(1).uniform(-1.0, 1.0, 400)
-    both = [y, np.round(y / 0.02) * 0.02, np.round(y / 0.001) * 0.001, np.zeros(400)]
-    assert steps_of(np.stack(both, axis=1), 0.005) == pytest.approx([0.005, 0.005, 0.001, 0.005])
-
-
-def test_held_readings_have_their_share() -> None:
-    u, _ = commands(6)
-    for ticks, share in ((1, 0.0), (2, 0.5), (3, 2 / 3), (4, 0.75)):
-        y = u[ticks * (np.arange(len(u)) // ticks)]
-        found = held_shares(Samples(np.arange(len(u)), y, u), np.full(2, STEP))
-        assert found[0] == pytest.approx(share, abs=0.06)
 
 
 @pytest.mark.parametrize("before", range(60))

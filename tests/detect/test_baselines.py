@@ -81,12 +81,6 @@ def test_alarms_of_a_stream_equal_those_of_the_state_machine(
     )
 
 
-def test_no_alarm_without_scores() -> None:
-    nothing = np.full(10, np.nan)
-    assert len(alarm_ticks(nothing, np.zeros(10, dtype=np.int64))) == 0
-    assert len(alarm_ticks(np.zeros(0), np.zeros(0, dtype=np.int64))) == 0
-
-
 def test_rules_tick_by_tick() -> None:
     motion, prediction = walk(1, n=60)
     paper = rule(prediction.residual)

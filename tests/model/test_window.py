@@ -59,13 +59,6 @@ def test_every_column_has_a_name_of_its_own(name: str, joints: int, window: Wind
     )
 
 
-@pytest.mark.parametrize("name", ["servo", "paper", "linear"])
-def test_no_rows_at_all(name: str) -> None:
-    library = Library(name, ("a", "b"), ("yaw", "pitch"))  # type: ignore[arg-type]
-    empty = np.empty((0, 4, 2))
-    assert library.evaluate(empty, empty, empty[:, :0]).shape == (0, library.size)
-
-
 def test_the_papers_library_is_equation_8() -> None:
     library = Library("paper", ("a", "b", "c"), ("yaw", "pitch", "pitch"), Window(2, 2, 1))
     variables = 3 * (3 + 3 + 1)
@@ -224,11 +217,3 @@ def test_a_library_without_the_law_has_friction_only(name: str) -> None:
     rollout = plain.evaluate(*window) @ library.first
     expected = np.concatenate([np.tanh(rollout / (knee * 0.02)) for knee in KNEES])
     np.testing.assert_allclose(theta[plain.size :], expected, rtol=0, atol=1e-12)
-
-
-def test_legs_with_other_first_models_can_share_arrays_and_plain_ones_cannot() -> None:
-    one, other = changing(LEG, 1), changing(LEG, 2)
-    assert one == other
-    assert hash(one) == hash(other)
-    assert one != LEG
-    assert one != changing(dataclasses.replace(LEG, slope_rad=0.2), 1)
