@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from adaptive_contact import ServoSample
 from adaptive_contact.checks.findings import Cause, Fault, entries
 from adaptive_contact.checks.position_step import position_step
 from adaptive_contact.checks.readings import check_readings
-from adaptive_contact.wire import ServoSample
 
 AX = math.radians(300.0) / 1023
 Array = NDArray[np.float64]

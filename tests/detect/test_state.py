@@ -8,16 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactLearner
 from adaptive_contact.compiled import records
 from adaptive_contact.core.bank import LegGroup
 from adaptive_contact.core.detect.layout import new_legs, scalars_of
 from adaptive_contact.core.detect.state import follow_load, hangs
 from adaptive_contact.core.detect.touch_point import locate
-from adaptive_contact.core.leg_learner import ContactLearner
-from adaptive_contact.model.model_file import shipped_baseline
-from adaptive_contact.robot import Robot
-from adaptive_contact.robot.description import DetectorSettings
-from adaptive_contact.robot.kinematics import inverse
+from adaptive_contact.model import shipped_baseline
+from adaptive_contact.robot import DetectorSettings, Robot, inverse
 from adaptive_contact.wire import ContactEvent, LegState, ServoSample
 from adaptive_contact_sim import (
     PoseSettings,

@@ -21,13 +21,10 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.checks.information import low_pass
-from adaptive_contact.model import Baseline
-from adaptive_contact.model.model_file import shipped_baseline
-from adaptive_contact.robot import Robot, load_robot, parse_robot
-from adaptive_contact.robot.kinematics import inverse
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.model import Baseline, shipped_baseline
+from adaptive_contact.robot import Robot, inverse, load_robot, parse_robot
 
 from . import mistakes
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgpack
 
-from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact import LearnerBank
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose

@@ -55,6 +55,16 @@ def read(path: Path) -> list[Sent]:
     ]
 
 
+def first(messages: Messages, seconds: float) -> list[Sent]:
+    """The first seconds."""
+    return [sent for sent in messages if sent.at_ns <= messages[0].at_ns + seconds * 1e9]
+
+
+def last(messages: Messages, seconds: float) -> list[Sent]:
+    """The last seconds."""
+    return [sent for sent in messages if sent.at_ns >= messages[-1].at_ns - seconds * 1e9]
+
+
 def write(path: Path, messages: Messages, about: dict[str, str] | None = None) -> Path:
     """A recording of messages; ``about`` is what the writer says of it."""
     with RecordingWriter(path, about or {}) as file:

@@ -23,10 +23,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.core.bank import LearnerBank
-from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact import LearnerBank
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.score.score import Score, score_messages
+from adaptive_contact.score import Score, score_messages
 from adaptive_contact.wire import (
     MSGPACK,
     ContactEvent,
@@ -36,11 +36,10 @@ from adaptive_contact.wire import (
     servo_key,
     truth_key,
 )
+from adaptive_contact_sim import TerrainSettings, WalkSettings
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
-from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.truth import TruthTracker
-from adaptive_contact_sim.walk import WalkSettings
 
 Angles = NDArray[np.float64]
 # Of tick 0, 1, ...: how many periods after it was due.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import msgspec
@@ -15,11 +13,10 @@ import pytest
 from adaptive_contact.checks.findings import Cause
 from adaptive_contact.checks.leg_ids import judge_recorded_ids
 from adaptive_contact.checks.legcheck import check_recording
-from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Mount, shipped_robot
 from adaptive_contact.wire import ServoSample, servo_key
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_sim import Simulation, SimulationSettings, WalkSettings
 from quadruped import recorded
 
 from . import mistakes as m
@@ -32,24 +29,14 @@ SHORT_S, WHOLE_S = 8.0, 40.0
 
 
 @pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> list[m.Sent]:
-    path: Path = tmp_path_factory.mktemp("walk") / "walk.mcap"
-    run = ["sim", "walk", "--seconds", f"{WHOLE_S:.0f}", "--seed", "4", "--offline", "--record"]
-    # A process of its own: the command takes signals over.
-    full = [sys.executable, "-m", "adaptive_contact", *run, str(path)]
-    subprocess.run(full, check=True, capture_output=True, timeout=600)
-    return m.read(path)
+def walk(walk_file: Path) -> list[m.Sent]:
+    return m.first(m.read(walk_file), WHOLE_S)
 
 
 @pytest.fixture(scope="module")
 def trials() -> list[m.Sent]:
     samples, _ = recorded("free")
     return [m.Sent(servo_key(leg), s.t_ns, msgspec.to_builtins(s)) for leg, s in samples]
-
-
-def last(messages: m.Messages, seconds: float) -> list[m.Sent]:
-    begins_ns = messages[-1].at_ns - round(seconds * 1e9)
-    return [sent for sent in messages if sent.at_ns >= begins_ns]
 
 
 @pytest.mark.parametrize("given", [True, False], ids=["baseline", "cold start"])
@@ -59,13 +46,13 @@ def test_a_good_robot_has_no_findings(
 ) -> None:
     robot = shipped_robot(QUADRUPED) if source == "trials" else shipped_robot()
     baseline = shipped_baseline(robot.name) if given else None
-    messages = last(request.getfixturevalue(source), SHORT_S if given else WHOLE_S)
+    messages = m.last(request.getfixturevalue(source), SHORT_S if given else WHOLE_S)
     diagnosis = listen(messages, robot, baseline)
     assert diagnosis.exit_code == 0, diagnosis.findings
 
 
 def test_a_robot_that_is_still_learning_is_no_good_one(walk: list[m.Sent]) -> None:
-    diagnosis = listen(last(walk, SHORT_S), shipped_robot(), None)
+    diagnosis = listen(m.last(walk, SHORT_S), shipped_robot(), None)
     assert causes(diagnosis) == ["learning"]
     assert diagnosis.exit_code == 1
 
@@ -107,6 +94,7 @@ TABLE: dict[str, tuple[m.Mistake, Cause]] = {
     "swing without end": (m.never_stance, "phase"),
     "an id in capitals": (m.renamed({"lf": "LF"}), "leg_ids"),
     "a misspelt key": (m.misspelt, "key"),
+    "a joint too few": (m.angles(lambda row: row[:2]), "joints"),
     "stamps before 1970": (m.with_fields(t_ns=-5), "field"),
     "numbers below 0": (m.numbered(lambda seq: seq - 10**6), "field"),
     "a run beyond 64 bits": (m.with_fields(run=2**64 - 1), "field"),
@@ -139,7 +127,7 @@ TABLE: dict[str, tuple[m.Mistake, Cause]] = {
 def test_a_mistake_has_one_entry_with_its_name(
     walk: list[m.Sent], mistake: m.Mistake, cause: Cause
 ) -> None:
-    made = list(mistake(last(walk, SHORT_S), np.random.default_rng(1)))
+    made = list(mistake(m.last(walk, SHORT_S), np.random.default_rng(1)))
     diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
     assert causes(diagnosis) == [cause], diagnosis.findings
     assert diagnosis.exit_code == 1
@@ -192,7 +180,7 @@ def test_all_legs_lost_at_once_point_to_the_description_first(walk: list[m.Sent]
 def test_a_leg_that_its_baseline_lacks(walk: list[m.Sent]) -> None:
     legs = {leg: known for leg, known in BASELINE.legs.items() if leg != "lf"}
     given = dataclasses.replace(BASELINE, legs=legs)
-    diagnosis = listen(last(walk, SHORT_S), shipped_robot(), given)
+    diagnosis = listen(m.last(walk, SHORT_S), shipped_robot(), given)
     (finding,) = diagnosis.findings
     assert (finding.level, finding.cause, finding.legs) == ("error", "learning", ["lf"])
     assert "of 10 swings" in finding.what
@@ -209,10 +197,10 @@ def test_a_good_robot_at_another_rate_has_no_findings(period_s: float) -> None:
     ]
     assert check_recording(robot, of_legs(sent), {}) == []
     # After so short a walk a leg is not known yet, and nothing else is wrong.
-    diagnosis = listen(last(sent, 4.0), robot, None)
+    diagnosis = listen(m.last(sent, 4.0), robot, None)
     assert causes(diagnosis, notes=True) == ["learning"], diagnosis.findings
     # By a robot.toml of another rate, it is named.
-    wrong = listen(last(sent, 4.0), shipped_robot(), BASELINE)
+    wrong = listen(m.last(sent, 4.0), shipped_robot(), BASELINE)
     assert causes(wrong) == ["period"], wrong.findings
 
 
@@ -239,13 +227,13 @@ def test_jitter_of_a_loop_on_a_timer_is_none(
     walk: list[m.Sent], periods: float, named: bool
 ) -> None:
     robot = shipped_robot()
-    made = of_legs(list(m.jitter(periods)(last(walk, SHORT_S), np.random.default_rng(1))))
+    made = of_legs(list(m.jitter(periods)(m.last(walk, SHORT_S), np.random.default_rng(1))))
     found = [finding.cause for finding in check_recording(robot, made, {})]
     assert found == (["jitter"] if named else [])
 
 
 def test_without_a_service_the_samples_tell_rate_and_steps(walk: list[m.Sent]) -> None:
-    diagnosis = alone(last(walk, 4.0))
+    diagnosis = alone(m.last(walk, 4.0))
     assert causes(diagnosis, notes=True) == ["no_service", "undeclared"]
     note = diagnosis.findings[-1]
     assert note.what.endswith("samples come every 20.0 ms (50.0 Hz), readings step by 0.00512 rad")
@@ -266,7 +254,7 @@ def test_without_a_service_the_samples_tell_rate_and_steps(walk: list[m.Sent]) -
 def test_without_a_service_mistakes_are_named_all_the_same(
     walk: list[m.Sent], mistake: m.Mistake, cause: Cause
 ) -> None:
-    diagnosis = alone(list(mistake(last(walk, 4.0), np.random.default_rng(1))))
+    diagnosis = alone(list(mistake(m.last(walk, 4.0), np.random.default_rng(1))))
     assert sorted(causes(diagnosis)) == sorted(["no_service", cause]), diagnosis.findings
 
 
@@ -297,7 +285,7 @@ def of_legs(messages: list[m.Sent]) -> dict[str, list[ServoSample]]:
 
 
 def test_without_models_feet_that_stand_tell_ids(walk: list[m.Sent]) -> None:
-    robot, samples = shipped_robot(), of_legs(last(walk, 20.0))
+    robot, samples = shipped_robot(), of_legs(m.last(walk, 20.0))
     assert judge_recorded_ids(robot, samples) == {}
     for name, swap in SWAPS.items():
         swapped = {swap.get(leg, leg): rows for leg, rows in samples.items()}
@@ -320,13 +308,6 @@ def yaw_turned(messages: list[m.Sent]) -> list[m.Sent]:
 def test_a_yaw_of_the_wrong_sign_is_no_swap_where_models_tell(walk: list[m.Sent]) -> None:
     diagnosis = listen(yaw_turned(walk), shipped_robot(), BASELINE)
     assert causes(diagnosis) == ["signs"], diagnosis.findings
-    lines = judge_recorded_ids(shipped_robot(), of_legs(yaw_turned(last(walk, 20.0))))
+    lines = judge_recorded_ids(shipped_robot(), of_legs(yaw_turned(m.last(walk, 20.0))))
     assert sorted(lines) == ["lf", "rf"]
     assert all("as likely, the yaw angles grow the wrong way" in line for line in lines.values())
-
-
-def test_a_joint_too_few(walk: list[m.Sent]) -> None:
-    two = m.angles(lambda row: row[:2])
-    made = list(two(last(walk, SHORT_S), np.random.default_rng(1)))
-    diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
-    assert causes(diagnosis) == ["joints"], diagnosis.findings

@@ -15,11 +15,10 @@ from adaptive_contact.fit import FitSettings, fit_sparse
 from adaptive_contact.fit.prior import fit_prior
 from adaptive_contact.fit.sparse_regression import Prior
 from adaptive_contact.fit.train import Stretch, Training, learn
-from adaptive_contact.model import Domain, Factor, Library, Window
+from adaptive_contact.model import Domain, Factor, Library, Window, stack
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact.model.model_file import dump_baseline, load_baseline
 from adaptive_contact.model.training_domain import PRIOR_DEVIATIONS
-from adaptive_contact.model.window import stack
 from adaptive_contact.robot import parse_robot
 
 Array = NDArray[np.float64]

@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactEvent, ContactLearner, ServoSample
 from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.model import Baseline
-from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.robot.kinematics import inverse
-from adaptive_contact.wire import ContactEvent, ServoSample
+from adaptive_contact.robot import Robot, inverse, parse_robot
 
 PERIOD = 20_000_000
 LENGTHS = (0.052, 0.066, 0.138)

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactEvent, ContactLearner, ServoSample
 from adaptive_contact.checks.conventions.judge import judge_motion
 from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.model_file import dump_baseline, parse_baseline
 from adaptive_contact.robot import Leg, Robot
-from adaptive_contact.wire import ContactEvent, ServoSample
 
 from .conftest import LENGTHS, PERIOD, FakeLeg, play, samples
 

@@ -11,8 +11,7 @@ import pytest
 
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.core.detect.swing import RECENT_TICKS
-from adaptive_contact.model import Baseline, LegModel, Window, leg_library
-from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.model import Baseline, LegModel, Window, leg_library, shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim import SimulationSettings, record_arrays
 from adaptive_contact_sim.arrays import Run

@@ -7,11 +7,10 @@ import gc
 
 import numpy as np
 
-from adaptive_contact import ContactLearner, ServoSample
+from adaptive_contact import ContactEvent, ContactLearner, ServoSample
 from adaptive_contact.core.bank import LearnerBank, LegGroup
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.wire import ContactEvent
 
 from .conftest import FakeLeg
 

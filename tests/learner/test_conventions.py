@@ -10,23 +10,19 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactEvent, LearnerBank, ServoSample
 from adaptive_contact.checks.conventions.judge import (
     LegMotion,
     Verdict,
     judge_hanging,
     judge_motion,
 )
-from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Mount, Robot, shipped_robot
-from adaptive_contact.wire import ContactEvent, ServoSample
+from adaptive_contact_sim import PoseSettings, SimulationSettings, TerrainSettings, WalkSettings
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.pose import PoseSettings
-from adaptive_contact_sim.simulation import SimulationSettings
-from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
 from quadruped import recorded
 
 Turn = Callable[[np.ndarray], np.ndarray]

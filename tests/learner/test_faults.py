@@ -9,13 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact import ContactLearner, LearnerBank, ServoSample
 from adaptive_contact.core.learn.drift import OBSTRUCTED_SWINGS
-from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.robot import Robot
-from adaptive_contact.wire import ServoSample
 
 from .conftest import PERIOD, FakeLeg, play, samples
 

@@ -7,13 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.core.learn.lifecycle import Lifecycle
 from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.fit.refit_job import InlineRefitter
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
-from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim import SimulationSettings, parse_drift, record_arrays, simulated_robot
 from adaptive_contact_studies.evaluate import play as play_run
 from adaptive_contact_studies.evaluate import score_run

@@ -12,9 +12,8 @@ from adaptive_contact.core.learn.change_classifier import (
     LEAST_SHARE,
     ChangeClassifier,
 )
-from adaptive_contact.model import Baseline, LegModel, leg_library, stack
+from adaptive_contact.model import Baseline, LegBaseline, LegModel, leg_library, stack
 from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
-from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.robot import Robot
 
 from .conftest import FakeLeg

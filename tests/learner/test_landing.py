@@ -6,15 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.core.detect import layout
 from adaptive_contact.core.detect.contact import context_of, statistic
 from adaptive_contact.core.detect.swing import AFTER_TICKS
 from adaptive_contact.core.detect.swing_judge import LANDINGS, Landings
-from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.noise import AFTER, DESCENT
 from adaptive_contact.robot import Robot
-from adaptive_contact.wire import ServoSample
 
 from .conftest import FakeLeg, play, samples
 

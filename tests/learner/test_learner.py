@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner
-from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact import ContactLearner, LearnerBank
 from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.fit.train import Stretch, learn

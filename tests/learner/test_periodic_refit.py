@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from adaptive_contact import ContactLearner
 from adaptive_contact.core.learn.periodic_refit import (
     LEAST_GAIN,
     REFIT_DUE_TICKS,
@@ -16,13 +17,10 @@ from adaptive_contact.core.learn.periodic_refit import (
     first_refit_after,
 )
 from adaptive_contact.core.learn.replay_buffer import ReplayBuffer
-from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import RefitJob, RefitResult, refit
+from adaptive_contact.model import LegBaseline, Library, leg_library, stack, with_changes
 from adaptive_contact.model.leg_prior import leg_prior
-from adaptive_contact.model.library import Library, leg_library, with_changes
-from adaptive_contact.model.model_file import LegBaseline
-from adaptive_contact.model.window import stack
 from adaptive_contact.robot import Robot
 
 from .conftest import FakeLeg, outcomes, play

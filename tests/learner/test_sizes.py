@@ -7,14 +7,11 @@ import dataclasses
 import msgspec
 import pytest
 
-from adaptive_contact.core.leg_learner import ContactLearner
+from adaptive_contact import ContactEvent, ContactLearner, ServoSample
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.wire import ContactEvent, ServoSample
+from adaptive_contact_sim import SimulationSettings, parse_drift, simulated_robot
 from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
-from adaptive_contact_sim.robots import simulated_robot
-from adaptive_contact_sim.scenario import parse_drift
-from adaptive_contact_sim.simulation import SimulationSettings
 
 NAME, LEG = "quadruped12", "fr"
 

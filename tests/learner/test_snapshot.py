@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.core.leg_learner import ContactLearner
+from adaptive_contact import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.wire import Reject, ServoSample

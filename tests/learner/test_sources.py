@@ -9,11 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner
-from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact import ContactLearner, LearnerBank
 from adaptive_contact.core.learn.mode import WhenAmbiguous
-from adaptive_contact.model import Baseline
-from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.wire import ContactEvent, Doubt, ServoSample
 from adaptive_contact_sim import SimulationSettings, WalkSettings, record_arrays

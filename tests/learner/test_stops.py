@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.checks.limits import STOP_RAD
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.wire import ServoSample
 
 ROBOT = (
     '[robot]\nname = "stops"\nperiod_s = 0.02\nquantum_rad = 0.0015\n[[leg]]\nid = "a"\n'

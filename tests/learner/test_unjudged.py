@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.fit.train import Stretch, learn
-from adaptive_contact.model import Baseline
-from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim import SimulationSettings, record_arrays, simulated_robot
 
 from .conftest import TOML, FakeLeg, samples

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptive_contact import ServoSample
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import AngleFrame, Port, load_robot, parse_robot, shipped_robot
 from adaptive_contact.robot.load import is_shipped, recorded_as
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.status import LegFacts
-from adaptive_contact.wire import ServoSample
 
 GOOD = """
 [robot]

@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 from adaptive_contact.cli.sim import app
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, MissingExtraError
 from adaptive_contact.service.recording import read_recording
-from adaptive_contact_sim import Simulation, load_scenario
-from adaptive_contact_sim.drift import KINDS
+from adaptive_contact_sim import KINDS, Simulation, load_scenario
 from adaptive_contact_sim.scenario import parse_scenario
 
 RUN = CliRunner()

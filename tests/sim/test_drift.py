@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
+from adaptive_contact_sim import Simulation, SimulationSettings, drift_from, parse_drift
 from adaptive_contact_sim.drift import DriftSchedule, Injection
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.scenario import drift_from, parse_drift
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 
 RF = LEGS.index("rf")
 

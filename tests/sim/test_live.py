@@ -28,10 +28,9 @@ from adaptive_contact.wire import (
     encode,
 )
 from adaptive_contact.wire.received import Received
+from adaptive_contact_sim import TerrainSettings, WalkSettings
 from adaptive_contact_sim.live import Pace, run_live
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
-from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
 
 
 @dataclass

@@ -21,13 +21,16 @@ from adaptive_contact.wire import (
     servo_key,
     truth_key,
 )
-from adaptive_contact_sim.drift import Injection
-from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim import (
+    Injection,
+    ObstacleSettings,
+    PoseSettings,
+    Simulation,
+    SimulationSettings,
+    TerrainSettings,
+    WalkSettings,
+)
 from adaptive_contact_sim.picture import Film, Moment, Painter
-from adaptive_contact_sim.pose import PoseSettings
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
 from tests.sim.touches import recorded
 
 WALK = SimulationSettings(

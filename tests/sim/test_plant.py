@@ -5,15 +5,18 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import SimulationDivergedError
+from adaptive_contact_sim import (
+    ObstacleSettings,
+    PoseSettings,
+    Simulation,
+    SimulationSettings,
+    WalkSettings,
+)
 from adaptive_contact_sim.elements import LEGS, PARTS
-from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.plant import Plant
-from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.scene import build
 from adaptive_contact_sim.servo import ServoParameters
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
 
 ROBOTS = {
     "rough": SimulationSettings(motion=WalkSettings(), terrain=TerrainSettings(kind="rough")),

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.arrays import record_arrays
+from adaptive_contact_sim import ObstacleSettings, Simulation, SimulationSettings, record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import LegGeometry
-from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import WORKSPACES, PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from tests.sim.touches import touches_of
 
 GEOMETRY = LegGeometry()

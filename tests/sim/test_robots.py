@@ -15,13 +15,16 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.score import summarise
-from adaptive_contact_sim.arrays import record_arrays
+from adaptive_contact_sim import (
+    PoseSettings,
+    Simulation,
+    SimulationSettings,
+    WalkSettings,
+    record_arrays,
+)
 from adaptive_contact_sim.legs import ChainLegs
-from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.robots import ROBOTS, simulated_robot
 from adaptive_contact_sim.scenario import parse_drift, parse_scenario
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import play, score_run
 from tests.sim.touches import recorded
 

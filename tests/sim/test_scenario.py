@@ -6,10 +6,8 @@ import pytest
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
-from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim import PoseSettings, Simulation, WalkSettings
 from adaptive_contact_sim.scenario import load_scenario, parse_scenario, shipped_scenarios
-from adaptive_contact_sim.simulation import Simulation
-from adaptive_contact_sim.walk import WalkSettings
 
 # Names are permanent: add, never rename.
 NAMES = {

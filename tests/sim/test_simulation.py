@@ -8,15 +8,18 @@ import pytest
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import MSGPACK, Drift, ServoSample, decode, encode
-from adaptive_contact_sim.drift import Injection
+from adaptive_contact_sim import (
+    EncoderSettings,
+    Injection,
+    ObstacleSettings,
+    PoseSettings,
+    Simulation,
+    SimulationSettings,
+    TerrainSettings,
+    WalkSettings,
+)
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.encoder import EncoderSettings
-from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.servo import QUANTUM_RAD
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
 
 EVERYTHING = {
     "pose": SimulationSettings(

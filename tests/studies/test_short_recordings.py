@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact.fit.train import Stretch, gather_rows, learn_leg
-from adaptive_contact.model.leg_model import LegModel
-from adaptive_contact.model.library import leg_library
-from adaptive_contact.model.window import stack
+from adaptive_contact.model import LegModel, leg_library, stack
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.training import stretch_of
 

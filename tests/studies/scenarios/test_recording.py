@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.score import LegStream, TruthChanges
+from adaptive_contact_sim import ObstacleSettings, PoseSettings, SimulationSettings
 from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
-from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.pose import PoseSettings
-from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_studies.scenarios.replay import recorded, replayed, touching
 from adaptive_contact_studies.scenarios.spec import RecordingSpec, ReplaySpec, Staging
 from adaptive_contact_studies.work import Work
