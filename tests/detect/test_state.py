@@ -152,32 +152,39 @@ def test_a_leg_that_hangs_has_no_state() -> None:
     }
 
 
+class Loaded:
+    """A leg from a prior, by the scalars of its state."""
+
+    def __init__(self) -> None:
+        legs = new_legs(1)
+        self.of, self.record = scalars_of(legs, 0), records(legs)[0]
+        self.of.has_lengths = self.of.from_prior = True
+        self.of.period_ns, self.of.variance_scale, self.of.stance_n = 20_000_000, 1.0, -1
+
+    def carries(self, pushes: list[float], sums: list[float] | None = None) -> bool:
+        """Whether it carries after stances with such pushes, whose sums grow to these."""
+        for push, total in zip(pushes, sums or [0.0] * len(pushes), strict=True):
+            self.of.ticks = 1
+            follow_load(self.record)
+            self.of.ticks, self.of.push_sum = 0, push
+            for k in range(12):
+                self.of.push = total * k / 11
+                follow_load(self.record)
+        self.of.ticks = 1
+        follow_load(self.record)
+        return bool(self.of.carried)
+
+
 def test_a_leg_is_lifted_where_its_load_falls_and_not_where_it_is_small() -> None:
     """Pushes of a stiff drive hardly reach the level of a leg that carries."""
-    legs = new_legs(1)
-    leg, record = scalars_of(legs, 0), records(legs)[0]
-    leg.has_lengths = leg.from_prior = True
-    leg.period_ns, leg.variance_scale, leg.stance_n = 20_000_000, 1.0, -1
-
-    def carries(pushes: list[float]) -> bool:
-        """Whether it carries after stances with such pushes."""
-        for push in pushes:
-            leg.ticks = 1
-            follow_load(record)
-            leg.ticks, leg.push_sum = 0, push
-            for _ in range(12):
-                follow_load(record)
-        leg.ticks = 1
-        follow_load(record)
-        return bool(leg.carried)
-
-    assert carries([4.0] * 8)
-    leg.idle_n = 500
-    assert carries([2.5] * 20)  # below the level
-    assert leg.idle_n == 0
-    assert carries([2.5, 0.2] * 4)  # every other step into a hole
-    assert not carries([0.5] * 12)
-    assert hangs(record)
+    leg = Loaded()
+    assert leg.carries([4.0] * 8)
+    leg.of.idle_n = 500
+    assert leg.carries([2.5] * 20)  # below the level
+    assert leg.of.idle_n == 0
+    assert leg.carries([2.5, 0.2] * 4)  # every other step into a hole
+    assert not leg.carries([0.5] * 12)
+    assert hangs(leg.record)
 
 
 @pytest.mark.parametrize(
@@ -188,18 +195,9 @@ def test_a_stiff_drive_carries_where_each_stance_goes_on_pushing(
     sums: list[float], carries: bool
 ) -> None:
     """Its push of one tick is that of a leg in the air whose model errs."""
-    legs = new_legs(1)
-    leg, record = scalars_of(legs, 0), records(legs)[0]
-    leg.has_lengths = leg.from_prior = True
-    leg.period_ns, leg.variance_scale, leg.stance_n = 20_000_000, 1.0, -1
-    for total in sums:
-        leg.ticks = 1
-        follow_load(record)
-        leg.ticks, leg.push_sum = 0, 2.0
-        for k in range(12):
-            leg.push = total * k / 11
-            follow_load(record)
-    assert bool(leg.carried) is bool(leg.slight) is carries
+    leg = Loaded()
+    assert leg.carries([2.0] * len(sums), sums) is carries
+    assert bool(leg.of.slight) is carries
 
 
 def test_a_new_source_has_to_stand_first(walk: Walked) -> None:
