@@ -103,10 +103,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="session")
 def baseline(robot: Robot) -> Baseline:
-    measured, desired, swing, _ = FakeLeg(seed=1).run(900)
-    sound = np.ones(len(swing), dtype=bool)
-    stretch = Stretch(measured, desired, swing, swing, sound)
-    return learn(robot, {"rf": [stretch]}, origin="test").baseline
+    return trained(robot, FakeLeg(seed=1).run(900))
 
 
 def samples(measured: np.ndarray, desired: np.ndarray, swing: np.ndarray) -> list[ServoSample]:
@@ -122,6 +119,28 @@ def samples(measured: np.ndarray, desired: np.ndarray, swing: np.ndarray) -> lis
 
 def play(learner: ContactLearner, stream: list[ServoSample]) -> list[ContactEvent]:
     return [event for s in stream if (event := learner.update(s)) is not None]
+
+
+def followed(
+    learner: ContactLearner, stream: list[ServoSample]
+) -> tuple[list[str], list[str | None], list[list[int]]]:
+    """Status and note after each swing, and the times that were confirmed by then."""
+    status, notes, confirmed = [], [], []
+    for k, sample in enumerate(stream):
+        learner.update(sample)
+        if k % 28 == 27:
+            status.append(learner.status.status)
+            notes.append(learner.status.note)
+            confirmed.append(learner.drain_confirmed())
+    return status, notes, confirmed
+
+
+def trained(robot: Robot, run: tuple[np.ndarray, ...]) -> Baseline:
+    """A baseline of swings that touch nothing."""
+    measured, desired, swing, _ = run
+    sound = np.ones(len(swing), dtype=bool)
+    stretch = Stretch(measured, desired, swing, swing, sound)
+    return learn(robot, {"rf": [stretch]}, origin="test").baseline
 
 
 def outcome(events: list[ContactEvent], first: int, stop: int | None) -> str:

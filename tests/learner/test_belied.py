@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -12,7 +11,7 @@ from adaptive_contact.core.learn.drift import EARLY_BEGIN, EARLY_END, EARLY_SWIN
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 
-from .conftest import FakeLeg, samples
+from .conftest import FakeLeg, followed, samples
 
 SHARES = st.floats(0.3, 1.0).flatmap(
     lambda share: st.lists(st.floats(0.0, 1.0).map(lambda x: x < share), max_size=120)
@@ -40,23 +39,6 @@ def test_the_doubt_begins_with_three_quarters_of_the_swings_and_ends_with_half(
     assert touches.note is None
 
 
-def followed(
-    robot: Robot, baseline: Baseline, run: tuple[np.ndarray, ...]
-) -> tuple[list[str], list[str | None], list[int]]:
-    """Status, note and confirmed ticks after each swing."""
-    learner = ContactLearner(robot, "rf", baseline)
-    status: list[str] = []
-    notes: list[str | None] = []
-    confirmed: list[int] = []
-    for k, sample in enumerate(samples(*run[:3])):
-        learner.update(sample)
-        if k % 28 == 27:
-            status.append(learner.status.status)
-            notes.append(learner.status.note)
-            confirmed.append(len(learner.drain_confirmed()))
-    return status, notes, confirmed
-
-
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.8])
 def test_a_leg_that_only_comes_down_differently_is_ambiguous(
     robot: Robot, baseline: Baseline, share: float
@@ -64,7 +46,7 @@ def test_a_leg_that_only_comes_down_differently_is_ambiguous(
     """No lift shows it, each descent looks like a touch, and its owner has to be told."""
     changed = range(60, 130)
     run = FakeLeg(seed=5).run(170, falling=lambda n: share if n in changed else 1.0)
-    status, notes, _ = followed(robot, baseline, run)
+    status, notes, _ = followed(ContactLearner(robot, "rf", baseline), samples(*run[:3]))
     assert set(status[:80]) == {"valid"}
     assert set(status[92:129]) == {"ambiguous"}
     assert notes[100] is not None
@@ -78,9 +60,9 @@ def test_swings_that_all_end_in_a_touch_are_no_such_change(
     robot: Robot, baseline: Baseline, tick: int
 ) -> None:
     run = FakeLeg(seed=6).run(150, touch=lambda n: tick if n >= 20 else None)
-    status, _, confirmed = followed(robot, baseline, run)
+    status, _, confirmed = followed(ContactLearner(robot, "rf", baseline), samples(*run[:3]))
     assert set(status) == {"valid"}
-    assert sum(confirmed[100:]) > 100
+    assert sum(map(len, confirmed[100:])) > 100
 
 
 @pytest.mark.parametrize("saved", [None, 3, {"lately": 4}, {"lately": [1] * 5, "told": True}])
@@ -97,7 +79,7 @@ def test_a_change_that_is_known_ends_the_doubt(robot: Robot, baseline: Baseline)
         change=lambda n: 0.7 if n >= 110 else 1.0,
         falling=lambda n: 0.4 if 60 <= n < 110 else 1.0,
     )
-    status, notes, _ = followed(robot, baseline, run)
+    status, notes, _ = followed(ContactLearner(robot, "rf", baseline), samples(*run[:3]))
     assert set(status[95:109]) == {"ambiguous"}
     assert "adapting" in status[110:116]
     assert status[-1] == "valid"

@@ -13,12 +13,11 @@ import pytest
 from adaptive_contact import ContactLearner, LearnerBank
 from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.errors import BaselineError, ConfigurationError
-from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.wire import DriftLevel
 
-from .conftest import PERIOD, FakeLeg, outcomes, play, samples
+from .conftest import PERIOD, FakeLeg, followed, outcomes, play, samples, trained
 
 
 def test_contacts_are_found_and_nothing_else(robot: Robot, baseline: Baseline) -> None:
@@ -225,26 +224,17 @@ def test_servos_that_are_far_behind_their_commands_are_not_taken_for_a_held_foot
     robot: Robot, gain: float
 ) -> None:
     """By four and by seven ticks: the foot never gets to where its command was."""
-    measured, desired, swing, _ = FakeLeg(seed=1, gain=gain).run(500)
-    sound = np.ones(len(swing), dtype=bool)
-    known = learn(robot, {"rf": [Stretch(measured, desired, swing, swing, sound)]}, origin="test")
+    known = trained(robot, FakeLeg(seed=1, gain=gain).run(500))
     # Free, then caught for thirty swings, then free.
     caught = range(40, 70)
-    stream = FakeLeg(seed=3, gain=gain).run(110, touch=lambda n: 0 if n in caught else None)
-    learner = ContactLearner(robot, "rf", known.baseline)
-    told: list[str] = []
-    confirmed: list[int] = []
-    for k, sample in enumerate(samples(*stream[:3])):
-        learner.update(sample)
-        if k % 28 == 27:
-            told.append(learner.status.status)
-            confirmed.append(len(learner.drain_confirmed()))
+    stream = FakeLeg(seed=3, gain=gain).stream(110, touch=lambda n: 0 if n in caught else None)
+    told, _, confirmed = followed(ContactLearner(robot, "rf", known), stream)
     assert told[5:40].count("valid") == 35
-    assert sum(confirmed[:40]) > 200
+    assert sum(map(len, confirmed[:40])) > 200
     assert told[46:70].count("ambiguous") == 24
-    assert sum(confirmed[41:70]) == 0
+    assert not any(confirmed[41:70])
     assert told[76:].count("valid") >= 30
-    assert sum(confirmed[76:]) > 150
+    assert sum(map(len, confirmed[76:])) > 150
 
 
 def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline) -> None:

@@ -13,20 +13,6 @@ from adaptive_contact.core.detect.source import vote_late
 STEP = 20_000_000
 
 
-def test_jitter_and_lost_samples_are_no_other_rate() -> None:
-    rng = np.random.default_rng(0)
-    times = 20.0 * np.arange(20_000) + rng.uniform(-5, 5, 20_000)
-    numbers = np.sort(rng.choice(20_000, 18_000, replace=False))
-    rate = RateWatch(20_000_000)
-    lost = 0
-    for number in numbers:
-        missed = rate.follow(round(times[number] * 1e6), int(number), restart=False)
-        assert missed is not None
-        assert not rate.off
-        lost += missed
-    assert lost == numbers[-1] - numbers[0] - len(numbers) + 1
-
-
 @pytest.mark.parametrize(("step", "missed"), [(30, 0), (33, 1), (37, 1), (41, 1), (60, 2)])
 def test_where_readings_are_known_to_be_late_a_late_tick_is_one_without_a_reading(
     step: int, missed: int

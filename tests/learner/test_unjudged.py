@@ -6,17 +6,15 @@ import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from adaptive_contact import ContactLearner, ServoSample
-from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact_sim import SimulationSettings, record_arrays, simulated_robot
 
-from .conftest import TOML, FakeLeg, samples
+from .conftest import TOML, FakeLeg, samples, trained
 
 # What no swing can be judged of.
 FAULTS: dict[str, Callable[[ServoSample], ServoSample]] = {
@@ -46,9 +44,7 @@ def known(request: pytest.FixtureRequest) -> Known:
         return Known(robot, "rf", baseline, FakeLeg(seed=2).stream(6))
     if kind == "bare":  # without geometry the joints show it
         robot = parse_robot(TOML.replace("lengths_m", "# "), source="bare")
-        measured, desired, swing, _ = FakeLeg(seed=1).run(320)
-        free = Stretch(measured, desired, swing, swing, np.ones(len(swing), dtype=bool))
-        baseline = learn(robot, {"rf": [free]}, origin="test").baseline
+        baseline = trained(robot, FakeLeg(seed=1).run(320))
         return Known(robot, "rf", baseline, FakeLeg(seed=2).stream(6))
     robot = simulated_robot(kind).description
     settings = SimulationSettings.of(kind, "pose" if kind == "leg5" else "walk")
