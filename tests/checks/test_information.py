@@ -137,13 +137,6 @@ def test_a_servo_that_carries_load_is_its_own(gain: float, delay: int, step: flo
     assert (said, check.suspected, check.unproved) == ([], False, False)
 
 
-@pytest.mark.parametrize("play", [0.5, 2.0])
-def test_play_is_no_copy(play: float) -> None:
-    u, swing = commands(20)
-    y = grid(servo(u, swing, gain=0.95, play=math.radians(play)))
-    assert played(y, u, swing)[1] == []
-
-
 def test_a_leg_that_carries_nothing_is_open_where_its_model_predicts_it() -> None:
     """And once it carries load it is its own."""
     u, swing = commands(24)
@@ -287,13 +280,6 @@ def test_copies_in_swings_alone_stay_copies_where_fewer_in_a_row_show_it() -> No
     _, said = played(y, u, swing)
     assert [kind for _, kind in said] == ["copy", None]
     assert end < said[1][0] <= end + 5 * STRIDE
-
-
-def test_a_frozen_joint_is_no_copy() -> None:
-    u, swing = commands(12)
-    y = grid(servo(u, swing, gain=0.4))
-    y[:, 0] = y[0, 0]
-    assert played(y, u, swing)[1] == []
 
 
 def test_least_squares_against_a_slow_reference() -> None:

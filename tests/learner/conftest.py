@@ -11,7 +11,7 @@ import pytest
 
 from adaptive_contact import ContactEvent, ContactLearner, ServoSample
 from adaptive_contact.fit.train import Stretch, learn
-from adaptive_contact.model import Baseline
+from adaptive_contact.model import Baseline, Rows
 from adaptive_contact.robot import Robot, inverse, parse_robot
 
 PERIOD = 20_000_000
@@ -133,6 +133,20 @@ def followed(
             notes.append(learner.status.note)
             confirmed.append(learner.drain_confirmed())
     return status, notes, confirmed
+
+
+def taken(learner: ContactLearner) -> list[Rows]:
+    """The rows that go into the buffer from here on."""
+    buffer, found = learner.lifecycle.adapter.buffer, list[Rows]()
+    add = buffer.add
+
+    def listen(rows: Rows, region: int, era: int) -> None:
+        if rows:
+            found.append(rows)
+        add(rows, region, era)
+
+    buffer.add = listen  # type: ignore[method-assign]
+    return found
 
 
 def trained(robot: Robot, run: tuple[np.ndarray, ...]) -> Baseline:

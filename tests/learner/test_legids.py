@@ -10,43 +10,29 @@ import numpy as np
 
 from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.checks.leg_ids import judge_ids
-from adaptive_contact.robot import Mount, Robot, foot, shipped_robot
+from adaptive_contact.robot import Mount, Robot, foot, inverse, shipped_robot
 
 TICKS = 600
 PERIOD_NS = 20_000_000
 
 
+def turned(points: np.ndarray, by: np.ndarray | float) -> np.ndarray:
+    """Points (..., 2) turned about the origin."""
+    (x, y), c, s = np.moveaxis(points, -1, 0), np.cos(by), np.sin(by)
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
 def commands_of(robot: Robot, seed: int) -> dict[str, LegMotion]:
-    """Commands of legs that stand on a body which moves and turns; found by Newton steps."""
+    """Commands of legs that stand on a body which moves and turns."""
     at = np.random.default_rng(seed).uniform(0.0, 6.0, 3) + np.arange(TICKS)[:, None] * 0.05
-    way = 0.02 * np.sin(at[:, :2] * [1.0, 0.7])
-    turn = 0.06 * np.sin(at[:, 2])
+    way, turn = 0.02 * np.sin(at[:, :2] * [1.0, 0.7]), 0.06 * np.sin(at[:, 2])
     found = {}
     for leg in robot.legs:
-        home = np.array([0.0, 0.6, -1.9])
-        yaw = leg.mount.yaw_rad
-        mount = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        reach = mount @ foot(home[None], leg.lengths_m, leg.joint_axes)[0, :2]
-        ground = reach + np.array(leg.mount.xyz_m[:2])
-        height = foot(home[None], leg.lengths_m, leg.joint_axes)[0, 2]
-        angles, rows = home.copy(), []
-        for k in range(TICKS):
-            c, s = np.cos(turn[k]), np.sin(turn[k])
-            on_body = np.array([[c, s], [-s, c]]) @ (ground - way[k])
-            aim = mount.T @ (on_body - np.array(leg.mount.xyz_m[:2]))
-            goal = np.array([*aim, height])
-            for _ in range(3):
-                here = foot(angles[None], leg.lengths_m, leg.joint_axes)[0]
-                slope = np.stack(
-                    [
-                        foot((angles + 1e-6 * step)[None], leg.lengths_m, leg.joint_axes)[0] - here
-                        for step in np.eye(3)
-                    ],
-                    axis=1,
-                )
-                angles = angles + np.linalg.solve(slope / 1e-6, goal - here)
-            rows.append(angles.copy())
-        desired = np.array(rows)
+        home = foot(np.array([0.0, 0.6, -1.9]), leg.lengths_m, leg.joint_axes)
+        place, yaw = np.array(leg.mount.xyz_m[:2]), leg.mount.yaw_rad
+        on_body = turned(turned(home[:2], yaw) + place - way, -turn)
+        aim = np.column_stack([turned(on_body - place, -yaw), np.full(TICKS, home[2])])
+        desired = inverse(aim, leg.lengths_m)
         standing = np.zeros(TICKS, dtype=bool)
         lifted = desired + np.array([0.0, 0.02, 0.0])  # the ground holds the foot up
         found[leg.id] = LegMotion(np.arange(TICKS) * PERIOD_NS, lifted, desired, standing)

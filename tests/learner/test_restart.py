@@ -9,10 +9,9 @@ import pytest
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.core.detect.stream import RESET_SAMPLES
 from adaptive_contact.model import Baseline, stack
-from adaptive_contact.model.labelled_swing import Rows
 from adaptive_contact.robot import Robot
 
-from .conftest import PERIOD, FakeLeg, play, samples
+from .conftest import PERIOD, FakeLeg, play, samples, taken
 
 SWING = 28  # ticks, with its stance
 # Ticks of the last swing of the first source, which has confirmed its lift and not its descent.
@@ -43,7 +42,6 @@ def source(seed: int, swings: int, first: int) -> tuple[np.ndarray, np.ndarray, 
 def test_no_segment_spans_a_restart(
     robot: Robot,
     baseline: Baseline,
-    monkeypatch: pytest.MonkeyPatch,
     run: int | None,
     t_ns: int,
     seq: int,
@@ -51,16 +49,7 @@ def test_no_segment_spans_a_restart(
     begins: int,
 ) -> None:
     learner = ContactLearner(robot, "rf", baseline)
-    adapter = learner.lifecycle.adapter
-    buffer, taken = adapter.buffer, list[Rows]()
-    add = buffer.add
-
-    def spy(rows: Rows, region: int, era: int) -> None:
-        if rows:
-            taken.append(rows)
-        add(rows, region, era)
-
-    monkeypatch.setattr(buffer, "add", spy)
+    buffer, rows_taken = learner.lifecycle.adapter.buffer, taken(learner)
     old_measured, old_desired, stream = source(51, 41, 0)
     old = [
         msgspec.structs.replace(s, t_ns=s.t_ns + 10**15, run=None if run is None else 1)
@@ -85,7 +74,7 @@ def test_no_segment_spans_a_restart(
     after = learner.status.buffer
     grown = after.lift_ticks - before.lift_ticks, after.descent_ticks - before.descent_ticks
     assert min(grown) > 0
-    assert len(taken) == len(buffer.segments) > segments, "none was evicted"
+    assert len(rows_taken) == len(buffer.segments) > segments, "none was evicted"
     # Row by row: of one clock, in order, and predicted from one source's readings alone.
     sources = [
         (old[0].t_ns, len(old), old_measured, old_desired),
@@ -100,7 +89,7 @@ def test_no_segment_spans_a_restart(
             first_ns + (k + 1) * PERIOD: row
             for k, row in zip(cut.tick.tolist(), theta, strict=True)
         }
-    for rows in taken:
+    for rows in rows_taken:
         times = rows.t_ns.tolist()
         assert (np.diff(times) == PERIOD).all()
         np.testing.assert_allclose(rows.theta, [regressors[t_ns] for t_ns in times], atol=1e-12)

@@ -102,20 +102,17 @@ def test_a_superseded_publisher_that_floods_takes_nothing_back(times: int) -> No
 
 
 def test_restarts_are_counted_and_outlive_ours() -> None:
+    """The first sample is none; a source may go on while the service is away, or begin anew."""
     guard = StreamGuard(2)
-    for seq in range(5):
-        guard.admit(sample(seq, run=1))
-    assert guard.restarts == 0, "the first sample is none"
+    feed(guard, *(sample(seq, run=1) for seq in range(5)))
+    counted = [guard.restarts]
     guard.admit(sample(0, run=2))
-    assert guard.restarts == 1
-    again = StreamGuard(2)
-    again.restore(guard.snapshot())
-    again.admit(sample(1, run=2))
-    assert again.restarts == 1, "the source went on while the service was away"
-    another = StreamGuard(2)
-    another.restore(guard.snapshot())
-    another.admit(sample(0, run=3))
-    assert another.restarts == 2, "it began anew meanwhile"
+    for after in (sample(1, run=2), sample(0, run=3)):
+        again = StreamGuard(2)
+        again.restore(guard.snapshot())
+        again.admit(after)
+        counted += [guard.restarts, again.restarts]
+    assert counted == [0, 1, 1, 1, 2]
 
 
 def test_a_source_that_is_restarted_now_and_then_is_not() -> None:
