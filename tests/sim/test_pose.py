@@ -95,13 +95,10 @@ def test_obstacles_are_met_on_descents(approach: str) -> None:
 def test_legs_take_turns_without_a_swing_between() -> None:
     motion = PoseSettings(legs=LEGS, trials_per_turn=3)
     run = record_arrays(SimulationSettings(motion=motion), 25.0)
-    order = []
-    for k in range(len(run.t_ns)):
-        moving = [leg for leg in LEGS if run.legs[leg].swing[k]]
-        assert len(moving) <= 1
-        if moving and (not order or order[-1] != moving[0]):
-            order.append(moving[0])
-    assert order[:6] == list(LEGS)
+    swings = np.array([run.legs[leg].swing for leg in LEGS])
+    assert swings.sum(axis=0).max() == 1
+    moving = swings.argmax(axis=0)[swings.any(axis=0)]
+    assert moving[np.diff(moving, prepend=-1) != 0][:6].tolist() == list(range(6))
     for leg in LEGS:
         begin, end = swings_of(run.legs[leg].swing)[0]
         assert end - begin == 20

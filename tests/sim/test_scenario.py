@@ -113,15 +113,19 @@ def test_errors_are_one_line_that_names_the_file(text: str, words: str) -> None:
     assert str(caught.value).startswith("mine.toml: ")
 
 
-def test_loading(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text(FULL, encoding="utf-8")
-    assert load_scenario(str(file)).name == "mine"
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("walk-mut", "did you mean 'walk-mud'"),
+        ("none.toml", "cannot be read"),
+        ("bad.toml", "UTF-8"),
+    ],
+)
+def test_loading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, words: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(FULL, encoding="utf-8")
+    Path("bad.toml").write_bytes(b"\xff\xfe\x00")
+    assert load_scenario("mine.toml").name == "mine"
     assert load_scenario("walk-mud").settings.seed == 4
-    with pytest.raises(ConfigurationError, match="did you mean 'walk-mud'"):
-        load_scenario("walk-mut")
-    with pytest.raises(ConfigurationError, match="cannot be read"):
-        load_scenario(str(tmp_path / "none.toml"))
-    file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigurationError, match="UTF-8"):
-        load_scenario(str(file))
+    with pytest.raises(ConfigurationError, match=words):
+        load_scenario(name)
