@@ -62,6 +62,12 @@ def grid(y: np.ndarray, step: float = STEP, noise: float = 0.1, seed: int = 3) -
     return np.asarray(np.round((y + rng.normal(0.0, noise * step, y.shape)) / step) * step)
 
 
+def walked(strides: int, seed: int = 1, **of: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Commands, which ticks swing, and what is read of a leg's own servos."""
+    u, swing = commands(strides, seed)
+    return u, swing, grid(servo(u, swing, **{"gain": 0.4, "seed": seed + 1, **of}))
+
+
 def delayed(u: np.ndarray, ticks: float) -> np.ndarray:
     k = np.arange(len(u)) - ticks
     return np.stack([np.interp(k, np.arange(len(u)), of) for of in u.T], axis=1)
@@ -103,8 +109,7 @@ STALE: dict[str, Lie] = {
 def test_what_carries_nothing_is_found_in_three_strides_and_over_in_five(
     name: str, begin: int
 ) -> None:
-    u, swing = commands(24)
-    own = grid(servo(u, swing, gain=0.4))
+    u, swing, own = walked(24)
     end = begin + 6 * STRIDE
     y = own.copy()
     y[begin:end] = (COPIES | STALE)[name](own, u)[begin:end]
@@ -119,8 +124,7 @@ def test_what_carries_nothing_is_found_in_three_strides_and_over_in_five(
 
 @pytest.mark.parametrize("name", COPIES)
 def test_when_it_began_is_known(name: str) -> None:
-    u, swing = commands(14)
-    own = grid(servo(u, swing, gain=0.4))
+    u, swing, own = walked(14)
     y, begin = own.copy(), 8 * STRIDE + 5
     y[begin:] = COPIES[name](own, u)[begin:]
     check, said = played(y, u, swing)
@@ -180,8 +184,7 @@ def test_an_open_joint_that_hardly_moves_stays_open() -> None:
 @pytest.mark.parametrize("noise", [0.5, 1.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_copy_with_noise_is_found_where_the_leg_has_shown_itself(noise: float, seed: int) -> None:
-    u, swing = commands(24, seed)
-    y = grid(servo(u, swing, gain=0.4))
+    u, swing, y = walked(24, seed)
     end = 18 * STRIDE
     y[10 * STRIDE : end] = grid(delayed(u, 3), noise=noise, seed=seed)[10 * STRIDE : end]
     check, said = played(y, u, swing)
@@ -216,8 +219,7 @@ def test_a_copied_joint_that_hardly_moves_for_strides_stays_a_copy() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_old_readings_of_a_leg_that_carries_stay_old(seed: int) -> None:
-    u, swing = commands(40, seed)
-    own = grid(servo(u, swing, gain=0.3, load=0.12, seed=seed))
+    u, swing, own = walked(40, seed, gain=0.3, load=0.12)
     y = own.copy()
     y[8 * STRIDE : 34 * STRIDE] = np.roll(own, 50, axis=0)[8 * STRIDE : 34 * STRIDE]
     _, said = played(y, u, swing)
@@ -226,8 +228,7 @@ def test_old_readings_of_a_leg_that_carries_stay_old(seed: int) -> None:
 
 
 def test_one_joint_is_named() -> None:
-    u, swing = commands(12)
-    y = grid(servo(u, swing, gain=0.4))
+    u, swing, y = walked(12)
     y[:, 1] = delayed(u, 2)[:, 1]
     check, _ = played(y, u, swing)
     assert check.found.joints == (1,)
@@ -284,8 +285,7 @@ def test_copies_in_swings_alone_stay_copies_where_fewer_in_a_row_show_it() -> No
 
 def test_least_squares_against_a_slow_reference() -> None:
     """Its coefficients by a singular value decomposition, with the ridge as rows of its own."""
-    u, swing = commands(6)
-    y = grid(servo(u, swing, gain=0.4))
+    u, swing, y = walked(6)
     ticks, steps = 90, np.array([STEP, STEP])
     found = departure(Samples(np.arange(len(y)), y, u), ticks, steps)
     for joint in range(2):

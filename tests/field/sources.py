@@ -16,8 +16,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -28,18 +27,15 @@ from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Score, score_messages
 from adaptive_contact.wire import (
-    MSGPACK,
     ContactEvent,
     Message,
     ServoSample,
-    encode,
-    servo_key,
-    truth_key,
 )
 from adaptive_contact_sim import TerrainSettings, WalkSettings
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 from adaptive_contact_sim.truth import TruthTracker
+from scoring import messages
 
 Angles = NDArray[np.float64]
 # Of tick 0, 1, ...: how many periods after it was due.
@@ -299,18 +295,8 @@ def play(played: Played, robot: Robot, origin: Played | None = None) -> Score:
         )
         for one in found
     ]
-    return score_messages(_messages(right), robot, shifted)
-
-
-def _messages(played: Played) -> Iterator[Any]:
-    rows: list[tuple[int, str, Message]] = [
-        (sample.t_ns, servo_key(leg), sample)
-        for tick in played.samples
-        for leg, sample in tick.items()
-    ]
-    rows += [(body.t_ns, truth_key(leg), body) for leg, body in played.truth]  # type: ignore[attr-defined]
-    for _, key, body in sorted(rows, key=lambda row: row[0]):
-        yield SimpleNamespace(key=key, payload=encode(body), encoding=MSGPACK)
+    samples = [(leg, sample) for tick in right.samples for leg, sample in tick.items()]
+    return score_messages(messages(samples, right.truth), robot, shifted)
 
 
 def main() -> None:

@@ -114,27 +114,6 @@ def test_events_before_learning_change_nothing(robot: Robot, baseline: Baseline)
         np.testing.assert_array_equal(a.model.coefficients, b.model.coefficients)
 
 
-def test_a_leg_that_begins_anew_in_mid_tick_goes_no_further(
-    robot: Robot, baseline: Baseline
-) -> None:
-    """What is left of the tick is of the past that it has given up."""
-    stream = FakeLeg(seed=40).stream(4, touch=lambda n: None)
-    learner, other = (ContactLearner(robot, "rf", baseline) for _ in range(2))
-    group = LegGroup([learner, other])
-    for sample in stream[:40]:
-        group.advance([sample, sample])
-    group.judge([stream[40], stream[40]])
-    learner.reset_after_fault(RuntimeError("on purpose"))
-    group.finish()
-    begun, known = learner.place, other.place
-    assert (begun.leg.filled, begun.leg.predicted) == (0, False)
-    assert known.leg.filled == known.leg.length
-    for sample in stream[41:80]:
-        group.advance([sample, sample])
-    assert begun.leg.filled == begun.leg.length
-    np.testing.assert_array_equal(begun.window, known.window)
-
-
 def test_learners_leave_no_garbage_to_collect(robot: Robot, baseline: Baseline) -> None:
     """The service collects it once a minute only."""
     streams = [

@@ -193,18 +193,6 @@ def test_every_term_is_what_its_name_says(seed: int) -> None:
         assert theta[name] == pytest.approx(value, abs=1e-12), name
 
 
-def test_the_plain_terms_come_first_and_are_the_same() -> None:
-    library = changing(LEG, 1)
-    assert library.names[: LEG.size] == LEG.names
-    assert library.size == LEG.size + 4 * 3
-    windows = [window_of(library, seed) for seed in range(5)]
-    stacked = [np.stack(part) for part in zip(*windows, strict=True)]
-    theta = library.evaluate(*stacked)
-    np.testing.assert_array_equal(theta[:, : LEG.size], LEG.evaluate(*stacked))
-    one_by_one = np.array([library.evaluate(*window) for window in windows])
-    np.testing.assert_allclose(theta, one_by_one, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", ["paper", "linear"])
 def test_a_library_without_the_law_has_friction_only(name: str) -> None:
     plain = dataclasses.replace(LEG, name=name, window=Window(2, 2, 1))

@@ -8,10 +8,8 @@ import numpy as np
 import pysindy as ps
 import pytest
 from pysindy.feature_library.base import BaseFeatureLibrary
-from sklearn.linear_model import LinearRegression
 
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
-from adaptive_contact.fit.sparse_regression import RANK_CUTOFF
 from adaptive_contact.model import Window, leg_library
 from adaptive_contact.robot import Robot
 from adaptive_contact_studies.paper.compression import paper_fit
@@ -92,28 +90,6 @@ def test_our_fit_equals_stlsq_on_the_raw_rows(
     assert not sparse or (kept < 0.8 * library.size).all()
     assert np.abs(expected).max(axis=0).min() > 0.01
     assert (fit.rms < 0.2 * np.sqrt(np.square(windows.increment).mean(axis=0))).all()
-
-
-def test_the_refit_cuts_singular_values_where_pysindy_cuts_them(
-    robot: Robot, free_stream: Stream
-) -> None:
-    """Of the paper's library some lie beyond the cut: without it the coefficients are others."""
-    library, windows, *_ = system(robot, free_stream, "paper", PAPER)
-    factor = factor_of(library, windows, windows.increment)
-    theta = library.evaluate(windows.measured, windows.desired, windows.preview)
-    scaled = theta / factor.scale()
-    raw = np.linalg.svd(scaled, compute_uv=False)
-    held = np.linalg.svd(factor.system[0] / factor.scale(), compute_uv=False)
-    np.testing.assert_allclose(held, raw, rtol=0, atol=1e-12 * raw[0])
-    assert 0 < np.count_nonzero(raw < RANK_CUTOFF * raw[0]) < 20
-    # None lies so near the cut that rounding decides.
-    assert np.abs(raw / raw[0] / RANK_CUTOFF - 1.0).min() > 1e-5
-    fit = fit_sparse(factor, FitSettings())
-    cut = LinearRegression(fit_intercept=False).fit(scaled, windows.increment)
-    whole = np.linalg.lstsq(scaled, windows.increment, rcond=1e-12)[0]
-    scale = factor.scale()[:, None]
-    np.testing.assert_allclose(fit.coefficients, cut.coef_.T / scale, rtol=0, atol=1e-8)
-    assert np.abs(fit.coefficients - whole / scale).max() > 1e-3
 
 
 @pytest.mark.parametrize("window", [SMALL, PAPER])
