@@ -285,7 +285,7 @@ def test_copies_in_swings_alone_stay_copies_where_fewer_in_a_row_show_it() -> No
 
 def test_least_squares_against_a_slow_reference() -> None:
     """Its coefficients by a singular value decomposition, with the ridge as rows of its own."""
-    u, swing, y = walked(6)
+    u, _, y = walked(6)
     ticks, steps = 90, np.array([STEP, STEP])
     found = departure(Samples(np.arange(len(y)), y, u), ticks, steps)
     for joint in range(2):

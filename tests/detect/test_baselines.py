@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from adaptive_contact.core.detect.contact import swing_tick
 from adaptive_contact.core.detect.layout import DECIDED, TOUCHED, new_legs
-from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.noise import WINDOWS, context
 from adaptive_contact_studies.paper.detectors import (
@@ -142,20 +141,3 @@ def test_thresholds_hold_the_rate_they_aim_at() -> None:
     only = replace(calibration, channels=(1,))
     # Its share is the whole of the rate: a lower threshold.
     assert only.score(np.ones((1, 2)), rate) > calibration.score(np.ones((1, 2)), rate)
-
-
-def test_unknown_channels_do_not_count_and_none_gives_none() -> None:
-    rng = np.random.default_rng(5)
-    calibration = Calibration.of([rng.exponential(size=(20_000, 2))])
-    rows = np.array([[np.nan, 100.0], [100.0, np.nan], [np.nan, np.nan]])
-    score = calibration.score(rows, 1e-5)
-    assert (score[:2] > 1.0).all()
-    assert np.isnan(score[2])
-
-
-def test_too_few_ticks_are_told() -> None:
-    motion, prediction = walk(6, n=100)
-    with pytest.raises(IdentificationError, match="free ticks"):
-        learn_noise(motion, prediction, motion.judged, QUANTUM)
-    with pytest.raises(IdentificationError, match="too few for a threshold"):
-        Calibration.of([np.ones((100, 3))])

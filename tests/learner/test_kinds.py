@@ -12,9 +12,8 @@ from adaptive_contact.core.learn.change_classifier import (
     LEAST_SHARE,
     ChangeClassifier,
 )
-from adaptive_contact.model import Baseline, LegBaseline, LegModel, leg_library, stack
+from adaptive_contact.model import Baseline, LegBaseline, LegModel, stack
 from adaptive_contact.model.labelled_swing import NO_ROWS, Rows
-from adaptive_contact.robot import Robot
 
 from .conftest import FakeLeg
 from .ticks import Tick, rows_of
@@ -147,18 +146,3 @@ def test_rows_one_by_one_are_as_good_as_all_at_once(known: LegBaseline, kind: st
         found.add(rows[k : k + 1])
     found.add(NO_ROWS)
     assert found.unexplained(kind) == pytest.approx(_left(known, theta, residual, kind), rel=1e-6)
-
-
-def test_a_library_without_a_control_law_tells_of_no_kind(known: LegBaseline, robot: Robot) -> None:
-    library = leg_library(robot, robot.leg("rf"), "paper")
-    rng = np.random.default_rng(3)
-    model = LegModel(library, 0.01 * rng.normal(size=(library.size, 3)))
-    theta = rng.normal(size=(60, library.size))
-    noise = np.asarray(known.noise.rms)
-    found = ChangeClassifier(model, noise)
-    assert (found.unexplained("drive"), found.unexplained("load")) == (1.0, 1.0)
-    rubbing = -3.0 * noise * np.tanh(theta @ model.coefficients / 0.02)
-    found.add(ticks_of(model, theta, rubbing + rng.normal(size=(60, 3)) * noise))
-    # The one kind that it has shapes for would be told of every change.
-    assert found.unexplained("friction") < 0.5
-    assert found.kind is None

@@ -108,23 +108,6 @@ def test_a_leg_without_peaks_is_judged_by_its_own_lifts(
     np.testing.assert_array_equal(of.thresholds, pooled)  # never above
 
 
-def test_descents_of_a_leg_without_peaks_may_ask_for_more_than_its_lifts_never_for_less(
-    noise: NoiseModel,
-) -> None:
-    of, pooled = recent(noise), recent(noise).thresholds
-    for ratio in (0.05, 0.01):
-        for _ in range(LEAST_LIFTS):
-            of.count(rows([1.0] * 10, ratio=0.05))
-            of.count(rows([1.0] * 10, ratio=ratio, lift=False))
-    share = of.thresholds / pooled
-    np.testing.assert_array_equal(share[DESCENT], share[LIFT])
-    for _ in range(OWN_LIFTS):
-        of.count(rows([1.0] * 10, ratio=0.3, lift=False))
-    share = of.thresholds / pooled
-    assert (share[DESCENT] > 1.5 * share[LIFT]).all()
-    assert (share[AFTER] == 1.0).all()
-
-
 def test_ticks_after_the_turn_of_a_leg_that_hangs_have_a_threshold_of_their_own(
     noise: NoiseModel,
 ) -> None:

@@ -191,17 +191,3 @@ def test_every_term_is_what_its_name_says(seed: int) -> None:
     theta = dict(zip(library.names, library.evaluate(measured, desired, preview), strict=True))
     for name, value in slow_terms(library, measured, desired).items():
         assert theta[name] == pytest.approx(value, abs=1e-12), name
-
-
-@pytest.mark.parametrize("name", ["paper", "linear"])
-def test_a_library_without_the_law_has_friction_only(name: str) -> None:
-    plain = dataclasses.replace(LEG, name=name, window=Window(2, 2, 1))
-    library = changing(plain, 5)
-    assert library.size == plain.size + 3 * 3
-    assert not [term for term in library.names if "2s" in term]
-    window = window_of(library, 6)
-    theta = library.evaluate(*window)
-    np.testing.assert_array_equal(theta[: plain.size], plain.evaluate(*window))
-    rollout = plain.evaluate(*window) @ library.first
-    expected = np.concatenate([np.tanh(rollout / (knee * 0.02)) for knee in KNEES])
-    np.testing.assert_allclose(theta[plain.size :], expected, rtol=0, atol=1e-12)

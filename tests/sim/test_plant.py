@@ -58,18 +58,6 @@ def test_touch_sensors_tell_the_contact_forces(name: str) -> None:
     assert worst < 1e-9
 
 
-def test_legs_touch_ground_and_obstacles_only() -> None:
-    sim = Simulation(ROBOTS["obstacles"])
-    legs = sim.plant.elements.geom_leg
-    for _ in range(200):
-        sim.advance()
-        for pair in sim.plant.data.contact.geom:
-            assert (legs[pair] >= 0).sum() <= 1
-            for geom, other in (tuple(pair), tuple(reversed(pair))):
-                if sim.plant.model.geom(int(other)).name.startswith("obstacle_"):
-                    assert legs[geom] == LEGS.index("rf")
-
-
 @pytest.mark.parametrize("bad", [np.nan, 1e4])
 def test_divergence_raises(bad: float) -> None:
     sim = Simulation(SimulationSettings())
