@@ -1,4 +1,7 @@
-"""Sources whose samples say nothing of the leg: readings that copy commands, swapped phases."""
+"""Sources whose samples say nothing of the leg.
+
+Readings that copy commands or are none, swapped phases, swings that cannot be judged.
+"""
 
 from __future__ import annotations
 
