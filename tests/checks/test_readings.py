@@ -53,13 +53,6 @@ def test_one_reading_off_the_lines_leaves_the_step(part: float) -> None:
     assert not off(position_step(read), AX)
 
 
-@pytest.mark.parametrize("between", [0.0, 0.15])
-def test_nobody_needs_to_know_the_step(between: float) -> None:
-    rng = np.random.default_rng(3)
-    for step in (AX, math.tau / 4096):
-        assert not off(position_step(swung(rng, 600, step, between)), step)
-
-
 @pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3, 5e-3])
 @pytest.mark.parametrize("places", [1, 2, 5, 8])
 def test_readings_without_steps_that_rest_in_few_places_have_none(

@@ -119,19 +119,6 @@ def test_likelihood_ratio_equals_the_online_statistic_tick_by_tick() -> None:
         np.testing.assert_allclose(values[k], expected)
 
 
-def test_a_gap_in_the_predictions_shortens_the_windows() -> None:
-    motion, prediction = walk(3)
-    noise = learn_noise(motion, prediction, motion.judged, QUANTUM)
-    k = 23 * 5 + 12
-    prediction.residual[k] = np.nan
-    values = likelihood_ratio(motion, prediction, noise, QUANTUM)
-    assert np.isnan(values[k]).all()
-    assert np.isfinite(values[k + 1, 0])
-    assert np.isnan(values[k + 1, 1:]).all()
-    assert np.isfinite(values[k + 2, :2]).all()
-    assert np.isnan(values[k + 2, 2])
-
-
 def test_thresholds_hold_the_rate_they_aim_at() -> None:
     rng = np.random.default_rng(4)
     calibration = Calibration.of([rng.exponential(size=(100_000, 2)) for _ in range(3)])

@@ -16,6 +16,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import msgspec
@@ -310,28 +311,30 @@ def main() -> None:
     robot = shipped_robot()
     period_ns = round(robot.period_s * 1e9)
 
-    def show(name: str, played: Played, origin: Played | None = None) -> None:
-        score = play(played, robot, origin)
-        counted, false = score.total.counted, score.total.false_alarms
-        print(f"{name:36} {counted.found:5} of {counted.touches:5} {false:4} false", flush=True)
-
-    def wanted(kind: str, name: str) -> bool:
-        chosen = not options.only or any(part in name for part in options.only)
-        return chosen and options.kind in (None, kind)
-
     for seed in options.seeds:
         settings, seconds = walk_of(seed, options.seconds)
         even = late_loop(settings, seconds, LOOPS["even"])
-        for name, clock in STAMPS.items():
-            if wanted("stamps", name):
-                show(f"{seed} stamps: {name}", stamped(even, clock, period_ns), even)
-        for name, clock in LOOPS.items():
-            if wanted("loops", name):
-                show(f"{seed} loop: {name}", late_loop(settings, seconds, clock))
-        for name, bad in READINGS.items():
-            for each in (200, 50):
-                if wanted("readings", name):
-                    show(f"{seed} 1 in {each}: {name}", misread(even, bad, 1.0 / each))
+        made: list[tuple[str, str, Callable[[], Played], Played | None]] = [
+            *(
+                ("stamps", f"stamps: {name}", partial(stamped, even, clock, period_ns), even)
+                for name, clock in STAMPS.items()
+            ),
+            *(
+                ("loops", f"loop: {name}", partial(late_loop, settings, seconds, clock), None)
+                for name, clock in LOOPS.items()
+            ),
+            *(
+                ("readings", f"1 in {each}: {name}", partial(misread, even, bad, 1.0 / each), None)
+                for name, bad in READINGS.items()
+                for each in (200, 50)
+            ),
+        ]
+        for kind, name, make, origin in made:
+            chosen = not options.only or any(part in name for part in options.only)
+            if chosen and options.kind in (None, kind):
+                total = play(make(), robot, origin).total
+                found = f"{total.counted.found:5} of {total.counted.touches:5}"
+                print(f"{f'{seed} {name}':36} {found} {total.false_alarms:4} false", flush=True)
 
 
 if __name__ == "__main__":

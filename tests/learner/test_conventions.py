@@ -27,6 +27,7 @@ from quadruped import recorded
 
 Turn = Callable[[np.ndarray], np.ndarray]
 DOWN = (1, -1, -1)
+turned_down = functools.partial(np.multiply, DOWN)
 SECONDS = 28.0  # a tripod's 20 swings
 
 
@@ -54,13 +55,6 @@ def robot(*, mounts: bool) -> Robot:
     return msgspec.structs.replace(made, legs=legs)
 
 
-def verdict(
-    run: Run, signs: Mapping[str, tuple[int, ...]], *, phase: bool, mounts: bool
-) -> Verdict:
-    turns = {leg: functools.partial(np.multiply, turn) for leg, turn in signs.items()}
-    return verdict_of(run, turns, phase=phase, mounts=mounts)
-
-
 def verdict_of(run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool) -> Verdict:
     """Of a source whose angles are these functions of the description's."""
     motions = {}
@@ -84,14 +78,14 @@ def verdict_of(run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool
     ],
 )
 def test_what_is_described_right_is_not_accused(run, phase: bool, mounts: bool) -> None:
-    assert verdict(run(), {}, phase=phase, mounts=mounts).findings == ()
+    assert verdict_of(run(), {}, phase=phase, mounts=mounts).findings == ()
 
 
 @pytest.mark.parametrize("mounts", [True, False])
 @pytest.mark.parametrize("phase", [True, False])
 def test_pitch_that_grows_downwards_is_found_on_every_leg(phase: bool, mounts: bool) -> None:
     run = walk("tripod", "rough", 901)
-    found = verdict(run, dict.fromkeys(LEGS, DOWN), phase=phase, mounts=mounts).findings
+    found = verdict_of(run, dict.fromkeys(LEGS, turned_down), phase=phase, mounts=mounts).findings
     if phase or mounts:
         assert [one.leg for one in found] == list(LEGS)
     else:  # the ground's push alone is not clear on every leg
@@ -104,8 +98,8 @@ def test_pitch_that_grows_downwards_is_found_on_every_leg(phase: bool, mounts: b
 @pytest.mark.parametrize(
     ("turn", "mounts", "joints", "what", "expected"),
     [
-        (lambda q: q * DOWN, True, ("femur", "tibia"), "directions", DOWN),
-        (lambda q: q * DOWN, False, ("femur", "tibia"), "directions", DOWN),
+        (turned_down, True, ("femur", "tibia"), "directions", DOWN),
+        (turned_down, False, ("femur", "tibia"), "directions", DOWN),
         (lambda q: q * (1, 1, -1), True, ("tibia",), "directions", (1, 1, -1)),
         (lambda q: q[:, ::-1], True, ("coxa", "tibia"), "order", (2, 1, 0)),
         (lambda q: q - [0.2513, 0.0, 0.0], True, ("coxa",), "offsets_rad", (0.2513, 0.0, 0.0)),
@@ -223,7 +217,7 @@ def play(
     ("turn", "words"),
     [
         (
-            lambda q: q * DOWN,
+            turned_down,
             (
                 "femur and tibia grow the wrong way",
                 "write [leg.angles] directions = [1, -1, -1]",
@@ -276,7 +270,7 @@ def test_stamps_that_jitter_hide_no_wrong_sign() -> None:
         name: LegMotion(t_ns, leg.measured * DOWN, leg.desired * DOWN, leg.swing.copy(), seq)
         for name, leg in run.legs.items()
     }
-    clean = verdict(run, dict.fromkeys(LEGS, DOWN), phase=True, mounts=True)
+    clean = verdict_of(run, dict.fromkeys(LEGS, turned_down), phase=True, mounts=True)
     assert judge_motion(robot(mounts=True), motions) == clean
 
 

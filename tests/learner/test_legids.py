@@ -72,10 +72,12 @@ def test_nothing_is_said_without_mounts_or_of_legs_that_hang() -> None:
     swapped = {**rows, a: rows[b], b: rows[a]}
     bare = tuple(msgspec.structs.replace(leg, mount=Mount()) for leg in robot.legs)
     assert judge_ids(msgspec.structs.replace(robot, legs=bare), None, swapped) == {}
-    rng = np.random.default_rng(3)
     hung = {leg: dataclasses.replace(of, measured=of.desired) for leg, of in swapped.items()}
     assert judge_ids(robot, None, hung) == {}
-    for leg in rows:  # each to and fro by itself
-        wild = np.cumsum(rng.normal(0.0, 0.01, (TICKS, 3)), axis=0)
-        rows[leg] = LegMotion(rows[leg].t_ns, wild, wild, np.zeros(TICKS, dtype=bool))
-    assert judge_ids(robot, None, rows) == {}
+    # Each to and fro by itself.
+    wild = np.cumsum(np.random.default_rng(3).normal(0.0, 0.01, (4, TICKS, 3)), axis=1)
+    own = {
+        leg: dataclasses.replace(of, measured=angles, desired=angles)
+        for (leg, of), angles in zip(rows.items(), wild, strict=True)
+    }
+    assert judge_ids(robot, None, own) == {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -102,22 +103,6 @@ def test_rows_that_are_not_finite_give_no_model(robot: Robot) -> None:
 # -- requested, and promoted or dropped ---------------------------------------------------------
 
 
-class Given:
-    """Answers every job with the same result, and keeps the jobs."""
-
-    def __init__(self, result: RefitResult) -> None:
-        self.result = result
-        self.jobs: list[RefitJob] = []
-
-    def submit(self, job: RefitJob) -> None:
-        """Keep it."""
-        self.jobs.append(job)
-
-    def collect(self, leg: str, number: int) -> RefitResult:
-        """The result."""
-        return self.result
-
-
 @pytest.fixture
 def start(robot: Robot) -> LegBaseline:
     """Of another slope."""
@@ -146,27 +131,29 @@ def answer(own: PeriodicRefit) -> LegBaseline | None:
     return own.tick()
 
 
-def of_leg(robot: Robot, given: Given) -> PeriodicRefit:
+def of_leg(robot: Robot, result: RefitResult) -> tuple[PeriodicRefit, list[RefitJob]]:
+    """Refits of a leg whose jobs are all answered so, and the jobs."""
+    jobs: list[RefitJob] = []
+    given = SimpleNamespace(submit=jobs.append, collect=lambda *_: result)
     plain = library_of(robot)
     library = with_changes(plain, np.zeros((plain.size, 3)))
     assert library.size == plain.size + 12
-    return PeriodicRefit("rf", library, QUANTUM, given)
+    return PeriodicRefit("rf", library, QUANTUM, given), jobs
 
 
-def asked(robot: Robot, result: RefitResult) -> tuple[PeriodicRefit, Given]:
+def asked(robot: Robot, result: RefitResult) -> tuple[PeriodicRefit, list[RefitJob]]:
     """One that waits for its first result."""
-    given = Given(result)
-    own = of_leg(robot, given)
+    own, jobs = of_leg(robot, result)
     swings(own, buffered(library_of(robot)))
-    assert len(given.jobs) == 1
-    return own, given
+    assert len(jobs) == 1
+    return own, jobs
 
 
 def test_a_slope_by_which_the_rows_are_much_likelier_is_promoted(
     robot: Robot, start: LegBaseline
 ) -> None:
-    own, given = asked(robot, RefitResult(1, gain=100.0, start=start))
-    assert len(given.jobs[0].values) == 720
+    own, jobs = asked(robot, RefitResult(1, gain=100.0, start=start))
+    assert len(jobs[0].values) == 720
     assert answer(own) is start
     assert (own.counts.promoted, own.counts.refused) == (1, 0)
     assert own.counts.last_reason == ("promoted: a slope of 0.0656 rad fits better by 100 nats")
@@ -193,19 +180,19 @@ def test_what_is_dropped(
 def test_a_leg_that_changes_drops_its_refit_and_asks_at_once(
     robot: Robot, start: LegBaseline
 ) -> None:
-    own, given = asked(robot, RefitResult(1, gain=100.0, start=start))
+    own, jobs = asked(robot, RefitResult(1, gain=100.0, start=start))
     own.leg_changed()
     assert answer(own) is None
     swings(own, buffered(library_of(robot), 10), 1)
-    assert len(given.jobs) == 1
+    assert len(jobs) == 1
     needed = 4 * (library_of(robot).size + 12)
     assert own.counts.last_reason == (
         f"waiting: 120 free ticks of the leg as it is to fit to, {needed} are needed"
     )
     swings(own, buffered(library_of(robot)), 1)
-    assert len(given.jobs) == 2
+    assert len(jobs) == 2
     assert answer(own) is start
-    again = of_leg(robot, given)
+    again, _ = of_leg(robot, RefitResult(1))
     again.restore({**own.snapshot(), "displaced": None})
     assert again.counts == own.counts
 

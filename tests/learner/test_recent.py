@@ -111,20 +111,18 @@ def test_a_leg_without_peaks_is_judged_by_its_own_lifts(
 def test_ticks_after_the_turn_of_a_leg_that_hangs_have_a_threshold_of_their_own(
     noise: NoiseModel,
 ) -> None:
-    of, pooled = recent(noise), recent(noise).thresholds
+    """A foot that is high says nothing of one that is to touch."""
+    pooled, of, high = recent(noise).thresholds, recent(noise), recent(noise)
+    descent = rows([1.0] * 6 + [9.0] * 4, ratio=0.1, lift=False)
+    descent.records["after"][6:], descent.records["ratio"][6:] = True, 3.0
     for n in range(LEAST_LIFTS):
         assert not of.after_known, n
-        descent = rows([1.0] * 6 + [9.0] * 4, ratio=0.1, lift=False)
-        descent.records["after"][6:] = True
-        descent.records["ratio"][6:] = 3.0
         of.count(descent)
     assert of.after_known
     share = of.thresholds / pooled
     assert (share[AFTER] > 3.0).all(), "above its own largest"
     assert (share[DESCENT] == 1.0).all(), "which is not that of the descent"
-    high = recent(noise)
+    descent.records["high"][6:] = True
     for _ in range(LEAST_LIFTS):
-        descent = rows([1.0] * 6 + [9.0] * 4, ratio=0.1, lift=False)
-        descent.records["after"][6:] = descent.records["high"][6:] = True
         high.count(descent)
-    assert not high.after_known, "a foot that is high says nothing of one that is to touch"
+    assert not high.after_known

@@ -109,15 +109,11 @@ def test_legs_take_turns_without_a_swing_between() -> None:
 # -- Several legs in pose together: each as if alone, on a robot that keeps standing
 
 
-def _settings(legs: tuple[str, ...], probability: float, seed: int = 11) -> SimulationSettings:
-    obstacles = ObstacleSettings(probability=probability, where=(0.15, 0.4))
-    poses = tuple(PoseSettings(legs=(leg,), obstacles=obstacles) for leg in legs)
-    return SimulationSettings(motion=PoseGroupSettings(poses), seed=seed)
-
-
 @pytest.mark.parametrize("legs", TRIPODS)
 def test_the_robot_stands_while_three_legs_meet_obstacles(legs: tuple[str, ...]) -> None:
-    sim = Simulation(_settings(legs, 1.0))
+    obstacles = ObstacleSettings(probability=1.0, where=(0.15, 0.4))
+    poses = tuple(PoseSettings(legs=(leg,), obstacles=obstacles) for leg in legs)
+    sim = Simulation(SimulationSettings(motion=PoseGroupSettings(poses), seed=11))
     touched = dict.fromkeys(LEGS, 0)
     swinging = dict.fromkeys(LEGS, 0)
     for _ in range(600):

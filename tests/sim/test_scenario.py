@@ -7,6 +7,7 @@ import pytest
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
 from adaptive_contact_sim import PoseSettings, Simulation, WalkSettings
+from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.scenario import load_scenario, parse_scenario, shipped_scenarios
 
 # Names are permanent: add, never rename.
@@ -66,15 +67,13 @@ def test_every_setting_can_be_said() -> None:
     scenario = parse_scenario(FULL, name="full")
     settings = scenario.settings
     assert (scenario.seconds, settings.seed, settings.robot_seed) == (12.5, 3, 4)
-    assert settings.motion.gait == "wave"
-    assert settings.motion.depth_m == (0.02, 0.03)
+    assert (settings.motion.gait, settings.motion.depth_m) == ("wave", (0.02, 0.03))
     assert (settings.terrain.kind, settings.terrain.relief_m) == ("steps", 0.02)
     assert settings.encoder.dropped == 0.01
-    first, second = settings.drift
-    assert first.at_s == 10.0
-    assert first.drift == Drift(kind="friction", leg="rf", value=4.0)
-    assert second.at_s == 0.0
-    assert second.drift.shape == "pulse"
+    assert settings.drift == (
+        Injection(Drift(kind="friction", leg="rf", value=4.0), 10.0),
+        Injection(Drift(kind="offset", value=0.01, shape="pulse", duration_s=2.0), 0.0),
+    )
 
 
 def test_obstacles_are_a_table_of_the_pose() -> None:

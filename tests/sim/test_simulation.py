@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import numpy as np
@@ -82,16 +83,13 @@ def test_samples_are_what_the_wire_promises() -> None:
 def test_dropped_readings_are_marked() -> None:
     sim = Simulation(SimulationSettings(encoder=EncoderSettings(dropped=0.2)))
     marked = 0
-    before: dict[str, ServoSample] = {}
-    for tick in sim.run(1.0):
+    for before, tick in itertools.pairwise(sim.run(1.0)):
         for leg, sample in tick.samples.items():
-            if sample.valid is not None and leg in before:
-                for ok, now, last in zip(
-                    sample.valid, sample.measured, before[leg].measured, strict=True
-                ):
-                    marked += not ok
-                    assert ok or now == last
-            before[leg] = sample
+            rows = zip(sample.measured, before.samples[leg].measured, strict=True)
+            stale = [now == last for now, last in rows]
+            lost = [not ok for ok in sample.valid or [True] * 3]
+            assert all(itertools.compress(stale, lost))
+            marked += sum(lost)
     assert marked > 50
 
 

@@ -157,14 +157,11 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
 
     newest = {status.leg: status for _, status in take.heard.statuses}
     services = last_words([status for _, status in take.heard.services])
-    rejects: Counter[str] = Counter()
-    refits: Counter[str] = Counter()
-    for status in newest.values():
-        rejects.update(status.rejects)
-        counts = status.refits
-        refits.update(
-            promoted=counts.promoted, refused=counts.refused, rolled_back=counts.rolled_back
-        )
+    rejects = sum((Counter(status.rejects) for status in newest.values()), Counter[str]())
+    refits = {
+        name: sum(getattr(status.refits, name) for status in newest.values())
+        for name in ("promoted", "refused", "rolled_back")
+    }
     latency = services[-1].event_latency if services else None
     judged = Verdict(
         minutes=plan.minutes,
@@ -196,7 +193,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
             for fault in take.broken
             if fault.kind == "service"
         ],
-        refits=dict(refits),
+        refits=refits,
         events=len(take.heard.events),
         events_lost=sum(one.events_lost for one in services),
         state=state_of(services),
