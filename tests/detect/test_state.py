@@ -27,6 +27,7 @@ from adaptive_contact_sim import (
 from adaptive_contact_sim.arrays import Run
 from adaptive_contact_studies.evaluate import samples_of
 
+HEXAPOD = simulated_robot("hexapod").description
 Walked = tuple[Run, dict[str, list[LegState]], dict[str, list[ContactEvent]]]
 
 
@@ -48,11 +49,10 @@ def played(
 @pytest.fixture(scope="module")
 def walk() -> Walked:
     """A walk whose commands know nothing of the ground."""
-    robot = simulated_robot("hexapod").description
     settings = SimulationSettings.of("hexapod", "walk")
     motion = WalkSettings(stop_on="never", phase="planned")
     run = record_arrays(dataclasses.replace(settings, motion=motion, seed=77), 25.0)
-    return (run, *played(robot, run, ["lf", "rm"]))
+    return (run, *played(HEXAPOD, run, ["lf", "rm"]))
 
 
 def test_it_is_right_in_stance_and_swing_where_the_gait_s_phase_is_not(walk: Walked) -> None:
@@ -71,9 +71,8 @@ def test_it_is_right_in_stance_and_swing_where_the_gait_s_phase_is_not(walk: Wal
 
 def test_the_owner_s_settings_reach_every_tick(walk: Walked) -> None:
     run, _, _ = walk
-    robot = simulated_robot("hexapod").description
     detector = DetectorSettings(touches_above=0.95, touches_below=0.9, strike_loss=0.7)
-    states, _ = played(msgspec.structs.replace(robot, detector=detector), run, ["lf", "rm"])
+    states, _ = played(msgspec.structs.replace(HEXAPOD, detector=detector), run, ["lf", "rm"])
     for own in states.values():
         told = [state.p for state in own if state.contact]
         assert len(told) > 100
@@ -108,10 +107,9 @@ def test_an_event_has_the_p_of_its_tick(walk: Walked) -> None:
 
 def test_an_event_says_where_the_foot_is_as_sure_as_it_is(walk: Walked) -> None:
     run, _, events = walk
-    robot = simulated_robot("hexapod").description
     errors = []
     for leg, own in events.items():
-        chain = robot.leg(leg).chain
+        chain = HEXAPOD.leg(leg).chain
         for event in own:
             if not event.contact:
                 assert event.foot_m is event.foot_sd_m is event.push is event.push_up is None
@@ -123,7 +121,7 @@ def test_an_event_says_where_the_foot_is_as_sure_as_it_is(walk: Walked) -> None:
 
 
 def test_a_push_is_along_the_way_that_the_foot_was_moved() -> None:
-    chain = simulated_robot("hexapod").description.leg("lf").chain
+    chain = HEXAPOD.leg("lf").chain
     q = [0.2, 0.4, -0.9]
     foot = np.array(chain.point(q))
     for moved in (np.array([0.0, 0.0, 1.0]), np.array([-0.6, 0.8, 0.0])):
@@ -201,8 +199,7 @@ def test_a_stiff_drive_carries_where_each_stance_goes_on_pushing(
 
 
 def test_a_new_source_has_to_stand_first(walk: Walked) -> None:
-    robot = simulated_robot("hexapod").description
-    learner = ContactLearner(robot, "lf", shipped_baseline(robot.name))
+    learner = ContactLearner(HEXAPOD, "lf", shipped_baseline(HEXAPOD.name))
     samples = samples_of(walk[0], "lf")
     for sample in samples:
         learner.update(sample)

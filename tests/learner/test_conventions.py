@@ -49,10 +49,8 @@ def pose(approach: str, seed: int) -> Run:
 
 def robot(*, mounts: bool) -> Robot:
     made = shipped_robot()
-    if mounts:
-        return made
-    legs = tuple(msgspec.structs.replace(leg, mount=Mount()) for leg in made.legs)
-    return msgspec.structs.replace(made, legs=legs)
+    bare = tuple(msgspec.structs.replace(leg, mount=Mount()) for leg in made.legs)
+    return made if mounts else msgspec.structs.replace(made, legs=bare)
 
 
 def verdict_of(run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool) -> Verdict:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -68,30 +67,24 @@ def changed(n: int) -> float:
     return 0.7 if n >= 60 else 1.0
 
 
-@pytest.fixture(scope="module")
-def stops() -> list[int | None]:
-    return [16 if n % 2 else None for n in range(160)]
+Changed = tuple[DriftLevel, list[str]]
+STOPS: list[int | None] = [16 if n % 2 else None for n in range(160)]
 
 
 @pytest.fixture(scope="module")
-def changing(robot: Robot, baseline: Baseline, stops: list[int | None]) -> list[Changed]:
+def changing(robot: Robot, baseline: Baseline) -> list[Changed]:
     """Nine legs that change at their 60th swing: what is told of it, and of each swing."""
     found = []
     for seed in range(7, 16):
-        run = FakeLeg(seed=seed).run(160, touch=lambda n: stops[n], change=changed)
+        run = FakeLeg(seed=seed).run(160, touch=lambda n: STOPS[n], change=changed)
         stream, learner = samples(*run[:3]), ContactLearner(robot, "rf", baseline)
         events = play(learner, stream[: 28 * 100])
         again, drift = ContactLearner(robot, "rf", baseline), learner.status.drift
         assert again.restore(learner.snapshot() or {}) is None
         assert again.status.drift.kind == drift.kind
         events += play(learner, stream[28 * 100 :])
-        found.append(Changed(drift, outcomes(events, range(160), stops)))
+        found.append((drift, outcomes(events, range(160), STOPS)))
     return found
-
-
-class Changed(NamedTuple):
-    drift: DriftLevel
-    told: list[str]
 
 
 def errors(told: list[str]) -> int:
@@ -99,26 +92,26 @@ def errors(told: list[str]) -> int:
 
 
 def test_a_changed_leg_is_followed(
-    robot: Robot, baseline: Baseline, changing: list[Changed], stops: list[int | None]
+    robot: Robot, baseline: Baseline, changing: list[Changed]
 ) -> None:
-    run = FakeLeg(seed=7).run(160, touch=lambda n: stops[n], change=changed)
+    run = FakeLeg(seed=7).run(160, touch=lambda n: STOPS[n], change=changed)
     learner = ContactLearner(robot, "rf", baseline, mode=LearnerMode.FROZEN)
-    frozen = outcomes(play(learner, samples(*run[:3])), range(160), stops)
+    frozen = outcomes(play(learner, samples(*run[:3])), range(160), STOPS)
     assert errors(frozen[:60]) <= 1
     assert errors(frozen[80:]) > 30, "the change must matter for the test to mean anything"
     # One leg in ten goes astray once more on its way.
-    assert max(errors(leg.told[:60]) for leg in changing) <= 2
-    assert np.median([errors(leg.told[80:]) for leg in changing]) <= 2
-    assert sum(errors(leg.told[80:]) for leg in changing) <= 3 * len(changing)
+    assert max(errors(told[:60]) for _, told in changing) <= 2
+    assert np.median([errors(told[80:]) for _, told in changing]) <= 2
+    assert sum(errors(told[80:]) for _, told in changing) <= 3 * len(changing)
     # A lift is heard before its swing alarms.
-    assert np.median([leg.told[60:80].count("alarm") for leg in changing]) <= 2
+    assert np.median([told[60:80].count("alarm") for _, told in changing]) <= 2
 
 
 def test_what_a_leg_has_changed_in_and_when_is_told(changing: list[Changed]) -> None:
     """Touches of every other swing are none of it."""
     # One leg in ten changes once more on its way, and tells of that.
     swing_ns = 28 * PERIOD
-    soon = [leg.drift for leg in changing if 60 <= (leg.drift.since_ns or 0) / swing_ns < 68]
+    soon = [of for of, _ in changing if 60 <= (of.since_ns or 0) / swing_ns < 68]
     assert len(soon) >= 8
     assert all(drift.kind == "drive" for drift in soon)
 

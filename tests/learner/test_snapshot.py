@@ -40,12 +40,6 @@ def learner(robot: Any, leg: str = "rf") -> ContactLearner:
     return ContactLearner(robot, leg, shipped_baseline(robot.name))
 
 
-def damage(saved: dict[str, Any], name: str, value: object) -> dict[str, Any]:
-    tree = copy.deepcopy(saved)
-    tree["follower"][name] = value
-    return tree
-
-
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
@@ -70,7 +64,7 @@ def test_what_does_not_fit_is_refused_in_one_line(
 ) -> None:
     fresh = learner(robot)
     before = msgpack.packb(fresh.snapshot())
-    line = fresh.restore(damage(saved, name, value))
+    line = fresh.restore({**saved, "follower": {**saved["follower"], name: value}})
     assert says in line
     assert "\n" not in line
     assert msgpack.packb(fresh.snapshot()) == before

@@ -122,12 +122,32 @@ def test_a_source_that_is_restarted_now_and_then_is_not() -> None:
         assert guard.note is None
 
 
-def test_one_wild_time_stamp_does_not_lock_the_leg_out() -> None:
+@pytest.mark.parametrize(
+    ("before", "after", "refused"),
+    [
+        (
+            [sample(0), sample(1, t_ns=2**62)],
+            [sample(k) for k in range(2, 40)],
+            Reject.TIME_BACKWARDS,
+        ),
+        (
+            [sample(k, run=None) for k in range(5)],
+            [sample(k, run=None, seq=2**40 + k) for k in range(5, 30)],
+            Reject.OUT_OF_RANGE,
+        ),
+    ],
+    ids=["one wild time stamp", "counts on from far ahead"],
+)
+def test_what_does_not_go_on_from_the_last_sample_is_a_restart_soon_and_no_loss(
+    before: list[ServoSample], after: list[ServoSample], refused: Reject
+) -> None:
     guard = StreamGuard(2)
-    feed(guard, sample(0), sample(1, t_ns=2**62))
-    results = feed(guard, *(sample(k) for k in range(2, 40)))
-    assert results.index(Accepted(0, True)) == RESET_SAMPLES - 1
+    feed(guard, *before)
+    results = feed(guard, *after)
+    assert results[: RESET_SAMPLES - 1] == [refused] * (RESET_SAMPLES - 1)
+    assert results[RESET_SAMPLES - 1] == Accepted(0, True)
     assert results[-1] == Accepted(0, False)
+    assert guard.missed == 0
 
 
 @pytest.mark.parametrize("jump", [SHORT_GAP + 2, 1000, 9_000_000])
@@ -212,16 +232,6 @@ def test_new_runs_that_do_not_last_blind_a_leg_for_a_moment_only(burst: int, eve
     assert rest[50:] == [Accepted(0, False)] * 50
     restart = feed(guard, *(sample(k, run=2) for k in range(100)))
     assert restart[48 + 1 :] == [Accepted(0, False)] * (100 - 49)
-
-
-def test_a_source_that_counts_on_from_far_ahead_is_a_restart_and_no_loss() -> None:
-    guard = StreamGuard(2)
-    feed(guard, *(sample(k, run=None) for k in range(5)))
-    far = [sample(k, run=None, seq=2**40 + k) for k in range(5, 30)]
-    results = feed(guard, *far)
-    assert results[: RESET_SAMPLES - 1] == [Reject.OUT_OF_RANGE] * (RESET_SAMPLES - 1)
-    assert results[RESET_SAMPLES - 1] == Accepted(0, True)
-    assert guard.missed == 0
 
 
 def test_of_two_publishers_without_runs_the_one_that_stays_is_heard() -> None:
