@@ -53,15 +53,32 @@ def robot(*, mounts: bool) -> Robot:
     return made if mounts else msgspec.structs.replace(made, legs=bare)
 
 
-def verdict_of(run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool) -> Verdict:
+def motions_of(run: Run, *, counted: bool = False) -> dict[str, LegMotion]:
+    seq = np.arange(len(run.t_ns)) if counted else None
+    return {
+        name: LegMotion(np.asarray(run.t_ns), leg.measured, leg.desired, leg.swing.copy(), seq)
+        for name, leg in run.legs.items()
+    }
+
+
+def turned(
+    motions: Mapping[str, LegMotion], turns: Mapping[str, Turn], *, phase: bool
+) -> dict[str, LegMotion]:
     """Of a source whose angles are these functions of the description's."""
-    motions = {}
-    for name, leg in run.legs.items():
+    made = {}
+    for name, motion in motions.items():
         turn = turns.get(name, np.array)
-        swing = leg.swing.copy() if phase else None
-        t_ns = np.asarray(run.t_ns)
-        motions[name] = LegMotion(t_ns, turn(leg.measured), turn(leg.desired), swing)
-    return judge_motion(robot(mounts=mounts), motions)
+        made[name] = dataclasses.replace(
+            motion,
+            measured=turn(motion.measured),
+            desired=turn(motion.desired),
+            swing=motion.swing if phase else None,
+        )
+    return made
+
+
+def verdict_of(run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool) -> Verdict:
+    return judge_motion(robot(mounts=mounts), turned(motions_of(run), turns, phase=phase))
 
 
 @pytest.mark.parametrize("mounts", [True, False])
@@ -249,10 +266,10 @@ def test_a_zero_that_is_little_off_is_noted_and_the_leg_works_on() -> None:
 def test_with_what_it_advises_every_event_is_that_of_the_right_source() -> None:
     right = shipped_robot()
     legs = tuple(msgspec.structs.replace(leg, angles=Angles(directions=DOWN)) for leg in right.legs)
-    turned = msgspec.structs.replace(right, legs=legs)
+    described = msgspec.structs.replace(right, legs=legs)
     run = walk("tripod", "rough", 901)
     told = []
-    for robot_, signs in ((right, (1, 1, 1)), (turned, DOWN)):
+    for robot_, signs in ((right, (1, 1, 1)), (described, DOWN)):
         bank, events, _ = play(samples(run, functools.partial(np.multiply, signs)), robot_)
         told.append(events)
         assert all(bank.learner(leg).status.note is None for leg in LEGS)
@@ -282,16 +299,8 @@ def quadruped(name: str) -> Mapping[str, LegMotion]:
 
 
 def judge_quadruped(name: str, sign: int, *, phase: bool) -> Verdict:
-    motions = {
-        leg: dataclasses.replace(
-            motion,
-            measured=sign * motion.measured,
-            desired=sign * motion.desired,
-            swing=motion.swing if phase else None,
-        )
-        for leg, motion in quadruped(name).items()
-    }
-    return judge_motion(shipped_robot("quadruped"), motions)
+    turns = dict.fromkeys(quadruped(name), functools.partial(np.multiply, sign))
+    return judge_motion(shipped_robot("quadruped"), turned(quadruped(name), turns, phase=phase))
 
 
 @pytest.mark.parametrize("name", ["free", "collisions"])
@@ -306,25 +315,17 @@ def test_a_quadruped_is_told_when_it_is_flipped_and_never_accused_else(name: str
 @functools.cache
 def hanging_walk(gait: str) -> dict[str, LegMotion]:
     """A quadruped whose hips roll: two feet stand in a trot, three in a walk."""
-    run = record_arrays(SimulationSettings.of("quadruped12", "walk", gait), SECONDS / 2)
-    ticks = np.arange(len(run.t_ns))
-    return {
-        name: LegMotion(run.t_ns, leg.measured, leg.desired, leg.swing, ticks)
-        for name, leg in run.legs.items()
-    }
+    settings = SimulationSettings.of("quadruped12", "walk", gait)
+    return motions_of(record_arrays(settings, SECONDS / 2), counted=True)
 
 
 def judge_hanging_walk(
     gait: str, legs: tuple[str, ...], signs: tuple[int, ...], *, phase: bool
 ) -> Verdict:
-    motions = {}
-    for name, motion in hanging_walk(gait).items():
-        turn = np.array(signs if name in legs else (1, 1, 1))
-        swing = motion.swing if phase else None
-        motions[name] = dataclasses.replace(
-            motion, measured=motion.measured * turn, desired=motion.desired * turn, swing=swing
-        )
-    return judge_motion(shipped_robot("quadruped12"), motions)
+    turns = dict.fromkeys(legs, functools.partial(np.multiply, signs))
+    return judge_motion(
+        shipped_robot("quadruped12"), turned(hanging_walk(gait), turns, phase=phase)
+    )
 
 
 @pytest.mark.parametrize("phase", [True, False])
@@ -356,20 +357,16 @@ def hung(leg: str, seed: int) -> LegMotion:
     """A leg that swings in free air, and is held for half a second after each swing."""
     motion = PoseSettings(legs=(leg,), workspace="whole", hold_ticks=25)
     run = record_arrays(SimulationSettings(motion=motion, seed=seed, robot_seed=seed), SECONDS)
-    one = run.legs[leg]
-    assert not one.contact[50:].any()
-    return LegMotion(run.t_ns, one.measured, one.desired, None, np.arange(len(run.t_ns)))
+    assert not run.legs[leg].contact[50:].any()
+    return motions_of(run, counted=True)[leg]
 
 
 @pytest.mark.parametrize(("leg", "seed"), [("rf", 1), ("lm", 2)])
 def test_gravity_shows_pitch_that_is_turned_round_and_no_single_joint(leg: str, seed: int) -> None:
     def judged(*signs: int) -> Verdict:
-        turned = dataclasses.replace(
-            hung(leg, seed),
-            measured=hung(leg, seed).measured * signs,
-            desired=hung(leg, seed).desired * signs,
-        )
-        return judge_hanging(shipped_robot(), {leg: turned})
+        own = {leg: hung(leg, seed)}
+        turns = {leg: functools.partial(np.multiply, signs)}
+        return judge_hanging(shipped_robot(), turned(own, turns, phase=False))
 
     assert judged(1, 1, 1) == Verdict(fits=(leg,))
     (found,) = judged(1, -1, -1).findings

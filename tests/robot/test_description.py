@@ -294,27 +294,19 @@ def leg(text: str = "") -> AngleFrame:
     return AngleFrame(parse_robot(GOOD + text, source="test").leg("rf"))
 
 
-def test_without_the_table_a_sample_is_left_as_it_is() -> None:
-    sample = ServoSample(t_ns=1, seq=1, measured=[0.1, 0.2, 0.3], desired=[0.0, 0.0, 0.0])
-    frame = leg()
-    assert frame.same
-    assert frame.sample(sample) is sample
-
-
 def test_directions_come_before_offsets() -> None:
-    frame = leg("angles = { directions = [1, -1, -1], offsets_rad = [0.0, 0.5, -1.0] }")
+    """Without the table a sample is left as it is; one of another length is, to the checks."""
     sample = ServoSample(
         t_ns=1, seq=1, measured=[0.1, 0.2, 0.3], desired=[1.0, 1.0, 1.0], preview=[[0.0] * 3]
     )
+    assert leg().same
+    assert leg().sample(sample) is sample
+    frame = leg("angles = { directions = [1, -1, -1], offsets_rad = [0.0, 0.5, -1.0] }")
     turned = frame.sample(sample)
     assert turned.measured == [0.1, 0.5 - 0.2, -1.0 - 0.3]
     assert turned.desired == [1.0, -0.5, -2.0]
     assert turned.preview == [[0.0, 0.5, -1.0]]
     assert sample.measured == [0.1, 0.2, 0.3], "inputs are never changed"
-
-
-def test_a_sample_of_another_length_is_left_to_the_checks() -> None:
-    frame = leg("angles = { directions = [1, -1, -1] }")
     assert frame.sample(ServoSample(t_ns=1, seq=1, measured=[1.0], desired=[])).measured == [1.0]
 
 

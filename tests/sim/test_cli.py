@@ -47,19 +47,31 @@ def test_list_shows_scenarios_and_kinds() -> None:
     assert table["scenarios"]["walk-mud"]["seconds"] == 240.0
 
 
-def test_an_offline_walk_is_recorded(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            ("--gait", "ripple", "--terrain", "steps", "--seed", "3", "--drift",
+             "friction:leg=rf,value=4@1s"),
+            "ripple walk on steps ground, stop on truth, seed 3, 1 drifts",
+        ),
+        (
+            ("--scenario", "walk-mud", "--gait", "wave", "--drift", "friction:leg=rf,value=4@1s"),
+            "wave walk on rough ground, stop on truth, seed 4, 3 drifts",
+        ),
+    ],
+)  # fmt: skip
+def test_an_offline_walk_is_recorded_and_options_change_a_scenario(
+    tmp_path: Path, options: tuple[str, ...], said: str
+) -> None:
     file = tmp_path / "walk.mcap"
-    result = RUN.invoke(
-        app,
-        ["walk", "--offline", "--seconds", "2", "--gait", "ripple", "--terrain", "steps", "--seed",
-         "3", "--drift", "friction:leg=rf,value=4@1s", "--record", str(file)],
-    )  # fmt: skip
+    words = ["walk", "--offline", "--seconds", "2", *options, "--record", str(file)]
+    result = RUN.invoke(app, words)
     assert result.exit_code == 0, result.output
-    assert "ripple walk on steps ground, stop on truth, seed 3, 1 drifts" in result.output
+    assert said in result.output
     assert "simulated 2.0 s" in result.output
     keys = {record.key for record in read_recording(file)}
-    assert "robot/leg/rf/servo" in keys
-    assert "robot/sim/drift" in keys
+    assert {"robot/leg/rf/servo", "robot/sim/drift"} <= keys
 
 
 def test_a_walk_that_raises_legs_ends_with_how_often(tmp_path: Path) -> None:
@@ -88,14 +100,6 @@ def test_an_offline_pose_is_pictured(tmp_path: Path) -> None:
         pytest.skip(f"no EGL on this machine: {result.exception}")
     assert result.exit_code == 0, result.output
     assert picture.stat().st_size > 10_000
-
-
-def test_options_change_a_scenario() -> None:
-    result = RUN.invoke(
-        app, ["walk", "--scenario", "walk-mud", "--offline", "--seconds", "1", "--gait", "wave"]
-    )
-    assert result.exit_code == 0, result.output
-    assert "wave walk on rough ground, stop on truth, seed 4, 2 drifts" in result.output
 
 
 @pytest.mark.parametrize(
