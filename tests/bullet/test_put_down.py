@@ -8,9 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.core.bank import LegGroup
-from adaptive_contact.core.leg_learner import ContactLearner
-from adaptive_contact.wire import ServoSample
 
 pytest.importorskip("pybullet", reason="extra 'bullet' is not installed")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from adaptive_contact import ContactLearner
 
@@ -61,32 +62,19 @@ def test_friction_holds_a_motor_that_is_pushed_less_than_it() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(SHAPES))
-def test_the_inverse_reaches_the_feet_of_the_description(name: str) -> None:
-    shape = SHAPES[name]
-    robot = shape.description
-    for leg in shape.legs:
-        chain = robot.leg(leg.id).chain
-        target = chain.foot(np.array(leg.rest_rad)) + np.array([0.01, -0.01, 0.015])
-        inverse = Inverse(chain, np.array(leg.rest_rad))
-        for _ in range(5):
-            angles = inverse.to(target)
-        assert chain.foot(angles) == pytest.approx(target, abs=2e-3)
-
-
-@pytest.mark.parametrize("name", sorted(SHAPES))
-def test_the_engine_and_the_description_agree_on_feet(name: str) -> None:
+def test_the_engine_and_the_inverse_agree_with_the_description_on_feet(name: str) -> None:
     """The URDF and robot.toml are two descriptions of one robot."""
     shape = SHAPES[name]
     plant = Plant(shape, Ground("none"), np.random.default_rng(1))
-    feet = plant.feet_m
-    robot = shape.description
-    for i, leg in enumerate(shape.legs):
-        chain = robot.leg(leg.id).chain
-        x, y, z = chain.foot(np.array(leg.rest_rad))
-        cos, sin = math.cos(leg.yaw_rad), math.sin(leg.yaw_rad)
-        mount = leg.mount_m
-        expected = (mount[0] + cos * x - sin * y, mount[1] + sin * x + cos * y, mount[2] + z + 1.0)
-        assert feet[i] == pytest.approx(expected, abs=1e-4)
+    for leg, foot in zip(shape.legs, plant.feet_m, strict=True):
+        chain, rest = shape.description.leg(leg.id).chain, np.array(leg.rest_rad)
+        on_body = Rotation.from_euler("z", leg.yaw_rad).apply(chain.foot(rest)) + leg.mount_m
+        assert foot == pytest.approx(on_body + np.array([0.0, 0.0, 1.0]), abs=1e-4)
+        target = chain.foot(rest) + np.array([0.01, -0.01, 0.015])
+        inverse = Inverse(chain, rest)
+        for _ in range(5):
+            angles = inverse.to(target)
+        assert chain.foot(angles) == pytest.approx(target, abs=2e-3)
     plant.close()
 
 

@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from adaptive_contact.checks.limits import Limits, find_limits
+from adaptive_contact import ContactLearner, ServoSample
+from adaptive_contact.checks.limits import STOP_RAD, Limits, find_limits
+from adaptive_contact.robot import parse_robot
 from adaptive_contact.robot.kinematics import Chain, straight
 
 STEP = 0.0015
@@ -105,3 +107,36 @@ def test_limits_are_named_clip_and_are_saved() -> None:
     assert all(map(np.array_equal, again, limits))
     for bad in (None, [], [[0.0], [1.0]], [[1.0] * 3, [0.0] * 3], [["a"] * 3] * 2, {"a": 1}):
         assert Limits.saved(bad, 3) is None
+
+
+# -- A learner finds them, says so, uses them from then on, and saves them
+
+ROBOT = (
+    '[robot]\nname = "stops"\nperiod_s = 0.02\nquantum_rad = 0.0015\n[[leg]]\nid = "a"\n'
+    'joints = ["coxa", "femur", "tibia"]\nlengths_m = [0.05, 0.07, 0.14]\n'
+)
+LIMITS = "limits = { lower_rad = [-2.0, -0.2, -2.0], upper_rad = [2.0, 0.25, 2.0] }\n"
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_the_model_sees_where_the_goals_end(described: bool) -> None:
+    robot = parse_robot(ROBOT + LIMITS * described, source="stops")
+    learner, u = ContactLearner(robot, "a"), commands(1000)
+    rows = zip(servo(clipped(u, low=-0.2, high=0.25)).tolist(), u.tolist(), strict=True)
+    for k, (read, told) in enumerate(rows):
+        phase = "swing" if k % 25 < 15 else "stance"
+        learner.update(
+            ServoSample(t_ns=k * 20_000_000, seq=k, measured=read, desired=told, phase=phase)
+        )
+    limits = learner.report.source.limits
+    assert limits.lower[1] == pytest.approx(-0.2, abs=STOP_RAD)
+    assert limits.upper[1] == pytest.approx(0.25, abs=STOP_RAD)
+    assert not np.isfinite([*limits.lower[[0, 2]], *limits.upper[[0, 2]]]).any()
+    note = learner.report.source.limits_note or ""
+    assert note.startswith("goals go beyond what the servos do (femur stops at ")
+    place = learner.place
+    kept = place.batch.kept_angles[place.row, : place.leg.kept_n, 4]
+    assert (kept.min(), kept.max()) == (limits.lower[1], limits.upper[1])
+    again = ContactLearner(robot, "a")
+    assert again.restore(learner.snapshot()) is None
+    assert all(map(np.array_equal, again.report.source.limits, limits))

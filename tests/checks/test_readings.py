@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from adaptive_contact import ServoSample
 from adaptive_contact.checks.findings import Cause, Fault, entries
 from adaptive_contact.checks.position_step import position_step
 from adaptive_contact.checks.readings import check_readings
-from adaptive_contact.wire import ServoSample
 
 AX = math.radians(300.0) / 1023
 Array = NDArray[np.float64]
@@ -53,13 +53,6 @@ def test_one_reading_off_the_lines_leaves_the_step(part: float) -> None:
     assert not off(position_step(read), AX)
 
 
-@pytest.mark.parametrize("between", [0.0, 0.15])
-def test_nobody_needs_to_know_the_step(between: float) -> None:
-    rng = np.random.default_rng(3)
-    for step in (AX, math.tau / 4096):
-        assert not off(position_step(swung(rng, 600, step, between)), step)
-
-
 @pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3, 5e-3])
 @pytest.mark.parametrize("places", [1, 2, 5, 8])
 def test_readings_without_steps_that_rest_in_few_places_have_none(
@@ -76,14 +69,19 @@ def test_readings_without_steps_that_rest_in_few_places_have_none(
     assert found == [None] * 2
 
 
-def faults(measured: Array, desired: Array, quantum_rad: float | None = AX) -> list[Fault]:
+def faults(
+    measured: Array,
+    desired: Array,
+    quantum_rad: float | None = AX,
+    limits: tuple[tuple[float, float], ...] = ((-3.0, 3.0),) * 2,
+) -> list[Fault]:
     rows = zip(measured.tolist(), desired.tolist(), strict=True)
     samples = [
         ServoSample(t_ns=20_000_000 * k, seq=k, measured=read, desired=told)
         for k, (read, told) in enumerate(rows)
     ]
     names = [f"j{j}" for j in range(measured.shape[1])]
-    return list(check_readings(samples, names, quantum_rad, [(-3.0, 3.0)] * len(names)))
+    return list(check_readings(samples, names, quantum_rad, limits[: len(names)]))
 
 
 def causes(measured: Array, desired: Array, quantum_rad: float | None = AX) -> list[Cause]:
@@ -234,13 +232,7 @@ def test_goals_beyond_what_a_servo_does_are_named(described: bool) -> None:
     goals = swings(rng, 900)
     stops = np.clip(goals, [-9.0, -0.3], [9.0, 0.3])
     measured = np.round(followed(rng, stops, 1, 25.0) / AX) * AX
-    rows = zip(measured.tolist(), goals.tolist(), strict=True)
-    samples = [
-        ServoSample(t_ns=20_000_000 * k, seq=k, measured=read, desired=told)
-        for k, (read, told) in enumerate(rows)
-    ]
-    limits = [(-3.0, 3.0), (-0.3, 0.3) if described else (-3.0, 3.0)]
-    said = check_readings(samples, ["a", "b"], AX, limits)
-    (fault,) = [one for one in said if one.cause == "goals"]
-    assert (fault.detail or "").count("b stops at") == 2
+    limits = ((-3.0, 3.0), (-0.3, 0.3) if described else (-3.0, 3.0))
+    (fault,) = [one for one in faults(measured, goals, AX, limits) if one.cause == "goals"]
+    assert (fault.detail or "").count("j1 stops at") == 2
     assert "goals" not in causes(np.round(followed(rng, goals, 1, 25.0) / AX) * AX, goals)

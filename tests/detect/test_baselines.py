@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from adaptive_contact.core.detect.contact import swing_tick
 from adaptive_contact.core.detect.layout import DECIDED, TOUCHED, new_legs
-from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.noise import WINDOWS, context
 from adaptive_contact_studies.paper.detectors import (
@@ -81,12 +80,6 @@ def test_alarms_of_a_stream_equal_those_of_the_state_machine(
     )
 
 
-def test_no_alarm_without_scores() -> None:
-    nothing = np.full(10, np.nan)
-    assert len(alarm_ticks(nothing, np.zeros(10, dtype=np.int64))) == 0
-    assert len(alarm_ticks(np.zeros(0), np.zeros(0, dtype=np.int64))) == 0
-
-
 def test_rules_tick_by_tick() -> None:
     motion, prediction = walk(1, n=60)
     paper = rule(prediction.residual)
@@ -126,19 +119,6 @@ def test_likelihood_ratio_equals_the_online_statistic_tick_by_tick() -> None:
         np.testing.assert_allclose(values[k], expected)
 
 
-def test_a_gap_in_the_predictions_shortens_the_windows() -> None:
-    motion, prediction = walk(3)
-    noise = learn_noise(motion, prediction, motion.judged, QUANTUM)
-    k = 23 * 5 + 12
-    prediction.residual[k] = np.nan
-    values = likelihood_ratio(motion, prediction, noise, QUANTUM)
-    assert np.isnan(values[k]).all()
-    assert np.isfinite(values[k + 1, 0])
-    assert np.isnan(values[k + 1, 1:]).all()
-    assert np.isfinite(values[k + 2, :2]).all()
-    assert np.isnan(values[k + 2, 2])
-
-
 def test_thresholds_hold_the_rate_they_aim_at() -> None:
     rng = np.random.default_rng(4)
     calibration = Calibration.of([rng.exponential(size=(100_000, 2)) for _ in range(3)])
@@ -148,20 +128,3 @@ def test_thresholds_hold_the_rate_they_aim_at() -> None:
     only = replace(calibration, channels=(1,))
     # Its share is the whole of the rate: a lower threshold.
     assert only.score(np.ones((1, 2)), rate) > calibration.score(np.ones((1, 2)), rate)
-
-
-def test_unknown_channels_do_not_count_and_none_gives_none() -> None:
-    rng = np.random.default_rng(5)
-    calibration = Calibration.of([rng.exponential(size=(20_000, 2))])
-    rows = np.array([[np.nan, 100.0], [100.0, np.nan], [np.nan, np.nan]])
-    score = calibration.score(rows, 1e-5)
-    assert (score[:2] > 1.0).all()
-    assert np.isnan(score[2])
-
-
-def test_too_few_ticks_are_told() -> None:
-    motion, prediction = walk(6, n=100)
-    with pytest.raises(IdentificationError, match="free ticks"):
-        learn_noise(motion, prediction, motion.judged, QUANTUM)
-    with pytest.raises(IdentificationError, match="too few for a threshold"):
-        Calibration.of([np.ones((100, 3))])

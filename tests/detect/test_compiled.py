@@ -34,44 +34,26 @@ def test_what_is_compiled_is_kept_in_a_folder_of_the_users_own(folder: Path) -> 
     assert not compiled.is_cached()
 
 
-@pytest.mark.parametrize("variable", [compiled.CACHE_VARIABLE, "CACHE_DIRECTORY"])
-def test_a_named_folder_comes_first(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, variable: str
+@pytest.mark.parametrize(
+    ("variable", "value", "parent"),
+    [
+        (compiled.CACHE_VARIABLE, "{}/named", "{}/named"),
+        ("CACHE_DIRECTORY", "{}/named", "{}/named"),
+        # What lies where others may write is executed, and a link may lead there.
+        (compiled.CACHE_VARIABLE, "{}/theirs", "{}/home/.cache/adaptive-contact"),
+        (compiled.CACHE_VARIABLE, "{}/link", "{}/home/.cache/adaptive-contact"),
+        ("HOME", "/proc/nobody", f"{{}}/tmp/adaptive-contact-{os.getuid()}"),  # of a system user
+    ],
+)
+def test_a_named_folder_comes_first_unless_others_may_write_to_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, parent: str
 ) -> None:
-    monkeypatch.setenv(variable, str(folder / "named"))
-    assert compiled.cache_folder() is not None
-    assert compiled.cache_folder().parent == folder / "named"  # type: ignore[union-attr]
-
-
-def test_a_folder_that_others_may_write_to_holds_no_code(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What lies there is executed."""
-    theirs = folder / "theirs"
-    theirs.mkdir()
-    theirs.chmod(0o777)
-    monkeypatch.setenv(compiled.CACHE_VARIABLE, str(theirs))
-    found = compiled.cache_folder()
-    assert theirs not in found.parents
-    assert not list(theirs.iterdir())
-
-
-def test_a_link_is_no_folder_of_the_users_own(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (folder / "elsewhere").mkdir()
-    (folder / "link").symlink_to(folder / "elsewhere")
-    monkeypatch.setenv(compiled.CACHE_VARIABLE, str(folder / "link"))
-    assert compiled.cache_folder() is not None
-    assert not list((folder / "elsewhere").iterdir())
-
-
-def test_without_a_home_the_folder_for_temporary_files_serves(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HOME", "/proc/nobody")  # as of a system user
-    found = compiled.cache_folder()
-    assert found.parent == folder / "tmp" / f"adaptive-contact-{os.getuid()}"
+    (folder / "theirs").mkdir()
+    (folder / "theirs").chmod(0o777)
+    (folder / "link").symlink_to(folder / "theirs")
+    monkeypatch.setenv(variable, value.format(folder))
+    assert str(compiled.cache_folder().parent) == parent.format(folder)
+    assert not list((folder / "theirs").iterdir())
 
 
 def test_no_folder_is_no_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,18 +140,6 @@ def test_the_tick_says_the_same_uncompiled() -> None:
     assert said[0].count("true") >= 3
 
 
-def test_the_tests_of_a_swing_pass_uncompiled() -> None:
-    """They drive single steps of the tick; `make uncompiled` runs all of them so."""
-    tests = [
-        str(Path(__file__).parents[1] / "learner" / f"test_{name}.py")
-        for name in ("segments", "ground")
-    ]
-    subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", *tests],
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True,
-    )  # fmt: skip
-
-
 def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> None:
     if not compiled.compiles():
         pytest.skip("nothing is compiled here")
@@ -188,10 +158,8 @@ def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> No
 def test_the_time_of_a_first_start_is_that_of_the_newest_before(folder: Path) -> None:
     """Else it is measured; what a file holds that is no such time counts for nothing."""
     found = compiled.cache_folder()
-    for age, (name, text) in enumerate(
-        [("a", ""), ("b", "nan"), ("c", "-3"), ("d", "1e9"), ("f", "44.5"), ("g", "9")]
-    ):
-        mark = found.with_name(f"compiled-{name}") / "whole"
+    for age, text in enumerate(["", "nan", "-3", "1e9", "44.5", "9"]):
+        mark = found.with_name(f"compiled-{age}") / "whole"
         mark.parent.mkdir()
         mark.write_text(text)
         then = time.time() - 60 * age

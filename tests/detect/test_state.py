@@ -8,16 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactLearner
 from adaptive_contact.compiled import records
 from adaptive_contact.core.bank import LegGroup
 from adaptive_contact.core.detect.layout import new_legs, scalars_of
 from adaptive_contact.core.detect.state import follow_load, hangs
 from adaptive_contact.core.detect.touch_point import locate
-from adaptive_contact.core.leg_learner import ContactLearner
-from adaptive_contact.model.model_file import shipped_baseline
-from adaptive_contact.robot import Robot
-from adaptive_contact.robot.description import DetectorSettings
-from adaptive_contact.robot.kinematics import inverse
+from adaptive_contact.model import shipped_baseline
+from adaptive_contact.robot import DetectorSettings, Robot, inverse
 from adaptive_contact.wire import ContactEvent, LegState, ServoSample
 from adaptive_contact_sim import (
     PoseSettings,
@@ -29,6 +27,7 @@ from adaptive_contact_sim import (
 from adaptive_contact_sim.arrays import Run
 from adaptive_contact_studies.evaluate import samples_of
 
+HEXAPOD = simulated_robot("hexapod").description
 Walked = tuple[Run, dict[str, list[LegState]], dict[str, list[ContactEvent]]]
 
 
@@ -50,11 +49,10 @@ def played(
 @pytest.fixture(scope="module")
 def walk() -> Walked:
     """A walk whose commands know nothing of the ground."""
-    robot = simulated_robot("hexapod").description
     settings = SimulationSettings.of("hexapod", "walk")
     motion = WalkSettings(stop_on="never", phase="planned")
     run = record_arrays(dataclasses.replace(settings, motion=motion, seed=77), 25.0)
-    return (run, *played(robot, run, ["lf", "rm"]))
+    return (run, *played(HEXAPOD, run, ["lf", "rm"]))
 
 
 def test_it_is_right_in_stance_and_swing_where_the_gait_s_phase_is_not(walk: Walked) -> None:
@@ -73,9 +71,8 @@ def test_it_is_right_in_stance_and_swing_where_the_gait_s_phase_is_not(walk: Wal
 
 def test_the_owner_s_settings_reach_every_tick(walk: Walked) -> None:
     run, _, _ = walk
-    robot = simulated_robot("hexapod").description
     detector = DetectorSettings(touches_above=0.95, touches_below=0.9, strike_loss=0.7)
-    states, _ = played(msgspec.structs.replace(robot, detector=detector), run, ["lf", "rm"])
+    states, _ = played(msgspec.structs.replace(HEXAPOD, detector=detector), run, ["lf", "rm"])
     for own in states.values():
         told = [state.p for state in own if state.contact]
         assert len(told) > 100
@@ -110,10 +107,9 @@ def test_an_event_has_the_p_of_its_tick(walk: Walked) -> None:
 
 def test_an_event_says_where_the_foot_is_as_sure_as_it_is(walk: Walked) -> None:
     run, _, events = walk
-    robot = simulated_robot("hexapod").description
     errors = []
     for leg, own in events.items():
-        chain = robot.leg(leg).chain
+        chain = HEXAPOD.leg(leg).chain
         for event in own:
             if not event.contact:
                 assert event.foot_m is event.foot_sd_m is event.push is event.push_up is None
@@ -125,7 +121,7 @@ def test_an_event_says_where_the_foot_is_as_sure_as_it_is(walk: Walked) -> None:
 
 
 def test_a_push_is_along_the_way_that_the_foot_was_moved() -> None:
-    chain = simulated_robot("hexapod").description.leg("lf").chain
+    chain = HEXAPOD.leg("lf").chain
     q = [0.2, 0.4, -0.9]
     foot = np.array(chain.point(q))
     for moved in (np.array([0.0, 0.0, 1.0]), np.array([-0.6, 0.8, 0.0])):
@@ -154,32 +150,39 @@ def test_a_leg_that_hangs_has_no_state() -> None:
     }
 
 
+class Loaded:
+    """A leg from a prior, by the scalars of its state."""
+
+    def __init__(self) -> None:
+        legs = new_legs(1)
+        self.of, self.record = scalars_of(legs, 0), records(legs)[0]
+        self.of.has_lengths = self.of.from_prior = True
+        self.of.period_ns, self.of.variance_scale, self.of.stance_n = 20_000_000, 1.0, -1
+
+    def carries(self, pushes: list[float], sums: list[float] | None = None) -> bool:
+        """Whether it carries after stances with such pushes, whose sums grow to these."""
+        for push, total in zip(pushes, sums or [0.0] * len(pushes), strict=True):
+            self.of.ticks = 1
+            follow_load(self.record)
+            self.of.ticks, self.of.push_sum = 0, push
+            for k in range(12):
+                self.of.push = total * k / 11
+                follow_load(self.record)
+        self.of.ticks = 1
+        follow_load(self.record)
+        return bool(self.of.carried)
+
+
 def test_a_leg_is_lifted_where_its_load_falls_and_not_where_it_is_small() -> None:
     """Pushes of a stiff drive hardly reach the level of a leg that carries."""
-    legs = new_legs(1)
-    leg, record = scalars_of(legs, 0), records(legs)[0]
-    leg.has_lengths = leg.from_prior = True
-    leg.period_ns, leg.variance_scale, leg.stance_n = 20_000_000, 1.0, -1
-
-    def carries(pushes: list[float]) -> bool:
-        """Whether it carries after stances with such pushes."""
-        for push in pushes:
-            leg.ticks = 1
-            follow_load(record)
-            leg.ticks, leg.push_sum = 0, push
-            for _ in range(12):
-                follow_load(record)
-        leg.ticks = 1
-        follow_load(record)
-        return bool(leg.carried)
-
-    assert carries([4.0] * 8)
-    leg.idle_n = 500
-    assert carries([2.5] * 20)  # below the level
-    assert leg.idle_n == 0
-    assert carries([2.5, 0.2] * 4)  # every other step into a hole
-    assert not carries([0.5] * 12)
-    assert hangs(record)
+    leg = Loaded()
+    assert leg.carries([4.0] * 8)
+    leg.of.idle_n = 500
+    assert leg.carries([2.5] * 20)  # below the level
+    assert leg.of.idle_n == 0
+    assert leg.carries([2.5, 0.2] * 4)  # every other step into a hole
+    assert not leg.carries([0.5] * 12)
+    assert hangs(leg.record)
 
 
 @pytest.mark.parametrize(
@@ -190,23 +193,13 @@ def test_a_stiff_drive_carries_where_each_stance_goes_on_pushing(
     sums: list[float], carries: bool
 ) -> None:
     """Its push of one tick is that of a leg in the air whose model errs."""
-    legs = new_legs(1)
-    leg, record = scalars_of(legs, 0), records(legs)[0]
-    leg.has_lengths = leg.from_prior = True
-    leg.period_ns, leg.variance_scale, leg.stance_n = 20_000_000, 1.0, -1
-    for total in sums:
-        leg.ticks = 1
-        follow_load(record)
-        leg.ticks, leg.push_sum = 0, 2.0
-        for k in range(12):
-            leg.push = total * k / 11
-            follow_load(record)
-    assert bool(leg.carried) is bool(leg.slight) is carries
+    leg = Loaded()
+    assert leg.carries([2.0] * len(sums), sums) is carries
+    assert bool(leg.of.slight) is carries
 
 
 def test_a_new_source_has_to_stand_first(walk: Walked) -> None:
-    robot = simulated_robot("hexapod").description
-    learner = ContactLearner(robot, "lf", shipped_baseline(robot.name))
+    learner = ContactLearner(HEXAPOD, "lf", shipped_baseline(HEXAPOD.name))
     samples = samples_of(walk[0], "lf")
     for sample in samples:
         learner.update(sample)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -66,6 +65,11 @@ def table(runs: list[dict[str, Any]]) -> str:
     return "\n".join([*lines, *doubted, *(who for of in runs for who in of["noted"])])
 
 
+def doubted_of(runs: list[dict[str, Any]]) -> int:
+    """How many legs were."""
+    return sum(len(of["doubted"]) for of in runs)
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path)
@@ -77,7 +81,6 @@ def main(arguments: list[str] | None = None) -> int:
     lines = path.read_text().splitlines() if path.exists() else []
     runs = [json.loads(line) for line in lines]
     done = sum(sum(of["hours"].values()) for of in runs)
-    began, before = time.monotonic(), done
     with path.open("a") as file:
         while done < options.hours:
             found = run(len(runs), options.seconds)
@@ -85,14 +88,10 @@ def main(arguments: list[str] | None = None) -> int:
             file.flush()
             runs.append(found)
             done += sum(found["hours"].values())
-            rate = (done - before) / (time.monotonic() - began)
-            left = (options.hours - done) / max(rate, 1e-9) / 3600.0
-            doubted = sum(len(of["doubted"]) for of in runs)
-            told = f"{done:.2f} of {options.hours:g} leg-hours, {doubted} doubted"
-            print(f"{told}, {max(left, 0.0):.1f} h left", file=sys.stderr, flush=True)
+            told = f"{done:.2f} of {options.hours:g} leg-hours, {doubted_of(runs)} doubted"
+            print(told, file=sys.stderr, flush=True)
     print(table(runs))
-    doubted = sum(len(of["doubted"]) for of in runs)
-    return int(doubted > max(1.0, MOST_DOUBTED * done))
+    return int(doubted_of(runs) > max(1.0, MOST_DOUBTED * done))
 
 
 if __name__ == "__main__":

@@ -21,13 +21,10 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.checks.information import low_pass
-from adaptive_contact.model import Baseline
-from adaptive_contact.model.model_file import shipped_baseline
-from adaptive_contact.robot import Robot, load_robot, parse_robot
-from adaptive_contact.robot.kinematics import inverse
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.model import Baseline, shipped_baseline
+from adaptive_contact.robot import Robot, inverse, load_robot, parse_robot
 
 from . import mistakes
 
@@ -322,27 +319,28 @@ def tell(stream: Stream, kind: str, rng: np.random.Generator, *, fitted: bool) -
 
 def price(told: list[Told], honest: list[Honest]) -> str:
     """Print both columns in one table."""
-    lines = [
-        "| lies | named in 3 swings | contacts after them | right again in 5 |",
-        "|---|---|---|---|",
-    ]
-    for kind in KINDS:
-        of = [t for t in told if t.kind == kind]
-        if of:
-            lines.append(
+    by_kind = {kind: [t for t in told if t.kind == kind] for kind in KINDS} | {"all": told}
+    by_name = {h.name: [of for of in honest if of.name == h.name] for h in honest}
+    return "\n".join(
+        [
+            "| lies | named in 3 swings | contacts after them | right again in 5 |",
+            "|---|---|---|---|",
+            *(
                 f"| {kind} | {sum(t.named for t in of)} of {len(of)} | "
                 f"{sum(t.contacts for t in of)} | {sum(t.right_again for t in of)} |"
-            )
-    lines.append(
-        f"| all | {sum(t.named for t in told)} of {len(told)} | {sum(t.contacts for t in told)} | "
-        f"{sum(t.right_again for t in told)} |"
+                for kind, of in by_kind.items()
+                if of
+            ),
+            "",
+            "| honest legs | legs | leg-minutes | doubted |",
+            "|---|---|---|---|",
+            *(
+                f"| {name} | {len(of)} | {60.0 * sum(h.hours for h in of):.1f} | "
+                f"{sum(h.doubted for h in of)} |"
+                for name, of in by_name.items()
+            ),
+        ]
     )
-    lines += ["", "| honest legs | legs | leg-minutes | doubted |", "|---|---|---|---|"]
-    for name in dict.fromkeys(h.name for h in honest):
-        own = [h for h in honest if h.name == name]
-        minutes = sum(h.seconds for h in own) / 60.0
-        lines.append(f"| {name} | {len(own)} | {minutes:.1f} | {sum(h.doubted for h in own)} |")
-    return "\n".join(lines)
 
 
 def main() -> None:

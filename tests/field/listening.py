@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgpack
 
-from adaptive_contact.core.bank import LearnerBank
+from adaptive_contact import LearnerBank
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
@@ -45,7 +45,6 @@ def listen(
     bank = LearnerBank(robot, baseline)
     heard = Examination()
     begins_ns = messages[-1].at_ns - round(seconds * 1e9)
-    silent = dict.fromkeys(robot.leg_ids, 0)
 
     def take(key: str, payload: bytes) -> None:
         heard.take(Received(key, payload, MSGPACK, 0, None))
@@ -75,7 +74,6 @@ def listen(
         if isinstance(sample, Rejected):
             learner.count(sample.reason)
             continue
-        silent.pop(leg, None)
         if leg in tick:
             bank.update(tick)
             tick = {}

@@ -55,6 +55,16 @@ def read(path: Path) -> list[Sent]:
     ]
 
 
+def first(messages: Messages, seconds: float) -> list[Sent]:
+    """The first seconds."""
+    return [sent for sent in messages if sent.at_ns <= messages[0].at_ns + seconds * 1e9]
+
+
+def last(messages: Messages, seconds: float) -> list[Sent]:
+    """The last seconds."""
+    return [sent for sent in messages if sent.at_ns >= messages[-1].at_ns - seconds * 1e9]
+
+
 def write(path: Path, messages: Messages, about: dict[str, str] | None = None) -> Path:
     """A recording of messages; ``about`` is what the writer says of it."""
     with RecordingWriter(path, about or {}) as file:
@@ -289,11 +299,6 @@ swapped = angles(lambda row: [row[0], row[2], row[1]])
 swapped_readings = angles(lambda row: [row[0], row[2], row[1]], "measured")
 turned_readings = angles(lambda row: [row[1], row[2], row[0]], "measured")
 one_turn_off = angles(lambda row: [row[0] + math.tau, *row[1:]], "measured")
-without_phase = each_sample(
-    lambda sent, _: dataclasses.replace(
-        sent, body={name: value for name, value in sent.body.items() if name != "phase"}
-    )
-)
 never_stance = each_sample(lambda sent, _: sent.but(phase="swing"))
 
 

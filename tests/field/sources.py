@@ -16,31 +16,27 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, Final
+from functools import partial
+from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.core.bank import LearnerBank
-from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact import LearnerBank
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
-from adaptive_contact.score.score import Score, score_messages
+from adaptive_contact.score import Score, score_messages
 from adaptive_contact.wire import (
-    MSGPACK,
     ContactEvent,
     Message,
     ServoSample,
-    encode,
-    servo_key,
-    truth_key,
 )
+from adaptive_contact_sim import TerrainSettings, WalkSettings
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
-from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.truth import TruthTracker
-from adaptive_contact_sim.walk import WalkSettings
+from scoring import messages
 
 Angles = NDArray[np.float64]
 # Of tick 0, 1, ...: how many periods after it was due.
@@ -300,18 +296,8 @@ def play(played: Played, robot: Robot, origin: Played | None = None) -> Score:
         )
         for one in found
     ]
-    return score_messages(_messages(right), robot, shifted)
-
-
-def _messages(played: Played) -> Iterator[Any]:
-    rows: list[tuple[int, str, Message]] = [
-        (sample.t_ns, servo_key(leg), sample)
-        for tick in played.samples
-        for leg, sample in tick.items()
-    ]
-    rows += [(body.t_ns, truth_key(leg), body) for leg, body in played.truth]  # type: ignore[attr-defined]
-    for _, key, body in sorted(rows, key=lambda row: row[0]):
-        yield SimpleNamespace(key=key, payload=encode(body), encoding=MSGPACK)
+    samples = [(leg, sample) for tick in right.samples for leg, sample in tick.items()]
+    return score_messages(messages(samples, right.truth), robot, shifted)
 
 
 def main() -> None:
@@ -325,28 +311,30 @@ def main() -> None:
     robot = shipped_robot()
     period_ns = round(robot.period_s * 1e9)
 
-    def show(name: str, played: Played, origin: Played | None = None) -> None:
-        score = play(played, robot, origin)
-        counted, false = score.total.counted, score.total.false_alarms
-        print(f"{name:36} {counted.found:5} of {counted.touches:5} {false:4} false", flush=True)
-
-    def wanted(kind: str, name: str) -> bool:
-        chosen = not options.only or any(part in name for part in options.only)
-        return chosen and options.kind in (None, kind)
-
     for seed in options.seeds:
         settings, seconds = walk_of(seed, options.seconds)
         even = late_loop(settings, seconds, LOOPS["even"])
-        for name, clock in STAMPS.items():
-            if wanted("stamps", name):
-                show(f"{seed} stamps: {name}", stamped(even, clock, period_ns), even)
-        for name, clock in LOOPS.items():
-            if wanted("loops", name):
-                show(f"{seed} loop: {name}", late_loop(settings, seconds, clock))
-        for name, bad in READINGS.items():
-            for each in (200, 50):
-                if wanted("readings", name):
-                    show(f"{seed} 1 in {each}: {name}", misread(even, bad, 1.0 / each))
+        made: list[tuple[str, str, Callable[[], Played], Played | None]] = [
+            *(
+                ("stamps", f"stamps: {name}", partial(stamped, even, clock, period_ns), even)
+                for name, clock in STAMPS.items()
+            ),
+            *(
+                ("loops", f"loop: {name}", partial(late_loop, settings, seconds, clock), None)
+                for name, clock in LOOPS.items()
+            ),
+            *(
+                ("readings", f"1 in {each}: {name}", partial(misread, even, bad, 1.0 / each), None)
+                for name, bad in READINGS.items()
+                for each in (200, 50)
+            ),
+        ]
+        for kind, name, make, origin in made:
+            chosen = not options.only or any(part in name for part in options.only)
+            if chosen and options.kind in (None, kind):
+                total = play(make(), robot, origin).total
+                found = f"{total.counted.found:5} of {total.counted.touches:5}"
+                print(f"{f'{seed} {name}':36} {found} {total.false_alarms:4} false", flush=True)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ from adaptive_contact.cli.fit import check_conventions, gather
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, RecordingError
 from adaptive_contact.fit.train import LegFigures, Training, learn
 from adaptive_contact.fit.verdict import refusals
-from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.robot.write import write_robot
@@ -27,30 +25,24 @@ from adaptive_contact.robot.write import write_robot
 from . import mistakes as m
 
 
-@pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path: Path = tmp_path_factory.mktemp("walk") / "walk.mcap"
-    words = ["sim", "walk", "--seconds", "90", "--seed", "4", "--offline", "--record", str(path)]
-    subprocess.run([sys.executable, "-m", "adaptive_contact", *words], check=True, timeout=600)
-    return path
-
-
-def test_inputs_are_read_once_and_not_written_over(ours: Any, walk: Path, tmp_path: Path) -> None:
+def test_inputs_are_read_once_and_not_written_over(
+    ours: Any, walk_file: Path, tmp_path: Path
+) -> None:
     config, link = tmp_path / "robot.toml", tmp_path / "again.mcap"
     config.write_text(write_robot(shipped_robot()))
-    link.symlink_to(walk)
-    before = config.read_bytes(), walk.read_bytes()
-    for out in (config, walk):
-        done = ours("fit", walk, "--config", config, "-o", out)
+    link.symlink_to(walk_file)
+    before = config.read_bytes(), walk_file.read_bytes()
+    for out in (config, walk_file):
+        done = ours("fit", walk_file, "--config", config, "-o", out)
         assert (done.code, "what the command reads" in done.err) == (2, True), done.err
-    done = ours("fit", walk, link, "-o", tmp_path / "b.json")
+    done = ours("fit", walk_file, link, "-o", tmp_path / "b.json")
     assert done.code == 2
     assert done.err.endswith(f"{link} is given twice; give every recording once\n")
-    assert (config.read_bytes(), walk.read_bytes()) == before
+    assert (config.read_bytes(), walk_file.read_bytes()) == before
 
 
-def test_a_good_fit_says_so_leg_by_leg(ours: Any, walk: Path, tmp_path: Path) -> None:
-    done = ours("fit", walk, "-o", tmp_path / "legs.json")
+def test_a_good_fit_says_so_leg_by_leg(ours: Any, walk_file: Path, tmp_path: Path) -> None:
+    done = ours("fit", walk_file, "-o", tmp_path / "legs.json")
     assert done.code == 0, done.err
     assert (tmp_path / "legs.json").exists()
     assert "(rad)" not in done.out, "equations are printed on request"
@@ -65,9 +57,13 @@ SECONDS = 20.0
 
 
 @pytest.fixture(scope="module")
-def sent(walk: Path) -> list[m.Sent]:
-    messages = m.read(walk)
-    return [one for one in messages if one.at_ns <= messages[0].at_ns + round(SECONDS * 1e9)]
+def sent(walk_file: Path) -> list[m.Sent]:
+    return m.first(m.read(walk_file), SECONDS)
+
+
+def made_of(messages: list[m.Sent], mistake: m.Mistake, folder: Path) -> Path:
+    """A recording with a mistake."""
+    return m.write(folder / "made.mcap", list(mistake(messages, np.random.default_rng(1))))
 
 
 def said_of(
@@ -77,7 +73,7 @@ def said_of(
     capsys: pytest.CaptureFixture[str],
 ) -> tuple[list[str], AdaptiveContactError | None]:
     """What is said of a recording with this mistake before anything is learned, and the refusal."""
-    made = m.write(folder / "made.mcap", list(mistake(sent, np.random.default_rng(1))))
+    made = made_of(sent, mistake, folder)
     robot, refusal = shipped_robot(), None
     try:
         check_conventions(robot, gather([made], robot))
@@ -180,11 +176,11 @@ def test_pitch_of_the_wrong_sign_is_refused(
 @pytest.mark.slow
 @pytest.mark.parametrize("mistake", [m.encoder_seam, m.raw_zeros(0.005)], ids=["seam", "zeros"])
 def test_what_is_named_does_not_enter_a_baseline(
-    walk: Path, tmp_path: Path, mistake: m.Mistake
+    walk_file: Path, tmp_path: Path, mistake: m.Mistake
 ) -> None:
     robot, limits = shipped_robot(), []
-    made = m.write(tmp_path / "made.mcap", list(mistake(m.read(walk), np.random.default_rng(1))))
-    for path in (walk, made):
+    made = made_of(m.read(walk_file), mistake, tmp_path)
+    for path in (walk_file, made):
         streams = {leg: one.stretches() for leg, one in gather([path], robot).items()}
         with threadpool_limits(1):
             training = learn(robot, streams, origin="", threshold=0.1)
@@ -226,38 +222,28 @@ ZERO_TAILS = tuple(Tail(0.1, 0.01, 0.02, 0.0, 100) for _ in range(3))
         ({"held_out_rms": (0.005, 0.0012, 0.005)}, "(lf femur 0.001, "),
         ({"held_out_rms": (0.0, 0.005, 0.005), "naive_rms": (0.0, 0.05, 0.05)}, None),
         ({"tails": ZERO_TAILS}, "thresholds are as low as"),
+        ({"step": 0.0199}, None),
+        ({"step": 0.0201}, "is over 0.02 rad"),
     ],
-    ids=["good", "long", "endless", "a quarter step", "less", "a joint at rest", "thresholds"],
 )
 def test_figures_that_no_leg_has_are_refused(changes: dict[str, Any], words: str | None) -> None:
-    robot = shipped_robot()
-    lines = refusals(robot, training_of(robot, **changes))
-    if words is None:
-        assert lines == []
-    else:
-        (line,) = lines
-        assert words in line
+    given = {"step": shipped_robot().quantum_rad, **changes}
+    robot = msgspec.structs.replace(shipped_robot(), quantum_rad=given.pop("step"))
+    lines = refusals(robot, training_of(robot, **given))
+    assert [words in line for line in lines] == ([] if words is None else [True])
 
 
-@pytest.mark.parametrize(("step", "refused"), [(0.0199, False), (0.0201, True)])
-def test_steps_over_a_fiftieth_of_a_radian_are_refused(step: float, refused: bool) -> None:
-    robot = msgspec.structs.replace(shipped_robot(), quantum_rad=step)
-    lines = refusals(robot, training_of(robot))
-    assert any("is over 0.02 rad" in line for line in lines) == refused
-
-
-def test_what_is_no_model_is_not_written(ours: Any, walk: Path, tmp_path: Path) -> None:
-    messages = list(m.never_stance(m.read(walk), np.random.default_rng(1)))
-    done = ours("fit", m.write(tmp_path / "made.mcap", messages), "-o", tmp_path / "legs.json")
+def test_what_is_no_model_is_not_written(ours: Any, walk_file: Path, tmp_path: Path) -> None:
+    made = made_of(m.read(walk_file), m.never_stance, tmp_path)
+    done = ours("fit", made, "-o", tmp_path / "legs.json")
     assert done.code == 1, done.out
     assert not (tmp_path / "legs.json").exists()
     assert sum("no leg swings for seconds" in line for line in done.err.splitlines()) == 1
     assert "no baseline was written" in done.err.splitlines()[-1]
 
 
-def test_a_recording_of_other_legs_is_named(ours: Any, walk: Path, tmp_path: Path) -> None:
-    renamed = m.renamed({"lf": "LF"})
-    made = m.write(tmp_path / "made.mcap", list(renamed(m.read(walk), np.random.default_rng(1))))
+def test_a_recording_of_other_legs_is_named(ours: Any, walk_file: Path, tmp_path: Path) -> None:
+    made = made_of(m.read(walk_file), m.renamed({"lf": "LF"}), tmp_path)
     done = ours("fit", made, "-o", tmp_path / "legs.json")
     assert "no --config: taken for the shipped robot 'hexapod-ax12a'" in done.err
     assert "not used: leg LF, which robot 'hexapod-ax12a' lacks; it has leg lf" in done.err
@@ -267,7 +253,7 @@ def test_a_recording_of_other_legs_is_named(ours: Any, walk: Path, tmp_path: Pat
 def test_what_seems_of_no_use_is_judged_on_request(
     ours: Any, sent: list[m.Sent], tmp_path: Path, command: str
 ) -> None:
-    made = m.write(tmp_path / "made.mcap", list(m.milliseconds(sent, np.random.default_rng(1))))
+    made = made_of(sent, m.milliseconds, tmp_path)
     more = ["--events", tmp_path / "events.jsonl", "--force"] if command == "replay" else []
     done = ours(command, made, *more)
     assert done.code == 2
@@ -293,8 +279,7 @@ def test_exchanged_joints_are_one_cause_in_a_replay(
     words: str,
     lines: int,
 ) -> None:
-    part = [one for one in sent if one.at_ns <= sent[0].at_ns + seconds * 1e9]
-    made = m.write(tmp_path / "made.mcap", list(mistake(part, np.random.default_rng(1))))
+    made = made_of(m.first(sent, seconds), mistake, tmp_path)
     done = ours("replay", made, "--events", tmp_path / "events.jsonl")
     _, _, *told = done.err.splitlines()
     assert sum(words in line for line in told) == lines

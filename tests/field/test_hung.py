@@ -8,12 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactLearner, load_baseline
 from adaptive_contact.checks.conventions.judge import judge_motion
 from adaptive_contact.cli.fit import gather
 from adaptive_contact.fit.recordings import LegGatherer
 from adaptive_contact.fit.train import learn
-from adaptive_contact.model import load_baseline
 from adaptive_contact.robot import Robot, load_robot
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.status import LegFacts
@@ -37,6 +36,16 @@ def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     path = tmp_path_factory.mktemp("robot") / "robot.toml"
     path.write_text(text)
     return load_robot(path)
+
+
+def streams(robot: Robot, path: Path = DATA / "hung.mcap") -> dict[str, list[ServoSample]]:
+    """The samples of each leg."""
+    found: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
+    for message in read_recording(path, robot):
+        if message.key.endswith("/servo"):
+            sample = decode(message.payload, ServoSample, message.encoding)
+            found[message.key.split("/")[2]].append(sample)
+    return found
 
 
 @pytest.mark.parametrize("name", ["hung", "fr_raw"])
@@ -69,10 +78,7 @@ def test_a_leg_that_hangs_is_learned_and_found_stopped_half_way_down(
     found: list[int] = []
     swing = left = 0
     held: list[float] = []
-    for message in read_recording(DATA / "hung.mcap", learner.robot):
-        if message.key != f"robot/leg/{leg_id}/servo":
-            continue
-        sample = decode(message.payload, ServoSample, message.encoding)
+    for sample in streams(learner.robot)[leg_id]:
         leg = learner.place.leg
         if swing == stopped and leg.ticks == 17:
             held, left = list(sample.measured), 6  # 60 ms
@@ -97,13 +103,8 @@ def test_a_baseline_without_noise_after_the_turn_alarms_no_leg_that_hangs() -> N
     if not folder.exists():
         pytest.skip("no ../shared/field/dackel: a recording that is not part of the project")
     robot, baseline = load_robot(folder / "robot.toml"), load_baseline(folder / "baseline.json")
-    samples: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
-    for message in read_recording(folder / "hung.mcap", robot):
-        if message.key.endswith("/servo"):
-            sample = decode(message.payload, ServoSample, message.encoding)
-            samples[message.key.split("/")[2]].append(sample)
     swings = 0
-    for leg_id, stream in samples.items():
+    for leg_id, stream in streams(robot, folder / "hung.mcap").items():
         learner = ContactLearner(robot, leg_id, baseline)
         for sample in stream:
             event = learner.update(sample)
@@ -118,14 +119,12 @@ def test_legs_that_hang_report_little_and_stay_known() -> None:
     learners = {leg: ContactLearner(robot, leg) for leg in robot.leg_ids}
     swings = dict.fromkeys(robot.leg_ids, 0)
     contacts: dict[str, list[int]] = {leg: [] for leg in robot.leg_ids}
-    for message in read_recording(DATA / "hung.mcap", robot):
-        if not message.key.endswith("/servo"):
-            continue
-        leg_id = message.key.split("/")[2]
-        event = learners[leg_id].update(decode(message.payload, ServoSample, message.encoding))
-        swings[leg_id] += learners[leg_id].place.leg.ticks == 1
-        if event is not None and event.contact:
-            contacts[leg_id].append(swings[leg_id])
+    for leg_id, stream in streams(robot).items():
+        for sample in stream:
+            event = learners[leg_id].update(sample)
+            swings[leg_id] += learners[leg_id].place.leg.ticks == 1
+            if event is not None and event.contact:
+                contacts[leg_id].append(swings[leg_id])
     assert sum(swings.values()) > 600
     assert sum(map(len, contacts.values())) <= 8, contacts
     statuses = {leg: learner.status for leg, learner in learners.items()}
@@ -138,24 +137,20 @@ def test_legs_that_hang_report_little_and_stay_known() -> None:
 def test_a_fit_to_the_first_run_alarms_after_no_turn_of_the_second() -> None:
     """Another gait, in which what is known of the time after the turn does not hold."""
     robot = load_robot(DATA / "hung.toml")
-    streams: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
-    for message in read_recording(DATA / "hung.mcap", robot):
-        if message.key.endswith("/servo"):
-            sample = decode(message.payload, ServoSample, message.encoding)
-            streams[message.key.split("/")[2]].append(sample)
-    stretches = {}
+    stretches, second = {}, []
     for leg in robot.legs:
-        runs = [sample.run for sample in streams[leg.id]]
-        second = runs.index(runs[-1])
+        stream = streams(robot)[leg.id]
+        runs = [sample.run for sample in stream]
+        begin = runs.index(runs[-1])
         gatherer = LegGatherer(leg, robot.period_s)
-        for sample in streams[leg.id][:second]:
+        for sample in stream[:begin]:
             gatherer.take_sample(sample)
         stretches[leg.id] = gatherer.stretches(free=True)
-        del streams[leg.id][:second]
+        second = stream[begin:] if leg.id == "fr" else second
     baseline = learn(robot, stretches, origin="the first run").baseline
     learner = ContactLearner(robot, "fr", baseline)
     swings, found = 0, []
-    for sample in streams["fr"]:
+    for sample in second:
         event = learner.update(sample)
         swings += learner.place.leg.ticks == 1
         if event is not None and event.contact and learner.place.leg.after:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import msgspec
@@ -15,30 +13,25 @@ import pytest
 from adaptive_contact.checks.findings import Cause
 from adaptive_contact.checks.leg_ids import judge_recorded_ids
 from adaptive_contact.checks.legcheck import check_recording
-from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Mount, shipped_robot
 from adaptive_contact.wire import ServoSample, servo_key
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_sim import Simulation, SimulationSettings, WalkSettings
 from quadruped import recorded
 
 from . import mistakes as m
 from .listening import alone, causes, listen
 
 QUADRUPED = "quadruped"
-BASELINE = shipped_baseline(shipped_robot().name)
+ROBOT = shipped_robot()
+BASELINE = shipped_baseline(ROBOT.name)
 # Seconds that a source is followed: with a baseline, and until first models are learned.
 SHORT_S, WHOLE_S = 8.0, 40.0
 
 
 @pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> list[m.Sent]:
-    path: Path = tmp_path_factory.mktemp("walk") / "walk.mcap"
-    run = ["sim", "walk", "--seconds", f"{WHOLE_S:.0f}", "--seed", "4", "--offline", "--record"]
-    # A process of its own: the command takes signals over.
-    full = [sys.executable, "-m", "adaptive_contact", *run, str(path)]
-    subprocess.run(full, check=True, capture_output=True, timeout=600)
-    return m.read(path)
+def walk(walk_file: Path) -> list[m.Sent]:
+    return m.first(m.read(walk_file), WHOLE_S)
 
 
 @pytest.fixture(scope="module")
@@ -47,25 +40,20 @@ def trials() -> list[m.Sent]:
     return [m.Sent(servo_key(leg), s.t_ns, msgspec.to_builtins(s)) for leg, s in samples]
 
 
-def last(messages: m.Messages, seconds: float) -> list[m.Sent]:
-    begins_ns = messages[-1].at_ns - round(seconds * 1e9)
-    return [sent for sent in messages if sent.at_ns >= begins_ns]
-
-
 @pytest.mark.parametrize("given", [True, False], ids=["baseline", "cold start"])
 @pytest.mark.parametrize("source", ["walk", "trials"])
 def test_a_good_robot_has_no_findings(
     source: str, given: bool, request: pytest.FixtureRequest
 ) -> None:
-    robot = shipped_robot(QUADRUPED) if source == "trials" else shipped_robot()
+    robot = shipped_robot(QUADRUPED) if source == "trials" else ROBOT
     baseline = shipped_baseline(robot.name) if given else None
-    messages = last(request.getfixturevalue(source), SHORT_S if given else WHOLE_S)
+    messages = m.last(request.getfixturevalue(source), SHORT_S if given else WHOLE_S)
     diagnosis = listen(messages, robot, baseline)
     assert diagnosis.exit_code == 0, diagnosis.findings
 
 
 def test_a_robot_that_is_still_learning_is_no_good_one(walk: list[m.Sent]) -> None:
-    diagnosis = listen(last(walk, SHORT_S), shipped_robot(), None)
+    diagnosis = listen(m.last(walk, SHORT_S), ROBOT, None)
     assert causes(diagnosis) == ["learning"]
     assert diagnosis.exit_code == 1
 
@@ -107,6 +95,7 @@ TABLE: dict[str, tuple[m.Mistake, Cause]] = {
     "swing without end": (m.never_stance, "phase"),
     "an id in capitals": (m.renamed({"lf": "LF"}), "leg_ids"),
     "a misspelt key": (m.misspelt, "key"),
+    "a joint too few": (m.angles(lambda row: row[:2]), "joints"),
     "stamps before 1970": (m.with_fields(t_ns=-5), "field"),
     "numbers below 0": (m.numbered(lambda seq: seq - 10**6), "field"),
     "a run beyond 64 bits": (m.with_fields(run=2**64 - 1), "field"),
@@ -139,8 +128,8 @@ TABLE: dict[str, tuple[m.Mistake, Cause]] = {
 def test_a_mistake_has_one_entry_with_its_name(
     walk: list[m.Sent], mistake: m.Mistake, cause: Cause
 ) -> None:
-    made = list(mistake(last(walk, SHORT_S), np.random.default_rng(1)))
-    diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
+    made = list(mistake(m.last(walk, SHORT_S), np.random.default_rng(1)))
+    diagnosis = listen(made, ROBOT, BASELINE)
     assert causes(diagnosis) == [cause], diagnosis.findings
     assert diagnosis.exit_code == 1
     assert all(finding.remedy for finding in diagnosis.findings)
@@ -148,7 +137,7 @@ def test_a_mistake_has_one_entry_with_its_name(
 
 def test_an_order_that_the_samples_do_not_show_the_learners_do(walk: list[m.Sent]) -> None:
     made = list(m.swapped(walk, np.random.default_rng(1)))
-    diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
+    diagnosis = listen(made, ROBOT, BASELINE)
     assert diagnosis.exit_code == 1
 
 
@@ -158,8 +147,8 @@ def test_pitch_that_grows_downwards_is_named(walk: list[m.Sent], phase: bool, gi
     made = list(m.pitch_down(walk, np.random.default_rng(1)))
     if not phase:
         made = [m.Sent(s.key, s.at_ns, {**s.body, "phase": None}) for s in made]
-    baseline = shipped_baseline(shipped_robot().name) if given else None
-    diagnosis = listen(made, shipped_robot(), baseline)
+    baseline = BASELINE if given else None
+    diagnosis = listen(made, ROBOT, baseline)
     assert causes(diagnosis) == ["signs"], diagnosis.findings
     (finding,) = diagnosis.findings
     assert finding.legs == ["lf", "lm", "lr", "rf", "rm", "rr"]
@@ -168,9 +157,8 @@ def test_pitch_that_grows_downwards_is_named(walk: list[m.Sent], phase: bool, gi
 
 
 def test_a_leg_that_a_cable_holds_while_it_walks(walk: list[m.Sent]) -> None:
-    robot = shipped_robot()
     made = list(m.caught("rm", 4.0, 0.7)(walk, np.random.default_rng(1)))
-    diagnosis = listen(made, robot, BASELINE)
+    diagnosis = listen(made, ROBOT, BASELINE)
     assert causes(diagnosis) == ["ambiguous"], diagnosis.findings
     assert [finding.legs for finding in diagnosis.findings if finding.level == "error"] == [["rm"]]
     assert diagnosis.exit_code == 1
@@ -178,13 +166,13 @@ def test_a_leg_that_a_cable_holds_while_it_walks(walk: list[m.Sent]) -> None:
 
 def test_all_legs_lost_at_once_point_to_the_description_first(walk: list[m.Sent]) -> None:
     made = list(m.late_goals(5)(walk, np.random.default_rng(1)))
-    diagnosis = listen(made, shipped_robot(), BASELINE)
+    diagnosis = listen(made, ROBOT, BASELINE)
     assert causes(diagnosis)[0] == "not_this_robot", diagnosis.findings
     first = diagnosis.findings[0]
     # A leg of which more is known, by heights that are wrong as well, is named for itself.
     itself = {leg for one in diagnosis.findings[1:] if one.cause == "phase" for leg in one.legs}
     assert len(itself) <= 1
-    assert sorted({*first.legs, *itself}) == sorted(shipped_robot().leg_ids)
+    assert sorted({*first.legs, *itself}) == sorted(ROBOT.leg_ids)
     places = [first.remedy.find(word) for word in ("signs", "zeros", "order of joints", "baseline")]
     assert -1 < places[0] < places[1] < places[2] < places[3]
 
@@ -192,7 +180,7 @@ def test_all_legs_lost_at_once_point_to_the_description_first(walk: list[m.Sent]
 def test_a_leg_that_its_baseline_lacks(walk: list[m.Sent]) -> None:
     legs = {leg: known for leg, known in BASELINE.legs.items() if leg != "lf"}
     given = dataclasses.replace(BASELINE, legs=legs)
-    diagnosis = listen(last(walk, SHORT_S), shipped_robot(), given)
+    diagnosis = listen(m.last(walk, SHORT_S), ROBOT, given)
     (finding,) = diagnosis.findings
     assert (finding.level, finding.cause, finding.legs) == ("error", "learning", ["lf"])
     assert "of 10 swings" in finding.what
@@ -200,7 +188,7 @@ def test_a_leg_that_its_baseline_lacks(walk: list[m.Sent]) -> None:
 
 @pytest.mark.parametrize("period_s", [0.033, 0.01, 0.005], ids=["30 Hz", "100 Hz", "200 Hz"])
 def test_a_good_robot_at_another_rate_has_no_findings(period_s: float) -> None:
-    robot = msgspec.structs.replace(shipped_robot(), period_s=period_s)
+    robot = msgspec.structs.replace(ROBOT, period_s=period_s)
     settings = SimulationSettings(motion=WalkSettings(), seed=3, period_s=period_s)
     sent = [
         m.Sent(servo_key(leg), sample.t_ns, msgspec.to_builtins(sample))
@@ -209,10 +197,10 @@ def test_a_good_robot_at_another_rate_has_no_findings(period_s: float) -> None:
     ]
     assert check_recording(robot, of_legs(sent), {}) == []
     # After so short a walk a leg is not known yet, and nothing else is wrong.
-    diagnosis = listen(last(sent, 4.0), robot, None)
+    diagnosis = listen(m.last(sent, 4.0), robot, None)
     assert causes(diagnosis, notes=True) == ["learning"], diagnosis.findings
     # By a robot.toml of another rate, it is named.
-    wrong = listen(last(sent, 4.0), shipped_robot(), BASELINE)
+    wrong = listen(m.last(sent, 4.0), ROBOT, BASELINE)
     assert causes(wrong) == ["period"], wrong.findings
 
 
@@ -228,9 +216,9 @@ def test_two_joints_have_no_findings(walk: list[m.Sent]) -> None:
             limits=None,
             servos=None,
         )
-        for leg in shipped_robot().legs
+        for leg in ROBOT.legs
     )
-    diagnosis = listen(two, msgspec.structs.replace(shipped_robot(), legs=legs), None)
+    diagnosis = listen(two, msgspec.structs.replace(ROBOT, legs=legs), None)
     assert diagnosis.exit_code == 0, diagnosis.findings
 
 
@@ -238,14 +226,13 @@ def test_two_joints_have_no_findings(walk: list[m.Sent]) -> None:
 def test_jitter_of_a_loop_on_a_timer_is_none(
     walk: list[m.Sent], periods: float, named: bool
 ) -> None:
-    robot = shipped_robot()
-    made = of_legs(list(m.jitter(periods)(last(walk, SHORT_S), np.random.default_rng(1))))
-    found = [finding.cause for finding in check_recording(robot, made, {})]
+    made = of_legs(list(m.jitter(periods)(m.last(walk, SHORT_S), np.random.default_rng(1))))
+    found = [finding.cause for finding in check_recording(ROBOT, made, {})]
     assert found == (["jitter"] if named else [])
 
 
 def test_without_a_service_the_samples_tell_rate_and_steps(walk: list[m.Sent]) -> None:
-    diagnosis = alone(last(walk, 4.0))
+    diagnosis = alone(m.last(walk, 4.0))
     assert causes(diagnosis, notes=True) == ["no_service", "undeclared"]
     note = diagnosis.findings[-1]
     assert note.what.endswith("samples come every 20.0 ms (50.0 Hz), readings step by 0.00512 rad")
@@ -266,7 +253,7 @@ def test_without_a_service_the_samples_tell_rate_and_steps(walk: list[m.Sent]) -
 def test_without_a_service_mistakes_are_named_all_the_same(
     walk: list[m.Sent], mistake: m.Mistake, cause: Cause
 ) -> None:
-    diagnosis = alone(list(mistake(last(walk, 4.0), np.random.default_rng(1))))
+    diagnosis = alone(list(mistake(m.last(walk, 4.0), np.random.default_rng(1))))
     assert sorted(causes(diagnosis)) == sorted(["no_service", cause]), diagnosis.findings
 
 
@@ -280,8 +267,7 @@ SWAPS: dict[str, dict[str, str]] = {
 
 @pytest.mark.parametrize("swap", SWAPS.values(), ids=SWAPS.keys())
 def test_legs_under_each_others_ids_are_named(walk: list[m.Sent], swap: dict[str, str]) -> None:
-    robot = shipped_robot()
-    diagnosis = listen(list(m.renamed(swap)(walk, np.random.default_rng(1))), robot, BASELINE)
+    diagnosis = listen(list(m.renamed(swap)(walk, np.random.default_rng(1))), ROBOT, BASELINE)
     assert causes(diagnosis) == ["leg_swap"], diagnosis.findings
     assert diagnosis.exit_code == 1
     (finding,) = diagnosis.findings
@@ -297,7 +283,7 @@ def of_legs(messages: list[m.Sent]) -> dict[str, list[ServoSample]]:
 
 
 def test_without_models_feet_that_stand_tell_ids(walk: list[m.Sent]) -> None:
-    robot, samples = shipped_robot(), of_legs(last(walk, 20.0))
+    robot, samples = ROBOT, of_legs(m.last(walk, 20.0))
     assert judge_recorded_ids(robot, samples) == {}
     for name, swap in SWAPS.items():
         swapped = {swap.get(leg, leg): rows for leg, rows in samples.items()}
@@ -318,15 +304,8 @@ def yaw_turned(messages: list[m.Sent]) -> list[m.Sent]:
 
 
 def test_a_yaw_of_the_wrong_sign_is_no_swap_where_models_tell(walk: list[m.Sent]) -> None:
-    diagnosis = listen(yaw_turned(walk), shipped_robot(), BASELINE)
+    diagnosis = listen(yaw_turned(walk), ROBOT, BASELINE)
     assert causes(diagnosis) == ["signs"], diagnosis.findings
-    lines = judge_recorded_ids(shipped_robot(), of_legs(yaw_turned(last(walk, 20.0))))
+    lines = judge_recorded_ids(ROBOT, of_legs(yaw_turned(m.last(walk, 20.0))))
     assert sorted(lines) == ["lf", "rf"]
     assert all("as likely, the yaw angles grow the wrong way" in line for line in lines.values())
-
-
-def test_a_joint_too_few(walk: list[m.Sent]) -> None:
-    two = m.angles(lambda row: row[:2])
-    made = list(two(last(walk, SHORT_S), np.random.default_rng(1)))
-    diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
-    assert causes(diagnosis) == ["joints"], diagnosis.findings

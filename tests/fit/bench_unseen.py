@@ -34,10 +34,7 @@ from threadpoolctl import threadpool_limits
 
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.fit.train import Stretch, learn
-from adaptive_contact.model import Library
-from adaptive_contact.model.library import leg_library
-from adaptive_contact.model.model_file import Baseline
-from adaptive_contact.model.window import stack
+from adaptive_contact.model import Baseline, Library, leg_library, stack
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, parse_robot
 from adaptive_contact.score.summary import AlarmFigures
 from real_logs import Recording, load_logs

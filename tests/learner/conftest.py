@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactEvent, ContactLearner, ServoSample
 from adaptive_contact.fit.train import Stretch, learn
-from adaptive_contact.model import Baseline, LegModel
-from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.robot.kinematics import inverse
-from adaptive_contact.wire import ContactEvent, ServoSample
+from adaptive_contact.model import Baseline, Rows
+from adaptive_contact.robot import Robot, inverse, parse_robot
 
 PERIOD = 20_000_000
 LENGTHS = (0.052, 0.066, 0.138)
@@ -105,10 +103,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="session")
 def baseline(robot: Robot) -> Baseline:
-    measured, desired, swing, _ = FakeLeg(seed=1).run(900)
-    sound = np.ones(len(swing), dtype=bool)
-    stretch = Stretch(measured, desired, swing, swing, sound)
-    return learn(robot, {"rf": [stretch]}, origin="test").baseline
+    return trained(robot, FakeLeg(seed=1).run(900))
 
 
 def samples(measured: np.ndarray, desired: np.ndarray, swing: np.ndarray) -> list[ServoSample]:
@@ -126,6 +121,42 @@ def play(learner: ContactLearner, stream: list[ServoSample]) -> list[ContactEven
     return [event for s in stream if (event := learner.update(s)) is not None]
 
 
+def followed(
+    learner: ContactLearner, stream: list[ServoSample]
+) -> tuple[list[str], list[str | None], list[list[int]]]:
+    """Status and note after each swing, and the times that were confirmed by then."""
+    status, notes, confirmed = [], [], []
+    for k, sample in enumerate(stream):
+        learner.update(sample)
+        if k % 28 == 27:
+            status.append(learner.status.status)
+            notes.append(learner.status.note)
+            confirmed.append(learner.drain_confirmed())
+    return status, notes, confirmed
+
+
+def taken(learner: ContactLearner) -> list[Rows]:
+    """The rows that go into the buffer from here on."""
+    buffer, found = learner.lifecycle.adapter.buffer, list[Rows]()
+    add = buffer.add
+
+    def listen(rows: Rows, region: int, era: int) -> None:
+        if rows:
+            found.append(rows)
+        add(rows, region, era)
+
+    buffer.add = listen  # type: ignore[method-assign]
+    return found
+
+
+def trained(robot: Robot, run: tuple[np.ndarray, ...]) -> Baseline:
+    """A baseline of swings that touch nothing."""
+    measured, desired, swing, _ = run
+    sound = np.ones(len(swing), dtype=bool)
+    stretch = Stretch(measured, desired, swing, swing, sound)
+    return learn(robot, {"rf": [stretch]}, origin="test").baseline
+
+
 def outcome(events: list[ContactEvent], first: int, stop: int | None) -> str:
     """Of the swing whose first sample is ``first``: hit, miss, alarm or clean."""
     inside = [e.seq - first for e in events if e.contact and first <= e.seq < first + 24]
@@ -137,12 +168,3 @@ def outcome(events: list[ContactEvent], first: int, stop: int | None) -> str:
 
 def outcomes(events: list[ContactEvent], swings: range, stops: list[int | None]) -> list[str]:
     return [outcome(events, 28 * n, stops[n]) for n in swings]
-
-
-@pytest.fixture
-def model(baseline: Baseline) -> LegModel:
-    """The first term alone, for every joint."""
-    of = baseline.legs["rf"].model
-    coefficients = np.zeros_like(of.coefficients)
-    coefficients[0] = 0.05
-    return of.moved(coefficients, 0)

@@ -9,9 +9,8 @@ import pytest
 
 from adaptive_contact.core.learn.lifecycle import ready_for_changes
 from adaptive_contact.core.learn.rls import RecursiveLeastSquares
-from adaptive_contact.model import Baseline, LegBaseline, LegModel, Rows, stack
+from adaptive_contact.model import Baseline, LegBaseline, Rows, stack
 from adaptive_contact.model.change_prior import change_directions, core_support
-from adaptive_contact.model.library import friction_terms, soft_term
 
 from .conftest import FakeLeg
 
@@ -19,35 +18,6 @@ from .conftest import FakeLeg
 @pytest.fixture(scope="module")
 def known(baseline: Baseline) -> LegBaseline:
     return ready_for_changes(baseline.legs["rf"])
-
-
-@pytest.fixture(scope="module")
-def model(known: LegBaseline) -> LegModel:
-    return known.model
-
-
-@pytest.fixture(scope="module")
-def scale(known: LegBaseline) -> np.ndarray:
-    return known.scale
-
-
-def test_the_support_is_the_models_and_what_a_change_may_need(model: LegModel) -> None:
-    core = core_support(model)
-    assert core.dtype == bool
-    assert core.shape == model.coefficients.shape
-    assert core[model.support].all()
-    names = model.library.names
-    for joint, name in enumerate(model.library.joints):
-        told = {names[i] for i in np.flatnonzero(core[:, joint])}
-        assert {"1", f"v_{name}", f"Δu_{name}", f"tanh(v_{name}/v₀)"} <= told
-        assert {f"e_{name}/s", f"sat(e_{name}/s)", f"sat(e_{name}/2s)"} <= told
-        assert {*friction_terms(name), soft_term(name)} <= told
-        assert {"cos φ_femur", "sin φ_femur", "cos φ_tibia", "sin φ_tibia"} <= told
-        # Of another joint, only what the model has already.
-        for other in set(model.library.joints) - {name}:
-            foreign = names.index(f"tanh(v_{other}/v₀)")
-            assert core[foreign, joint] == model.support[foreign, joint]
-    assert not core.all(), "the rest stays where it is"
 
 
 def heard_in_lifts(known: LegBaseline, moved: Rows, joint: int) -> tuple[np.ndarray, np.ndarray]:

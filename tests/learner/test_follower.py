@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.core.learn.active_model import BALANCE, MAX_TERM_RAD
 from adaptive_contact.core.learn.adapter import (
     Adapter,
 )
@@ -60,16 +56,14 @@ def swing(adapter: Adapter, rows: Rows, number: int) -> None:
     adapter.learn(LabelledSwing(Label.END))
 
 
-def lifts(
-    adapter: Adapter, scale: Array, swings: int, spoil: Callable[[Rows], Rows] = lambda rows: rows
-) -> None:
-    """Swings of a leg that does what the model says, their rows changed on their way."""
+def lifts(adapter: Adapter, scale: Array, swings: int) -> None:
+    """Swings of a leg that does what the model says."""
     rng = np.random.default_rng(swings)
     model = adapter.model
     for number in range(swings):
         theta = rng.normal(size=(8, model.library.size)) * scale
         target = theta @ model.coefficients + 1e-3 * rng.normal(size=(8, 3))
-        swing(adapter, spoil(lift_of(theta, target)), number)
+        swing(adapter, lift_of(theta, target), number)
 
 
 def go_wild(adapter: Adapter, wild: float) -> None:
@@ -99,24 +93,6 @@ def test_a_model_that_went_wild_gives_way_to_the_baseline(
     assert np.isfinite(adapter.model.coefficients).all()
 
 
-def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter, scale: Array) -> None:
-    """Rows of a leg that jumps by radians, let loose as after a change."""
-    lifts(adapter, scale, 5)
-    rng = np.random.default_rng(0)
-
-    def jump(rows: Rows) -> Rows:
-        rows.records["nis"], rows.records["value"] = 300.0, 900.0
-        rows.target[:] = rng.normal(size=(len(rows), 3)) * 50.0
-        return rows
-
-    lifts(adapter, scale, 40, jump)
-    moved = np.abs(adapter.model.coefficients * scale[:, None]).max()
-    own = np.abs(adapter.baseline.coefficients * scale[:, None]).max()
-    assert moved <= max(MAX_TERM_RAD, BALANCE * own)
-    assert np.isfinite(adapter.model.coefficients).all()
-    assert adapter.status != "valid"
-
-
 def without_lengths() -> Robot:
     text = "\n".join(line for line in TOML.splitlines() if not line.startswith("lengths_m"))
     return parse_robot(text, source="testbot")
@@ -143,46 +119,28 @@ def test_a_leg_of_unknown_lengths_is_followed_by_its_phase(baseline: Baseline) -
 
 
 def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
-    baseline: Baseline,
+    adapter: Adapter, baseline: Baseline
 ) -> None:
     """Mud that is washed off: more than the recursion follows at once."""
     known = baseline.legs["rf"]
-    recent = NoiseTracker(known.noise, baseline.tails, 1.0)
-    adapter = Adapter("rf", known, recent, LearnerMode.FULL, InlineRefitter(), 0.005)
     rng = np.random.default_rng(1)
     clean = known.model.coefficients
-
-    def walk(coefficients: Array, swings: int, first: int) -> None:
-        for number in range(first, first + swings):
-            theta = rng.normal(size=(8, len(clean))) * known.scale[:, None].T
-            target = theta @ coefficients
-            off = (target - theta @ adapter.model.coefficients) / known.noise.rms
-            level = 1.0 + float(np.square(off).mean())
-            target += known.noise.rms * rng.normal(size=(8, 3))
-            swing(adapter, lift_of(theta, target, level=level), number)
-
     # Each of the terms that count has come to count for less.
-    walk(0.6 * clean, 40, 0)
-    muddy = adapter.model.coefficients
-    assert np.abs(muddy - clean).max() > 0.03 * np.abs(clean).max()
-    assert adapter.monitor.drift.since_ns is not None
-    walk(clean, 6, 40)
+    for number, coefficients in enumerate([0.6 * clean] * 40 + [clean] * 6):
+        if number == 40:
+            assert np.abs(adapter.model.coefficients - clean).max() > 0.03 * np.abs(clean).max()
+            assert adapter.monitor.drift.since_ns is not None
+        theta = rng.normal(size=(8, len(clean))) * known.scale[:, None].T
+        target = theta @ coefficients
+        off = (target - theta @ adapter.model.coefficients) / known.noise.rms
+        level = 1.0 + float(np.square(off).mean())
+        target += known.noise.rms * rng.normal(size=(8, 3))
+        swing(adapter, lift_of(theta, target, level=level), number)
     assert adapter.refits.rolled_back >= 1
     assert "rolled back: the baseline fits 3 lifts better" in (adapter.refits.last_reason or "")
     assert adapter.monitor.drift == DriftLevel(level=adapter.monitor.variance_scale), (
         "no change any more"
     )
-
-
-def test_a_swing_that_began_before_the_source_says_nothing_of_how_long_swings_are(
-    baseline: Baseline,
-) -> None:
-    stream = FakeLeg(seed=6).stream(30)
-    learner = ContactLearner(without_lengths(), "rf", baseline)
-    play(learner, stream[: 28 * 20])
-    for part, run in ((stream[28 * 20 + 18 : 28 * 22], 1), (stream[28 * 23 + 18 :], 1)):
-        play(learner, [msgspec.structs.replace(s, run=run) for s in part])
-        assert learner.status.note is None
 
 
 def test_where_swings_are_too_short_for_that_it_is_said(baseline: Baseline) -> None:

@@ -7,13 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.core.learn.lifecycle import Lifecycle
 from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.fit.refit_job import InlineRefitter
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
-from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim import SimulationSettings, parse_drift, record_arrays, simulated_robot
 from adaptive_contact_studies.evaluate import play as play_run
 from adaptive_contact_studies.evaluate import score_run
@@ -52,28 +51,6 @@ def test_what_is_learned_ends_well_before_a_touch(
         # After the turn, also what a push that added up may have made is left out.
         assert min(found) >= 3
         assert max(found) <= (5 if stop < TURN else 8)
-
-
-@pytest.mark.parametrize(("usual", "low"), [(30.0, True), (1.3, False)])
-def test_of_a_vague_touch_only_what_is_high_is_learned(
-    robot: Robot, usual: float, low: bool
-) -> None:
-    """Its onset comes late, and the rows before it may be of the touch."""
-    learner = ContactLearner(robot, "rf", None)
-    chain = robot.leg("rf").chain
-    shares: list[float] = []
-    for sample in FakeLeg(seed=5).stream(12, touch=lambda n: 20 if n > 3 else None):
-        learner.place.leg.usual, learner.place.leg.usual_n = usual, 20
-        event = learner.update(sample)
-        leg, k = learner.place.leg, sample.seq % EACH
-        if k == 0:
-            begin, heights = chain.point(sample.measured)[2], {}
-        heights[sample.t_ns] = chain.point(sample.measured)[2] - begin
-        if event is not None and event.contact and 10 < k < TURN:
-            of = [heights[t] for t in learner.drain_confirmed() if sample.t_ns - t < 10 * PERIOD]
-            shares += [of[-1] / leg.rise] if of else []
-    assert len(shares) >= 4
-    assert (min(shares) < 0.45) is low
 
 
 @pytest.mark.slow

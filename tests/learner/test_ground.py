@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,10 +14,15 @@ from adaptive_contact.core.detect.layout import new_legs
 from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.model.noise import CONTEXTS
 
-from .ticks import Push
-
 GRADIENT = np.array([0.0, 0.15, 0.09])
 TARGET = np.array([0.01, -0.1, 0.06])
+
+
+class Push(NamedTuple):
+    """What a push from the ground can have made of a residual, in deviations, and the rest."""
+
+    sigma: float
+    aside: np.ndarray
 
 
 def push_of(

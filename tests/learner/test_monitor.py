@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -17,112 +18,103 @@ from adaptive_contact.core.learn.drift import (
     DriftMonitor,
     LiftAssessment,
 )
-from adaptive_contact.model.labelled_swing import Rows
 
 from .ticks import Tick, rows_of
 
 SWING_NS = 1_000_000_000
 
 
-def lift(level: float, rng: np.random.Generator | None = None, ticks: int = 6) -> Rows:
-    """Rows of a lift whose residuals are so many times as large, squared, as they should be."""
-    levels = (
-        np.full(ticks, level) if rng is None else level * rng.chisquare(3, ticks) / 3
-    ).tolist()
-    return rows_of(
-        [Tick(np.zeros(1), np.zeros(3), at, 3 * at, t_ns=k) for k, at in enumerate(levels)]
-    )
+class Leg:
+    """A leg's monitor, which has seen so many swings as they should be."""
 
+    def __init__(self, calm: int = 30) -> None:
+        self.monitor, self.swing = DriftMonitor(3), 0
+        assert not any(lift.changed for lift in self.lifts([1.0] * calm))
 
-def assess(monitor: DriftMonitor, level: float, swing: int, **more: object) -> LiftAssessment:
-    monitor.begin_swing()
-    return monitor.assess_lift(lift(level, **more), swing * SWING_NS)  # type: ignore[arg-type]
+    def lifts(
+        self,
+        levels: Iterable[float],
+        *,
+        held: bool | None = None,
+        refuted: bool = False,
+        rng: np.random.Generator | None = None,
+        way_rad: float = 0.0,
+    ) -> list[LiftAssessment]:
+        """Lifts whose residuals are so many times as large, squared, as they should be.
 
-
-def calm(monitor: DriftMonitor, swings: int = 30) -> None:
-    for k in range(swings):
-        assert not assess(monitor, 1.0, k).changed
-
-
-def calmed() -> DriftMonitor:
-    """Of a leg that has swung for a while as it should."""
-    monitor = DriftMonitor(3)
-    calm(monitor)
-    return monitor
+        Args:
+            levels: how many times, lift by lift.
+            held: whether the foot came short of its command's way; None where nobody can tell.
+            refuted: whether a stance refuted the contact before.
+            rng: of residuals that scatter.
+            way_rad: how far each of three joints moves in every tick.
+        """
+        assessed = []
+        for level in levels:
+            self.monitor.begin_swing(refuted=refuted)
+            if held is not None:
+                self.monitor.note_travel(obstructed=held, travel_ratio=0.5 if held else 1.0)
+            of = [level] * 6 if rng is None else (level * rng.chisquare(3, 6) / 3).tolist()
+            way = np.full(3, way_rad)
+            ticks = [Tick(np.zeros(1), way, at, 3 * at, t_ns=k) for k, at in enumerate(of)]
+            assessed.append(self.monitor.assess_lift(rows_of(ticks), self.swing * SWING_NS))
+            self.swing += 1
+        return assessed
 
 
 def test_a_good_model_is_hardly_ever_doubted() -> None:
-    rng = np.random.default_rng(0)
-    monitor = DriftMonitor(3)
-    changed = sum(assess(monitor, 1.0, k, rng=rng).changed for k in range(5000))
-    assert changed == 0
-    assert monitor.status == "valid"
-    assert monitor.variance_scale == pytest.approx(1.0, abs=0.35)
+    leg = Leg(calm=0)
+    assert not any(x.changed for x in leg.lifts([1.0] * 5000, rng=np.random.default_rng(0)))
+    assert leg.monitor.status == "valid"
+    assert leg.monitor.variance_scale == pytest.approx(1.0, abs=0.35)
 
 
 def test_a_lasting_level_is_never_called_valid() -> None:
     """A level that stays is followed and doubted no more; it is no good model's all the same."""
-    monitor = calmed()
-    for k in range(200):
-        assess(monitor, 30.0, 30 + k)
-    assert monitor.status == "ambiguous"
-    assert monitor.drift.since_ns == 30 * SWING_NS
-    for k in range(SETTLED_SWINGS):
-        assess(monitor, 1.0, 230 + k)
-    assert monitor.status == "valid"
-    assert monitor.note is None
+    leg = Leg()
+    leg.lifts([30.0] * 200)
+    assert leg.monitor.status == "ambiguous"
+    assert leg.monitor.drift.since_ns == 30 * SWING_NS
+    leg.lifts([1.0] * SETTLED_SWINGS)
+    assert (leg.monitor.status, leg.monitor.note) == ("valid", None)
 
 
 def test_what_creeps_up_lift_by_lift_is_a_change_too() -> None:
-    monitor = calmed()
-    level, assessed = 1.0, []
-    for k in range(200):
+    leg, level, assessed = Leg(), 1.0, []
+    while not assessed or not assessed[-1].changed:
         level *= 1.02
-        assessed.append(assess(monitor, level, 30 + k))
-        if assessed[-1].changed:
-            break
+        assessed += leg.lifts([level])
     assert assessed[-1].first
-    assert monitor.status == "adapting"
+    assert leg.monitor.status == "adapting"
     assert level < 2.0 * WORN_LEVEL
-    assert all(h.rows for h in assessed), "nothing stood out on the way"
+    assert all(lift.rows for lift in assessed), "nothing stood out on the way"
 
 
 def test_a_foot_that_does_not_rise_is_ambiguous_until_it_does() -> None:
-    monitor = calmed()
+    leg = Leg()
     for _ in range(OBSTRUCTED_SWINGS):
-        monitor.note_travel(obstructed=True, travel_ratio=0.4)
-    assert monitor.status == "ambiguous"
-    assert monitor.note == (
+        leg.monitor.note_travel(obstructed=True, travel_ratio=0.4)
+    assert leg.monitor.status == "ambiguous"
+    assert leg.monitor.note == (
         "the foot came 40 % of its command's way, 2 swings in a row: caught, no strength, or it "
         "strikes or stands on something"
     )
-    for k in range(RELEASE_SWINGS):
-        assert monitor.obstructed
-        assert rises(monitor, 1.0, 40 + k).rows, "what is predicted is learned"
-    assert monitor.status == "valid"
-    assert monitor.note is None
-
-
-def rises(monitor: DriftMonitor, level: float, swing: int) -> LiftAssessment:
-    """A swing in which the foot came with its command."""
-    monitor.begin_swing()
-    monitor.note_travel(obstructed=False, travel_ratio=1.0)
-    return monitor.assess_lift(lift(level), swing * SWING_NS)
+    for _ in range(RELEASE_SWINGS):
+        assert leg.monitor.obstructed
+        assert leg.lifts([1.0], held=False)[0].rows, "what is predicted is learned"
+    assert (leg.monitor.status, leg.monitor.note) == ("valid", None)
 
 
 def test_a_foot_on_a_leash_is_ambiguous_and_nothing_of_it_is_learned() -> None:
     """It comes with its command, and is pulled as no drift pulls it; now and then it is not."""
-    monitor = calmed()
-    assessed = [
-        rises(monitor, 120.0 if k % 4 < 2 else 20.0, 30 + k) for k in range(2 * PATIENCE_SWINGS + 2)
-    ]
-    assert not any(h.rows or h.changed for h in assessed)
-    assert monitor.status == "ambiguous"
-    assert "caught, no strength" in (monitor.note or "")
-    free = [rises(monitor, 1.0, 100 + k) for k in range(RELEASE_SWINGS)]
-    assert all(h.rows for h in free)
-    assert monitor.status == "valid"
-    assert monitor.variance_scale < 2.0, "what was not learned has not raised the level"
+    leg = Leg()
+    pulled = [120.0 if k % 4 < 2 else 20.0 for k in range(2 * PATIENCE_SWINGS + 2)]
+    assert not any(lift.rows or lift.changed for lift in leg.lifts(pulled, held=False))
+    assert leg.monitor.status == "ambiguous"
+    assert "caught, no strength" in (leg.monitor.note or "")
+    assert all(lift.rows for lift in leg.lifts([1.0] * RELEASE_SWINGS, held=False))
+    assert leg.monitor.status == "valid"
+    assert leg.monitor.variance_scale < 2.0, "what was not learned has not raised the level"
 
 
 @pytest.mark.parametrize(
@@ -133,128 +125,95 @@ def test_of_a_leg_that_is_doubted_what_its_model_predicts_is_learned(
     level: float, *, learned: bool, held: bool
 ) -> None:
     """Whether its foot comes short of its way in every swing, or has done so before."""
-    monitor = calmed()
+    leg = Leg()
     for k in range(12):
-        monitor.begin_swing()
-        monitor.note_travel(obstructed=held or k < OBSTRUCTED_SWINGS, travel_ratio=0.5)
-        assessed = monitor.assess_lift(lift(level), (30 + k) * SWING_NS)
-        if monitor.obstructed and k >= OBSTRUCTED_SWINGS:
+        (assessed,) = leg.lifts([level], held=held or k < OBSTRUCTED_SWINGS)
+        if leg.monitor.obstructed and k >= OBSTRUCTED_SWINGS:
             assert bool(assessed.rows) is learned
             # Nothing of a descent that something may have met.
-            assert monitor.trusted is (learned and not held)
-        assert not assessed.changed or not monitor.obstructed
-    assert (monitor.status == "ambiguous") is held
+            assert leg.monitor.trusted is (learned and not held)
+        assert not assessed.changed or not leg.monitor.obstructed
+    assert (leg.monitor.status == "ambiguous") is held
 
 
 def test_a_leg_that_stays_as_far_off_is_followed_in_the_end() -> None:
     """A horn that slipped: ambiguous as long as a foot may be caught, not for ever."""
-    monitor = calmed()
-    assessed = [rises(monitor, 200.0, 30 + k) for k in range(PATIENCE_SWINGS)]
-    assert not any(h.changed for h in assessed[:-1])
-    assert assessed[-1].changed
-    assert assessed[-1].rows
-    assert monitor.trusted
+    leg = Leg()
+    *before, last = leg.lifts([200.0] * PATIENCE_SWINGS, held=False)
+    assert not any(lift.changed for lift in before)
+    assert last.changed
+    assert last.rows
+    assert leg.monitor.trusted
 
 
 def test_a_baseline_that_never_fitted_is_unfit_and_one_that_did_is_not() -> None:
-    monitor = DriftMonitor(3)
-    for k in range(UNFIT_LIFTS):
-        assert not monitor.unfit
-        assess(monitor, 100.0, k)
-    assert monitor.unfit
-    later = DriftMonitor(3)
-    assess(later, 1.0, 0)
-    for k in range(10):
-        assess(later, 100.0, 1 + k)
-    assert not later.unfit, "it fitted once: the leg may have changed"
-    for k in range(PATIENCE_SWINGS - 11):
-        assert not later.unfit
-        assess(later, 30.0, 11 + k)
-    assert later.unfit, "it fitted by chance: nothing that is learned brings it any nearer"
-
-
-def test_a_leg_that_changed_early_keeps_the_baseline_that_it_is_followed_from() -> None:
-    monitor = DriftMonitor(3)
-    assess(monitor, 1.0, 0)
-    for k in range(PATIENCE_SWINGS):
-        assess(monitor, 30.0 if k < 6 else 2.0, 1 + k)
-        assert not monitor.unfit
+    """One that fitted by chance is: nothing that is learned brings it any nearer."""
+    never, once = Leg(calm=0), Leg(calm=1)
+    never.lifts([100.0] * (UNFIT_LIFTS - 1))
+    assert not never.monitor.unfit
+    never.lifts([100.0])
+    assert never.monitor.unfit
+    once.lifts([100.0] * 10)
+    assert not once.monitor.unfit, "the leg may have changed"
+    for _ in range(PATIENCE_SWINGS - 11):
+        assert not once.monitor.unfit
+        once.lifts([30.0])
+    assert once.monitor.unfit
 
 
 def test_a_foot_on_a_leash_from_the_start_says_nothing_of_the_baseline() -> None:
     """Its lifts are as far off as another leg's: for as long as nobody can tell, none is thrown."""
-    monitor = DriftMonitor(3)
+    leashed = Leg(calm=0)
     for k in range(PATIENCE_SWINGS - 1):
-        assess(monitor, 120.0, k)
-        assert not monitor.unfit
-        assert k < 1 or monitor.status == "ambiguous"
-    leashed, another = copy.deepcopy(monitor), monitor
-    for k in range(RELEASE_SWINGS + 1):
-        assess(leashed, 1.0, PATIENCE_SWINGS + k)
-    assert leashed.status == "valid"
-    assert not leashed.unfit
-    assess(another, 120.0, PATIENCE_SWINGS)
-    assert another.unfit, "no foot is caught in the same way for so long and comes all its way"
-
-
-def moved(level: float, way_rad: float) -> Rows:
-    """Rows of a lift in whose ticks each of three joints moves so far."""
-    rows = lift(level)
-    rows.target[:] = way_rad
-    return rows
+        leashed.lifts([120.0])
+        assert not leashed.monitor.unfit
+        assert k < 1 or leashed.monitor.status == "ambiguous"
+    another = copy.deepcopy(leashed)
+    leashed.lifts([1.0] * (RELEASE_SWINGS + 1))
+    assert (leashed.monitor.status, leashed.monitor.unfit) == ("valid", False)
+    another.lifts([120.0])
+    assert another.monitor.unfit, "no foot is caught in one way for so long and comes all its way"
 
 
 def test_ticks_in_which_a_leg_hardly_moves_take_no_suspicion_back() -> None:
     """They fit any model: at the top of a swing, a joint that is late is where it should be."""
-    monitor = calmed()
-    monitor.begin_swing()
-    assert not monitor.assess_lift(moved(12.0, 0.03), 40 * SWING_NS).changed
+    leg = Leg()
+    assert not leg.lifts([12.0], way_rad=0.03)[0].changed
     for _ in range(9):
-        monitor.watch_tick(0.2, 3 * 0.01)
-    assert monitor.variance_in_force > 5.0
+        leg.monitor.watch_tick(0.2, 3 * 0.01)
+    assert leg.monitor.variance_in_force > 5.0
     for _ in range(3):
-        monitor.watch_tick(0.2, 3 * 0.02)
-    assert monitor.variance_in_force == monitor.variance_scale < 2.0
+        leg.monitor.watch_tick(0.2, 3 * 0.02)
+    assert leg.monitor.variance_in_force == leg.monitor.variance_scale < 2.0
 
 
 def test_lifts_that_are_off_again_and_again_are_a_change_whatever_the_top_says() -> None:
-    monitor = calmed()
-    changed = []
-    for swing in range(40, 44):
-        monitor.begin_swing()
-        changed.append(monitor.assess_lift(moved(12.0, 0.03), swing * SWING_NS).changed)
+    leg, assessed = Leg(), []
+    for _ in range(4):
+        assessed += leg.lifts([12.0], way_rad=0.03)
         for _ in range(6):
-            monitor.watch_tick(0.2, 3 * 0.005)
-    assert changed[1]
-    assert monitor.status == "adapting"
+            leg.monitor.watch_tick(0.2, 3 * 0.005)
+    assert assessed[1].changed
+    assert leg.monitor.status == "adapting"
 
 
 def test_a_leg_that_is_far_off_is_not_free_by_its_way_alone() -> None:
     """One with other servos comes all of it, and its lifts may be too short to assess."""
-    monitor = calmed()
-    for swing in range(40, 43):
-        assess(monitor, 200.0, swing)
-    assert monitor.doubt == "far"
+    leg = Leg()
+    leg.lifts([200.0] * 3)
     for _ in range(3 * RELEASE_SWINGS):
-        monitor.begin_swing()
-        monitor.note_travel(obstructed=False, travel_ratio=1.0)
-        assert monitor.doubt == "far"
-    for swing in range(60, 60 + RELEASE_SWINGS):
-        monitor.begin_swing()
-        monitor.note_travel(obstructed=False, travel_ratio=1.0)
-        monitor.assess_lift(lift(1.0), swing * SWING_NS)
-    assert monitor.status == "valid"
+        assert leg.monitor.doubt == "far"
+        leg.monitor.begin_swing()
+        leg.monitor.note_travel(obstructed=False, travel_ratio=1.0)
+    leg.lifts([1.0] * RELEASE_SWINGS, held=False)
+    assert leg.monitor.status == "valid"
 
 
 @pytest.mark.parametrize("refuted", [1, 2, 3])
 def test_contacts_that_stances_refute_are_an_error_of_the_model(refuted: int) -> None:
-    monitor = calmed()
-    for swing in range(40, 40 + refuted):
-        monitor.begin_swing(refuted=True)
-        monitor.assess_lift(lift(1.0), swing * SWING_NS)
-    assert monitor.unlearned == (refuted >= 2)
-    for swing in range(50, 53):
-        assert monitor.unlearned == (refuted >= 2 and swing < 52)
-        monitor.begin_swing()
-        monitor.assess_lift(lift(1.0), swing * SWING_NS)
-    assert not monitor.unlearned
+    leg, unlearned = Leg(), []
+    for swing in range(refuted + 3):
+        leg.lifts([1.0], refuted=swing < refuted)
+        unlearned.append(leg.monitor.unlearned)
+    # From the second refuted one on, until the second that is not.
+    assert unlearned == [1 <= swing <= refuted and refuted > 1 for swing in range(refuted + 3)]

@@ -26,15 +26,6 @@ def rows(n: int, *, lift: bool = True) -> Rows:
     return rows_of([row(tick, lift=lift) for tick in range(n)])
 
 
-def test_the_buffer_is_bounded_and_counts() -> None:
-    buffer = ReplayBuffer(limit=10)
-    for n in range(50):
-        buffer.add(rows(4, lift=n % 2 == 0), region=0, era=0)
-    assert len(buffer.segments) == 10
-    assert buffer.counts.lift_ticks + buffer.counts.descent_ticks == 40
-    assert buffer.counts.swings == 5
-
-
 def test_rows_keep_their_segments_where_others_go() -> None:
     """Room that evicted rows leave is used again, and new rows are not mixed up with old ones."""
     rng = np.random.default_rng(3)

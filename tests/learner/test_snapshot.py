@@ -11,12 +11,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.core.leg_learner import ContactLearner
+from adaptive_contact import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.wire import Reject, ServoSample
 
 from .conftest import FakeLeg, play
+
+NO_TICKS = {name: {"shape": [0, n], "data": b""} for name, n in (("theta", 74), ("target", 3))}
 
 
 @pytest.fixture(scope="module")
@@ -26,18 +28,16 @@ def robot() -> Any:
 
 @pytest.fixture(scope="module")
 def saved(robot: Any) -> dict[str, Any]:
-    snapshot = ContactLearner(robot, "rf", shipped_baseline(robot.name)).snapshot()
-    return msgpack.unpackb(msgpack.packb(snapshot))  # as it comes back from a file
+    return from_file(learner(robot))
+
+
+def from_file(saved: ContactLearner) -> dict[str, Any]:
+    """A snapshot as it comes back from a file."""
+    return msgpack.unpackb(msgpack.packb(saved.snapshot()))
 
 
 def learner(robot: Any, leg: str = "rf") -> ContactLearner:
     return ContactLearner(robot, leg, shipped_baseline(robot.name))
-
-
-def damage(saved: dict[str, Any], name: str, value: object) -> dict[str, Any]:
-    tree = copy.deepcopy(saved)
-    tree["follower"][name] = value
-    return tree
 
 
 @pytest.mark.parametrize(
@@ -51,6 +51,9 @@ def damage(saved: dict[str, Any], name: str, value: object) -> dict[str, Any]:
         ("level", "high", "its level is 'high'"),
         ("status", "happy", "its status is 'happy'"),
         ("segments", [{}], "is no array"),
+        ("segments", [{"theta": 3}], "is no array"),
+        ("segments", None, "its segments are no list"),
+        ("segments", [NO_TICKS], "a segment has no ticks"),
         ("version", -1, "version or era"),
         ("era", -1, "version or era"),
         ("era", 2**70, "version or era"),
@@ -61,7 +64,7 @@ def test_what_does_not_fit_is_refused_in_one_line(
 ) -> None:
     fresh = learner(robot)
     before = msgpack.packb(fresh.snapshot())
-    line = fresh.restore(damage(saved, name, value))
+    line = fresh.restore({**saved, "follower": {**saved["follower"], name: value}})
     assert says in line
     assert "\n" not in line
     assert msgpack.packb(fresh.snapshot()) == before
@@ -77,13 +80,15 @@ def test_an_implausible_model_is_refused(robot: Any, saved: dict[str, Any], wild
     assert learner(robot).restore(tree) is not None
 
 
-def test_another_leg_s_snapshot_is_refused(robot: Any, saved: dict[str, Any]) -> None:
-    line = learner(robot, "lf").restore(saved)
-    assert "another baseline" in line
-
-
-def test_without_a_baseline_a_model_is_refused(robot: Any, saved: dict[str, Any]) -> None:
-    assert "another baseline" in str(ContactLearner(robot, "rf").restore(saved))
+def test_what_another_baseline_was_followed_from_is_refused(
+    robot: Any, saved: dict[str, Any]
+) -> None:
+    """Another leg's, or none: what was learned from a prior says nothing of a baseline."""
+    bare = ContactLearner(robot, "rf", None)
+    assert "another baseline" in str(learner(robot, "lf").restore(saved))
+    assert "another baseline" in str(bare.restore(saved))
+    play(bare, FakeLeg(seed=3).stream(8))
+    assert "another baseline" in str(learner(robot).restore(bare.snapshot()))
 
 
 def test_without_a_model_counts_and_publishers_are_kept(robot: Any) -> None:
@@ -93,7 +98,7 @@ def test_without_a_model_counts_and_publishers_are_kept(robot: Any) -> None:
     bare.update(msgspec.structs.replace(sample, t_ns=2, seq=9, run=8))
     bare.update(msgspec.structs.replace(sample, t_ns=3, seq=12, run=8))
     bare.count(Reject.MALFORMED, 3)
-    assert again.restore(msgpack.unpackb(msgpack.packb(bare.snapshot()))) is None
+    assert again.restore(from_file(bare)) is None
     assert again.status.status == "learning"
     assert (again.status.ticks, again.status.missed) == (3, 2)
     assert again.status.rejects == {"malformed": 3}
@@ -107,14 +112,6 @@ def test_a_leg_of_an_older_version_without_a_baseline_begins_anew(robot: Any) ->
     line = fresh.restore(saved)
     assert "older version" in line
     assert fresh.status.status == "learning"
-
-
-def test_no_baseline_is_begun_with_where_there_was_none(robot: Any) -> None:
-    """What was learned from a prior says nothing of a leg that has a baseline now."""
-    bare = ContactLearner(robot, "rf", None)
-    play(bare, FakeLeg(seed=3).stream(8))
-    line = learner(robot).restore(bare.snapshot())
-    assert "another baseline" in line
 
 
 def places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -135,7 +132,7 @@ def test_no_number_of_a_file_is_counted_or_learned_on_from(robot: Any, value: An
     """Refused in a line, or left out; arrays are refused, with their names."""
     lived = learner(robot)
     play(lived, FakeLeg(seed=3).stream(4))
-    tree = msgpack.unpackb(msgpack.packb(lived.snapshot()))
+    tree = from_file(lived)
     fresh = learner(robot)
     for path in places(tree):
         changed = copy.deepcopy(tree)

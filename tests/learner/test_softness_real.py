@@ -13,8 +13,7 @@ import pytest
 
 from adaptive_contact.core.learn.active_model import ActiveModel
 from adaptive_contact.fit import FitSettings, fit_sparse
-from adaptive_contact.model import Factor, Library, Window, stack, with_changes
-from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model import Factor, LegModel, Library, Window, stack, with_changes
 from adaptive_contact.model.leg_prior import leg_prior
 from real_logs import DATA, Recording, load_logs
 

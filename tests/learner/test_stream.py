@@ -102,20 +102,17 @@ def test_a_superseded_publisher_that_floods_takes_nothing_back(times: int) -> No
 
 
 def test_restarts_are_counted_and_outlive_ours() -> None:
+    """The first sample is none; a source may go on while the service is away, or begin anew."""
     guard = StreamGuard(2)
-    for seq in range(5):
-        guard.admit(sample(seq, run=1))
-    assert guard.restarts == 0, "the first sample is none"
+    feed(guard, *(sample(seq, run=1) for seq in range(5)))
+    counted = [guard.restarts]
     guard.admit(sample(0, run=2))
-    assert guard.restarts == 1
-    again = StreamGuard(2)
-    again.restore(guard.snapshot())
-    again.admit(sample(1, run=2))
-    assert again.restarts == 1, "the source went on while the service was away"
-    another = StreamGuard(2)
-    another.restore(guard.snapshot())
-    another.admit(sample(0, run=3))
-    assert another.restarts == 2, "it began anew meanwhile"
+    for after in (sample(1, run=2), sample(0, run=3)):
+        again = StreamGuard(2)
+        again.restore(guard.snapshot())
+        again.admit(after)
+        counted += [guard.restarts, again.restarts]
+    assert counted == [0, 1, 1, 1, 2]
 
 
 def test_a_source_that_is_restarted_now_and_then_is_not() -> None:
@@ -125,12 +122,32 @@ def test_a_source_that_is_restarted_now_and_then_is_not() -> None:
         assert guard.note is None
 
 
-def test_one_wild_time_stamp_does_not_lock_the_leg_out() -> None:
+@pytest.mark.parametrize(
+    ("before", "after", "refused"),
+    [
+        (
+            [sample(0), sample(1, t_ns=2**62)],
+            [sample(k) for k in range(2, 40)],
+            Reject.TIME_BACKWARDS,
+        ),
+        (
+            [sample(k, run=None) for k in range(5)],
+            [sample(k, run=None, seq=2**40 + k) for k in range(5, 30)],
+            Reject.OUT_OF_RANGE,
+        ),
+    ],
+    ids=["one wild time stamp", "counts on from far ahead"],
+)
+def test_what_does_not_go_on_from_the_last_sample_is_a_restart_soon_and_no_loss(
+    before: list[ServoSample], after: list[ServoSample], refused: Reject
+) -> None:
     guard = StreamGuard(2)
-    feed(guard, sample(0), sample(1, t_ns=2**62))
-    results = feed(guard, *(sample(k) for k in range(2, 40)))
-    assert results.index(Accepted(0, True)) == RESET_SAMPLES - 1
+    feed(guard, *before)
+    results = feed(guard, *after)
+    assert results[: RESET_SAMPLES - 1] == [refused] * (RESET_SAMPLES - 1)
+    assert results[RESET_SAMPLES - 1] == Accepted(0, True)
     assert results[-1] == Accepted(0, False)
+    assert guard.missed == 0
 
 
 @pytest.mark.parametrize("jump", [SHORT_GAP + 2, 1000, 9_000_000])
@@ -215,16 +232,6 @@ def test_new_runs_that_do_not_last_blind_a_leg_for_a_moment_only(burst: int, eve
     assert rest[50:] == [Accepted(0, False)] * 50
     restart = feed(guard, *(sample(k, run=2) for k in range(100)))
     assert restart[48 + 1 :] == [Accepted(0, False)] * (100 - 49)
-
-
-def test_a_source_that_counts_on_from_far_ahead_is_a_restart_and_no_loss() -> None:
-    guard = StreamGuard(2)
-    feed(guard, *(sample(k, run=None) for k in range(5)))
-    far = [sample(k, run=None, seq=2**40 + k) for k in range(5, 30)]
-    results = feed(guard, *far)
-    assert results[: RESET_SAMPLES - 1] == [Reject.OUT_OF_RANGE] * (RESET_SAMPLES - 1)
-    assert results[RESET_SAMPLES - 1] == Accepted(0, True)
-    assert guard.missed == 0
 
 
 def test_of_two_publishers_without_runs_the_one_that_stays_is_heard() -> None:

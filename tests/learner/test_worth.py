@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
-import pytest
 
 from adaptive_contact.fit.train import Stretch
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.worth import STOPS_S, part, split, worth
+from adaptive_contact.service.worth import STOPS_S, part, worth
 
 from .conftest import FakeLeg
 
@@ -50,18 +47,6 @@ def test_legs_that_were_not_tried_are_left_out(robot: Robot, baseline: Baseline)
     whole = stretch()
     stands = part(whole, 24, 28)
     assert worth(robot, baseline, {"rf": [stands], "lf": [whole]}) == {}
-
-
-@pytest.mark.parametrize("cuts", [(), (300,), (100, 2000)])
-def test_a_split_keeps_every_tick_in_its_order(cuts: tuple[int, ...]) -> None:
-    whole = stretch()
-    ends = [0, *cuts, len(whole.swing)]
-    parts = [part(whole, a, b) for a, b in itertools.pairwise(ends)]
-    first, last = split(parts)
-    again = np.concatenate([one.measured for one in (*first, *last)])
-    assert np.array_equal(again, whole.measured)
-    held = sum(len(one.swing) for one in last)
-    assert held == pytest.approx(len(whole.swing) / 3, abs=1)
 
 
 def test_stops_have_the_lengths_that_the_pages_name() -> None:

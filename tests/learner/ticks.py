@@ -13,13 +13,6 @@ from adaptive_contact.model.labelled_swing import NO_ROWS, ROW, Rows
 Array = NDArray[np.float64]
 
 
-class Push(NamedTuple):
-    """What a push from the ground can have made of a residual, in deviations, and the rest."""
-
-    sigma: float
-    aside: Array
-
-
 class Tick(NamedTuple):
     """One row, with what was known of it."""
 
@@ -32,7 +25,6 @@ class Tick(NamedTuple):
     lift: bool = True
     was_free: bool = True
     cleared: bool = True
-    push: Push | None = None
     ratio: float = 0.1
 
 
@@ -43,9 +35,6 @@ def rows_of(ticks: Sequence[Tick]) -> Rows:
     known = np.zeros(len(ticks), dtype=ROW)
     for name in ("nis", "value", "ratio", "context", "t_ns", "lift", "was_free", "cleared"):
         known[name] = [getattr(tick, name) for tick in ticks]
-    known["push"] = [tick.push is not None for tick in ticks]
-    known["sigma"] = [0.0 if tick.push is None else tick.push.sigma for tick in ticks]
     target = np.array([tick.target for tick in ticks])
-    aside = np.array([tick.target if tick.push is None else tick.push.aside for tick in ticks])
-    values = np.concatenate([np.array([tick.theta for tick in ticks]), target, aside], axis=1)
+    values = np.concatenate([np.array([tick.theta for tick in ticks]), target, target], axis=1)
     return Rows(values, known, target.shape[1])

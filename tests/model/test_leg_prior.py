@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model import Library, Window
 from adaptive_contact.model.leg_prior import columns_of, family, leg_prior
-from adaptive_contact.model.library import Library
-from adaptive_contact.model.window import Window
 
 AXES = ("yaw", "roll", "pitch", "pitch", "pitch", "roll", "yaw")
 

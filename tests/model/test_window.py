@@ -59,13 +59,6 @@ def test_every_column_has_a_name_of_its_own(name: str, joints: int, window: Wind
     )
 
 
-@pytest.mark.parametrize("name", ["servo", "paper", "linear"])
-def test_no_rows_at_all(name: str) -> None:
-    library = Library(name, ("a", "b"), ("yaw", "pitch"))  # type: ignore[arg-type]
-    empty = np.empty((0, 4, 2))
-    assert library.evaluate(empty, empty, empty[:, :0]).shape == (0, library.size)
-
-
 def test_the_papers_library_is_equation_8() -> None:
     library = Library("paper", ("a", "b", "c"), ("yaw", "pitch", "pitch"), Window(2, 2, 1))
     variables = 3 * (3 + 3 + 1)
@@ -198,37 +191,3 @@ def test_every_term_is_what_its_name_says(seed: int) -> None:
     theta = dict(zip(library.names, library.evaluate(measured, desired, preview), strict=True))
     for name, value in slow_terms(library, measured, desired).items():
         assert theta[name] == pytest.approx(value, abs=1e-12), name
-
-
-def test_the_plain_terms_come_first_and_are_the_same() -> None:
-    library = changing(LEG, 1)
-    assert library.names[: LEG.size] == LEG.names
-    assert library.size == LEG.size + 4 * 3
-    windows = [window_of(library, seed) for seed in range(5)]
-    stacked = [np.stack(part) for part in zip(*windows, strict=True)]
-    theta = library.evaluate(*stacked)
-    np.testing.assert_array_equal(theta[:, : LEG.size], LEG.evaluate(*stacked))
-    one_by_one = np.array([library.evaluate(*window) for window in windows])
-    np.testing.assert_allclose(theta, one_by_one, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["paper", "linear"])
-def test_a_library_without_the_law_has_friction_only(name: str) -> None:
-    plain = dataclasses.replace(LEG, name=name, window=Window(2, 2, 1))
-    library = changing(plain, 5)
-    assert library.size == plain.size + 3 * 3
-    assert not [term for term in library.names if "2s" in term]
-    window = window_of(library, 6)
-    theta = library.evaluate(*window)
-    np.testing.assert_array_equal(theta[: plain.size], plain.evaluate(*window))
-    rollout = plain.evaluate(*window) @ library.first
-    expected = np.concatenate([np.tanh(rollout / (knee * 0.02)) for knee in KNEES])
-    np.testing.assert_allclose(theta[plain.size :], expected, rtol=0, atol=1e-12)
-
-
-def test_legs_with_other_first_models_can_share_arrays_and_plain_ones_cannot() -> None:
-    one, other = changing(LEG, 1), changing(LEG, 2)
-    assert one == other
-    assert hash(one) == hash(other)
-    assert one != LEG
-    assert one != changing(dataclasses.replace(LEG, slope_rad=0.2), 1)

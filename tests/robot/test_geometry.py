@@ -122,20 +122,11 @@ def test_joints_that_never_raise_the_foot_are_known() -> None:
 
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3), st.floats(-3, 3))
 def test_an_outline_is_the_mounted_chain(q: list[float], yaw: float) -> None:
-    """Joint by joint by rotation matrices: yaw about z, pitches about -y, all carried on."""
-    mount = (0.1, -0.2, 0.03)
-    leg = Leg(
-        id="rf",
-        joints=("coxa", "femur", "tibia"),
-        lengths_m=LENGTHS,
-        mount=Mount(xyz_m=mount, yaw_rad=yaw),
-    )
-    turn, place = Rotation.from_rotvec([0, 0, yaw]), np.array(mount)
-    expected = [place]
-    for angle, axis, length in zip(q, ((0, 0, 1), (0, -1, 0), (0, -1, 0)), LENGTHS, strict=True):
-        turn = turn * Rotation.from_rotvec(angle * np.array(axis))
-        place = place + turn.apply([length, 0, 0])
-        expected.append(place)
+    """Joint by joint by matrices, turned about z and moved as the mount says."""
+    mount = Mount(xyz_m=(0.1, -0.2, 0.03), yaw_rad=yaw)
+    leg = Leg(id="rf", joints=("coxa", "femur", "tibia"), lengths_m=LENGTHS, mount=mount)
+    turn = Rotation.from_rotvec([0, 0, yaw])
+    expected = turn.apply(by_matrices(q, leg.chain)) + mount.xyz_m
     np.testing.assert_allclose(leg.outline(q), expected, atol=1e-12)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -314,22 +315,38 @@ def test_what_is_no_leg_is_refused_in_one_line(data: bytes, foot: str, says: str
         leg_of(data, foot)
 
 
-def test_several_roots_and_shared_joints_are_refused() -> None:
-    two = robot_of(joint("a", "body", "hip"), joint("b", "thigh", "shank"))
-    with pytest.raises(ConfigurationError, match=r"several roots \(body, thigh\)"):
-        Urdf(two, "x").legs({"l": "hip", "r": "shank"})
-    links = "rear front spare a b c"
-    spine = robot_of(
-        joint("spine", "rear", "front", axis=(0, 0, 1)),
-        joint("ja", "front", "a", xyz=(0, 0.1, 0)),
-        joint("jb", "front", "b", xyz=(0, -0.1, 0)),
-        joint("jc", "rear", "c"),
-        links=links,
-    )
-    with pytest.raises(ConfigurationError, match="joint 'spine' moves leg 'a' and leg 'b'"):
-        Urdf(spine, "x").legs({"a": "a", "b": "b", "c": "c"}, tips_m=[(0.1, 0.0, -0.1)])
-    with pytest.raises(ConfigurationError, match="--base 'spare' carries no leg 'a'"):
-        Urdf(spine, "x").legs({"a": "a"}, base="spare")
+SPINE = robot_of(
+    joint("spine", "rear", "front", axis=(0, 0, 1)),
+    joint("ja", "front", "a", xyz=(0, 0.1, 0)),
+    joint("jb", "front", "b", xyz=(0, -0.1, 0)),
+    joint("jc", "rear", "c"),
+    links="rear front spare a b c",
+)
+
+
+@pytest.mark.parametrize(
+    ("data", "feet", "more", "says"),
+    [
+        (
+            robot_of(joint("a", "body", "hip"), joint("b", "thigh", "shank")),
+            {"l": "hip", "r": "shank"},
+            {},
+            r"several roots \(body, thigh\)",
+        ),
+        (
+            SPINE,
+            {"a": "a", "b": "b", "c": "c"},
+            {"tips_m": [(0.1, 0.0, -0.1)]},
+            "joint 'spine' moves leg 'a' and leg 'b'",
+        ),
+        (SPINE, {"a": "a"}, {"base": "spare"}, "--base 'spare' carries no leg 'a'"),
+    ],
+)
+def test_several_roots_and_shared_joints_are_refused(
+    data: bytes, feet: dict[str, str], more: dict[str, Any], says: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        Urdf(data, "x").legs(feet, **more)
 
 
 def test_large_and_missing_files_are_refused(tmp_path: Path) -> None:

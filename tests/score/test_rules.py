@@ -89,12 +89,7 @@ LONG = "." * 10 + "s" * 40 + "." * 30 + "s" * 20
 def test_events_where_nothing_touches_are_false_alarms() -> None:
     outcome = judge(LONG, AIR, 1000, 1319, 1320, 1599)
     assert outcome.alarms_ns.tolist() == [1000 * MS, 1319 * MS, 1320 * MS, 1599 * MS]
-    assert outcome.alarm_swing.tolist() == [0, 0, 0, 0]
-    assert outcome.alarm_after.tolist() == [True] * 4
-    assert len(outcome.outside_ns) == 0
     assert outcome.swings.judged_after.tolist() == [16, 0]
-    assert outcome.swings.errors.tolist() == [4, 0]
-    assert outcome.swings.misses.tolist() == [0, 0]
     summary = summarise([outcome])
     assert (summary.false_alarms, summary.judged_ticks) == (4, 76)
     assert (summary.after.false_alarms, summary.after.judged_ticks) == (4, 16)
@@ -142,12 +137,6 @@ def test_lift_by_height_ends_within_a_millimetre_of_the_top() -> None:
     swings = find_swings(np.arange(14, dtype=np.int64) * 20 * MS, mask)
     assert np.flatnonzero(lift_by_height(swings, height)).tolist() == [2, 3, 4]
     assert np.flatnonzero(lift_by_halves(swings)).tolist() == [2, 3, 4, 11]
-
-
-def test_lift_of_a_stream_without_swings() -> None:
-    swings = find_swings(np.arange(3, dtype=np.int64), np.zeros(3, dtype=bool))
-    assert not lift_by_height(swings, np.zeros(3)).any()
-    assert not lift_by_halves(swings).any()
 
 
 def test_counts_rates_and_intervals() -> None:

@@ -11,8 +11,6 @@ import pytest
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.wire import (
-    SIM_BODY,
-    BodyPose,
     ContactEvent,
     ServoSample,
     contact_key,
@@ -55,23 +53,6 @@ def test_a_walk_on_events_needs_no_network_and_is_the_same_again(tmp_path: Path)
                 assert not swings[record.log_time_ns]
                 stops += 1
     assert stops >= 8
-
-
-def test_a_recording_has_the_bodys_pose(tmp_path: Path) -> None:
-    settings = replace(ROUGH, motion=WalkSettings())
-    records = recorded(settings, 8.0, tmp_path / "w.mcap")[SIM_BODY]
-    poses = [decode(r.payload, BodyPose, r.encoding) for r in records]
-    sim = Simulation(settings)
-    for pose, record in zip(poses, records, strict=True):
-        sim.advance()
-        place, rotation = sim.plant.body_pose()
-        assert pose.t_ns == record.log_time_ns == sim.t_ns
-        assert pose.position_m == tuple(place)
-        w, x, y, z = pose.quaternion_wxyz
-        # The body's axis up, in the world.
-        up = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
-        assert up == pytest.approx(rotation[:, 2], abs=1e-12)
-    assert np.ptp([pose.position_m[:2] for pose in poses], axis=0).max() > 0.1
 
 
 class Walked(NamedTuple):

@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 from adaptive_contact.cli.sim import app
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, MissingExtraError
 from adaptive_contact.service.recording import read_recording
-from adaptive_contact_sim import Simulation, load_scenario
-from adaptive_contact_sim.drift import KINDS
+from adaptive_contact_sim import KINDS, Simulation, load_scenario
 from adaptive_contact_sim.scenario import parse_scenario
 
 RUN = CliRunner()
@@ -48,19 +47,31 @@ def test_list_shows_scenarios_and_kinds() -> None:
     assert table["scenarios"]["walk-mud"]["seconds"] == 240.0
 
 
-def test_an_offline_walk_is_recorded(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            ("--gait", "ripple", "--terrain", "steps", "--seed", "3", "--drift",
+             "friction:leg=rf,value=4@1s"),
+            "ripple walk on steps ground, stop on truth, seed 3, 1 drifts",
+        ),
+        (
+            ("--scenario", "walk-mud", "--gait", "wave", "--drift", "friction:leg=rf,value=4@1s"),
+            "wave walk on rough ground, stop on truth, seed 4, 3 drifts",
+        ),
+    ],
+)  # fmt: skip
+def test_an_offline_walk_is_recorded_and_options_change_a_scenario(
+    tmp_path: Path, options: tuple[str, ...], said: str
+) -> None:
     file = tmp_path / "walk.mcap"
-    result = RUN.invoke(
-        app,
-        ["walk", "--offline", "--seconds", "2", "--gait", "ripple", "--terrain", "steps", "--seed",
-         "3", "--drift", "friction:leg=rf,value=4@1s", "--record", str(file)],
-    )  # fmt: skip
+    words = ["walk", "--offline", "--seconds", "2", *options, "--record", str(file)]
+    result = RUN.invoke(app, words)
     assert result.exit_code == 0, result.output
-    assert "ripple walk on steps ground, stop on truth, seed 3, 1 drifts" in result.output
+    assert said in result.output
     assert "simulated 2.0 s" in result.output
     keys = {record.key for record in read_recording(file)}
-    assert "robot/leg/rf/servo" in keys
-    assert "robot/sim/drift" in keys
+    assert {"robot/leg/rf/servo", "robot/sim/drift"} <= keys
 
 
 def test_a_walk_that_raises_legs_ends_with_how_often(tmp_path: Path) -> None:
@@ -89,14 +100,6 @@ def test_an_offline_pose_is_pictured(tmp_path: Path) -> None:
         pytest.skip(f"no EGL on this machine: {result.exception}")
     assert result.exit_code == 0, result.output
     assert picture.stat().st_size > 10_000
-
-
-def test_options_change_a_scenario() -> None:
-    result = RUN.invoke(
-        app, ["walk", "--scenario", "walk-mud", "--offline", "--seconds", "1", "--gait", "wave"]
-    )
-    assert result.exit_code == 0, result.output
-    assert "wave walk on rough ground, stop on truth, seed 4, 2 drifts" in result.output
 
 
 @pytest.mark.parametrize(
@@ -137,11 +140,6 @@ def test_without_mujoco_it_says_which_extra(monkeypatch: pytest.MonkeyPatch) -> 
 # -- docs/simulator.md says what the code does
 
 TEXT = (Path(__file__).parents[2] / "docs/simulator.md").read_text(encoding="utf-8")
-
-
-def row(start: str) -> list[str]:
-    (line,) = (line for line in TEXT.splitlines() if line.startswith(f"| {start}"))
-    return [cell.strip() for cell in line.strip("|").split("|")]
 
 
 def test_the_scenario_in_it_can_be_run() -> None:

@@ -9,14 +9,28 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError, RecordingError
-from adaptive_contact.wire import ContactTruth, Drift, ServoSample, decode, servo_key, truth_key
-from adaptive_contact_sim.drift import Injection
-from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact.wire import (
+    SIM_BODY,
+    SIM_DRIFT,
+    BodyPose,
+    ContactTruth,
+    Drift,
+    Message,
+    ServoSample,
+    decode,
+    servo_key,
+    truth_key,
+)
+from adaptive_contact_sim import (
+    Injection,
+    ObstacleSettings,
+    PoseSettings,
+    Simulation,
+    SimulationSettings,
+    TerrainSettings,
+    WalkSettings,
+)
 from adaptive_contact_sim.picture import Film, Moment, Painter
-from adaptive_contact_sim.pose import PoseSettings
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
 from tests.sim.touches import recorded
 
 WALK = SimulationSettings(
@@ -25,6 +39,7 @@ WALK = SimulationSettings(
     seed=2,
     drift=(Injection(Drift(kind="friction", value=3.0, leg="rf"), 1.0),),
 )
+TYPES = {"servo": ServoSample, "truth": ContactTruth, "drift": Drift, "body": BodyPose}
 HITS = SimulationSettings(
     motion=PoseSettings(obstacles=ObstacleSettings(1.0, shapes=("plate",))), seed=3
 )
@@ -32,19 +47,26 @@ HITS = SimulationSettings(
 
 def test_a_recording_is_the_run(tmp_path: Path) -> None:
     by_key = recorded(WALK, 3.0, tmp_path / "walk.mcap")
-    expected_truth: dict[str, list[ContactTruth]] = {}
-    for k, tick in enumerate(Simulation(WALK).run(3.0)):
+    told = {
+        key: [decode(r.payload, TYPES[key.rsplit("/", 1)[-1]], r.encoding) for r in records]
+        for key, records in by_key.items()
+    }
+    expected: dict[str, list[Message]] = {}
+    sim = Simulation(WALK)
+    for tick, pose in zip(sim.run(3.0), told[SIM_BODY], strict=True):
         for leg, sample in tick.samples.items():
-            record = by_key[servo_key(leg)][k]
-            assert decode(record.payload, ServoSample, record.encoding) == sample
+            expected.setdefault(servo_key(leg), []).append(sample)
         for truth in tick.truth:
-            expected_truth.setdefault(truth.leg, []).append(truth.message)
-    for leg, messages in expected_truth.items():
-        records = by_key[truth_key(leg)]
-        assert [decode(r.payload, ContactTruth, r.encoding) for r in records] == messages
-    (drift,) = by_key["robot/sim/drift"]
-    assert decode(drift.payload, Drift, drift.encoding) == WALK.drift[0].drift
-    assert drift.log_time_ns == 1_000_000_000
+            expected.setdefault(truth_key(truth.leg), []).append(truth.message)
+        place, rotation = sim.plant.body_pose()
+        assert (pose.t_ns, pose.position_m) == (sim.t_ns, tuple(place))
+        w, x, y, z = pose.quaternion_wxyz
+        # The body's axis up, in the world.
+        up = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+        assert up == pytest.approx(rotation[:, 2], abs=1e-12)
+    expected |= {SIM_BODY: told[SIM_BODY], SIM_DRIFT: [WALK.drift[0].drift]}
+    assert told == expected
+    assert by_key[SIM_DRIFT][0].log_time_ns == 1_000_000_000
 
 
 def test_a_recording_that_cannot_be_written_is_told(tmp_path: Path) -> None:

@@ -6,10 +6,9 @@ import pytest
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
-from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim import PoseSettings, Simulation, WalkSettings
+from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.scenario import load_scenario, parse_scenario, shipped_scenarios
-from adaptive_contact_sim.simulation import Simulation
-from adaptive_contact_sim.walk import WalkSettings
 
 # Names are permanent: add, never rename.
 NAMES = {
@@ -68,15 +67,13 @@ def test_every_setting_can_be_said() -> None:
     scenario = parse_scenario(FULL, name="full")
     settings = scenario.settings
     assert (scenario.seconds, settings.seed, settings.robot_seed) == (12.5, 3, 4)
-    assert settings.motion.gait == "wave"
-    assert settings.motion.depth_m == (0.02, 0.03)
+    assert (settings.motion.gait, settings.motion.depth_m) == ("wave", (0.02, 0.03))
     assert (settings.terrain.kind, settings.terrain.relief_m) == ("steps", 0.02)
     assert settings.encoder.dropped == 0.01
-    first, second = settings.drift
-    assert first.at_s == 10.0
-    assert first.drift == Drift(kind="friction", leg="rf", value=4.0)
-    assert second.at_s == 0.0
-    assert second.drift.shape == "pulse"
+    assert settings.drift == (
+        Injection(Drift(kind="friction", leg="rf", value=4.0), 10.0),
+        Injection(Drift(kind="offset", value=0.01, shape="pulse", duration_s=2.0), 0.0),
+    )
 
 
 def test_obstacles_are_a_table_of_the_pose() -> None:
@@ -115,15 +112,19 @@ def test_errors_are_one_line_that_names_the_file(text: str, words: str) -> None:
     assert str(caught.value).startswith("mine.toml: ")
 
 
-def test_loading(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text(FULL, encoding="utf-8")
-    assert load_scenario(str(file)).name == "mine"
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("walk-mut", "did you mean 'walk-mud'"),
+        ("none.toml", "cannot be read"),
+        ("bad.toml", "UTF-8"),
+    ],
+)
+def test_loading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, words: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(FULL, encoding="utf-8")
+    Path("bad.toml").write_bytes(b"\xff\xfe\x00")
+    assert load_scenario("mine.toml").name == "mine"
     assert load_scenario("walk-mud").settings.seed == 4
-    with pytest.raises(ConfigurationError, match="did you mean 'walk-mud'"):
-        load_scenario("walk-mut")
-    with pytest.raises(ConfigurationError, match="cannot be read"):
-        load_scenario(str(tmp_path / "none.toml"))
-    file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigurationError, match="UTF-8"):
-        load_scenario(str(file))
+    with pytest.raises(ConfigurationError, match=words):
+        load_scenario(name)

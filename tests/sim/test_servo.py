@@ -11,7 +11,6 @@ from adaptive_contact_sim.elements import N_SERVOS
 from adaptive_contact_sim.servo import (
     FULL_SCALE_STEPS,
     QUANTUM_RAD,
-    ServoParameters,
     duty,
     manufactured,
 )
@@ -114,19 +113,3 @@ def test_standing_under_load_sags_by_the_compliance_and_then_sticks() -> None:
     for _ in range(1000):
         bench.step()
     assert abs(math.degrees(bench.data.qpos[0] - before)) < 0.02
-
-
-def test_friction_bound_follows_load_and_speed() -> None:
-    parameters = ServoParameters()
-    bench = make_bench(load_nm=0.5)
-    bench.servos.write_goal(every(0.0))
-    for _ in range(1000):
-        bench.step()
-    motor = abs(bench.data.ctrl[0])
-    assert bench.model.dof_frictionloss[0] == pytest.approx(0.05 + 0.02 + 0.2 * motor, rel=0.02)
-    index = np.arange(3)
-    slow = bench.servos.friction_bound(index, np.zeros(3), np.full(3, 0.3))
-    fast = bench.servos.friction_bound(index, np.full(3, 5.0), np.full(3, 0.3))
-    assert slow == pytest.approx(0.05 + 0.02 + 0.06)
-    assert fast == pytest.approx(0.05 + 0.06)
-    assert parameters.load_friction[0] == 0.2

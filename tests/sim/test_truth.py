@@ -15,10 +15,12 @@ N = len(LEGS)
 SUBSTEPS = 20
 
 
-def track(force: np.ndarray, touches: list[Touch] | None = None) -> list[Change]:
+def track(
+    force: np.ndarray, touches: list[Touch] | None = None, start: float = 0.0
+) -> list[Change]:
     """Changes of leg 0 for a force per physics step; the other legs stay in the air."""
     tracker = TruthTracker(0.001, SUBSTEPS)
-    changes = tracker.start(np.zeros(N), 0)
+    changes = tracker.start(np.full(N, start), 0)
     seen = tuple(deque(touches or []) for _ in LEGS)
     for k in range(len(force) // SUBSTEPS):
         rows = np.zeros((SUBSTEPS, N))
@@ -56,32 +58,8 @@ def test_a_touch_has_its_own_time_and_mean_force() -> None:
 
 
 def test_loaded_at_the_start() -> None:
-    tracker = TruthTracker(0.001, SUBSTEPS)
-    forces = np.array([5.0, 5.0, 0.0, 5.0, 5.0, 5.0])
-    start = tracker.start(forces, 0)
-    assert [c.contact for c in start] == [True, True, False, True, True, True]
-    assert start[0].force_n == 5.0
-    changes = []
-    empty = tuple(deque() for _ in LEGS)
-    for k in range(8):
-        rows = np.tile(forces if k < 2 else np.zeros(N), (SUBSTEPS, 1))
-        changes += tracker.update(rows, empty, (k + 1) * SUBSTEPS)
-    assert sorted((c.leg, c.step, c.contact) for c in changes) == [
-        (leg, 41, False) for leg in (0, 1, 3, 4, 5)
-    ]
-
-
-def test_recent_is_up_to_date() -> None:
-    tracker = TruthTracker(0.001, SUBSTEPS)
-    tracker.start(np.zeros(N), 0)
-    empty = tuple(deque() for _ in LEGS)
-    rows = np.zeros((SUBSTEPS, N))
-    rows[12:, 0] = 4.0
-    tracker.update(rows, empty, 20)
-    assert tracker.recent[0] == 13
-    assert tracker.recent[1] is None
-    tracker.update(np.zeros((SUBSTEPS, N)), empty, 40)
-    assert tracker.recent[0] is None
+    changes = track(trace((40, 5.0), (120, 0.0)), start=5.0)
+    assert [(c.step, c.contact, c.force_n) for c in changes] == [(0, True, 5.0), (41, False, 0.0)]
 
 
 def test_touch_is_the_one_that_led_to_the_contact() -> None:

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from adaptive_contact_sim import Simulation, SimulationSettings, TerrainSettings, WalkSettings
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import LegGeometry
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
 from tests.sim.touches import touches_of
 
 Array = NDArray[np.float64]

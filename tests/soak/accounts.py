@@ -11,32 +11,32 @@ from typing import Any
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.status import ServiceStatus
+from adaptive_contact.wire import LearnerStatus
 
 from .conduct import Broken, Take
 
 
-def uncounted(leg: str, seq_of: dict[int, int], take: Take) -> int:
+def statuses_of(leg: str, seq_of: Mapping[int, int], take: Take) -> list[tuple[int, LearnerStatus]]:
+    """A leg's statuses and their arrival, but for those at the start of a life, of no sample."""
+    of_leg = [(at_ns, status) for at_ns, status in take.heard.statuses if status.leg == leg]
+    return [(at_ns, status) for at_ns, status in of_leg if status.t_ns in seq_of]
+
+
+def uncounted(leg: str, seq_of: Mapping[int, int], take: Take) -> int:
     """The worst difference between ticks gone through and samples accounted for."""
-    first: tuple[int, int] | None = None
-    worst = 0
-    for _, status in take.heard.statuses:
-        if status.leg != leg or status.t_ns not in seq_of:
-            continue  # nothing heard yet, at the start of a life
-        seq, counted = seq_of[status.t_ns], status.ticks + status.missed
-        if first is None:
-            first = (seq, counted)
-        worst = max(worst, abs((seq - first[0]) - (counted - first[1])))
-    return worst
+    told = statuses_of(leg, seq_of, take)
+    off = [seq_of[status.t_ns] - status.ticks - status.missed for _, status in told]
+    return max((abs(one - off[0]) for one in off), default=0)
 
 
 def inconsistent(take: Take, seq_of: dict[str, dict[int, int]]) -> int:
     """Events on samples that were never sent, with an onset in the future, or heard twice."""
-    seen: Counter[tuple[str, int, bool]] = Counter()
-    wrong = 0
-    for _, event in take.heard.events:
-        seen[event.leg, event.t_ns, event.contact] += 1
-        sent = seq_of.get(event.leg, {}).get(event.t_ns)
-        wrong += sent != event.seq or event.onset_ns > event.t_ns
+    events = [event for _, event in take.heard.events]
+    seen = Counter((event.leg, event.t_ns, event.contact) for event in events)
+    wrong = sum(
+        seq_of.get(event.leg, {}).get(event.t_ns) != event.seq or event.onset_ns > event.t_ns
+        for event in events
+    )
     return wrong + sum(count - 1 for count in seen.values())
 
 
@@ -48,17 +48,12 @@ def forgotten_s(
     Both statuses are up to a second off, to either side: what came after the last one before the
     kill is lost as well, what came before the first one after it has been learned since.
     """
-    before = after = None
-    for at_ns, status in take.heard.statuses:
-        if status.leg != leg or status.t_ns not in seq_of:
-            continue
-        if at_ns < fault.from_ns:
-            before = status.ticks
-        elif at_ns > fault.to_ns and after is None:
-            after = status.ticks
-    if before is None or after is None:
+    told = statuses_of(leg, seq_of, take)
+    before = [status.ticks for at_ns, status in told if at_ns < fault.from_ns]
+    after = [status.ticks for at_ns, status in told if at_ns > fault.to_ns]
+    if not (before and after):
         return float("inf")  # nobody knows
-    return (before - after) * robot.period_s
+    return (before[-1] - after[0]) * robot.period_s
 
 
 def last_words(services: Sequence[ServiceStatus]) -> list[ServiceStatus]:

@@ -37,7 +37,8 @@ class SourceClock:
     """From the wall clock of this process to the clock of the samples.
 
     Args:
-        lags_ns: by second of the samples' clock, least arrival of a sample minus its time, ns.
+        lags_ns: by second of the samples' clock, least arrival of a sample minus its time, ns; of
+            one second at least.
     """
 
     def __init__(self, lags_ns: Mapping[int, int]) -> None:
@@ -45,26 +46,17 @@ class SourceClock:
         self._lags_ns = np.array([lags_ns[second] for second in self._seconds], dtype=np.int64)
 
     @property
-    def known(self) -> bool:
-        """Whether any sample was heard."""
-        return len(self._seconds) > 0
-
-    @property
     def behind_s(self) -> float:
         """How far the source fell behind, from its best second to its worst."""
-        return float(np.ptp(self._lags_ns)) / _NS if self.known else 0.0
+        return float(np.ptp(self._lags_ns)) / _NS
 
     def lag_ns(self, t_ns: int) -> int:
-        """Of a sample's time; in an outage that of the second before it, 0 where none is known."""
-        if not self.known:
-            return 0
+        """Of a sample's time; in an outage that of the second before it."""
         at = int(np.searchsorted(self._seconds, t_ns // _NS, side="right")) - 1
         return int(self._lags_ns[max(at, 0)])
 
     def of_wall(self, wall_ns: int) -> int:
         """The samples' clock at a moment of the wall clock."""
-        if not self.known:
-            return wall_ns
         # Lags are small against the time between two changes of them: one step is enough.
         return wall_ns - self.lag_ns(wall_ns - self.lag_ns(wall_ns))
 

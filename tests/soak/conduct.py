@@ -100,7 +100,7 @@ def conduct(plan: SoakPlan) -> Take:
             contextlib.closing(Program(*_walk(plan, run.endpoint, recording)))
         )
         began_s = time.monotonic()
-        faults, next_word = deque(plan.faults), 0.0
+        faults = deque(plan.faults)
         while walk.process.poll() is None:
             time.sleep(_LOOK_S)  # several processes and sockets: there is no one thing to wait for
             at_s = time.monotonic() - began_s
@@ -109,9 +109,6 @@ def conduct(plan: SoakPlan) -> Take:
                 fault = faults.popleft()
                 run.do(fault)
                 print(f"{at_s:5.0f} s  {fault.kind} killed and started again", flush=True)
-            if at_s >= next_word:
-                next_word += 60.0
-                print(f"{at_s:5.0f} s  {run.word()}", flush=True)
         assert walk.wait() == 0, walk.lines[-5:]
         until_s = time.monotonic() + _SETTLE_S  # the last statuses are on their way
         while time.monotonic() < until_s:
@@ -179,17 +176,6 @@ class _Run:
             self.service = self._start_service()
             self.service.wait_line("connected to ", _START_S)
         self.broken.append(Broken(fault.kind, from_ns, time.time_ns()))
-
-    def word(self) -> str:
-        """How it goes, in a line."""
-        newest = {status.leg: status for _, status in self.heard.statuses[-50:]}
-        missed = sum(status.missed for status in newest.values())
-        promoted = sum(status.refits.promoted for status in newest.values())
-        memory = self.resident[-1].mb if self.resident else 0.0
-        return (
-            f"{len(self.heard.events)} events, {missed} samples missed, refits {promoted} "
-            f"promoted, service {memory:.1f} MB"
-        )
 
     def bury(self, patience_s: float) -> int:
         """End the children of killed services that have not ended by themselves; how many."""

@@ -10,9 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from adaptive_contact.score import LegOutcome
-from adaptive_contact.score.contacts import TruthChanges
-from adaptive_contact.wire import ContactEvent
+from adaptive_contact import ContactEvent
+from adaptive_contact.score import LegOutcome, TruthChanges
 
 from .arrival import SourceClock
 from .conduct import RECOVERY_S, Broken, Take

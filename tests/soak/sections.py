@@ -20,9 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.score import LegOutcome, LegStream
-from adaptive_contact.score.contacts import contacts_of
-from adaptive_contact.score.outcome import Events
+from adaptive_contact.score import Events, LegOutcome, LegStream, contacts_of
 
 from .conduct import RECOVERY_S, Drifting
 

@@ -157,14 +157,11 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
 
     newest = {status.leg: status for _, status in take.heard.statuses}
     services = last_words([status for _, status in take.heard.services])
-    rejects: Counter[str] = Counter()
-    refits: Counter[str] = Counter()
-    for status in newest.values():
-        rejects.update(status.rejects)
-        counts = status.refits
-        refits.update(
-            promoted=counts.promoted, refused=counts.refused, rolled_back=counts.rolled_back
-        )
+    rejects = sum((Counter(status.rejects) for status in newest.values()), Counter[str]())
+    refits = {
+        name: sum(getattr(status.refits, name) for status in newest.values())
+        for name in ("promoted", "refused", "rolled_back")
+    }
     latency = services[-1].event_latency if services else None
     judged = Verdict(
         minutes=plan.minutes,
@@ -196,7 +193,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
             for fault in take.broken
             if fault.kind == "service"
         ],
-        refits=dict(refits),
+        refits=refits,
         events=len(take.heard.events),
         events_lost=sum(one.events_lost for one in services),
         state=state_of(services),
@@ -207,93 +204,90 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
 
 
 def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
-    lines = [
-        *_detection_failures(found),
-        *_memory_failures(found, plan),
-        *_state_failures(found, robot),
-    ]
-    if found.inconsistent:
-        lines.append(f"{found.inconsistent} events that no sample bears out, or twice")
-    if found.uncounted:
-        lines.append(f"{found.uncounted} samples lost without being counted")
-    if found.events_lost:
-        lines.append(f"{found.events_lost} events lost")
-    if not found.arrivals.events:
-        lines.append("not one event was timed")
-    if found.arrivals.late > max(FORGIVEN, LATE_SHARE * found.arrivals.events):
-        lines.append(
-            f"{found.arrivals.late} of {found.arrivals.events} events came more than 0.25 s late"
-        )
-    if len(found.recovery_s) != len(plan.faults):
-        lines.append(f"{len(found.recovery_s)} faults came about, of {len(plan.faults)} planned")
-    for recovery_s, late in zip(found.recovery_s, found.late_legs, strict=True):
-        if late:
-            lines.append(f"a fault took {recovery_s:.2f} s to recover from: {' '.join(late)}")
-    promoted = found.refits.get("promoted", 0)
-    if not promoted + found.refits.get("refused", 0):
-        lines.append("no refit came to an end, be it promoted or refused")
-    elif not promoted and plan.minutes >= TEACHES_MINUTES:
-        lines.append(f"no refit was promoted in {plan.minutes:g} minutes")
-    return lines
-
-
-def _detection_failures(found: Verdict) -> list[str]:
-    lines = []
-    if not found.settled.touches:
-        lines.append("not one touch was judged")
-    if found.settled.false_alarms:
-        lines.append(f"{found.settled.false_alarms} false alarms outside the windows")
-    if found.settled.wrong_releases:
-        lines.append(f"{found.settled.wrong_releases} releases of loaded legs outside the windows")
-    if found.settled.missed > max(FORGIVEN, MISSED_SHARE * found.settled.touches):
-        lines.append(f"{found.settled.missed} of {found.settled.touches} touches missed")
-    for one in found.sections:
-        share = RAMP_SHARE if one.ramp else MISSED_SHARE
-        allowed = max(FORGIVEN, share * one.touches)
-        where = "during" if one.ramp else "after"
-        if one.missed > allowed:
-            lines.append(f"{one.missed} of {one.touches} touches missed {where} {one.after}")
-        if one.ramp and one.false_alarms > allowed:
-            lines.append(
-                f"{one.false_alarms} false alarms to {one.touches} touches during {one.after}"
-            )
-        if one.ramp and one.wrong_releases > allowed:
-            lines.append(
-                f"{one.wrong_releases} releases of loaded legs to {one.touches} touches during "
-                f"{one.after}"
-            )
-    return lines
-
-
-def _memory_failures(found: Verdict, plan: SoakPlan) -> list[str]:
-    lines = []
+    """A line on each thing that is not as it should be."""
+    promoted, refused = (found.refits.get(name, 0) for name in ("promoted", "refused"))
     lives = 1 + sum(fault.kind == "service" for fault in plan.faults)
-    if len(found.memory_mb) != lives:
-        lines.append(f"memory is known of {len(found.memory_mb)} lives of the service, of {lives}")
-    for life, one in enumerate(found.memory_mb, start=1):
-        if not one.growth_mb <= MEMORY_MB:
-            lines.append(f"life {life}: the service grew by {one.growth_mb:.1f} MB")
-        if one.slope_mb_min is not None and not one.slope_mb_min <= SLOPE_MB_MIN:
-            lines.append(
-                f"life {life}: the service still grew by {one.slope_mb_min:.2f} MB/min at the end"
+    settled, arrivals, state = found.settled, found.arrivals, found.state
+    wrong = [
+        (not settled.touches, "not one touch was judged"),
+        (settled.false_alarms, f"{settled.false_alarms} false alarms outside the windows"),
+        (
+            settled.wrong_releases,
+            f"{settled.wrong_releases} releases of loaded legs outside the windows",
+        ),
+        (
+            settled.missed > max(FORGIVEN, MISSED_SHARE * settled.touches),
+            f"{settled.missed} of {settled.touches} touches missed",
+        ),
+        (
+            len(found.memory_mb) != lives,
+            f"memory is known of {len(found.memory_mb)} lives of the service, of {lives}",
+        ),
+        (
+            found.left_behind,
+            f"{found.left_behind} child processes outlived the service that was killed",
+        ),
+        (not state.get("saved"), "no state was saved"),
+        (state.get("failed"), f"{state.get('failed')} states could not be saved"),
+        (
+            len(state.get("restored", [])) != len(robot.leg_ids),
+            "not every leg was restored after the restart",
+        ),
+        (
+            found.inconsistent,
+            f"{found.inconsistent} events that no sample bears out, or twice",
+        ),
+        (found.uncounted, f"{found.uncounted} samples lost without being counted"),
+        (found.events_lost, f"{found.events_lost} events lost"),
+        (not arrivals.events, "not one event was timed"),
+        (
+            arrivals.late > max(FORGIVEN, LATE_SHARE * arrivals.events),
+            f"{arrivals.late} of {arrivals.events} events came more than 0.25 s late",
+        ),
+        (
+            len(found.recovery_s) != len(plan.faults),
+            f"{len(found.recovery_s)} faults came about, of {len(plan.faults)} planned",
+        ),
+        (not promoted + refused, "no refit came to an end, be it promoted or refused"),
+        (
+            refused and not promoted and plan.minutes >= TEACHES_MINUTES,
+            f"no refit was promoted in {plan.minutes:g} minutes",
+        ),
+        *((True, f"a state was refused: {line}") for line in state.get("refused", [])),
+        *(
+            (
+                lost_s > FORGETS_S,
+                f"a kill of the service cost {lost_s:.1f} s of what it had learned",
             )
-    if found.left_behind:
-        lines.append(f"{found.left_behind} child processes outlived the service that was killed")
-    return lines
-
-
-def _state_failures(found: Verdict, robot: Robot) -> list[str]:
-    lines = []
-    if not found.state.get("saved"):
-        lines.append("no state was saved")
-    if found.state.get("failed"):
-        lines.append(f"{found.state['failed']} states could not be saved")
-    if len(found.state.get("restored", [])) != len(robot.leg_ids):
-        lines.append("not every leg was restored after the restart")
-    lines += [f"a state was refused: {line}" for line in found.state.get("refused", [])]
-    lines += [
-        f"a kill of the service cost {lost_s:.1f} s of what it had learned"
-        for lost_s in found.forgotten_s
-        if lost_s > FORGETS_S
+            for lost_s in found.forgotten_s
+        ),
+        *(
+            (late, f"a fault took {recovery_s:.2f} s to recover from: {' '.join(late)}")
+            for recovery_s, late in zip(found.recovery_s, found.late_legs, strict=True)
+        ),
     ]
-    return lines
+    for one in found.sections:
+        allowed = max(FORGIVEN, (RAMP_SHARE if one.ramp else MISSED_SHARE) * one.touches)
+        where = f"{one.touches} touches {'during' if one.ramp else 'after'} {one.after}"
+        wrong += [
+            (one.missed > allowed, f"{one.missed} missed of {where}"),
+            (
+                one.ramp and one.false_alarms > allowed,
+                f"{one.false_alarms} false alarms to {where}",
+            ),
+            (
+                one.ramp and one.wrong_releases > allowed,
+                f"{one.wrong_releases} releases of loaded legs to {where}",
+            ),
+        ]
+    for life, one in enumerate(found.memory_mb, start=1):
+        slope = one.slope_mb_min
+        wrong += [
+            # Also where it is no number.
+            (not one.growth_mb <= MEMORY_MB, f"life {life}: it grew by {one.growth_mb:.1f} MB"),
+            (
+                slope is not None and not slope <= SLOPE_MB_MIN,
+                f"life {life}: it still grew by {slope} MB/min at the end",
+            ),
+        ]
+    return [line for fails, line in wrong if fails]

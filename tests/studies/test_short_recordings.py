@@ -6,17 +6,14 @@ of the family were, with seeds of their own.  (A threshold needs more ticks than
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact.fit.train import Stretch, gather_rows, learn_leg
-from adaptive_contact.model.leg_model import LegModel
-from adaptive_contact.model.library import leg_library
-from adaptive_contact.model.window import stack
+from adaptive_contact.model import LegModel, leg_library, stack
+from adaptive_contact.service.worth import part
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.training import stretch_of
 
@@ -27,12 +24,7 @@ UNSEEN = 160  # swings behind them
 def first(stretch: Stretch, swings: int) -> Stretch:
     """The first so many swings of a stretch."""
     begins = np.flatnonzero(np.diff(stretch.swing.astype(int), prepend=0) == 1)
-    return cut(stretch, slice(0, int(begins[swings])))
-
-
-def cut(stretch: Stretch, ticks: slice) -> Stretch:
-    parts = {f.name: getattr(stretch, f.name) for f in dataclasses.fields(stretch)}
-    return Stretch(**{k: v[ticks] if k != "certain" else v for k, v in parts.items()})
+    return part(stretch, 0, int(begins[swings]))
 
 
 def rms(model: LegModel, stretch: Stretch) -> float:
@@ -48,15 +40,15 @@ def rms(model: LegModel, stretch: Stretch) -> float:
 def test_a_fit_to_sixty_swings_errs_little_more_than_one_to_many(seed: int) -> None:
     leg = draw_leg(seed)
     whole = stretch_of(record(leg, "pose", MANY + UNSEEN, seed), LEG, leg.robot.period_s)
-    unseen = cut(whole, slice(len(first(whole, MANY).measured), None))
+    unseen = part(whole, len(first(whole, MANY).measured), len(whole.measured))
     described = leg.robot.legs[0]
     library = leg_library(leg.robot, described)
     errors, strengths = {}, {}
     for swings in (MANY, 60):
-        part = first(whole, swings)
+        some = first(whole, swings)
         with threadpool_limits(1):
             step = leg.robot.quantum(LEG)
-            rows = gather_rows(described, library, [part], step)
+            rows = gather_rows(described, library, [some], step)
             known, figures, _ = learn_leg(described, library, rows, step, None)
         errors[swings] = rms(known.model, unseen)
         strengths[swings] = figures.strength

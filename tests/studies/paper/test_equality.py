@@ -1,4 +1,4 @@
-"""The compressed fit is PySINDy's own: DiscreteSINDy on the raw rows, for both libraries."""
+"""The compressed fit is PySINDy's own on the raw rows, for both libraries."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ import numpy as np
 import pysindy as ps
 import pytest
 from pysindy.feature_library.base import BaseFeatureLibrary
-from sklearn.linear_model import LinearRegression
 
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
-from adaptive_contact.fit.sparse_regression import RANK_CUTOFF
-from adaptive_contact.model import Library, Window, leg_library
+from adaptive_contact.model import Window, leg_library
 from adaptive_contact.robot import Robot
 from adaptive_contact_studies.paper.compression import paper_fit
 from adaptive_contact_studies.paper.data import Stream
@@ -24,40 +22,6 @@ PAPER = PAPER_WINDOW
 SMALL = Window(past_measured=1, past_desired=1, preview=1)
 # Of a coefficient that is zero but for rounding.
 ROUNDING = 1e-11
-
-
-class OurLibrary(BaseFeatureLibrary):
-    """One of our libraries as PySINDy's feature library, over a state and controls."""
-
-    def __init__(self, library: Library, scale: np.ndarray | None = None) -> None:
-        super().__init__()
-        self.library = library
-        self.scale = scale
-
-    def fit(self, x_full: list[np.ndarray], y: object = None) -> OurLibrary:
-        del y
-        self.n_features_in_ = x_full[0].shape[-1]
-        self.n_output_features_ = self.library.size
-        return self
-
-    def transform(self, x_full: list[np.ndarray]) -> list[np.ndarray]:
-        from pysindy.utils import AxesArray
-
-        out = []
-        for x in x_full:
-            rows = np.asarray(x)
-            w, joints = self.library.window, len(self.library.joints)
-            cuts = np.cumsum([(w.past_measured + 1) * joints, (w.past_desired + 1) * joints])
-            parts = [p.reshape(len(rows), -1, joints) for p in np.split(rows, cuts, axis=1)]
-            theta = self.library.evaluate(*parts)
-            if self.scale is not None:
-                theta = theta / self.scale
-            out.append(AxesArray(theta, {"ax_sample": 0, "ax_coord": 1}))
-        return out
-
-    def get_feature_names(self, input_features: object = None) -> list[str]:
-        del input_features
-        return list(self.library.names)
 
 
 def discrete_sindy(
@@ -96,7 +60,7 @@ def system(robot: Robot, stream: Stream, name: str, window: Window):
         ("paper", PAPER, 20.0, True),
     ],
 )
-def test_our_fit_equals_discrete_sindy(
+def test_our_fit_equals_stlsq_on_the_raw_rows(
     robot: Robot,
     free_stream: Stream,
     name: str,
@@ -104,24 +68,19 @@ def test_our_fit_equals_discrete_sindy(
     threshold: float,
     sparse: bool,
 ) -> None:
-    """Increments over their residual as next state, columns over their root mean square."""
-    library, windows, state, control = system(robot, free_stream, name, window)
+    """Increments over their residual, columns over their root mean square."""
+    library, windows, *_ = system(robot, free_stream, name, window)
     factor = factor_of(library, windows, windows.increment)
     unit = fit_sparse(factor, FitSettings()).rms
     settings = FitSettings(threshold=threshold, unit=tuple(unit.tolist()))
     fit = fit_sparse(factor, settings)
-    following = np.zeros_like(state)  # DiscreteSINDy wants as many next states as states
-    following[:, :3] = windows.increment / unit
     scale = factor.scale()
-    coefficients = discrete_sindy(
-        OurLibrary(library, scale),
-        state,
-        control,
-        following,
-        threshold=threshold,
-        alpha=settings.ridge * len(state),
-    )[:, :3]
-    expected = coefficients / scale[:, None] * unit
+    theta = library.evaluate(windows.measured, windows.desired, windows.preview)
+    optimizer = ps.STLSQ(threshold=threshold, alpha=settings.ridge * len(theta))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        optimizer.fit(theta / scale, windows.increment / unit)
+    expected = optimizer.coef_.T / scale[:, None] * unit
     assert fit.status is FitStatus.OK
     np.testing.assert_array_equal(fit.support, expected != 0)
     np.testing.assert_allclose(fit.coefficients, expected, rtol=0, atol=1e-8)
@@ -131,28 +90,6 @@ def test_our_fit_equals_discrete_sindy(
     assert not sparse or (kept < 0.8 * library.size).all()
     assert np.abs(expected).max(axis=0).min() > 0.01
     assert (fit.rms < 0.2 * np.sqrt(np.square(windows.increment).mean(axis=0))).all()
-
-
-def test_the_refit_cuts_singular_values_where_pysindy_cuts_them(
-    robot: Robot, free_stream: Stream
-) -> None:
-    """Of the paper's library some lie beyond the cut: without it the coefficients are others."""
-    library, windows, *_ = system(robot, free_stream, "paper", PAPER)
-    factor = factor_of(library, windows, windows.increment)
-    theta = library.evaluate(windows.measured, windows.desired, windows.preview)
-    scaled = theta / factor.scale()
-    raw = np.linalg.svd(scaled, compute_uv=False)
-    held = np.linalg.svd(factor.system[0] / factor.scale(), compute_uv=False)
-    np.testing.assert_allclose(held, raw, rtol=0, atol=1e-12 * raw[0])
-    assert 0 < np.count_nonzero(raw < RANK_CUTOFF * raw[0]) < 20
-    # None lies so near the cut that rounding decides.
-    assert np.abs(raw / raw[0] / RANK_CUTOFF - 1.0).min() > 1e-5
-    fit = fit_sparse(factor, FitSettings())
-    cut = LinearRegression(fit_intercept=False).fit(scaled, windows.increment)
-    whole = np.linalg.lstsq(scaled, windows.increment, rcond=1e-12)[0]
-    scale = factor.scale()[:, None]
-    np.testing.assert_allclose(fit.coefficients, cut.coef_.T / scale, rtol=0, atol=1e-8)
-    assert np.abs(fit.coefficients - whole / scale).max() > 1e-3
 
 
 @pytest.mark.parametrize("window", [SMALL, PAPER])

@@ -10,11 +10,8 @@ from numpy.typing import NDArray
 
 from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.score import LegStream, TruthChanges
+from adaptive_contact_sim import ObstacleSettings, PoseSettings, SimulationSettings
 from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
-from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.pose import PoseSettings
-from adaptive_contact_sim.simulation import SimulationSettings
-from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.scenarios.replay import recorded, replayed, touching
 from adaptive_contact_studies.scenarios.spec import RecordingSpec, ReplaySpec, Staging
 from adaptive_contact_studies.work import Work
@@ -41,16 +38,6 @@ def test_it_is_the_simulators_own_stream() -> None:
         np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
     for mine, theirs in zip(stream_of(SPEC).truth, other.truth, strict=True):
         np.testing.assert_array_equal(mine, theirs)
-
-
-def test_samples_say_which_readings_are_bad() -> None:
-    faulty = replace(POSE, encoder=replace(POSE.encoder, dropped=0.1))
-    run, leg = record(RecordingSpec(faulty, 2.0, ("lm",)))
-    bad = ~leg.valid.all(axis=1)
-    assert bad.any()
-    for sample, expected in zip(samples_of(run, "lm"), bad.tolist(), strict=True):
-        assert (sample.valid is not None) == expected
-        assert sample.valid is None or not all(sample.valid)
 
 
 def test_a_contact_covers_the_tick_in_which_it_ends() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -60,18 +61,16 @@ def test_a_run_is_measured_and_shown_and_goes_on(
     """Recordings that diverge are left out and counted, and made when they no longer do."""
     out, real, bad = tmp_path / "out", module.recorded, SHORT.first_seed + 1
 
+    @functools.wraps(real)
     def recorded(work: object, spec: object) -> object:
         if spec.settings.seed == bad:  # type: ignore[attr-defined]
             raise SimulationDivergedError("the simulation became unstable")
         return real(work, spec)  # type: ignore[arg-type]
 
-    for name in ("__module__", "__qualname__", "sources"):
-        setattr(recorded, name, getattr(real, name))
     arguments = ["run", "step-mass50", "--quick", "--processes", "1", "--out", str(out), "--json"]
-    arguments += ["--seeds", "6"]
     with monkeypatch.context() as patched:
         patched.setattr(module, "recorded", recorded)
-        result = RUN.invoke(app, arguments)
+        result = RUN.invoke(app, [*arguments, "--seeds", "6"])
     assert result.exit_code == 0, result.output
     tree = json.loads(result.stdout)
     problem = "the run with seed 9401 has no recording: the simulation became unstable"
@@ -102,12 +101,12 @@ def test_a_run_is_measured_and_shown_and_goes_on(
 
 
 def test_the_steady_scenarios_are_pooled_once_the_table_has_both(tmp_path: Path) -> None:
-    recovery: dict[str, object] = {}
-    judged = {"recall": 1.0, "recall_interval": [0.9, 1.0], "false_alarms": 40}
-    judged |= {"judged_ticks": 5 * 540_000, "per_robot_hour": 8.0}
-    judged |= {"per_robot_hour_interval": [6.0, 10.0]}
+    judged = {
+        "recall": 1.0, "recall_interval": [0.9, 1.0], "false_alarms": 40,
+        "judged_ticks": 5 * 540_000, "per_robot_hour": 8.0, "per_robot_hour_interval": [6.0, 10.0],
+    }  # fmt: skip
     own = {
-        "before": judged, "judged": judged, "recovery": recovery, "longest_lock_out": 0,
+        "before": judged, "judged": judged, "recovery": {}, "longest_lock_out": 0,
         "touching_share": 0.0, "recall_lost_points": None, "touching_ticks_confirmed": 0,
         "caught_swings": 0,
     }  # fmt: skip

@@ -1,22 +1,34 @@
-"""Feet that come late: judged on after the turn to stance, learned from never, counted, noted."""
+"""Touches that come late, soon in the lift, or weakly."""
 
 from __future__ import annotations
+
+from importlib import resources
 
 import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactLearner, ServoSample, load_baseline, load_robot
+from adaptive_contact.compiled import records
 from adaptive_contact.core.detect import layout
-from adaptive_contact.core.detect.contact import context_of, statistic
+from adaptive_contact.core.detect.contact import (
+    begin_labels,
+    context_of,
+    note_contact,
+    statistic,
+    strikes,
+)
+from adaptive_contact.core.detect.layout import new_legs, scalars_of
 from adaptive_contact.core.detect.swing import AFTER_TICKS
 from adaptive_contact.core.detect.swing_judge import LANDINGS, Landings
-from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.noise import AFTER, DESCENT
 from adaptive_contact.robot import Robot
-from adaptive_contact.wire import ServoSample
+from adaptive_contact_sim import Simulation, SimulationSettings, TerrainSettings, WalkSettings
 
 from .conftest import FakeLeg, play, samples
+
+# -- Feet that come late: judged on after the turn to stance, learned from never, counted, noted
 
 TICKS = 28  # of a swing and its stance, as FakeLeg makes them
 TURN = 18  # where these gaits say "stance": ten ticks before the next swing
@@ -105,19 +117,17 @@ def test_a_touch_takes_predicted_motion_away_or_pushes_the_foot_up(
     assert min(told.values()) > 100
 
 
-def test_touches_that_keep_coming_late_are_noted() -> None:
-    landings = Landings()
-    for _ in range(LANDINGS):
-        landings.touched(-2)
-    assert landings.note is None
-    for k in range(LANDINGS // 2 + 1):
-        assert landings.note is None
-        landings.touched(3 + k % 3)
-    assert landings.note.startswith("11 of the last 20 contacts came after phase")
-    assert "by 4 ticks" in landings.note
-    for _ in range(LANDINGS // 2):  # the nine from before the turn go first
-        landings.touched(0)
-    assert landings.note is None
+def test_touches_that_come_late_are_noted_while_they_are_more_than_half() -> None:
+    landings, told = Landings(), []
+    early, late = [-2] * LANDINGS, [3 + k % 3 for k in range(LANDINGS // 2 + 1)]
+    for ticks in (*early, *late, *early[: LANDINGS // 2]):
+        landings.touched(ticks)
+        told.append(str(landings.note))
+    at = len(early) + len(late) - 1
+    assert told[at].startswith("11 of the last 20 contacts came after phase")
+    assert "by 4 ticks" in told[at]
+    # The nine from before the turn go first.
+    assert [k for k, note in enumerate(told) if note != "None"] == list(range(at, at + 10))
 
 
 def test_a_swing_without_ground_is_told_in_the_status(robot: Robot, baseline: Baseline) -> None:
@@ -147,3 +157,112 @@ def test_a_swing_without_ground_is_told_in_the_status(robot: Robot, baseline: Ba
     # Four ticks of stance are FakeLeg's; the wait is over with the seventeenth.
     assert told.index(1) == AFTER_TICKS - 4
     assert learner.status.untouched_ns == last.t_ns + 20_000_000 * (AFTER_TICKS - 4 + 1)
+
+
+# -- A foot that strikes a step soon after it began to lift is reported, though it counts as held
+
+PERIOD_NS = 20_000_000
+
+
+@pytest.mark.parametrize(
+    ("fitted", "misfits", "moved_m", "fits"),
+    [
+        (3, 0, 0.016, True),
+        (3, 0, 0.014, False),  # not far enough for so few ticks
+        (3, 2, 0.016, False),
+        (5, 0, 0.004, True),
+        (5, 2, 0.004, True),
+        (5, 3, 0.004, False),  # a servo without strength, a foot on a leash: long off by now
+        (4, 0, 0.004, False),
+        (9, 0, 0.002, False),  # readings that are frozen
+        (0, 0, 0.050, False),
+    ],
+)
+def test_what_moved_as_predicted_and_then_met_something(
+    fitted: int, misfits: int, moved_m: float, fits: bool
+) -> None:
+    """The contact begins a tick after the last that fits, or ``misfits`` later."""
+    legs = new_legs(1)
+    leg = scalars_of(legs, 0)
+    leg.leg_size, leg.period_ns, leg.moved = 1.0, PERIOD_NS, moved_m
+    leg.onset_ns = 100 * PERIOD_NS
+    if misfits:
+        leg.fit_n, leg.fit_before = 0, fitted
+        leg.misfit_ns = leg.onset_ns - (misfits + 1) * PERIOD_NS
+    else:
+        leg.fit_n = fitted
+    note_contact(records(legs)[0])
+    assert bool(leg.fits) is fits
+
+
+def test_a_leg_that_loses_its_way_in_the_same_tick_of_each_lift_strikes_nothing() -> None:
+    """As one whose joint is read through a filter, until that is learned."""
+    legs = new_legs(1)
+    leg, record = scalars_of(legs, 0), records(legs)[0]
+    leg.period_ns, leg.leg_size = PERIOD_NS, 1.0
+    way = np.array([0.0, 0.03, 0.02])
+    history = np.zeros((2, 3, 3))
+    history[:, 0] = -0.5 * way, way  # half of it is lost
+
+    def reported(tick: int) -> bool:
+        begin_labels(record)
+        leg.ticks, leg.fit_n, leg.at_ns = tick, 5, leg.at_ns + 70 * PERIOD_NS
+        leg.misfit_ns = leg.at_ns - 20 * PERIOD_NS
+        return strikes(record, history, 1.5)
+
+    assert [reported(tick) for tick in (6, 6, 5, 6)] == [True, False, False, False]
+    assert [reported(tick) for tick in (11, 11, 6)] == [True, False, True]
+
+
+def test_contacts_of_a_leg_that_stands_before_a_step_are_reported() -> None:
+    """Its lifts strike the step after some millimetres: 10 and more contacts, all of them true."""
+    settings = SimulationSettings(
+        motion=WalkSettings(), terrain=TerrainSettings(kind="steps", relief_m=0.07), seed=11
+    )
+    shipped = resources.files("adaptive_contact_models").joinpath("hexapod")
+    with resources.as_file(shipped) as folder:
+        robot = load_robot(folder / "robot.toml")
+        learner = ContactLearner(robot, "lf", load_baseline(folder / "baseline.json"))
+    held = []
+    for tick in Simulation(settings).run(45.0):
+        event = learner.update(tick.samples["lf"])
+        if event is not None and event.doubt == "held" and event.score > 1.0:
+            held.append(event)
+    reported = sum(event.contact for event in held)
+    assert reported >= 10
+    assert reported >= 0.6 * len(held)
+
+
+# -- A push too weak for any window is a contact where it lasts, of a leg whose touches are known
+
+SEEDS = 20
+TOUCHED = 12  # swings before
+
+
+def found(robot: Robot, baseline: Baseline, *, touches: bool, held_back: float) -> int:
+    """Count the legs that report the last swing's descent, which loses a share of its pull."""
+    legs = 0
+    for seed in range(SEEDS):
+        measured, desired, swing, _ = FakeLeg(seed=seed).run(
+            TOUCHED + 2,
+            touch=lambda n: 16 if touches and n < TOUCHED else None,
+            falling=lambda n: 1.0 - held_back * (n == TOUCHED + 1),
+        )
+        events = play(ContactLearner(robot, "rf", baseline), samples(measured, desired, swing))
+        legs += any(e.contact and e.seq >= 28 * (TOUCHED + 1) for e in events)
+    return legs
+
+
+@pytest.mark.parametrize(
+    ("touches", "held_back", "least", "most"),
+    [
+        (True, 0.0, 0, 0),
+        (True, 0.05, 12, SEEDS),
+        (False, 0.05, 0, 4),  # such a leg may hang, in a motion that it does not know
+        (False, 0.12, 16, SEEDS),
+    ],
+)
+def test_a_weak_push_that_lasts(
+    robot: Robot, baseline: Baseline, touches: bool, held_back: float, least: int, most: int
+) -> None:
+    assert least <= found(robot, baseline, touches=touches, held_back=held_back) <= most

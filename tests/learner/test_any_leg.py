@@ -1,24 +1,24 @@
-"""A leg of any chain is inferred, judged and learned as a straight one is."""
+"""A leg of any chain, and of any size, is inferred, judged and learned as any other is."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from adaptive_contact import ContactLearner
+from adaptive_contact import ContactEvent, ContactLearner, ServoSample
 from adaptive_contact.checks.conventions.judge import judge_motion
 from adaptive_contact.checks.conventions.motion import LegMotion
-from adaptive_contact.fit.train import Stretch, learn
-from adaptive_contact.model import Baseline
+from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.model.model_file import dump_baseline, parse_baseline
-from adaptive_contact.robot import Leg, Robot
-from adaptive_contact.wire import ContactEvent, ServoSample
+from adaptive_contact.robot import Leg, Robot, shipped_robot
+from adaptive_contact_sim import SimulationSettings, parse_drift, simulated_robot
+from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
 
 from .conftest import LENGTHS, PERIOD, FakeLeg, play, samples
-
-Streams = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def aside(robot: Robot, yaw_rad: float = 0.7) -> Robot:
@@ -33,12 +33,6 @@ def aside(robot: Robot, yaw_rad: float = 0.7) -> Robot:
     )
     assert not leg.chain.is_straight
     return msgspec.structs.replace(robot, legs=(leg,))
-
-
-def baseline_of(robot: Robot, streams: Streams) -> Baseline:
-    measured, desired, swing, _ = streams
-    stretch = Stretch(measured, desired, swing, swing, np.ones(len(swing), dtype=bool))
-    return learn(robot, {robot.legs[0].id: [stretch]}, origin="test").baseline
 
 
 def without_phase(stream: list[ServoSample]) -> list[ServoSample]:
@@ -75,65 +69,6 @@ def facts(event: ContactEvent) -> tuple[object, ...]:
     return event.contact, event.t_ns, event.onset_ns
 
 
-def rolling() -> Robot:
-    """A Solo12-like leg: the hip rolls, and hangs straight down at 0."""
-    leg = Leg(
-        id="fl",
-        joints=("haa", "hfe", "kfe"),
-        axes=("roll", (0, 1, 0), (0, 1, 0)),
-        origins_m=((0.0, 0.014, 0.0), (0.0, 0.037, -0.16), (0.0, 0.008, -0.16)),
-    )
-    return Robot(name="solo", period_s=0.02, quantum_rad=0.005, legs=(leg,))
-
-
-def walk(swings: int, seed: int, *, touching: bool) -> Streams:
-    """Swings of 10 ticks up and 14 down, in joint angles; every third is stopped at a touch."""
-    rng = np.random.default_rng(seed)
-    q = start = np.array([0.0, 0.6, -1.2])
-    rows = []
-    for number in range(swings):
-        top = np.array([0.0, 0.9, -2.0]) + rng.uniform(-0.15, 0.15, 3)
-        end = np.array([0.0, 0.6, -1.2]) + rng.uniform(-0.15, 0.15, 3)
-        up = [start + (top - start) * (k + 1) / 10 for k in range(10)]
-        down = [top + (end - top) * (k + 1) / 14 for k in range(14)]
-        stop = 18 if touching and number % 3 == 0 else 99
-        for tick, desired in enumerate([*up, *down, *[end] * 4]):
-            measured = np.round((q + rng.normal(size=3) * 0.003) / 0.005) * 0.005
-            rows.append((measured, desired, tick < 24, tick > stop))
-            if tick < stop:
-                q = q + 0.35 * 0.164 * np.clip((desired - q) / 0.164, -1.0, 1.0)
-        start = end
-    measured, desired, swing, held = (np.array(column) for column in zip(*rows, strict=True))
-    return measured, desired, swing, held
-
-
-def test_touches_of_a_hip_that_rolls_are_found() -> None:
-    """Without any phase from the source: swings are those of the chain's foot."""
-    robot = rolling()
-    baseline = baseline_of(robot, walk(400, 1, touching=False))
-    learner = ContactLearner(robot, "fl", baseline)
-    measured, desired, swing, held = walk(90, 2, touching=True)
-    touches = play(learner, without_phase(samples(measured, desired, swing)))
-    ticks = np.array([event.t_ns // PERIOD for event in touches if event.contact])
-    begins = np.flatnonzero(np.diff(held.astype(int)) == 1) + 1
-    found = [begin for begin in begins if ((ticks >= begin) & (ticks < begin + 6)).any()]
-    assert len(begins) == 30
-    assert len(found) >= 29
-    assert len(ticks) <= len(found) + 1
-
-
-def test_no_motion_confirms_the_signs_of_a_chain_that_may_be_its_mirror_image() -> None:
-    """A leg that hangs down at 0 walks as well with all its pitches turned round."""
-    robot = rolling()
-    measured, desired, swing, _ = walk(30, 3, touching=False)
-    for sign in (1.0, -1.0):
-        by = np.array([1.0, sign, sign])
-        motion = LegMotion(np.arange(len(measured)) * PERIOD, measured * by, desired * by, swing)
-        verdict = judge_motion(robot, {"fl": motion})
-        assert verdict.fits == ()
-        assert verdict.findings == ()
-
-
 def test_a_chain_that_is_upside_down_is_found() -> None:
     """Zeros level and pitches the wrong way round: the foot comes down in its swings."""
     up = (0.0, -1.0, 0.0)
@@ -161,3 +96,59 @@ def test_a_chain_that_is_upside_down_is_found() -> None:
     [finding] = wrong.findings
     assert finding.grave
     assert "the foot is above its axis, and comes down in its swings" in finding.message
+
+
+# -- Limits of lengths hold for legs of any size: decisions depend on proportions alone
+
+NAME, LEG = "quadruped12", "fr"
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """A walk in which joints begin to rub: there is much to be labelled."""
+    layout = simulated_robot(NAME).layout
+    settings = SimulationSettings.of(NAME, "walk", "walk")
+    drift = (parse_drift("friction:value=4@6s", layout),)
+    return record_arrays(dataclasses.replace(settings, drift=drift, seed=21), 22.0)
+
+
+def sized(factor: float) -> Robot:
+    """The robot, so many times as large; powers of two scale every float exactly."""
+    robot = shipped_robot(NAME)
+    legs = []
+    for leg in robot.legs:
+        origins = tuple(tuple(factor * x for x in origin) for origin in leg.origins_m)
+        legs.append(msgspec.structs.replace(leg, origins_m=origins))
+    return msgspec.structs.replace(robot, legs=tuple(legs))
+
+
+def decided(
+    robot: Robot, leg: LegArrays, t_ns: list[int], *, says: bool
+) -> tuple[list[ContactEvent], list[int]]:
+    """Events of a leg, and the ticks that were taken for free."""
+    learner = ContactLearner(robot, LEG, shipped_baseline(NAME))
+    events = []
+    for k, at_ns in enumerate(t_ns):
+        event = learner.update(
+            ServoSample(
+                t_ns=at_ns,
+                seq=k,
+                measured=leg.measured[k].tolist(),
+                desired=leg.desired[k].tolist(),
+                phase=("swing" if leg.swing[k] else "stance") if says else None,
+            )
+        )
+        if event is not None:
+            # Where the foot is, is as large as the leg.
+            events.append(msgspec.structs.replace(event, foot_m=None, foot_sd_m=None))
+    return events, learner.drain_confirmed()
+
+
+@pytest.mark.parametrize("says", [True, False])
+def test_decisions_do_not_depend_on_the_size_of_a_leg(run: Run, says: bool) -> None:
+    leg, t_ns = run.legs[LEG], run.t_ns.tolist()
+    usual = decided(sized(1.0), leg, t_ns, says=says)
+    assert sum(event.contact for event in usual[0]) > 5
+    assert len(usual[1]) > 100
+    for factor in (0.25, 4.0):
+        assert decided(sized(factor), leg, t_ns, says=says) == usual
