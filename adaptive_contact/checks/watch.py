@@ -53,6 +53,11 @@ class Track(Generic[FindingT]):
         return bool(self._place.leg.kept_n)
 
     @property
+    def samples(self) -> int:
+        """Return how many samples the leg has had."""
+        return int(self._place.leg.total_n)
+
+    @property
     def motion(self) -> LegMotion:
         """Copies of its newest samples; none once it is settled."""
         most = 0 if self.settled else KEPT
@@ -92,7 +97,7 @@ class Watch(abc.ABC, Generic[FindingT]):
         self._tracks: dict[str, Track[FindingT]] = {}
         self._times = [round(time / robot.period_s) for time in times_s]
         self._pending: int | None = None
-        self._ticks = self._jobs = 0
+        self._looks = self._jobs = 0
 
     def track(self, leg: Leg, place: LegPlace) -> Track[FindingT] | None:
         """Make the track of a leg with arrays; None for one that is not described."""
@@ -103,7 +108,7 @@ class Watch(abc.ABC, Generic[FindingT]):
 
     def look(self) -> None:
         """Start a judgement if it is due after this tick, and take its result when it is there."""
-        self._ticks += 1
+        self._looks += 1
         if self._pending is None:
             self._ask()
         if self._pending is not None:
@@ -113,7 +118,10 @@ class Watch(abc.ABC, Generic[FindingT]):
                 self._conclude(found)
 
     def _ask(self) -> None:
-        if not self._times or self._ticks < self._times[0]:
+        # Legs that are updated one by one are looked at more than once a tick.
+        if not self._times or self._looks < self._times[0]:
+            return
+        if max((track.samples for track in self._tracks.values()), default=0) < self._times[0]:
             return
         del self._times[0]
         if all(track.settled for track in self._tracks.values()):

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+from typing import Any
 
 import numpy as np
+import pytest
 
 from adaptive_contact import ContactEvent, ContactLearner, ServoSample
 from adaptive_contact.core.bank import LearnerBank, LegGroup
 from adaptive_contact.model import Baseline
-from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.robot import Robot, parse_robot, shipped_robot
 
 from .conftest import FakeLeg
 
@@ -130,3 +132,35 @@ def test_learners_leave_no_garbage_to_collect(robot: Robot, baseline: Baseline) 
         assert gc.collect() == 0
     finally:
         gc.enable()
+
+
+class Asked:
+    """Keeps of each job the samples of its legs; makes none."""
+
+    def __init__(self) -> None:
+        self.samples: dict[str, list[int]] = {}
+
+    def submit(self, job: Any) -> None:
+        self.samples[job.leg] = [len(motion.t_ns) for motion in job.motions.values()]
+
+    def collect(self, leg: str, number: int) -> None:
+        return None
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_legs_fed_one_by_one_are_judged_after_as_many_ticks(at_once: bool) -> None:
+    robot, asked = shipped_robot(), Asked()
+    bank = LearnerBank(robot, refitter=asked)
+    rng = np.random.default_rng(1)
+    for k in range(600):
+        tick = {
+            leg: ServoSample(
+                t_ns=k * 20_000_000, seq=k, measured=rng.normal(0.0, 0.01, 3).tolist(),
+                desired=[0.0, 0.0, 0.0], phase="stance",
+            )
+            for leg in robot.leg_ids
+        }  # fmt: skip
+        for part in [tick] if at_once else [{leg: sample} for leg, sample in tick.items()]:
+            bank.update(part)
+    times = {name: max(of) for name, of in asked.samples.items()}
+    assert times == {"*": 200, "*ids": 600}  # angles after 4 s, ids after 12 s
