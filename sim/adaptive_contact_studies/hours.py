@@ -24,6 +24,7 @@ from rich.console import Console
 
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.robot import Robot
+from adaptive_contact.wire import ContactEvent
 from adaptive_contact_bullet.gait import GAITS
 from adaptive_contact_bullet.plant import Ground
 from adaptive_contact_bullet.record import Plan, record
@@ -72,7 +73,7 @@ def _hour(robot: str, gait: str) -> Walk:
 
 
 def _day(robot: str, gaits: Sequence[str], drifts: Sequence[str]) -> Walk:
-    """Plan eight hours in half hours; a drift after each two of them."""
+    """Plan eight hours in half hours; a drift after two, four and six hours."""
     return Walk(
         f"{robot}, eight hours",
         tuple(
@@ -156,7 +157,10 @@ def followed(work: Work, walk: Walk) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def _parts(run: Run, robot: Robot, events: dict, sizes: Sequence[int]) -> list[Part]:  # type: ignore[type-arg]
+def _parts(
+    run: Run, robot: Robot, events: dict[str, list[ContactEvent]], sizes: Sequence[int]
+) -> list[Part]:
+    """Count what was found and what was false, in as many parts as there are sizes."""
     edges = np.linspace(run.t_ns[0], run.t_ns[-1], len(sizes) + 1)
     touches, found, alarms = (np.zeros(len(sizes), dtype=int) for _ in range(3))
     for outcome in score_run(run, robot, events):
