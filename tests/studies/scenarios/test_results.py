@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from adaptive_contact.cli.scenarios import app
 from adaptive_contact.errors import AdaptiveContactError, SimulationDivergedError
-from adaptive_contact_studies.scenarios import judge, runs
 from adaptive_contact_studies.scenarios import replay as module
+from adaptive_contact_studies.scenarios import runs
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.report import table, write_report
 from adaptive_contact_studies.scenarios.results import read_results, write_results
@@ -33,7 +33,6 @@ def fails(*arguments: str) -> str:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "QUICK_SIZES", SHORT)
-    monkeypatch.setattr(judge, "_BOOTSTRAPS", 20)
 
 
 def test_list_shows_every_scenario() -> None:
