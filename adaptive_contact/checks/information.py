@@ -403,15 +403,49 @@ def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
         return None
     y, told = samples.measured[first:][use].T, desired[use]
     speeds = (np.diff(desired, axis=0, prepend=desired[:1]) / steps)[use]
-    # A joint's readings and columns, off their means.
-    x = basis(desired)[:, use]  # (J, n, p)
-    each_tick = np.full(len(told), 1.0 / len(told))
+    fitted = _fit(basis(desired)[:, use], y)
+    off, worst = fitted.off, fitted.worst
+    square = (off * off).sum(axis=1)
+    moving = (np.abs(speeds) > MOVING).T
+    # Few ticks that move are what the coefficients were fitted to.
+    moves = moving.sum(axis=1)
+    moves_out = np.take_along_axis(moving, worst, axis=1).sum(axis=1)
+    free = np.maximum(moves - moves_out - fitted.coefficients.shape[1] - 1, 1.0)
+    rms = np.sqrt((off * off * moving).sum(axis=1) / free) / steps
+    told_rad = np.ptp(told, axis=0)
+    still = np.ptp(y, axis=1) < LEAST_SHARE * told_rad
+    steady = speeds.T.std(axis=1) < LEAST_SPREAD
+    rms[(moves < LEAST_MOVING) | steady | still] = np.nan
+    travels = told_rad > LEAST_TRAVEL_RAD
+    rest = square / np.maximum(fitted.square, 1e-12)
+    share = float(rest[travels].mean()) if travels.any() else 0.0
+    lasting = (off[:, 1:] * off[:, :-1]).sum(axis=1) / np.maximum(square, 1e-12)
+    return Departure(rms, lasting, share, fitted.coefficients, fitted.constants, steps)
+
+
+class _Fitted(NamedTuple):
+    """Holds a fit of n readings by p columns and a constant, without the readings furthest off."""
+
+    coefficients: Array  # (J, p)
+    constants: Array  # (J,) rad
+    off: Array  # (J, n) rad, what is left; 0 of those left out
+    worst: Ints  # (J, SPOILT) those left out
+    square: Array  # (J,) rad², sum of squares of the others about their mean
+
+
+def _fit(x: Array, y: Array) -> _Fitted:
+    """Fit (J, n) readings by (J, n, p) columns, which are centred in place.
+
+    Without the readings that are furthest off, the normal equations about the means of the others
+    are those of all less what these add: with sums s of m centred rows that are left out, of n, the
+    means move by -s / (n - m), and the products fall by theirs and by n - m times the move's.
+    """
+    each_tick = np.full(y.shape[1], 1.0 / y.shape[1])
     means, level = each_tick @ x, y @ each_tick
     x -= means[:, None]
     z = y - level[:, None]
     gram, to = x.transpose(0, 2, 1) @ x, (z[:, None] @ x)[:, 0]
     off = z - (x @ _solved(gram, to)[:, :, None])[:, :, 0]
-    # Again without the readings that are furthest off, around the means of the others.
     each = np.arange(len(z))[:, None]
     worst = np.argpartition(np.abs(off), -SPOILT, axis=1)[:, -SPOILT:]
     x_out, z_out = x[each, worst], z[each, worst]
@@ -420,27 +454,12 @@ def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
     gram -= x_out.transpose(0, 2, 1) @ x_out + count * move[:, :, None] * move[:, None]
     to -= (z_out[:, None] @ x_out)[:, 0] + count * rise[:, None] * move
     coefficients = _solved(gram, to)
-    of_means = (means + move)[:, None] @ coefficients[:, :, None]
-    constants = level + rise - of_means[:, 0, 0]
-    off = z - (x @ coefficients[:, :, None])[:, :, 0]
-    off += ((move[:, None] @ coefficients[:, :, None])[:, 0, 0] - rise)[:, None]
+    above = rise - (move * coefficients).sum(axis=1)  # of the constant, by the move
+    constants = level + above - (means * coefficients).sum(axis=1)
+    off = z - (x @ coefficients[:, :, None])[:, :, 0] - above[:, None]
     off[each, worst] = 0.0
-    square = (off * off).sum(axis=1)
-    moving = (np.abs(speeds) > MOVING).T
-    # Few ticks that move are what the coefficients were fitted to.
-    moves = moving.sum(axis=1)
-    free = np.maximum(moves - moving[each, worst].sum(axis=1) - x.shape[2] - 1, 1.0)
-    rms = np.sqrt((off * off * moving).sum(axis=1) / free) / steps
-    told_rad = np.ptp(told, axis=0)
-    still = np.ptp(y, axis=1) < LEAST_SHARE * told_rad
-    steady = speeds.T.std(axis=1) < LEAST_SPREAD
-    rms[(moves < LEAST_MOVING) | steady | still] = np.nan
-    travels = told_rad > LEAST_TRAVEL_RAD
-    whole = (z * z).sum(axis=1) - (z_out * z_out).sum(axis=1) - count * rise**2
-    rest = square / np.maximum(whole, 1e-12)
-    share = float(rest[travels].mean()) if travels.any() else 0.0
-    lasting = (off[:, 1:] * off[:, :-1]).sum(axis=1) / np.maximum(square, 1e-12)
-    return Departure(rms, lasting, share, coefficients, constants, steps)
+    square = (z * z).sum(axis=1) - (z_out * z_out).sum(axis=1) - count * rise**2
+    return _Fitted(coefficients, constants, off, worst, square)
 
 
 def _solved(gram: Array, to: Array) -> Array:

@@ -209,8 +209,8 @@ def _quadruped() -> Shape:
         5.5,
         (0.22, 0.09, 0.05),
         tuple(legs),
-        0.015,
-        0.010,
+        sole_m=0.015,
+        bump_m=0.010,
     )
 
 

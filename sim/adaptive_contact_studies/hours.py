@@ -2,7 +2,8 @@
 
 An hour of one gait on flat ground, where every swing touches at one place; eight hours in half
 hours of changing gaits, with three drifts that stay.  Learners begin with nothing.  Each stage is a
-start of the robot's program; the learners go on.
+start of the robot's program; the learners go on, and are kept: a walk that is interrupted goes on
+with the stage that it was in.
 
 ``python -m adaptive_contact_studies.hours FOLDER [SHARE [WALK ...]]``: SHARE of these times, for a
 try.
@@ -16,7 +17,7 @@ import pickle
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -37,7 +38,8 @@ from adaptive_contact_studies.show.pages import row
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 _SECOND: Final = "bullet-"  # before the names of robots of the second engine
-_PARTS: Final = 6  # of a walk of one stage
+_HOUR: Final = ", an hour"  # ends the name of a walk of one stage, counted by parts
+_PARTS: Final = 6
 _SEED: Final = 77
 _PAUSE_NS: Final = 60_000_000_000  # between stages
 
@@ -69,7 +71,7 @@ class Part(NamedTuple):
 
 
 def _hour(robot: str, gait: str) -> Walk:
-    return Walk(f"{robot} {gait}, an hour", (Stage(robot, gait, 3600.0),))
+    return Walk(f"{robot} {gait}{_HOUR}", (Stage(robot, gait, 3600.0),))
 
 
 def _day(robot: str, gaits: Sequence[str], drifts: Sequence[str]) -> Walk:
@@ -97,64 +99,69 @@ WALKS: Final = (
 )  # fmt: skip
 
 
+class Followed(NamedTuple):
+    """How far a walk has been followed."""
+
+    learners: tuple[ContactLearner, ...]  # as they are then, together: they share their arrays
+    parts: tuple[Part, ...]
+    after_ns: int  # from the walk's beginning to that of the next stage
+
+
 def recorded(stage: Stage) -> tuple[Robot, Run]:
     """Record a stage on flat, hard ground."""
-    if stage.robot.startswith(_SECOND):
-        shape = SHAPES[stage.robot.removeprefix(_SECOND)]
-        drifts = tuple((drift, 0.0) for drift in stage.drifts)
+    name = stage.robot.removeprefix(_SECOND)
+    if name != stage.robot:
+        drifts: Any = tuple((drift, 0.0) for drift in stage.drifts)
         plan = Plan(
-            stage.robot.removeprefix(_SECOND), GAITS[stage.gait], Ground("hard"), stage.seconds,
-            stage.seed, _SEED, drifts=drifts,  # type: ignore[arg-type]
-        )  # fmt: skip
-        return shape.description, record(plan).run
-    settings = SimulationSettings.of(stage.robot, "walk", stage.gait)  # type: ignore[arg-type]
+            name, GAITS[stage.gait], Ground("hard"), stage.seconds, stage.seed, _SEED, drifts=drifts
+        )
+        return SHAPES[name].description, record(plan).run
+    settings = SimulationSettings.of(name, "walk", stage.gait)  # type: ignore[arg-type]
     settings = dataclasses.replace(
         settings, seed=stage.seed, robot_seed=_SEED,
         terrain=dataclasses.replace(settings.terrain, kind="flat"),
         drift=tuple(parse_drift(text) for text in stage.drifts),
     )  # fmt: skip
-    return simulated_robot(stage.robot).description, record_arrays(settings, stage.seconds)
+    return simulated_robot(name).description, record_arrays(settings, stage.seconds)
 
 
 @rests_on("adaptive_contact_bullet", "adaptive_contact_studies.evaluate", *SIMULATOR, *LEARNER)
-def followed(work: Work, walk: Walk) -> tuple[Part, ...]:
-    """Follow a walk from nothing."""
-    learners: list[ContactLearner] = []
-    parts: list[Part] = []
-    of_stage = _PARTS if len(walk.stages) == 1 else 1
-    before_ns = 0  # from the first stage's beginning to this one's
-    for number, stage in enumerate(walk.stages):
-        robot, run = recorded(stage)
-        legs = robot.leg_ids
-        if not learners:
-            learners += [ContactLearner(robot, leg) for leg in legs]
-        streams = [
-            [
-                msgspec.structs.replace(sample, run=number, t_ns=sample.t_ns + before_ns)
-                for sample in samples_of(run, leg)
-            ]
-            for leg in legs
+def followed(work: Work, walk: Walk) -> Followed:
+    """Follow a walk from nothing; what was kept of its first stages is not followed again."""
+    *earlier, stage = walk.stages
+    # One recording at a time is in memory.
+    before = work.one(followed, walk._replace(stages=tuple(earlier))) if earlier else None
+    robot, run = recorded(stage)
+    learners, parts, after_ns = before or Followed(
+        tuple(ContactLearner(robot, leg) for leg in robot.leg_ids), (), 0
+    )
+    streams = [
+        [
+            msgspec.structs.replace(sample, run=len(earlier), t_ns=sample.t_ns + after_ns)
+            for sample in samples_of(run, leg)
         ]
-        ends = [len(run.t_ns) * (k + 1) // of_stage - 1 for k in range(of_stage)]
-        sizes: list[int] = []
+        for leg in robot.leg_ids
+    ]
+    count = _PARTS if walk.name.endswith(_HOUR) else 1
+    ends = {len(run.t_ns) * (k + 1) // count - 1 for k in range(count)}
+    sizes: list[int] = []
 
-        def weigh(k: int, ends: Sequence[int] = ends, sizes: list[int] = sizes) -> None:
-            if k in ends:
-                sizes.append(sum(len(pickle.dumps(one)) for one in learners))  # noqa: B023
+    def weigh(k: int) -> None:
+        if k in ends:
+            sizes.append(sum(len(pickle.dumps(learner)) for learner in learners))
 
-        told = feed(learners, streams, weigh)
-        events = {
-            leg: [
-                msgspec.structs.replace(
-                    event, t_ns=event.t_ns - before_ns, onset_ns=event.onset_ns - before_ns
-                )
-                for event in own
-            ]
-            for leg, own in zip(legs, told, strict=True)
-        }
-        parts += _parts(run, robot, events, sizes)
-        before_ns += int(run.t_ns[-1] - run.t_ns[0]) + _PAUSE_NS
-    return tuple(parts)
+    told = feed(learners, streams, weigh)
+    events = {
+        leg: [
+            msgspec.structs.replace(
+                event, t_ns=event.t_ns - after_ns, onset_ns=event.onset_ns - after_ns
+            )
+            for event in own
+        ]
+        for leg, own in zip(robot.leg_ids, told, strict=True)
+    }
+    after_ns += int(run.t_ns[-1] - run.t_ns[0]) + _PAUSE_NS
+    return Followed(learners, (*parts, *_parts(run, robot, events, sizes)), after_ns)
 
 
 def _parts(
@@ -172,14 +179,14 @@ def _parts(
     return [Part(*of) for of in rows]
 
 
-def table(walks: Sequence[Walk], followed: Sequence[Sequence[Part]]) -> str:
+def table(walks: Sequence[Walk], parts_of: Sequence[Sequence[Part]]) -> str:
     """Write what was found as Markdown."""
     lines = [
         "| walk, from nothing | touches | found by parts, % | false alarms by parts "
         "| learners, kB |",
         "|---|---|---|---|---|",
     ]
-    for walk, parts in zip(walks, followed, strict=True):
+    for walk, parts in zip(walks, parts_of, strict=True):
         lines.append(
             row(
                 walk.name,
@@ -209,7 +216,7 @@ def main(arguments: list[str]) -> int:
     seconds = [sum(stage.seconds for stage in walk.stages) for walk in wanted]
     weights = dict(zip(wanted, seconds, strict=True))
     made = work.each("walks", followed, wanted, weight=lambda walk: weights[walk])
-    print(table(wanted, made))
+    print(table(wanted, [of.parts for of in made]))
     return 0
 
 

@@ -98,7 +98,7 @@ def pressed(free: np.ndarray) -> list[list[int]]:
             id="one run owns all truth whenever it comes",
         ),
         pytest.param(
-            # Of a run that tells of no touch the ends of swings are left out, as they may be one.
+            # Of a run that reports no touch the ends of swings are left out, as they may be one.
             # Of a gap of 200 the first two samples after it only show that it is one.
             [ticks(0, 200, run=1), ticks(0, 100, run=2), onset(150.5), release(160.5),
              onset(295.5), ticks(300, 400, run=2), release(310.5), ticks(400, 500, run=2),

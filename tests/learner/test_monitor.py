@@ -44,7 +44,7 @@ class Leg:
 
         Args:
             levels: how many times, lift by lift.
-            held: whether the foot came short of its command's way; None where nobody can tell.
+            held: whether the foot came short of its command's way; None where it is not known.
             refuted: whether a stance refuted the contact before.
             rng: of residuals that scatter.
             way_rad: how far each of three joints moves in every tick.
@@ -162,7 +162,7 @@ def test_a_baseline_that_never_fitted_is_unfit_and_one_that_did_is_not() -> None
 
 
 def test_a_foot_on_a_leash_from_the_start_says_nothing_of_the_baseline() -> None:
-    """Its lifts are as far off as another leg's: for as long as nobody can tell, none is thrown."""
+    """Its lifts are as far off as another leg's: none is thrown."""
     leashed = Leg(calm=0)
     for k in range(PATIENCE_SWINGS - 1):
         leashed.lifts([120.0])

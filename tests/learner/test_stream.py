@@ -102,7 +102,7 @@ def test_a_superseded_publisher_that_floods_takes_nothing_back(times: int) -> No
 
 
 def test_restarts_are_counted_and_outlive_ours() -> None:
-    """The first sample is none; a source may go on while the service is away, or begin anew."""
+    """The first sample does not count; a source may go on while the service is away."""
     guard = StreamGuard(2)
     feed(guard, *(sample(seq, run=1) for seq in range(5)))
     counted = [guard.restarts]

@@ -47,7 +47,7 @@ class Inbox:
     def __call__(self, *item: Any) -> None:
         self.items.append(item[0] if len(item) == 1 else item)
 
-    def hears(self, link: Link, key: str, *, history: bool = False) -> Inbox:
+    def subscribe(self, link: Link, key: str, *, history: bool = False) -> Inbox:
         link.subscribe(key, self, history=history)
         return self
 

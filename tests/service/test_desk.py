@@ -94,7 +94,7 @@ def statuses(join: Callable[..., Link], inbox: Any) -> Callable[[Life], Any]:
 
     def begin(life: Life) -> Any:
         client = join(life.endpoint)
-        got = inbox(LearnerStatus).hears(client, learner_key("rf"))
+        got = inbox(LearnerStatus).subscribe(client, learner_key("rf"))
         client.query(SERVICE_STATUS)  # a round trip: the subscription is known after it
         return got
 

@@ -78,7 +78,7 @@ def test_a_deletion_is_no_arrival(router: Link, join: Join) -> None:
 
 def test_samples_arrive_with_what_was_sent(router: Link, join: Join, inbox: Any) -> None:
     client = join(router.endpoints[0])
-    got = inbox().hears(client, "robot/leg/*/truth")
+    got = inbox().subscribe(client, "robot/leg/*/truth")
     before_ns = time.monotonic_ns()
     matched(router.publisher(KEY)).put(truth(3))
     (received,) = got.wait(1)
@@ -96,7 +96,7 @@ def test_late_joiners_get_the_last_one_by_history_and_by_get(
     for n in range(1, 4):
         publisher.put(truth(n))
     client = join(router.endpoints[0])
-    got = inbox(ContactTruth).hears(client, "robot/leg/*/truth", history=True)
+    got = inbox(ContactTruth).subscribe(client, "robot/leg/*/truth", history=True)
     assert [message.t_ns for message in got.wait(1)] == [3]
     publisher.put(truth(4))
     assert [message.t_ns for message in got.wait(2)] == [3, 4]
@@ -188,7 +188,7 @@ def test_a_callback_that_raises_is_counted_and_goes_on(
 
 
 def test_huge_messages_are_dropped_and_the_link_stays(router: Link, join: Join, inbox: Any) -> None:
-    got = inbox().hears(router, KEY)
+    got = inbox().subscribe(router, KEY)
     publisher = matched(join(router.endpoints[0]).publisher(KEY))
     publisher.put_raw(bytes(MAX_MESSAGE_BYTES + 1_000_000), MSGPACK)
 

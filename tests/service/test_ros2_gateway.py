@@ -215,7 +215,7 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, program, ros, port)
 def test_bad_messages_get_a_line_each(serve, gateway, join, inbox, ros) -> None:
     served = serve()
     link: Link = join(served.endpoint)
-    samples = inbox(ServoSample).hears(link, servo_key("lf"))
+    samples = inbox(ServoSample).subscribe(link, servo_key("lf"))
     running = gateway(served.endpoint)
     publisher = Publisher(ros)
     until_used(publisher, samples)
@@ -275,7 +275,7 @@ def test_learners_of_other_robots_take_no_places(config: Path) -> None:
 def test_a_router_that_comes_back(serve, gateway, join, inbox, port) -> None:
     served = serve()
     link: Link = join(served.endpoint)
-    samples = inbox(ServoSample).hears(link, servo_key("lf"))
+    samples = inbox(ServoSample).subscribe(link, servo_key("lf"))
     with open_router(port) as first:
         running = gateway(served.endpoint)
         until_used(Publisher(first), samples)

@@ -111,7 +111,7 @@ def test_only_the_service_publishes_contacts_and_statuses(
     assert plain.wait(1)[0].seq == 1
     statuses.wait(lambda items: any(status.ticks == 1 for status in items))
 
-    # What only the service may say: nobody hears it from others, neither at once nor later.
+    # What only the service may say: nobody receives it from others, neither at once nor later.
     event = contacts.items[0]
     forged = ContactEvent(
         **{**{name: getattr(event, name) for name in event.__struct_fields__}, "seq": 666}
@@ -141,7 +141,7 @@ def test_only_the_service_publishes_contacts_and_statuses(
     servo.put(sample(2))
     # (Of a leg without samples an event says that it is silent.)
     assert {e.seq for e in contacts.wait(lambda items: items[-1].seq == 2)} == {1, 2}
-    late = inbox(ContactEvent).hears(guarded.user("viewer"), ALL_CONTACT, history=True)
+    late = inbox(ContactEvent).subscribe(guarded.user("viewer"), ALL_CONTACT, history=True)
     assert [e.seq for e in late.wait(1)] == [2]
     statuses.wait(lambda items: any(status.ticks == 2 for status in items))
     assert all(status.model_version == 3 for status in statuses.items)

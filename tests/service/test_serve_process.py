@@ -96,7 +96,7 @@ def test_in_a_hurry_where_that_is_allowed(
     """Its own threads and Zenoh's run before ordinary ones; where it may not, it says so."""
     served = serve("--realtime")
     client = join(served.endpoint)
-    got = inbox(ContactEvent).hears(client, ALL_CONTACT, history=True)
+    got = inbox(ContactEvent).subscribe(client, ALL_CONTACT, history=True)
     matched(client.publisher(servo_key("lf"))).put(sample(1, contact=True))
     assert got.wait(1)[0].leg == "lf"
     pid = served.process.pid
@@ -123,7 +123,7 @@ def test_a_misspelt_key_is_named_until_every_leg_has_samples(
     """In the log, and in the status that `watch` shows; with samples of all legs it is quiet."""
     served = serve()
     client = join(served.endpoint)
-    statuses = inbox(ServiceStatus).hears(client, SERVICE_STATUS)
+    statuses = inbox(ServiceStatus).subscribe(client, SERVICE_STATUS)
     wrong = {
         "robot/legs/rf/servo": "did you mean robot/leg/rf/servo?",
         "rf/servo": "did you mean robot/leg/rf/servo?",
@@ -155,7 +155,7 @@ def test_a_second_service_says_so_and_does_not_save(
     folder = str(tmp_path)
     first = serve("--state", folder)
     second = serve("--state", folder, "--connect", first.endpoint)
-    got = inbox(ServiceStatus).hears(join(first.endpoint), SERVICE_STATUS, history=True)
+    got = inbox(ServiceStatus).subscribe(join(first.endpoint), SERVICE_STATUS, history=True)
     found = got.wait(
         lambda items: len({s.instance for s in items if "another service runs" in str(s.note)}) > 1
     )
@@ -194,7 +194,7 @@ def test_who_looks_sees_that_it_compiles_and_how_many_samples_came(
     def look(_: object) -> None:
         """What the compiler does in its time."""
         client = join(router.endpoints[0])
-        statuses = inbox(ServiceStatus).hears(client, SERVICE_STATUS)
+        statuses = inbox(ServiceStatus).subscribe(client, SERVICE_STATUS)
         servo = matched(client.publisher(servo_key("rf"), reliable=True))
         for seq in range(3):
             servo.put(sample(seq))

@@ -74,13 +74,13 @@ def step(router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot
 
 
 def statuses(step: Lockstep, inbox: Any, leg: str) -> Any:
-    got = inbox(LearnerStatus).hears(step.client, learner_key(leg))
+    got = inbox(LearnerStatus).subscribe(step.client, learner_key(leg))
     step.settle()
     return got
 
 
 def test_contacts_and_releases_come_out(step: Lockstep, inbox: Any, sample: Sample) -> None:
-    got = inbox(ContactEvent).hears(step.client, ALL_CONTACT, history=True)
+    got = inbox(ContactEvent).subscribe(step.client, ALL_CONTACT, history=True)
     step.settle()
     step.work(1, lf=sample(1), rf=sample(1))
     step.work(2, lf=sample(2, contact=True), rf=sample(2))
@@ -184,8 +184,8 @@ def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
     step: Lockstep, inbox: Any, fake: ModuleType, robot: Robot, sample: Sample
 ) -> None:
     bank, client = step.bank, step.client
-    events = inbox(ContactEvent).hears(client, contact_key("extra"), history=True)
-    told = inbox(ServiceStatus).hears(client, SERVICE_STATUS)
+    events = inbox(ContactEvent).subscribe(client, contact_key("extra"), history=True)
+    told = inbox(ServiceStatus).subscribe(client, SERVICE_STATUS)
     step.settle()
     with at_work(step.service):
         for reason, payload in BAD.items():
@@ -216,7 +216,7 @@ def test_a_learner_that_is_being_made_holds_up_no_event(
         return make(leg, joints)
 
     monkeypatch.setattr(step.bank, "make", slow)
-    events = inbox(ContactEvent).hears(step.client, ALL_CONTACT)
+    events = inbox(ContactEvent).subscribe(step.client, ALL_CONTACT)
     step.settle()
     with at_work(step.service, go_on):
         step.client.publisher(servo_key("extra")).put(sample(1, contact=True))
@@ -244,7 +244,7 @@ def test_described_legs_only(
 
 
 def test_wildcards_are_counted_for_the_service(step: Lockstep, inbox: Any) -> None:
-    got = inbox(ServiceStatus).hears(step.client, SERVICE_STATUS, history=True)
+    got = inbox(ServiceStatus).subscribe(step.client, SERVICE_STATUS, history=True)
     step.service.work(Batch(strangers=4, stranger="robot/leg/*/servo"), 1)
     step.service.look(2 * S)
     assert got.wait(1)[-1].rejects == {Reject.UNKNOWN_LEG: 4}
@@ -259,7 +259,7 @@ def test_a_complaint_that_comes_or_goes_is_published_at_once(
     disk.restore.return_value, disk.due.return_value = None, False
     service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, keeper=disk)
     client = join(router.endpoints[0])
-    got = inbox(ServiceStatus).hears(client, SERVICE_STATUS, history=True)
+    got = inbox(ServiceStatus).subscribe(client, SERVICE_STATUS, history=True)
     client.query(SERVICE_STATUS)
     errors = [None, None, "disk full", "disk full, still", None, None]
     for tick, error in enumerate(errors):
@@ -298,7 +298,7 @@ def test_an_event_does_not_wait_for_learning(
             learned.set()
 
     monkeypatch.setattr(step.bank, "finish", finish)
-    got = inbox(ContactEvent).hears(step.client, ALL_CONTACT)
+    got = inbox(ContactEvent).subscribe(step.client, ALL_CONTACT)
     step.settle()
     with at_work(step.service, heard):
         step.client.publisher(servo_key("lf")).put(sample(1, contact=True))

@@ -60,7 +60,7 @@ def test_events_and_statuses_make_a_row() -> None:
     assert row(watch, 7 * S).contact is False
     assert row(watch, 7 * S).contact_age_s == 3.0
     assert row(watch, 7 * S).stale, "the last status is 4 s old"
-    watch.event(event(3), 8 * S, age_ns=4 * S)  # as a late joiner hears it
+    watch.event(event(3), 8 * S, age_ns=4 * S)  # as a late joiner receives it
     assert row(watch, 8 * S).contact_age_s == 4.0
     for ticks in (10, 60):  # of a service that was restarted
         watch.learner(status(ticks=ticks), (8 + ticks // 60) * S)

@@ -260,7 +260,7 @@ def test_a_learner_that_hangs_is_seen_by_everyone(
     monkeypatch.setattr(bank, "judge", judge)
     service = Service(router, bank, robot, baseline=None, now_ns=time.monotonic_ns())
     client = join(router.endpoints[0])
-    got = inbox(ServiceStatus).hears(client, SERVICE_STATUS, history=True)
+    got = inbox(ServiceStatus).subscribe(client, SERVICE_STATUS, history=True)
     with at_work(service, hang):
         got.wait(1)
         client.publisher(servo_key("lf")).put(sample(1))
