@@ -376,7 +376,7 @@ class ContactLearner:
             return False
         moved = adapter.tick(ROWS_PER_TICK)
         if adapter.found is not None:
-            lifecycle.take_slope(adapter.found)
+            lifecycle.take_refit(adapter.found)
             return True
         if assessed:
             # Of readings that may be copies, the model would be learned again.

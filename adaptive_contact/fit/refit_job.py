@@ -13,6 +13,9 @@ That is the sum over the rows of what each was worth when it was predicted from 
 row is judged by a fit to itself.  The model of the likeliest slope is sparse: STLSQ, with the
 family for its prior.
 
+A leg that began with the family has its noise from there, too.  Play and friction make that of some
+legs ten times as large.  Where the rows exceed it, the leg goes on with its own.
+
 The work is a pure function, so that it can run in another process and be repeated exactly in a
 replay.  Who runs it is a :class:`Refitter`; without one, the learner does it in line at the tick
 where the result falls due.
@@ -30,13 +33,18 @@ from adaptive_contact.fit.prior import fit_prior
 from adaptive_contact.fit.sparse_regression import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.leg_model import LegModel
-from adaptive_contact.model.leg_prior import in_family, leg_prior
+from adaptive_contact.model.leg_prior import in_family, leg_prior, prior_noise
 from adaptive_contact.model.library import Library
 from adaptive_contact.model.model_file import LegBaseline
 
 # Slopes that are tried, over the present one; the next refit goes on from the one that was found.
 SLOPES: Final = (0.25, 0.4, 0.63, 1.0, 1.6, 2.5, 4.0)
 SLOPE_RANGE: Final = (0.035, 0.8)  # rad; half and twice of what the family was made of
+# By so much the rows have to be likelier (the logarithm).  Where the slope is right no other gains;
+# where none is, neighbours differ by up to 38; off by 4 it is 30 to 600 (decision 55).
+LEAST_GAIN: Final = 40.0
+# A guessed noise whose square is exceeded so many times is not the leg's: its lifts do not settle.
+GUESS_LEVEL: Final = 2.5
 # λ, in units of the noise: a baseline's fit chooses 0.05 to 0.3.
 THRESHOLD: Final = 0.1
 
@@ -51,6 +59,8 @@ class RefitJob:
     values: Array  # (n, p + J) regressors and movements of free rows, in order
     library: Library  # of the first q of p terms
     quantum_rad: float  # position step
+    # (J,) rad, of the model at its start, where that is a guess; None of a leg with a baseline
+    guessed: Array | None = None
 
     def run(self) -> RefitResult:
         """Find the slope, and fit a model of it."""
@@ -63,8 +73,10 @@ class RefitResult:
 
     number: int
     status: FitStatus = FitStatus.OK  # how it ended
+    slope_rad: float = 0.0  # the likeliest
     gain: float = 0.0  # logarithm of how much likelier the rows are than by the present slope
-    start: LegBaseline | None = None  # the model of the likeliest slope; None of the present one
+    level: float = 1.0  # mean square of the residuals over the guessed noise's
+    start: LegBaseline | None = None  # what to go on from; None where the present model may stay
 
 
 class Job(Protocol):
@@ -129,11 +141,16 @@ def refit(job: RefitJob) -> RefitResult:
     sigma: Array = np.maximum(least, job.quantum_rad / 12**0.5)
     evidence = {slope: posterior.evidence(sigma) for slope, posterior in tried.items()}
     best = max(evidence, key=lambda slope: evidence[slope])
-    if best == present:
-        return RefitResult(job.number)
-    start = tried[best].start(sigma)
-    status = FitStatus.NOT_FINITE if start is None else FitStatus.OK
-    return RefitResult(job.number, status, evidence[best] - evidence[present], start)
+    gain = evidence[best] - evidence[present]
+    level = 1.0 if job.guessed is None else float(np.square(sigma / job.guessed).mean())
+    found = RefitResult(job.number, FitStatus.OK, best, gain, level)
+    likelier = gain >= LEAST_GAIN
+    if not (likelier or level > GUESS_LEVEL):
+        return found
+    start = tried[best if likelier else present].start(sigma)
+    if start is None:
+        return dataclasses.replace(found, status=FitStatus.NOT_FINITE)
+    return dataclasses.replace(found, start=start)
 
 
 class _Posterior:
@@ -183,8 +200,8 @@ class _Posterior:
                 for root, own in zip(roots, self._spread, strict=True)
             ]
         )
-        model = LegModel(library, fit.coefficients)
-        return dataclasses.replace(self._prior, model=model, spread=spread)
+        model, noise = LegModel(library, fit.coefficients), prior_noise(sigma)
+        return dataclasses.replace(self._prior, model=model, noise=noise, spread=spread)
 
     def _solved(self, sigma: Array) -> list[tuple[Array, Array]]:
         """Per joint (d,) by how many spreads the coefficients are off, and (d, d) M's root."""

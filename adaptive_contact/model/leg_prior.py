@@ -167,10 +167,15 @@ def leg_prior(library: Library, quantum_rad: float, widening: float = 1.0) -> Le
     # Residuals of legs alike in step and slope differ by a third; as no level below this noise is
     # followed, a quiet leg is judged as one that is a little noisy.
     sigma = 1.28 * math.hypot(of.noise_quanta * quantum_rad, of.noise_slopes * slope)
-    covariance = np.zeros((CONTEXTS, len(WINDOWS), joints, joints))
-    covariance[:] = np.multiply.outer(np.array(of.sums) * sigma**2, np.eye(joints))
-    noise = NoiseModel(covariance, np.ones(CONTEXTS))
+    noise = prior_noise(np.full(joints, sigma))
     return LegBaseline(LegModel(library, coefficients), noise, scale, 0, spread=np.array(spread))
+
+
+def prior_noise(sigma: Array) -> NoiseModel:
+    """Make the noise of a leg of which only (J,) rad, the deviations of its residuals, are known."""
+    covariance = np.zeros((CONTEXTS, len(WINDOWS), len(sigma), len(sigma)))
+    covariance[:] = np.multiply.outer(np.array(family().sums), np.diag(sigma**2))
+    return NoiseModel(covariance, np.ones(CONTEXTS))
 
 
 def prior_tails() -> tuple[Tail, ...]:

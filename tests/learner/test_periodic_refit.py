@@ -12,14 +12,13 @@ from scipy.stats import multivariate_normal
 
 from adaptive_contact import ContactLearner
 from adaptive_contact.core.learn.periodic_refit import (
-    LEAST_GAIN,
     REFIT_DUE_TICKS,
     PeriodicRefit,
     first_refit_after,
 )
 from adaptive_contact.core.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.fit import FitStatus
-from adaptive_contact.fit.refit_job import RefitJob, RefitResult, refit
+from adaptive_contact.fit.refit_job import LEAST_GAIN, RefitJob, RefitResult, refit
 from adaptive_contact.model import LegBaseline, Library, leg_library, stack, with_changes
 from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact.robot import Robot
@@ -35,9 +34,11 @@ def library_of(robot: Robot, factor: float = 1.0) -> Library:
     return dataclasses.replace(leg_library(robot, robot.leg("rf")), slope_rad=SLOPE * factor)
 
 
-def free_rows(library: Library, swings: int = 60, seed: int = 1) -> np.ndarray:
+def free_rows(
+    library: Library, swings: int = 60, seed: int = 1, noise: float = 0.003
+) -> np.ndarray:
     """(n, p + J) of a leg that touches nothing, in swings."""
-    measured, desired, swing, _ = FakeLeg(seed=seed).run(swings)
+    measured, desired, swing, _ = FakeLeg(seed=seed, noise=noise).run(swings)
     cut = stack(measured, desired, library.window)
     theta = library.evaluate(cut.measured, cut.desired, cut.preview)
     return np.concatenate([theta, cut.increment], axis=1)[swing[cut.tick] & swing[cut.tick + 1]]
@@ -48,8 +49,9 @@ def test_the_slope_that_the_rows_ask_for_is_found(robot: Robot, described: float
     library = library_of(robot, described)
     found = refit(RefitJob("rf", 1, free_rows(library), library, QUANTUM))
     assert found.status is FitStatus.OK
-    if found.gain < LEAST_GAIN:
+    if found.start is None:
         assert described == 1.0
+        assert found.gain < LEAST_GAIN
         return
     assert 0.6 < found.start.model.library.slope_rad / SLOPE < 1.7
     rows = free_rows(found.start.model.library, seed=2)
@@ -91,6 +93,28 @@ def test_the_gain_is_that_of_the_rows_probability_under_the_family(robot: Robot)
     best = found.start.model.library.slope_rad
     assert found.gain == pytest.approx(of(best, sigma) - of(library.slope_rad, sigma), rel=1e-6)
     assert best == max(grid, key=lambda slope: of(slope, sigma))
+
+
+@pytest.mark.parametrize("noise", [0.003, 0.02])
+def test_a_leg_goes_on_with_its_own_noise_where_the_guess_was_too_small(
+    robot: Robot, noise: float
+) -> None:
+    library = library_of(robot)
+    guessed = leg_prior(library, QUANTUM).noise.rms
+    values = free_rows(library, noise=noise)
+    theta, target = values[:, :-3], values[:, -3:]
+    off = target - theta @ np.linalg.lstsq(theta, target, rcond=None)[0]
+    own = np.sqrt(np.square(off).mean(axis=0))
+    found = refit(RefitJob("rf", 1, values, library, QUANTUM, guessed))
+    assert found.gain < LEAST_GAIN
+    assert found.level == pytest.approx(np.square(own / guessed).mean(), rel=0.25)
+    assert refit(RefitJob("rf", 1, values, library, QUANTUM)).start is None  # has a baseline
+    if noise == 0.003:
+        assert found.start is None
+        return
+    assert found.start is not None
+    assert found.start.model.library == library
+    assert found.start.noise.rms == pytest.approx(own, rel=0.15)
 
 
 def test_rows_that_are_not_finite_give_no_model(robot: Robot) -> None:
@@ -152,26 +176,32 @@ def asked(robot: Robot, result: RefitResult) -> tuple[PeriodicRefit, list[RefitJ
 def test_a_slope_by_which_the_rows_are_much_likelier_is_promoted(
     robot: Robot, start: LegBaseline
 ) -> None:
-    own, jobs = asked(robot, RefitResult(1, gain=100.0, start=start))
+    own, jobs = asked(robot, RefitResult(1, FitStatus.OK, 0.0656, 100.0, start=start))
     assert len(jobs[0].values) == 720
     assert answer(own) is start
     assert (own.counts.promoted, own.counts.refused) == (1, 0)
     assert own.counts.last_reason == ("promoted: a slope of 0.0656 rad fits better by 100 nats")
 
 
+def test_what_was_guessed_of_the_noise_is_corrected(robot: Robot, start: LegBaseline) -> None:
+    own, _ = asked(robot, RefitResult(1, FitStatus.OK, 0.0656, 39.0, 16.0, start))
+    assert answer(own) is start
+    assert own.counts.last_reason == "promoted: errors are 4.0 times those that were expected"
+
+
 @pytest.mark.parametrize(
-    ("status", "gain", "found", "why"),
+    ("result", "why"),
     [
-        (FitStatus.OK, 0.0, False, "no slope fits better than 0.164 rad"),
-        (FitStatus.OK, 39.0, True, "a slope of 0.0656 rad fits hardly better (39 nats)"),
-        (FitStatus.OK, float("nan"), True, "a slope of 0.0656 rad fits hardly better (nan nats)"),
-        (FitStatus.NOT_FINITE, 100.0, True, "the fit ended with 'not_finite'"),
+        (RefitResult(1, FitStatus.OK, SLOPE), "no slope fits better than 0.164 rad"),
+        (
+            RefitResult(1, FitStatus.OK, 0.0656, 39.0),
+            "a slope of 0.0656 rad fits hardly better (39 nats)",
+        ),
+        (RefitResult(1, FitStatus.NOT_FINITE), "the fit ended with 'not_finite'"),
     ],
 )
-def test_what_is_dropped(
-    robot: Robot, start: LegBaseline, status: FitStatus, gain: float, found: bool, why: str
-) -> None:
-    own, _ = asked(robot, RefitResult(1, status, gain, start if found else None))
+def test_what_is_dropped(robot: Robot, result: RefitResult, why: str) -> None:
+    own, _ = asked(robot, result)
     assert answer(own) is None
     assert own.counts.refused == 1
     assert own.counts.last_reason == f"refused: {why}"
@@ -180,7 +210,7 @@ def test_what_is_dropped(
 def test_a_leg_that_changes_drops_its_refit_and_asks_at_once(
     robot: Robot, start: LegBaseline
 ) -> None:
-    own, jobs = asked(robot, RefitResult(1, gain=100.0, start=start))
+    own, jobs = asked(robot, RefitResult(1, FitStatus.OK, 0.0656, 100.0, start=start))
     own.leg_changed()
     assert answer(own) is None
     swings(own, buffered(library_of(robot), 10), 1)
@@ -232,6 +262,41 @@ def test_a_slope_described_off_by_four_is_corrected_reported_and_outlives_a_rest
         told = outcomes(play(of, stream[28 * 150 :]), range(152, 200), stops)
         assert told.count("hit") >= 23
         assert told.count("alarm") <= 1
+
+
+def test_a_leg_noisier_than_any_that_is_known_becomes_valid_and_outlives_a_restart(
+    robot: Robot,
+) -> None:
+    stops: list[int | None] = [16 if n % 2 else None for n in range(120)]
+    leg = FakeLeg(seed=3, noise=0.02)
+    stream = leg.stream(120, touch=lambda n: stops[n])
+    learner = ContactLearner(robot, "rf")
+    play(learner, stream[: 28 * 80])
+    assert learner.status.status == "valid"
+    assert learner.status.refits.last_reason is not None
+    assert "errors are" in learner.status.refits.last_reason
+    again = ContactLearner(robot, "rf")
+    assert again.restore(learner.snapshot()) is None
+    assert again.status.noise_floor == learner.status.noise_floor
+    for of in (learner, again):
+        told = outcomes(play(of, stream[28 * 80 :]), range(82, 120), stops)
+        assert told.count("hit") >= 16
+        assert told.count("alarm") <= 1
+        assert of.status.status == "valid"
+
+
+def test_a_saved_noise_that_is_none_is_refused(misdescribed: Robot) -> None:
+    learner = ContactLearner(misdescribed, "rf")
+    play(learner, FakeLeg(seed=3).stream(150))
+    saved = learner.snapshot()
+    found = saved["found"]
+    assert isinstance(found, dict)
+    again = ContactLearner(misdescribed, "rf")
+    for noise in ([], [0.01], [0.01, -1.0, 0.01], [0.01, float("inf"), 0.01], "none"):
+        saved["found"] = {**found, "noise_rad": noise}
+        assert "its noise is" in (again.restore(saved) or "")
+    saved["found"] = {name: of for name, of in found.items() if name != "noise_rad"}
+    assert again.restore(saved) is None  # of a version that did not save it
 
 
 @pytest.mark.parametrize("slope", [None, "0.1", float("nan"), 1e-6, 40.0])

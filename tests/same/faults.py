@@ -81,7 +81,7 @@ FAULTS: Final = (
         "REFIT_DUE_TICKS: Final = 50", "REFIT_DUE_TICKS: Final = 51",
     ),
     Fault(
-        "gain that a refit needs", "core/learn/periodic_refit.py",
+        "gain that a refit needs", "fit/refit_job.py",
         "LEAST_GAIN: Final = 40.0", "LEAST_GAIN: Final = 4000.0",
     ),
     Fault(

@@ -120,7 +120,8 @@ class Adapter:
         self._swings = 0  # since covariances were recomputed
         self._learned_swing = False
         self._kept = deque[_Kept](maxlen=KEPT_SWINGS)
-        self.refit = PeriodicRefit(leg, start.model.library, quantum_rad, refitter)
+        guessed = None if start.spread is None else start.noise.rms
+        self.refit = PeriodicRefit(leg, start.model.library, quantum_rad, refitter, guessed)
         self._domain = start.domain
         self.found: LegBaseline | None = None
 
@@ -260,8 +261,7 @@ class Adapter:
         """Take over what does not depend on the model, from the adapter of another slope."""
         self.refit.restore(before.refit.snapshot())
         self._era = before._era + 1
-        if before.first is None:
-            self.first = None
+        self.first = None if before.first is None else FirstSwings(before.first.swings)
 
     def keep(self, t_ns: int) -> None:
         """Keep what is known of the leg as a swing begins, for :meth:`retract`."""

@@ -1,6 +1,7 @@
 """Decides which model a leg begins with: a baseline, what is known of any leg, or a saved state.
 
-A refit that finds another slope of the servos' law makes another beginning (:meth:`take_slope`).
+A refit that finds another slope of the servos' law, or a larger noise than was guessed, makes
+another beginning (:meth:`take_refit`).
 
 What is known of any leg is used where there is no baseline, or an unfit one.  From then on an
 adapter keeps the model up to date; it is made here and nowhere else.
@@ -9,6 +10,7 @@ adapter keeps the model up to date; it is made here and nowhere else.
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +22,7 @@ from adaptive_contact.core.learn.noise_tracker import NoiseTracker
 from adaptive_contact.core.learn.state import ImplausibleError, array_of, pack
 from adaptive_contact.fit.refit_job import SLOPE_RANGE, Refitter
 from adaptive_contact.model.leg_model import LegModel
-from adaptive_contact.model.leg_prior import leg_prior, prior_tails
+from adaptive_contact.model.leg_prior import leg_prior, prior_noise, prior_tails
 from adaptive_contact.model.library import Library, leg_library, with_changes
 from adaptive_contact.model.model_file import Baseline, LegBaseline
 from adaptive_contact.model.tail import Tail
@@ -136,8 +138,8 @@ class Lifecycle:
             return True
         return False
 
-    def take_slope(self, start: LegBaseline) -> None:
-        """Go on from what a refit has found, with a slope of its own."""
+    def take_refit(self, start: LegBaseline) -> None:
+        """Go on from what a refit has found, with a slope and a noise of its own."""
         before = self.adapter
         self._begin_found(start)
         if before is not None and self.adapter is not None:
@@ -156,7 +158,8 @@ class Lifecycle:
         tree: dict[str, Any] = {"unfit": self._unfit, "widening": self._widening, **self._frame}
         if self._found is not None:
             slope = self._found.library.slope_rad
-            tree["found"] = {"slope_rad": slope, "first": pack(self._found.coefficients)}
+            first, noise = pack(self._found.coefficients), self.sigma.tolist()
+            tree["found"] = {"slope_rad": slope, "first": first, "noise_rad": noise}
         if self.adapter is not None:
             tree["follower"] = self.adapter.snapshot()
         self._saved = tree
@@ -230,7 +233,12 @@ class Lifecycle:
         plain = dataclasses.replace(leg_library(self._robot, self._leg), slope_rad=slope)
         start = leg_prior(plain, self._robot.quantum(self._leg.id))
         first = array_of(saved.get("first"), start.model.coefficients.shape, "its first model")
-        self._begin_found(dataclasses.replace(start, model=start.model.moved(first, 1)))
+        rms = saved.get("noise_rad", start.noise.rms.tolist())
+        of_each = isinstance(rms, list) and len(rms) == len(self._leg.joints)
+        if not (of_each and all(isinstance(of, float) and 0.0 < of < math.inf for of in rms)):
+            raise ImplausibleError(f"its noise is {rms!r}")
+        model, noise = start.model.moved(first, 1), prior_noise(np.array(rms))
+        self._begin_found(dataclasses.replace(start, model=model, noise=noise))
 
     def _begin_found(self, start: LegBaseline) -> None:
         self._begin(start, prior_tails())

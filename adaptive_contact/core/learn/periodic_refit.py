@@ -2,8 +2,8 @@
 
 The recursion follows coefficients, and cannot follow the slope of the servos' control law, which is
 inside the terms.  A refit finds the slope by which the buffer's rows are the likeliest, and fits a
-sparse model of it (:mod:`adaptive_contact.fit.refit_job`).  One rule decides: the rows are likelier
-by :data:`LEAST_GAIN`.  Each row counts there as it was predicted from those before it.
+sparse model of it (:mod:`adaptive_contact.fit.refit_job`); it also finds a noise that was guessed too
+small.  What it found to go on from is promoted.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ import math
 import zlib
 from typing import Final
 
+from adaptive_contact.arrays import Array
 from adaptive_contact.core.learn.replay_buffer import ReplayBuffer
-from adaptive_contact.fit.refit_job import RefitJob, RefitResult, Refitter
+from adaptive_contact.fit.refit_job import LEAST_GAIN, RefitJob, RefitResult, Refitter
 from adaptive_contact.fit.sparse_regression import FitStatus
 from adaptive_contact.model.bounds import is_count
 from adaptive_contact.model.leg_model import LegModel
@@ -33,9 +34,6 @@ REFIT_DUE_TICKS: Final = 50
 MIN_ROWS_PER_TERM: Final = 4
 # The newest rows that a refit is made of: fifty swings of a walk.
 MOST_ROWS: Final = 1300
-# By so much the rows have to be likelier (the logarithm).  Where the slope is right no other gains;
-# where none is, neighbours differ by up to 38; off by 4 it is 30 to 600 (decision 55).
-LEAST_GAIN: Final = 40.0
 # Room for segments of an older state of the leg.
 ROOM: Final = 1.6
 
@@ -59,9 +57,18 @@ class PeriodicRefit:
         library: of the model.
         quantum_rad: position step.
         refitter: does the work.
+        guessed: (J,) rad, noise of a leg that began with a prior.
     """
 
-    def __init__(self, leg: str, library: Library, quantum_rad: float, refitter: Refitter) -> None:
+    def __init__(
+        self,
+        leg: str,
+        library: Library,
+        quantum_rad: float,
+        refitter: Refitter,
+        guessed: Array | None = None,
+    ) -> None:
+        self._guessed = guessed
         self._leg, self._quantum = leg, quantum_rad
         self._library, self._needed = plain_of(library), MIN_ROWS_PER_TERM * library.size
         self._refitter = refitter
@@ -104,7 +111,8 @@ class PeriodicRefit:
         self._every_swings, self._every_s = REFIT_EVERY_SWINGS, REFIT_EVERY_S
         self._at_once, self._pending, self._wait = False, True, None
         self._jobs += 1
-        self._refitter.submit(RefitJob(self._leg, self._jobs, values, self._library, self._quantum))
+        job = RefitJob(self._leg, self._jobs, values, self._library, self._quantum, self._guessed)
+        self._refitter.submit(job)
 
     def tick(self) -> LegBaseline | None:
         """Collect a result that is due; return what is to be promoted."""
@@ -119,7 +127,7 @@ class PeriodicRefit:
         why = self._objection(result)
         if why is None:
             self._counts["promoted"] += 1
-            self._reason = f"promoted: {_found(result)} fits better by {result.gain:.0f} nats"
+            self._reason = f"promoted: {_found(result)}"
             return result.start
         self._counts["refused"] += 1
         self._reason = f"refused: {why}"
@@ -157,13 +165,18 @@ class PeriodicRefit:
         """Return why a refit is not promoted; None for one that is."""
         if result.status is not FitStatus.OK:
             return f"the fit ended with '{result.status}'"
-        if result.start is None:
+        if result.start is not None:
+            return None
+        if result.slope_rad == self._library.slope_rad:
             return f"no slope fits better than {self._library.slope_rad:.3g} rad"
-        if not result.gain >= LEAST_GAIN:  # NaN is not
-            return f"{_found(result)} fits hardly better ({result.gain:.0f} nats)"
-        return None
+        return f"{_slope(result)} fits hardly better ({result.gain:.0f} nats)"
+
+
+def _slope(result: RefitResult) -> str:
+    return f"a slope of {result.slope_rad:.3g} rad"
 
 
 def _found(result: RefitResult) -> str:
-    assert result.start is not None
-    return f"a slope of {result.start.model.library.slope_rad:.3g} rad"
+    if result.gain >= LEAST_GAIN:
+        return f"{_slope(result)} fits better by {result.gain:.0f} nats"
+    return f"errors are {result.level**0.5:.1f} times those that were expected"
