@@ -172,7 +172,7 @@ def leg_prior(library: Library, quantum_rad: float, widening: float = 1.0) -> Le
 
 
 def prior_noise(sigma: Array) -> NoiseModel:
-    """Make the noise of a leg of which only (J,) rad, the deviations of its residuals, are known."""
+    """Make the noise of a leg whose residuals have deviations of (J,) rad, whatever it does."""
     covariance = np.zeros((CONTEXTS, len(WINDOWS), len(sigma), len(sigma)))
     covariance[:] = np.multiply.outer(np.array(family().sums), np.diag(sigma**2))
     return NoiseModel(covariance, np.ones(CONTEXTS))

@@ -2,8 +2,8 @@
 
 The recursion follows coefficients, and cannot follow the slope of the servos' control law, which is
 inside the terms.  A refit finds the slope by which the buffer's rows are the likeliest, and fits a
-sparse model of it (:mod:`adaptive_contact.fit.refit_job`); it also finds a noise that was guessed too
-small.  What it found to go on from is promoted.
+sparse model of it (:mod:`adaptive_contact.fit.refit_job`); it also finds a noise that was guessed
+too small.  What it found to go on from is promoted.
 """
 
 from __future__ import annotations
