@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.util import find_spec
 from typing import Final, NamedTuple
 
 import msgspec
@@ -28,7 +27,6 @@ from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number, tool_of
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
-from adaptive_contact.robot.description import Protocol
 
 # Servos are numbered one after the other: so far beyond the last found, all are asked again.
 BEYOND: Final = 8
@@ -122,10 +120,8 @@ def find_servos(
     Raises:
         BusError: the port cannot be opened, no servo answers, or one answers too late only.
     """
-    feetech_only = find_spec("scservo_sdk") and not find_spec("dynamixel_sdk")
-    # Feetech's answer the pings of protocol 1, and say what they are; protocol 1's answer theirs.
-    protocols: tuple[Protocol, ...] = ("sts",) if feetech_only else (1, 2)
-    places: list[Place] = [(baud, protocol) for baud in bauds for protocol in protocols]
+    # Feetech's answer the pings of protocol 1, and say what they are.
+    places: list[Place] = [at for baud in bauds for at in ((baud, 1), (baud, 2))]
     found = next(
         (one for place in places if (one := _ask(name, device, place, ids, configure))), None
     )

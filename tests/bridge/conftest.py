@@ -1,4 +1,4 @@
-"""Virtual buses in a thread, opened by the real DynamixelSDK."""
+"""Virtual buses in a thread."""
 
 from __future__ import annotations
 
