@@ -25,7 +25,6 @@ from adaptive_contact.bridge.packets import (
 from adaptive_contact.bridge.port import SerialPort
 from adaptive_contact.bridge.tables import MODEL_NUMBERS, Block, Register
 from adaptive_contact.robot import Port
-from adaptive_contact.robot.description import Protocol
 
 # For what has to succeed, outside the cycle.
 _TRIES: Final = 4
@@ -58,8 +57,6 @@ class Pong(NamedTuple):
     model_number: int | None  # None where neither a ping (of protocol 2.0) nor a read gives it
     doubled: bool = False  # several seem to answer
     reads: bool = True  # it answers reads; at a status return level of 0 it does not
-    # what it is in words, and in which protocol, where it is a Feetech servo and that is another
-    other: tuple[str, Protocol] | None = None
 
 
 class Bus:

@@ -6,30 +6,27 @@ import dataclasses
 import functools
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
+from adaptive_contact.bridge import handshake
 from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.handshake import (
-    ANSWERS_NOW,
     BUSY,
     USUAL_BAUDS,
     Place,
-    let_answer,
+    astray_text,
+    doubled_text,
+    find_all,
     look_elsewhere,
     named,
-    scan,
-    scan_again,
 )
 from adaptive_contact.bridge.modes import followed, read_slope
 from adaptive_contact.bridge.packets import MAX_ID
-from adaptive_contact.bridge.tables import ServoModel, model_of_number, tool_of
+from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
-
-# Servos are numbered one after the other: so far beyond the last found, all are asked again.
-BEYOND: Final = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +42,11 @@ class Found:
     done: tuple[str, ...] = ()  # what was written
     # ids that answer at another baud rate and protocol, by these
     elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def known(self) -> int:
+        """Count the servos of known models."""
+        return sum(model is not None for model in self.servos.values())
 
     @functools.cached_property
     def servos(self) -> dict[int, ServoModel | None]:
@@ -105,7 +107,7 @@ def find_servos(
 ) -> Found:
     """Ask a port at all usual rates, in both protocols, who is there.
 
-    Feetech servos answer in protocol 1, and are then asked in their own.
+    Feetech servos answer in protocol 1, too: servos of no known model are asked in theirs.
 
     Writes nothing, but with ``configure`` the status return level of servos that answer no reads.
 
@@ -120,7 +122,6 @@ def find_servos(
     Raises:
         BusError: the port cannot be opened, no servo answers, or one answers too late only.
     """
-    # Feetech's answer the pings of protocol 1, and say what they are.
     places: list[Place] = [at for baud in bauds for at in ((baud, 1), (baud, 2))]
     found = next(
         (one for place in places if (one := _ask(name, device, place, ids, configure))), None
@@ -130,15 +131,17 @@ def find_servos(
             f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; "
             "check power and cable, or give the rate with --baud"
         )
-    # The one that was found first may be the odd one: by its rate, or of another make.
-    rivals = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
-    for pong in found.pongs.values():
-        if pong.other is not None:
-            at = found.port.baud, pong.other[1]
-            rivals[at] = rivals.get(at, 0) + 2
-    most = max(rivals, key=lambda at: rivals[at], default=None)
-    if most is not None and rivals[most] > len(found.pongs):
-        found = _ask(name, device, most, ids, configure) or found
+    rivals: list[Place] = []
+    if found.port.protocol == 1 and found.known < len(found.pongs):
+        rivals += [(found.port.baud, "sts"), (found.port.baud, "scs")]
+    # The one that was found first may be the odd one.
+    rivals += [
+        at for at, there in found.elsewhere.items() if at[0] in bauds and len(there) > found.known
+    ]
+    for place in rivals:
+        other = _ask(name, device, place, ids, configure)
+        if other is not None and other.known > found.known:
+            found = other
     return found
 
 
@@ -148,27 +151,17 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int], configure: bo
     bus = Bus(name, port)
     bus.open()
     try:
-        pongs = scan(bus)
-        bus.settle()  # were some late?  They are there, and the row goes on behind them
+        wanted = () if not configure else ids or None
+        pongs, done = find_all(bus, handshake.ALL_IDS, configure=wanted)
         if not pongs and not bus.late:
             return None
-        row = range(min(max({*pongs, *bus.late}) + BEYOND, MAX_ID) + 1)
-        pongs = scan_again(bus, pongs, row)
+        row = range(min(max({*pongs, *bus.late}) + handshake.BEYOND, MAX_ID) + 1)
         late = sorted(servo for servo in bus.late if servo not in pongs and servo in (ids or row))
         if late:  # a description without them would be of another robot
             raise BusError(f"port {name}: answers of servo {_ranges(late)} come too late: {BUSY}")
         doubled = [servo for servo, pong in pongs.items() if pong.doubled]
         if doubled:
-            raise BusError(
-                f"port {name}: several servos answer to id {', '.join(map(str, doubled))} (or "
-                "their line is disturbed); connect them one by one and give each an id of its own"
-            )
-        mute = [s for s, pong in pongs.items() if configure and not pong.reads]
-        done = tuple(
-            f"servo {servo}: {let_answer(bus, pongs, servo) or ANSWERS_NOW}"
-            for servo in mute
-            if servo in ids or not ids
-        )
+            raise BusError(f"port {name}: {doubled_text(doubled)}")
         slopes, follows = {}, {}
         for servo, pong in pongs.items():
             model = model_of_number(pong.model_number, port.protocol)
@@ -182,7 +175,7 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int], configure: bo
         bus.close()
     missing = [servo for servo in ids or row[1:] if servo not in pongs]
     elsewhere = look_elsewhere(name, port, missing)
-    return Found(name, port, pongs, slopes, follows, done, elsewhere)
+    return Found(name, port, pongs, slopes, follows, tuple(done), elsewhere)
 
 
 def group(
@@ -338,13 +331,10 @@ def describe(found: Iterable[Found]) -> list[str]:
             "no joint of its own; where it is one, set that to 255 with DYNAMIXEL Wizard"
             for servo, first in one.follows.items()
         ]
-        for (baud, protocol), ids in one.elsewhere.items():
-            does = "answers" if len(ids) == 1 else "answer"
-            lines.append(
-                f"port {one.name}: servo {_ranges(ids)} {does} at {baud} baud, protocol "
-                f"{protocol}: all servos of a port need one baud rate and protocol; set them with "
-                f"{tool_of(one.port.protocol)}"
-            )
+        lines += [
+            f"port {one.name}: {astray_text(one.port, place, ids)}"
+            for place, ids in one.elsewhere.items()
+        ]
     return lines
 
 

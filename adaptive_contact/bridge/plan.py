@@ -10,7 +10,7 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.bridge.tables import BAUDS, MODELS, ServoModel, models_named
+from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import AngleFrame, Leg, Port, Robot, ServoBus
 from adaptive_contact.robot.description import Protocol, angles_text
@@ -117,11 +117,6 @@ def plan_ports(
     for name, port in ports.items():
         if baud is not None:
             port = msgspec.structs.replace(port, baud=baud)
-        if port.baud not in BAUDS:
-            raise ConfigurationError(
-                f"[port.{name}] baud {port.baud} is not supported; expected one of "
-                f"{', '.join(map(str, BAUDS))}"
-            )
         legs = tuple(
             _leg(leg, name, port)
             for leg in robot.legs

@@ -16,7 +16,7 @@ import typer
 
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, shake_hands
+from adaptive_contact.cli._bus import BaudOption, DeviceOption, described_in, plans_of, shake_hands
 from adaptive_contact.cli._link import unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
@@ -164,7 +164,7 @@ def dynamixel(
     ] = False,
     realtime: opt.RealtimeOption = False,
     device: DeviceOption = None,
-    baud: Annotated[int | None, option("--baud", "Baud rate instead of robot.toml's.")] = None,
+    baud: BaudOption = None,
     network: opt.Network,
     json: opt.JsonPayloadOption = False,
 ) -> None:

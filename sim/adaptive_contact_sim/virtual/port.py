@@ -25,10 +25,9 @@ from adaptive_contact.bridge.packets import (
     fast_sync_status,
     version_of,
 )
-from adaptive_contact.bridge.tables import BAUDS
 from adaptive_contact.robot.description import Protocol
 from adaptive_contact_sim.virtual.faults import FaultSchedule
-from adaptive_contact_sim.virtual.servo import Refusal, VirtualServo
+from adaptive_contact_sim.virtual.servo import BAUDS, Refusal, VirtualServo
 
 _INSTRUCTION_ERROR: Final[dict[Protocol, int]] = {1: 0x40, 2: 0x02}
 # Terminals' constants of rates.

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.bridge.modes import LAW_REGISTERS, DriveMode, slope_rad
-from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
+from adaptive_contact.bridge.tables import Register, ServoModel
 from adaptive_contact.robot.description import Protocol
 from adaptive_contact_sim.virtual.backend import Backend
 
@@ -42,6 +42,11 @@ _READ_ONLY: Final = (
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
 _MOST_STEPS: Final = 1_048_575  # of a goal in the extended modes
+# Rates of terminals.
+BAUDS: Final = (
+    *(9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 576000, 921600, 1000000),
+    *(1152000, 2000000, 2500000, 3000000, 3500000, 4000000),
+)
 _BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 _BAUDS_FEETECH: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 # Of compact servos as delivered, by protocol: errors that shut them down.
