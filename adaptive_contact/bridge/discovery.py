@@ -70,30 +70,19 @@ def wanted_legs(text: str) -> tuple[Wanted, ...]:
     """Parse ``--ids``: ``2,4,6/8,10,12``, with a port's name where there are several.
 
     Raises:
-        ConfigurationError: it cannot be read, or an id is there twice.
+        ConfigurationError: it cannot be read.
     """
-
-    def refuse(what: str) -> ConfigurationError:
-        return ConfigurationError(
-            f"--ids {text}: {what}; give each leg's ids from the body outwards, and '/' between "
-            "legs, such as 2,4,6/8,10,12 (with several ports left:2,4,6/right:2,4,6)"
-        )
-
     legs: list[Wanted] = []
-    taken: set[tuple[str | None, int]] = set()
     for leg in text.split("/"):
         port, colon, rest = leg.rpartition(":")
         words = [word.strip() for word in rest.split(",")]
         if not all(word.isascii() and word.isdigit() for word in words):
-            raise refuse(f"'{leg}' is no list of ids")
-        ids = tuple(int(word) for word in words)
-        if max(ids) > MAX_ID:
-            raise refuse(f"{max(ids)} is no id (0 to {MAX_ID})")
-        legs.append(Wanted(port.strip() if colon else None, ids))
-        for servo in ids:
-            if (legs[-1].port, servo) in taken:
-                raise refuse(f"{servo} is there twice")
-            taken.add((legs[-1].port, servo))
+            raise ConfigurationError(
+                f"--ids {text}: '{leg}' is no list of ids; give each leg's ids from the body "
+                "outwards, and '/' between legs, such as 2,4,6/8,10,12 (with several ports "
+                "left:2,4,6/right:2,4,6)"
+            )
+        legs.append(Wanted(port.strip() if colon else None, tuple(map(int, words))))
     return tuple(legs)
 
 
@@ -262,6 +251,9 @@ def _chosen(
     for port, ids in wanted:
         text = ",".join(map(str, ids))
         here = [one for one in found if port in (one.name, None)]
+        if not here:
+            names = ", ".join(one.name for one in found)
+            raise BusError(f"--ids names port '{port}'; --device gives {names}")
         on = [one for one in here if set(ids) <= set(one.servos)]
         if len(on) > 1:
             raise BusError(

@@ -57,9 +57,10 @@ def test_legs_of_several_sizes(bus: Serve) -> None:
     [
         (("--ids", "1,2,x"), "'1,2,x' is no list of ids"),
         (("--ids", "1,2,3/"), "'' is no list of ids"),
-        (("--ids", "1,2,3/3,4,5"), "3 is there twice"),
-        (("--ids", "1,2,253"), "253 is no id"),
-        (("--ids", "1,2,3/4,5"), "has a leg of 2 servos"),
+        (("--ids", "1,2/3,2"), "servo id 2 is used twice"),
+        (("--ids", "1,2/3", "--joints", "hip,knee"), "servos.ids has 1 values for 2 joints"),
+        (("--lengths", "52,66,138"), "lengths_m[0] is 52.0; expected at most 5 m"),
+        (("--lengths", "0.1,0.1"), "lengths_m has 2 values for 3 joints"),
         (("--ids", "head:1,2,3"), "--ids names port 'head'; --device gives main"),
         (("--ids", "1,2,3", "--legs", "a,b"), "2 legs are named, but the servos make 1"),
         (("--ids", "1,2,9"), "port main has no servo 9 (ids there are 1-3)"),
@@ -67,9 +68,8 @@ def test_legs_of_several_sizes(bus: Serve) -> None:
 )
 def test_ids_that_cannot_be(bus: Serve, words: tuple[str, ...], message: str) -> None:
     device, _ = bus("1-3:AX-12A")
-    joints = ("--joints", "3") if message.startswith("has a leg") else ()
     with pytest.raises((BusError, ConfigurationError), match=re.escape(message)) as caught:
-        init(device, *words, *joints)
+        init(device, *words)
     assert "\n" not in str(caught.value)
     assert not (device.parent / "robot.toml").exists()
 
@@ -209,3 +209,10 @@ def test_feetech_servos_among_dynamixel_servos(bus: Serve) -> None:
     with pytest.raises(BusError, match=r"servo 4 \(model number \d+\) is of no known model"):
         init(device)
     assert all(servo.writes == 0 for servo in servos)
+
+
+def test_two_names_of_one_port(bus: Serve) -> None:
+    device, _ = bus("1-3:AX-12A")
+    (device.parent / "link").symlink_to(device.name)
+    with pytest.raises(ConfigurationError, match=r"\[port.q\] and \[port.main\] are one device"):
+        init(device, "--device", f"q={device.parent / 'link'}")
