@@ -161,15 +161,11 @@ class Bus:
         measure differs, and on the wire their answers then garble each other, again and again.
         """
         for _ in range(2):
-            faults = [answer.fault for answer in self.ask_often(servo, block)]
+            faults = [self._ask(servo, block).fault for _ in range(_LOOKS)]
             if faults.count("corrupt") < _GARBLED:
                 return True
             self.settle()
         return False
-
-    def ask_often(self, servo: int, block: Block) -> list[Reading]:
-        """Ask a servo for registers some times in a row."""
-        return [self._ask(servo, block) for _ in range(_LOOKS)]
 
     def settle(self, quiet_ms: float = 100.0) -> None:
         """Wait until nothing arrives any more, outside the cycle.

@@ -326,8 +326,7 @@ class _Handshake:
                 f"twice alike; {BUSY if self._many_late(unread) else disturbed}"
             )
         self._check_delays(present)
-        slow = [joint for joint in present if self._is_slow(joint)] if bus.late else []
-        if len(slow) >= crowd(len(plan.joints)):
+        if present and self._many_late(self._expected):
             self._advice.append(self._too_late())
         advice = latency_advice(bus.device)
         if advice is not None:
@@ -335,15 +334,6 @@ class _Handshake:
 
     def _too_late(self) -> str:
         return f"{self._port}: answers of {len(self._bus.late)} servos come too late: {BUSY}"
-
-    def _is_slow(self, joint: JointPlan) -> bool:
-        """Return whether a servo never answers in time, however quiet the line and the computer."""
-        taken_s = (
-            answer.till_s - answer.at_s
-            for answer in self._bus.ask_often(joint.servo, joint.model.measured)
-            if answer.data is not None
-        )
-        return min(taken_s, default=0.0) > self._plan.port.timeout_ms / 1000.0
 
     def _many_late(self, servos: Iterable[int]) -> bool:
         late = [servo for servo in servos if self._bus.late[servo]]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import os
-import signal
 import threading
 import time
 from multiprocessing.context import SpawnProcess
@@ -235,8 +233,7 @@ class _Crew:
 
     def _end(self) -> None:
         for worker in self._workers.values():
-            if worker.is_alive() and worker.pid is not None:
-                os.kill(worker.pid, signal.SIGTERM)
+            worker.terminate()
         for worker in self._workers.values():
             worker.join(3.0)
             if worker.is_alive():
