@@ -50,7 +50,6 @@ class _Servo:
     # what its goal register held against what was written
     register: GoalRegister = "taken"
     shut_seen: bool = False
-    look_at: int = 0  # cycle from which on a servo that has shut itself down is looked at again
     punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
 
     @property
@@ -93,8 +92,6 @@ class Cycle:
         # by leg; none where the port only observes
         self.drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
         self._lacking: dict[str, list[int]] = {}
-        # A servo that has shut itself down is looked at again after so long.
-        self._look_every = round(1.0 / plan.period_s)
         self._until_s = self._end_s = 0.0
         self._count = 0
         self._hurry_until = 0
@@ -398,7 +395,7 @@ class Cycle:
         for servo in servos:
             if servo in awake and servo is not turn:
                 servo.stands = Standing(torque=True)
-            elif self._count >= servo.look_at:
+            else:
                 asked[servo.joint.servo] = servo.joint.model.state
         readings = self._read_of(asked, self._until_s, self._end_s)
         for number, (reading, block) in readings.items():
@@ -428,8 +425,6 @@ class Cycle:
         record.shut, servo.shut_seen = stands.shut and servo.shut_seen, stands.shut
         if stands.shut:
             servo.waker.forget()
-        if record.shut:
-            servo.look_at = self._count + self._look_every
 
     def _take_command(self, leg: LegPlan, driver: Driver) -> None:
         taken = self._mailbox.take(leg.id)

@@ -404,17 +404,22 @@ class VirtualServo:
         self._memory[:] = self._saved  # what was written while EEPROM was locked is gone
         self._settle_turns(fresh=True)
         here = self._steps(self._backend.angle(self._index))
-        initial = {"temperature": 35, "torque_control": 0, "goal_position": here}
-        initial["voltage"] = 50 if model.protocol == 2 else 120
-        if model.feetech:
-            initial |= {"hardware_error": 0, "eeprom_lock": 1, "torque_limit": 1000}
-            initial |= {"position_p": 32, "position_d": 32, "max_acceleration": 254}
-        elif model.compact:
-            initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
-            initial |= {"torque_limit": 1023, "punch": 32, "position_p": 32}
-        else:
-            initial |= {"position_p": 400 if "330" in model.name else 800}
-            initial |= {"hardware_error": 0, "status_return": 2}
+        # Registers that the model has not are left out.
+        initial = {
+            "goal_position": here,
+            "voltage": 50 if model.protocol == 2 else 120,
+            "temperature": 35,
+            "torque_control": 0,
+            "torque_limit": 1000 if model.feetech else 1023,
+            "hardware_error": 0,
+            "eeprom_lock": 1,
+            "position_p": 32 if model.compact else 400 if "330" in model.name else 800,
+            "max_acceleration": 254,
+            **dict.fromkeys(("lower_slope", "upper_slope", "punch"), 32),
+            **dict.fromkeys(("lower_margin", "upper_margin"), 1),
+        }
+        if not model.compact:  # those of the others are in their EEPROM
+            initial["status_return"] = 2
         self._store_known(initial)
         starts = bool(self._has("startup") & 1)
         on = starts or self._backend.goal(self._index) is not None
