@@ -319,10 +319,11 @@ class Bus:
                     found[status.id] = self._reading(status, size, at_s)
                     if len(found) == len(servos):
                         return found, codec.thrown > thrown
-            lost = codec.thrown - thrown
+            unclear = codec.thrown - thrown + len(self._arrived)
             # As many bytes as are missing have come, and are no answer: none is waited for.
-            if lost >= (len(servos) - len(found)) * answer_bytes or not self._receive(until_s):
-                return found, lost + len(self._arrived) > 0
+            came = unclear >= (len(servos) - len(found)) * answer_bytes
+            if came or not self._receive(until_s):
+                return found, unclear > 0
 
     def _statuses(self, joint: Sequence[int] = (), size: int = 0) -> Iterator[Status]:
         """Take the servos' answers out of what has arrived.

@@ -267,6 +267,7 @@ def _chosen(
                 f"--ids {text}: port {near.name} has no servo {', '.join(lacking)} (ids there are "
                 f"{_ranges(sorted(near.servos))}); check its cable, power, id and baud rate"
             )
+        _models(on[0], ids)
         parts.append((on[0], ids))
     return parts
 
