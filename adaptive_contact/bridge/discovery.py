@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import msgspec
@@ -27,6 +28,7 @@ from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
+from adaptive_contact.robot.description import Protocol
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +113,10 @@ def find_servos(
     Raises:
         BusError: the port cannot be opened, no servo answers, or one answers too late only.
     """
-    places: list[Place] = [at for baud in bauds for at in ((baud, 1), (baud, 2))]
+    feetech_only = find_spec("scservo_sdk") and not find_spec("dynamixel_sdk")
+    # Feetech's answer the pings of protocol 1, and say what they are; protocol 1's answer theirs.
+    protocols: tuple[Protocol, ...] = ("sts",) if feetech_only else (1, 2)
+    places: list[Place] = [(baud, protocol) for baud in bauds for protocol in protocols]
     found = next(
         (one for place in places if (one := _ask(name, device, place, ids, configure))), None
     )

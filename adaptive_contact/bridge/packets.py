@@ -27,7 +27,7 @@ from __future__ import annotations
 import enum
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 from adaptive_contact.robot.description import Protocol
@@ -163,23 +163,11 @@ _LAYOUTS: Final = {
 
 
 class Codec:
-    """Encodes and decodes frames of a version of the protocol.
-
-    Attributes:
-        version: 1 or 2.
-        around: bytes of a status packet around its data.
-        thrown: bytes thrown away so far, as they are no packets.
-    """
+    """Encodes and decodes frames of a version of the protocol."""
 
     def __init__(self, version: int) -> None:
         self.version = version
         self._layout = _LAYOUTS[version]
-        self.around = len(self.status(0))
-        self.thrown = 0
-
-    def words(self, *values: int) -> bytes:
-        """Encode addresses and lengths, of one byte in protocol 1.0, of two in 2.0."""
-        return b"".join(value.to_bytes(self.version, "little") for value in values)
 
     def instruction(self, servo: int, code: int, parameters: bytes = b"") -> bytes:
         """Encode an instruction packet.
@@ -206,14 +194,15 @@ class Codec:
             return self.instruction(servo, error, data)
         return self.instruction(servo, Instruction.STATUS, bytes((error,)) + data)
 
-    def parse(self, buffer: bytearray) -> Iterator[Frame]:
-        """Take whole packets off the front of a buffer, one by one, but those with a wrong check.
+    def parse(self, buffer: bytearray) -> list[Frame]:
+        """Take whole packets off the front of a buffer; those with a wrong check are left out.
 
         Args:
             buffer: received so far; what was used or is no packet is removed, the beginning of a
                 packet that is still coming stays.
         """
         header, overhead, lengths, _ = self._layout
+        frames: list[Frame] = []
         while self._begins(buffer):
             length = int.from_bytes(buffer[len(header) + 1 : overhead], "little")
             end = overhead + length
@@ -223,11 +212,11 @@ class Codec:
                     break
                 frame = self._frame(bytes(buffer[:end]))
             if frame is None:
-                self.thrown += len(header)
                 del buffer[: len(header)]
             else:
+                frames.append(frame)
                 del buffer[:end]
-                yield frame
+        return frames
 
     def _begins(self, buffer: bytearray) -> bool:
         """Remove what comes before a header; whether all up to the packet's length is there."""
@@ -240,7 +229,6 @@ class Codec:
         # An id is at most FE, so of three or more FF the last two are protocol 1.0's header.
         while buffer[start + 1 : start + 1 + len(header)] == header:
             start += 1
-        self.thrown += start
         del buffer[:start]
         return len(buffer) >= self._layout.overhead
 
@@ -302,6 +290,29 @@ class Awaited:
         if late:
             self.late[servo] += 1
         return True
+
+
+def unsent(
+    version: int,
+    servo: int,
+    instruction: Instruction,
+    words: Sequence[int] = (),
+    data: Sequence[int] = (),
+) -> list[int]:
+    """Encode a packet as the SDK takes it: it fills in header, stuffing and check bytes.
+
+    Args:
+        version: of the packets, 1 or 2.
+        servo: its id.
+        instruction: what is asked.
+        words: parameters of two bytes each, of one in protocol 1.0.
+        data: bytes that follow them.
+    """
+    if version == 1:
+        rest = [*words, *data]
+        return [0, 0, servo, len(rest) + 2, instruction, *rest, 0]
+    rest = [*(byte for word in words for byte in (word & 0xFF, word >> 8)), *data]
+    return [0, 0, 0, 0, servo, len(rest) + 3, 0, instruction, *rest, 0, 0]
 
 
 def fast_sync_status(answers: Sequence[Status]) -> bytes:

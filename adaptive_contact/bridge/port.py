@@ -1,4 +1,7 @@
-"""Opens a serial port for itself alone, and reads and writes it without spinning.
+"""Wraps a serial port for the makers' SDKs, without the faults of their own ports.
+
+docs/bridge.md lists these.  What the packet handlers get wrong is worked around in
+:mod:`adaptive_contact.bridge.bus`.
 
 Who has a serial port open: locks are advice, and most software for servos does not ask for it.
 
@@ -14,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import math
 import os
 import select
 import termios
@@ -22,7 +26,7 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-from adaptive_contact.errors import BusError, needs
+from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
 
@@ -30,22 +34,31 @@ class PortLostError(BusError):
     """Reports that an open port is gone: unplugged, or its other end hung up."""
 
 
-class SerialPort:
-    """Holds a serial port.
+class SdkPort:
+    """Wraps a serial port as the SDKs' packet handlers want it.
 
     Attributes:
         is_open: whether it is.
+        is_using: set by the SDKs while they wait for an answer.
         timeout_ms: how long an answer may take beyond its bytes.
+        latest_s: monotonic time at which any wait for an answer ends.
+        received: bytes read so far.
+        arrived: bytes read, or thrown away before a question because they came unasked or too
+            late; :class:`~adaptive_contact.bridge.bus.Bus` takes out what it has counted.
         byte_s: how long a byte takes on the wire.
     """
 
     def __init__(self, name: str, port: Port) -> None:
-        self.name, self.device, self.baud = name, port.device, port.baud
-        self.is_open = False
+        self.name, self.port_name, self.baudrate = name, port.device, port.baud
+        self.is_open = self.is_using = False
         self._serial: Any = None
         self.timeout_ms = port.timeout_ms
         # Start, eight data bits, stop.
         self.byte_s = 10 / port.baud
+        self._deadline = 0.0
+        self.latest_s = math.inf
+        self.received = 0
+        self.arrived = bytearray()
         self._closed_to_others = False
         self._fd = -1
 
@@ -54,15 +67,13 @@ class SerialPort:
 
         Raises:
             BusError: in one line, why it cannot be opened and what to do.
-            MissingExtraError: pyserial is not installed.
         """
-        with needs("a bus of servos", "dynamixel"):
-            from serial import Serial, SerialException
+        from serial import Serial, SerialException
 
         self.close()
         try:
             self._serial = Serial(
-                self.device, self.baud, timeout=0, write_timeout=0, exclusive=True
+                self.port_name, self.baudrate, timeout=0, write_timeout=0, exclusive=True
             )
             self._fd = self._serial.fileno()
             # Sets an FTDI adapter's latency timer to 1 ms; pseudo-terminals and most other drivers
@@ -71,22 +82,22 @@ class SerialPort:
                 self._serial.set_low_latency_mode(True)
             # Not a pseudo-terminal: its other end keeps it, and the mark would outlive a killed
             # bridge.
-            if not is_pseudo(self.device):
+            if not is_pseudo(self.port_name):
                 with contextlib.suppress(OSError):
                     fcntl.ioctl(self._fd, termios.TIOCEXCL)
                     self._closed_to_others = True
             self._serial.reset_input_buffer()
         except SerialException as error:
-            raise BusError(_explain(self.name, self.device, error)) from error
+            raise BusError(_explain(self.name, self.port_name, error)) from error
         except (OSError, termios.error, ValueError) as error:
             raise BusError(
-                f"port {self.name}: {self.device} cannot be opened ({error}); expected a serial "
+                f"port {self.name}: {self.port_name} cannot be opened ({error}); expected a serial "
                 "port such as /dev/ttyUSB0"
             ) from error
         self.is_open = True
-        if holders(self.device):  # software that does not lock, such as the makers' SDKs
+        if holders(self.port_name):  # software that does not lock, such as the SDKs' own ports
             self.close()
-            raise BusError(_in_use(self.name, self.device))
+            raise BusError(_in_use(self.name, self.port_name))
 
     def close(self) -> None:
         """Close the port; errors of a port that is gone anyway are not reported."""
@@ -97,58 +108,54 @@ class SerialPort:
                 self._serial.close()
             self._closed_to_others = False
         self.is_open = False
+        self.is_using = False
 
-    def drain(self) -> bytes:
-        """Return what has come, without waiting.
+    def lost(self, error: Exception) -> PortLostError:
+        """Close after an error of the device, and make the error to raise."""
+        self.close()
+        return PortLostError(f"port {self.name}: {self.port_name} is gone ({error})")
 
-        Raises:
-            PortLostError: the port is gone.
-        """
-        data = bytearray()
-        with self._guarded(), contextlib.suppress(BlockingIOError):
-            while more := os.read(self._fd, 4096):
-                data += more
-        return bytes(data)
+    # -- what the SDKs' packet handlers call ----------------------------------------------------
 
-    def read(self, until_s: float) -> bytes:
-        """Return what comes, sleeping until it does; nothing at a monotonic time.
+    def clearPort(self) -> None:
+        """Discard what has come unasked, or too late."""
+        # DynamixelSDK's way, tcflush, waits for the kernel's worker that hands bytes over, which
+        # on a busy computer may wait itself: a cycle of 84 ms was seen.
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self._fd, 4096):
+                self.arrived += data
 
-        Raises:
-            PortLostError: the port is gone.
-        """
-        with self._guarded():
-            ready, _, _ = select.select([self._fd], [], [], max(until_s - time.monotonic(), 0.0))
-            if not ready:
-                return b""
-            data = os.read(self._fd, 4096)
-            if not data:
-                raise OSError(errno.EIO, "hung up")
-            return data
+    def readPort(self, length: int) -> bytes:
+        """Read up to ``length`` bytes, sleeping until one is there or time is up."""
+        if length <= 0:  # asked for after a packet whose length was too short to be true
+            return b""
+        left = self._deadline - time.monotonic()
+        ready, _, _ = select.select([self._fd], [], [], max(left, 0.0))
+        if not ready:
+            return b""
+        data = os.read(self._fd, length)
+        if not data:
+            raise OSError(errno.EIO, "hung up")
+        self.received += len(data)
+        self.arrived += data
+        return data
 
-    def write(self, packet: bytes) -> None:
-        """Write a packet.
+    def writePort(self, packet: list[int]) -> int:
+        """Write a packet; a full buffer means that the other end does not take it."""
+        return os.write(self._fd, bytes(packet))
 
-        Raises:
-            PortLostError: the port is gone, or its other end stands still, which is as good.
-        """
-        with self._guarded():
-            try:
-                written = os.write(self._fd, packet)
-            except BlockingIOError:
-                written = 0
-            if written < len(packet):
-                raise OSError("nothing can be written")
+    def setPacketTimeout(self, packet_length: int) -> None:
+        """Begin to wait for so many bytes."""
+        usual = time.monotonic() + packet_length * self.byte_s + self.timeout_ms / 1000.0
+        self._deadline = min(usual, self.latest_s)
 
-    @contextlib.contextmanager
-    def _guarded(self) -> Iterator[None]:
-        """Close the port at an error of the device."""
-        try:
-            if not self.is_open:
-                raise OSError("closed")
-            yield
-        except OSError as error:
-            self.close()
-            raise PortLostError(f"port {self.name}: {self.device} is gone ({error})") from error
+    def setPacketTimeoutMillis(self, msec: float) -> None:
+        """Begin to wait for so long."""
+        self._deadline = time.monotonic() + msec / 1000.0
+
+    def isPacketTimeout(self) -> bool:
+        """Return whether the wait is over."""
+        return time.monotonic() > self._deadline
 
 
 def latency_advice(device: str, root: Path = Path("/sys/bus/usb-serial/devices")) -> str | None:

@@ -1,4 +1,4 @@
-"""Virtual buses in a thread."""
+"""Virtual buses in a thread, opened by the real DynamixelSDK."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole chain in processes of its own: simulator, virtual bus, bridge, Zenoh,
+"""The whole chain in processes of its own: simulator, virtual bus, DynamixelSDK, bridge, Zenoh,
 service, contact events; scored against the simulator's truth."""
 
 from __future__ import annotations

@@ -1,18 +1,20 @@
-"""Feetech's servos, which their own SDK reads as the bridge does."""
+"""Feetech's servos over their own SDK: registers, observing, driving, what goes wrong."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import pytest
 import scservo_sdk as sdk
 from described import SCS, STS, Serve, init, robot
 
+from adaptive_contact.bridge import discovery
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
-from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import ServoLaw
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.robot import Port, ServoLaw
 
 
 @pytest.mark.parametrize(
@@ -72,8 +74,13 @@ def test_servos_of_the_other_byte_order_are_named(bus: Serve) -> None:
 
 
 @pytest.mark.parametrize(("model", "protocol"), [("STS3215", "sts"), ("SCS0009", "scs")])
-def test_init_finds_the_series(bus: Serve, model: str, protocol: str) -> None:
+@pytest.mark.parametrize("dynamixel", [True, False])
+def test_init_finds_the_series(
+    bus: Serve, model: str, protocol: str, dynamixel: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     device, servos = bus(f"1-3:{model}:position_p=16")
+    if not dynamixel:
+        monkeypatch.setattr(discovery, "find_spec", "scservo_sdk".__eq__)
     said, found = init(device)
     assert f"3 x {model}, ids 1-3; 1000000 baud, protocol {protocol}" in said
     assert found.ports["main"].protocol == protocol
@@ -82,3 +89,14 @@ def test_init_finds_the_series(bus: Serve, model: str, protocol: str) -> None:
     )
     assert check_ports(plan_ports(found), full=False, drive=True).errors == []
     assert all(servo.writes == 0 for servo in servos)
+
+
+@pytest.mark.parametrize(("present", "why"), [(False, "is not installed"), (True, "cannot be")])
+def test_a_missing_sdk_is_told_with_its_extra(
+    present: bool, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # None: not to be found; a module without its handler: Feetech's own package of the name.
+    monkeypatch.setitem(sys.modules, "scservo_sdk", type(sys)("scservo_sdk") if present else None)
+    with pytest.raises(MissingExtraError, match=rf"{why}.*\[feetech\]") as caught:
+        Bus("p", Port(device="/dev/null", protocol="sts"))
+    assert caught.value.extra == "feetech"

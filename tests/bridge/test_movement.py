@@ -1,7 +1,7 @@
 """Nothing moves that was not asked to move: any servo, set in any way, anywhere, whatever happens.
 
-The bridge speaks over a pseudo-terminal with servos whose horns have no inertia, so that each write
-shows all that it does.
+The real DynamixelSDK speaks over a pseudo-terminal with servos whose horns have no inertia, so that
+each write shows all that it does.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -20,10 +21,12 @@ from anybus import AnyServo, Horns, any_servo
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
+from adaptive_contact.bridge import bus
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.cycle import Cycle
 from adaptive_contact.bridge.drive import EASY_SHARE
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
+from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
 from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.robot import Port
@@ -37,7 +40,7 @@ SETTLED_TICKS = 45
 
 
 class Line:
-    """A port that is served while the bridge waits: no thread, no race.
+    """A port that is served while the SDK waits: no thread, no race.
 
     Attributes:
         late: share of answers that come after the next question only.
@@ -56,14 +59,22 @@ class Line:
         self.port.open()
         settings = Port(device=str(self.port.path), protocol=protocol, timeout_ms=1000)
         self.plan = PortPlan("main", settings, (), PERIOD_S)
-        self.bus = Bus("main", settings)
+        opened: list[Any] = []
+
+        def kept(*given: Any) -> SdkPort:
+            opened.append(SdkPort(*given))
+            return opened[0]
+
+        with mock.patch.object(bus, "SdkPort", kept):
+            self.bus = Bus("main", settings)
         self.bus.open()
-        write = self.bus.port.write
+        (device,) = opened
+        write = device.writePort
 
         rng = np.random.default_rng(0)
 
-        def serve(packet: bytes) -> None:
-            write(packet)
+        def serve(packet: list[int]) -> int:
+            done = int(write(packet))
             # What was held back is under way when the next question is asked.
             self.port.flush(time.monotonic() + 1.0)
             # The bytes pass through a worker of the kernel.
@@ -77,8 +88,9 @@ class Line:
             self.bus.port.timeout_ms = 2.0 if held else 1000.0
             if not held:
                 self.port.flush(time.monotonic() + 1.0)
+            return done
 
-        self.bus.port.write = serve  # type: ignore[method-assign]
+        device.writePort = serve
 
     def close(self) -> None:
         self.bus.close()

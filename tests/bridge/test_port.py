@@ -1,4 +1,4 @@
-"""A serial port: whom it lets in, what is wrong with a device, how it waits."""
+"""The SDK's port made usable: whom it lets in, what is wrong with a device, how it waits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from described import AX
 
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.port import latency_advice
-from adaptive_contact.errors import BusError, MissingExtraError
+from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
 
@@ -45,12 +45,6 @@ def test_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("serial.Serial", refuse)
     with pytest.raises(BusError, match="dialout"):
         Bus("legs", Port(device="/dev/ttyX")).open()
-
-
-def test_a_missing_pyserial_is_told_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(MissingExtraError, match=r"is not installed.*\[dynamixel\]"):
-        Bus("p", Port(device="/dev/null")).open()
 
 
 def test_a_port_in_use(rig: Callable, opened: Callable) -> None:

@@ -1,7 +1,7 @@
 """A virtual bus: pseudo-terminals whose Dynamixel or Feetech servos are a simulated robot.
 
 Any software for such servos can open them, ours or others'.  Bytes and control tables are those of
-:mod:`adaptive_contact.bridge`; the tests read them with the makers' SDKs.
+:mod:`adaptive_contact.bridge`; nothing of the makers' SDKs is used on this side.
 """
 
 from __future__ import annotations
