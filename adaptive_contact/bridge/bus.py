@@ -29,6 +29,7 @@ from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.tables import MODEL_NUMBERS, Block, Register, is_feetech
 from adaptive_contact.errors import BusError, needs
 from adaptive_contact.robot import Port
+from adaptive_contact.robot.description import Protocol
 
 T = TypeVar("T")
 
