@@ -126,7 +126,7 @@ def find_servos(
             "check power and cable, or give the rate with --baud"
         )
     rivals: list[Place] = []
-    if found.port.protocol == 1 and found.known < len(found.pongs):
+    if found.port.protocol in (1, "sts") and found.known < len(found.pongs):
         rivals += [(found.port.baud, "sts"), (found.port.baud, "scs")]
     # The one that was found first may be the odd one.
     rivals += [

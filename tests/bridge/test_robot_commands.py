@@ -84,7 +84,7 @@ def test_lost_ticks_are_told_with_what_to_do() -> None:
         (("robot", "learn", "--config", "model.toml"), "^leg 'l' has no lengths_m or origins_m, "),
         (("bridge", "dynamixel", "--device", "/nowhere"), "does not exist"),
         (("bridge", "feetech", "--device", "/nowhere"), "does not exist"),
-        (("bridge", "dynamixel", "--device", "/x", "--baud", "12"),),
+        (("bridge", "dynamixel", "--device", "/x", "--baud", "12"), "greater than or equal to 1200"),
         (("bridge", "virtual", "--fault", "broken"), "expected one of silent"),
         (("bridge", "virtual", "--record", "x.mcap"), "needs --scenario"),
         (("bridge", "virtual", "--servos", "STS9"), "unknown servo model 'STS9'"),
