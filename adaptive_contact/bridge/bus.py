@@ -80,8 +80,6 @@ class Pong(NamedTuple):
     model_number: int | None  # None where neither a ping (of protocol 2.0) nor a read gives it
     doubled: bool = False  # several seem to answer
     reads: bool = True  # it answers reads; at a status return level of 0 it does not
-    # what it is in words, and in which protocol, where it is a Feetech servo and that is another
-    other: tuple[str, Protocol] | None = None
 
 
 class Bus:
@@ -210,15 +208,11 @@ class Bus:
         measure differs, and on the wire their answers then garble each other, again and again.
         """
         for _ in range(2):
-            faults = [answer.fault for answer in self.ask_often(servo, block)]
+            faults = [self._ask(servo, block).fault for _ in range(_LOOKS)]
             if faults.count("corrupt") < _GARBLED:
                 return True
             self.settle()
         return False
-
-    def ask_often(self, servo: int, block: Block) -> list[Reading]:
-        """Ask a servo for registers some times in a row."""
-        return [self._ask(servo, block) for _ in range(_LOOKS)]
 
     def settle(self, quiet_ms: float = 100.0) -> None:
         """Wait until nothing arrives any more, outside the cycle.

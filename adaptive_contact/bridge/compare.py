@@ -3,15 +3,12 @@
 A leg's model is learned from its motion, and its slope is one number for the whole robot.  A servo
 that is set differently from the others is often one that was replaced; a limit on speed or
 acceleration makes a servo follow its goals along a way of its own, which the model has to learn.
-
-Units: ROBOTIS e-manual, XM430-W350 "Profile Acceleration(108)", "Profile Velocity(112)".
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from adaptive_contact.bridge.bus import Bus
@@ -42,6 +39,11 @@ COMPARED: Final = (
     "torque_limit",
     "pwm_limit",
     "return_delay",
+)
+# Those that limit how goals are followed, and of which 0 limits nothing.
+_LIMITS: Final = (
+    *("moving_speed", "goal_acceleration", "acceleration"),
+    *("profile_velocity", "profile_acceleration"),
 )
 # Lower and upper are clockwise and counter-clockwise in the manual.
 _NAMES: Final = {
@@ -100,17 +102,17 @@ def compare(servos: Sequence[Servo]) -> list[str]:
     lines = []
     for name, group in by_model.items():
         for register in COMPARED:
-            if register not in _SHAPES:
+            if register not in _LIMITS:
                 lines += _differing(name, register, [s for s in group if register in s.values])
-    for register, shapes in _SHAPES.items():
-        by_line: dict[str, list[Servo]] = {}
+    for register in _LIMITS:
+        by_value: dict[int, list[Servo]] = {}
         for servo in servos:
-            # 0 limits nothing; a torque limit of 0 is a servo's that has shut itself down.
-            line = shapes(servo, register) if servo.values.get(register) else None
-            if line is not None:
-                by_line.setdefault(line, []).append(servo)
+            if servo.values.get(register):
+                by_value.setdefault(servo.values[register], []).append(servo)
         lines += [
-            f"{_title(register)} of {_who(some, servos)} {line}" for line, some in by_line.items()
+            f"{_title(register)} of {_who(some, servos)} is {value}: it limits how goals are "
+            "followed; 0 sets no limit"
+            for value, some in by_value.items()
         ]
     return lines
 
@@ -142,50 +144,3 @@ def _who(some: Sequence[Servo], of: Sequence[Servo]) -> str:
         return f"all {len(of)} servos" if len(of) > 1 else f"servo {of[0].id} ({of[0].where})"
     names = ", ".join(f"{s.port}{':' if s.port else ''}{s.id} ({s.where})" for s in some)
     return f"servo {names}"
-
-
-def _speed(servo: Servo, register: str) -> str:
-    value = servo.values[register]
-    if register == "profile_velocity" and _time_based(servo):
-        return f"is {value} ms: goals are reached so much later; 0 sets no limit"
-    rad_s = value * servo.model.speed_rad_s
-    return f"is {value}: goals are followed at {rad_s:.2g} rad/s at the most; 0 sets no limit"
-
-
-def _acceleration(servo: Servo, register: str) -> str:
-    value = servo.values[register]
-    if register == "profile_acceleration" and _time_based(servo):
-        return f"is {value} ms: so long a servo gathers speed for each goal; 0 sets no limit"
-    # 214.577 rev/min², in rad/s².
-    unit = 214.577 * 2 * math.pi / 3600
-    if register == "acceleration":
-        unit = 100 * servo.model.step_rad
-    most = "" if register == "goal_acceleration" else f" ({value * unit:.3g} rad/s²)"
-    return f"is {value}: goals are followed with a limited acceleration{most}; 0 sets no limit"
-
-
-def _weaker(servo: Servo, register: str) -> str | None:
-    # All of it, as the servo's own unit has it: e-manual AX-12A "Torque Limit(34)", XM430-W350 "PWM
-    # Limit(36)".
-    value, full = servo.values[register], {"torque_limit": 1023, "pwm_limit": 885}[register]
-    if servo.model.feetech:
-        full = 1000
-    if value >= full:
-        return None
-    return f"is {value} of {full}: it drives with {100 * value / full:.0f} % of what it has"
-
-
-def _time_based(servo: Servo) -> bool:
-    return bool(servo.values.get("drive_mode", 0) & DriveMode.TIME_BASED)
-
-
-# What a register says of a servo's motion; None where it is as it leaves a servo free.
-_SHAPES: Final[Mapping[str, Callable[[Servo, str], str | None]]] = {
-    "moving_speed": _speed,
-    "goal_acceleration": _acceleration,
-    "acceleration": _acceleration,
-    "profile_velocity": _speed,
-    "profile_acceleration": _acceleration,
-    "torque_limit": _weaker,
-    "pwm_limit": _weaker,
-}

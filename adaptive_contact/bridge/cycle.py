@@ -9,7 +9,7 @@ this tick gets no goal in it: what it holds, and whether it drives, is not known
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
@@ -24,7 +24,7 @@ from adaptive_contact.bridge.drive import (
 )
 from adaptive_contact.bridge.health import SILENT_AFTER, Punctuality, ServoHealth, due, is_stale
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
-from adaptive_contact.bridge.tables import Block, Register, ServoModel
+from adaptive_contact.bridge.tables import Block, Register
 from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.wire import ServoCounts, ServoSample
 
@@ -50,7 +50,6 @@ class _Servo:
     # what its goal register held against what was written
     register: GoalRegister = "taken"
     shut_seen: bool = False
-    look_at: int = 0  # cycle from which on a servo that has shut itself down is looked at again
     punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
 
     @property
@@ -93,8 +92,6 @@ class Cycle:
         # by leg; none where the port only observes
         self.drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
         self._lacking: dict[str, list[int]] = {}
-        # A servo that has shut itself down is looked at again after so long.
-        self._look_every = round(1.0 / plan.period_s)
         self._until_s = self._end_s = 0.0
         self._count = 0
         self._hurry_until = 0
@@ -202,7 +199,8 @@ class Cycle:
         # work.
         end_s = now_ns / 1e9 + 0.3 * self.plan.period_s
         asked = asked[first:] + asked[:first]
-        readings = self._read_of(asked, lambda model: model.state, 0.0, end_s)
+        states = {number: self._servos[number].joint.model.state for number in asked}
+        readings = self._read_of(states, 0.0, end_s)
         for number, (reading, block) in readings.items():
             if reading.data is not None:
                 servo = self._servos[number]
@@ -221,12 +219,9 @@ class Cycle:
         self._until_s = now_s + 0.4 * period_s
         self._end_s = max(due_ns / 1e9 + _END_SHARE * period_s, now_s + _LEAST_SHARE * period_s)
         drives = self.mode == "drive"
-        readings = self._read_of(
-            asked,
-            lambda model: model.watched if drives else model.goal_and_motion,
-            self._until_s,
-            self._end_s,
-        )
+        models = {number: self._servos[number].joint.model for number in asked}
+        blocks = {n: m.watched if drives else m.goal_and_motion for n, m in models.items()}
+        readings = self._read_of(blocks, self._until_s, self._end_s)
         for number, servo in self._servos.items():
             servo.last_goal = servo.goal
             servo.fresh, servo.stands = False, None
@@ -245,16 +240,12 @@ class Cycle:
             servo.valid = servo.fresh and self._take(servo, reading, block, due_ns)
 
     def _read_of(
-        self,
-        servos: Sequence[int],
-        block_of: Callable[[ServoModel], Block],
-        until_s: float,
-        end_s: float,
+        self, blocks: Mapping[int, Block], until_s: float, end_s: float
     ) -> dict[int, tuple[Reading, Block]]:
-        """Read registers of servos, those of one control table in one go: readings, and of what."""
+        """Read registers of servos, the same ones in one go: readings, and of what."""
         by_block: dict[Block, list[int]] = {}
-        for number in servos:
-            by_block.setdefault(block_of(self._servos[number].joint.model), []).append(number)
+        for number, block in blocks.items():
+            by_block.setdefault(block, []).append(number)
         return {
             number: (reading, block)
             for block, numbers in by_block.items()
@@ -377,22 +368,19 @@ class Cycle:
 
     def _learn(self, servos: Sequence[_Servo]) -> None:
         """Read how servos are set, before their first goal; a few at a time, they are long."""
-        by_block: dict[Block, list[int]] = {}
+        # Settings of servos that are to be woken are read within this share of the period.
+        left_s = 0.25 * self.plan.period_s
+        some: dict[int, Block] = {}
         for servo in servos:
             block = servo.waker.wanted
             assert block is not None
-            by_block.setdefault(block, []).append(servo.joint.servo)
-        # Settings of servos that are to be woken are read within this share of the period.
-        left_s = 0.25 * self.plan.period_s
-        for block, numbers in by_block.items():
-            if left_s <= 0.0:
-                return
-            each_s = self.bus.cost_s(block)
-            some = numbers[: max(int(left_s / each_s), 1)]
-            left_s -= each_s * len(some)
-            for number, reading in self.bus.read(some, block, 0.0, self._end_s).items():
-                if reading.data is not None:
-                    self._servos[number].waker.learn(reading.data)
+            left_s -= self.bus.cost_s(block)
+            if left_s < 0.0 and some:
+                break
+            some[servo.joint.servo] = block
+        for number, (reading, _) in self._read_of(some, 0.0, self._end_s).items():
+            if reading.data is not None:
+                self._servos[number].waker.learn(reading.data)
 
     def _look(self, servos: Sequence[_Servo]) -> None:
         """Read the servos' state where the tick's reading does not have it (X-series).
@@ -403,13 +391,13 @@ class Cycle:
         servos = [servo for servo in servos if not servo.joint.model.compact]
         awake = [s for s in servos if s.waker.awake and s.register == "taken"]
         turn = awake[self._count % len(awake)] if awake else None
-        asked = []
+        asked = {}
         for servo in servos:
             if servo in awake and servo is not turn:
                 servo.stands = Standing(torque=True)
-            elif self._count >= servo.look_at:
-                asked.append(servo.joint.servo)
-        readings = self._read_of(asked, lambda model: model.state, self._until_s, self._end_s)
+            else:
+                asked[servo.joint.servo] = servo.joint.model.state
+        readings = self._read_of(asked, self._until_s, self._end_s)
         for number, (reading, block) in readings.items():
             servo = self._servos[number]
             if reading.data is not None:
@@ -437,8 +425,6 @@ class Cycle:
         record.shut, servo.shut_seen = stands.shut and servo.shut_seen, stands.shut
         if stands.shut:
             servo.waker.forget()
-        if record.shut:
-            servo.look_at = self._count + self._look_every
 
     def _take_command(self, leg: LegPlan, driver: Driver) -> None:
         taken = self._mailbox.take(leg.id)

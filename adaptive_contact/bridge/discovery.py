@@ -7,31 +7,28 @@ import functools
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
+from adaptive_contact.bridge import handshake
 from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.handshake import (
-    ANSWERS_NOW,
     BUSY,
     USUAL_BAUDS,
     Place,
-    let_answer,
+    astray_text,
+    doubled_text,
+    find_all,
     look_elsewhere,
     named,
-    scan,
-    scan_again,
 )
 from adaptive_contact.bridge.modes import followed, read_slope
 from adaptive_contact.bridge.packets import MAX_ID
-from adaptive_contact.bridge.tables import ServoModel, model_of_number, tool_of
+from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
 from adaptive_contact.robot.description import Protocol
-
-# Servos are numbered one after the other: so far beyond the last found, all are asked again.
-BEYOND: Final = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +44,11 @@ class Found:
     done: tuple[str, ...] = ()  # what was written
     # ids that answer at another baud rate and protocol, by these
     elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def known(self) -> int:
+        """Count the servos of known models."""
+        return sum(model is not None for model in self.servos.values())
 
     @functools.cached_property
     def servos(self) -> dict[int, ServoModel | None]:
@@ -70,30 +72,19 @@ def wanted_legs(text: str) -> tuple[Wanted, ...]:
     """Parse ``--ids``: ``2,4,6/8,10,12``, with a port's name where there are several.
 
     Raises:
-        ConfigurationError: it cannot be read, or an id is there twice.
+        ConfigurationError: it cannot be read.
     """
-
-    def refuse(what: str) -> ConfigurationError:
-        return ConfigurationError(
-            f"--ids {text}: {what}; give each leg's ids from the body outwards, and '/' between "
-            "legs, such as 2,4,6/8,10,12 (with several ports left:2,4,6/right:2,4,6)"
-        )
-
     legs: list[Wanted] = []
-    taken: set[tuple[str | None, int]] = set()
     for leg in text.split("/"):
         port, colon, rest = leg.rpartition(":")
         words = [word.strip() for word in rest.split(",")]
         if not all(word.isascii() and word.isdigit() for word in words):
-            raise refuse(f"'{leg}' is no list of ids")
-        ids = tuple(int(word) for word in words)
-        if max(ids) > MAX_ID:
-            raise refuse(f"{max(ids)} is no id (0 to {MAX_ID})")
-        legs.append(Wanted(port.strip() if colon else None, ids))
-        for servo in ids:
-            if (legs[-1].port, servo) in taken:
-                raise refuse(f"{servo} is there twice")
-            taken.add((legs[-1].port, servo))
+            raise ConfigurationError(
+                f"--ids {text}: '{leg}' is no list of ids; give each leg's ids from the body "
+                "outwards, and '/' between legs, such as 2,4,6/8,10,12 (with several ports "
+                "left:2,4,6/right:2,4,6)"
+            )
+        legs.append(Wanted(port.strip() if colon else None, tuple(map(int, words))))
     return tuple(legs)
 
 
@@ -107,7 +98,7 @@ def find_servos(
 ) -> Found:
     """Ask a port at all usual rates, in both protocols, who is there.
 
-    Feetech servos answer in protocol 1, and are then asked in their own.
+    Feetech servos answer in protocol 1, too: servos of no known model are asked in theirs.
 
     Writes nothing, but with ``configure`` the status return level of servos that answer no reads.
 
@@ -134,15 +125,17 @@ def find_servos(
             f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; "
             "check power and cable, or give the rate with --baud"
         )
-    # The one that was found first may be the odd one: by its rate, or of another make.
-    rivals = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
-    for pong in found.pongs.values():
-        if pong.other is not None:
-            at = found.port.baud, pong.other[1]
-            rivals[at] = rivals.get(at, 0) + 2
-    most = max(rivals, key=lambda at: rivals[at], default=None)
-    if most is not None and rivals[most] > len(found.pongs):
-        found = _ask(name, device, most, ids, configure) or found
+    rivals: list[Place] = []
+    if found.port.protocol in (1, "sts") and found.known < len(found.pongs):
+        rivals += [(found.port.baud, "sts"), (found.port.baud, "scs")]
+    # The one that was found first may be the odd one.
+    rivals += [
+        at for at, there in found.elsewhere.items() if at[0] in bauds and len(there) > found.known
+    ]
+    for place in rivals:
+        other = _ask(name, device, place, ids, configure)
+        if other is not None and other.known > found.known:
+            found = other
     return found
 
 
@@ -152,27 +145,17 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int], configure: bo
     bus = Bus(name, port)
     bus.open()
     try:
-        pongs = scan(bus)
-        bus.settle()  # were some late?  They are there, and the row goes on behind them
+        wanted = () if not configure else ids or None
+        pongs, done = find_all(bus, handshake.ALL_IDS, configure=wanted)
         if not pongs and not bus.late:
             return None
-        row = range(min(max({*pongs, *bus.late}) + BEYOND, MAX_ID) + 1)
-        pongs = scan_again(bus, pongs, row)
+        row = range(min(max({*pongs, *bus.late}) + handshake.BEYOND, MAX_ID) + 1)
         late = sorted(servo for servo in bus.late if servo not in pongs and servo in (ids or row))
         if late:  # a description without them would be of another robot
             raise BusError(f"port {name}: answers of servo {_ranges(late)} come too late: {BUSY}")
         doubled = [servo for servo, pong in pongs.items() if pong.doubled]
         if doubled:
-            raise BusError(
-                f"port {name}: several servos answer to id {', '.join(map(str, doubled))} (or "
-                "their line is disturbed); connect them one by one and give each an id of its own"
-            )
-        mute = [s for s, pong in pongs.items() if configure and not pong.reads]
-        done = tuple(
-            f"servo {servo}: {let_answer(bus, pongs, servo) or ANSWERS_NOW}"
-            for servo in mute
-            if servo in ids or not ids
-        )
+            raise BusError(f"port {name}: {doubled_text(doubled)}")
         slopes, follows = {}, {}
         for servo, pong in pongs.items():
             model = model_of_number(pong.model_number, port.protocol)
@@ -186,7 +169,7 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int], configure: bo
         bus.close()
     missing = [servo for servo in ids or row[1:] if servo not in pongs]
     elsewhere = look_elsewhere(name, port, missing)
-    return Found(name, port, pongs, slopes, follows, done, elsewhere)
+    return Found(name, port, pongs, slopes, follows, tuple(done), elsewhere)
 
 
 def group(
@@ -273,6 +256,9 @@ def _chosen(
     for port, ids in wanted:
         text = ",".join(map(str, ids))
         here = [one for one in found if port in (one.name, None)]
+        if not here:
+            names = ", ".join(one.name for one in found)
+            raise BusError(f"--ids names port '{port}'; --device gives {names}")
         on = [one for one in here if set(ids) <= set(one.servos)]
         if len(on) > 1:
             raise BusError(
@@ -342,13 +328,10 @@ def describe(found: Iterable[Found]) -> list[str]:
             "no joint of its own; where it is one, set that to 255 with DYNAMIXEL Wizard"
             for servo, first in one.follows.items()
         ]
-        for (baud, protocol), ids in one.elsewhere.items():
-            does = "answers" if len(ids) == 1 else "answer"
-            lines.append(
-                f"port {one.name}: servo {_ranges(ids)} {does} at {baud} baud, protocol "
-                f"{protocol}: all servos of a port need one baud rate and protocol; set them with "
-                f"{tool_of(one.port.protocol)}"
-            )
+        lines += [
+            f"port {one.name}: {astray_text(one.port, place, ids)}"
+            for place, ids in one.elsewhere.items()
+        ]
     return lines
 
 

@@ -147,16 +147,12 @@ class Driver:
 
 def complaint(command: Command, joints: int) -> str | None:
     """Return why a command cannot be used, or None."""
-    if len(command.desired) != joints:
-        return f"desired has {len(command.desired)} values for {joints} joints"
-    if not all(math.isfinite(x) for x in command.desired):
-        return "desired is not finite"
-    preview = command.preview or ()
-    if len(preview) > MAX_PREVIEW_TICKS:
-        return f"preview has {len(preview)} ticks; {MAX_PREVIEW_TICKS} at most"
-    for row in preview:
+    rows = [command.desired, *(command.preview or ())]
+    if len(rows) > MAX_PREVIEW_TICKS + 1:
+        return f"preview has {len(rows) - 1} ticks; {MAX_PREVIEW_TICKS} at most"
+    for row in rows:
         if len(row) != joints or not all(math.isfinite(x) for x in row):
-            return f"preview has a row that is not {joints} finite values"
+            return f"a row has {len(row)} values; expected {joints} finite ones"
     return None
 
 

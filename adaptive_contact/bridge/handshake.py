@@ -7,7 +7,7 @@ looked for, and what ``configure`` writes: docs/bridge.md, "The handshake".
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
@@ -16,19 +16,10 @@ import msgspec
 from adaptive_contact.bridge.bus import MOST_PATIENT_MS, Bus, Pong
 from adaptive_contact.bridge.drive import remedy, standing
 from adaptive_contact.bridge.modes import followed, setting
-from adaptive_contact.bridge.packets import MAX_ID, version_of
+from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import latency_advice
-from adaptive_contact.bridge.tables import (
-    FEETECH_MARK,
-    MODELS,
-    Register,
-    ServoModel,
-    feetech_of,
-    model_of_number,
-    number_name,
-    tool_of,
-)
+from adaptive_contact.bridge.tables import MODELS, ServoModel, model_of_number, tool_of
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 from adaptive_contact.robot.description import Protocol
@@ -39,9 +30,8 @@ Place = tuple[int, Protocol]
 
 # Rates that servos are delivered with, and those set most; then others that they can have.
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
-# The usual status return level: a servo answers everything.
-_ANSWER_ALL: Final = 2
-ANSWERS_NOW: Final = f"status return level set to {_ANSWER_ALL}"
+# Servos are numbered one after the other: so far beyond the last found, all are asked again.
+BEYOND: Final = 8
 
 BUSY: Final = (
     "this computer is too busy, or its adapter holds bytes back; end other programs, run with "
@@ -59,10 +49,8 @@ class Findings:
 
     # why the bridge cannot run, one line each
     errors: list[str] = dataclasses.field(default_factory=list)
-    # what to set for it to run well, one line each
+    # what to set for it to run well, and what was set with ``configure``, one line each
     advice: list[str] = dataclasses.field(default_factory=list)
-    # what was written, with ``configure``
-    done: list[str] = dataclasses.field(default_factory=list)
 
     def raise_errors(self) -> None:
         """Raise all errors as one message.
@@ -99,22 +87,46 @@ def check_ports(
         for found in pool.map(_Handshake.run, checks):
             findings.errors += found.errors
             findings.advice += found.advice
-            findings.done += found.done
     return findings
 
 
-def scan(bus: Bus, ids: Iterable[int] | None = None) -> dict[int, Pong]:
-    """Ping servos, all that there may be without ``ids``; who answers, by id.
+def find_all(
+    bus: Bus,
+    asked: Iterable[int],
+    expected: Iterable[int] | None = None,
+    configure: Collection[int] | None = (),
+) -> tuple[dict[int, Pong], list[str]]:
+    """Find who is on a bus; let servos that answer pings only answer reads, if wanted.
+
+    Args:
+        bus: the port; its time for answers is longer afterwards.
+        asked: ids to ask.
+        expected: who ought to be there, and is asked again; without, all up to some beyond the last
+            that answers.
+        configure: whose status return level may be set; None for all.
+
+    Returns:
+        Who answers, by id in order, and what was set, or why it was not, one line each.
 
     Raises:
         PortLostError: the port is gone.
     """
     found = {}
-    for servo in ALL_IDS if ids is None else ids:
+    for servo in asked:
         pong = bus.ping(servo)
         if pong is not None:
             found[servo] = pong
-    return found
+    bus.settle(100.0 if found else MOST_PATIENT_MS)  # were some late?
+    if not found and not bus.late:  # a bus without an answer is asked once
+        return {}, []
+    if expected is None:
+        expected = range(min(max({*found, *bus.late}) + BEYOND, MAX_ID) + 1)
+    found = scan_again(bus, found, {*expected, *bus.late})
+    lines = []
+    for servo, pong in list(found.items()):
+        if not pong.reads and (configure is None or servo in configure):
+            lines.append(f"servo {servo}: {_let_answer(bus, found, servo)}")
+    return found, lines
 
 
 def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int, Pong]:
@@ -134,9 +146,9 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
         PortLostError: the port is gone.
     """
     bus.port.timeout_ms = max(bus.port.timeout_ms, _PATIENT_MS)
-    pongs = dict(found)
+    pongs = {}
     for servo in sorted({*ids, *found}):
-        pong = pongs.get(servo)
+        pong = found.get(servo)
         if pong is None or not pong.reads or pong.doubled:
             pong = _again(bus, servo, pong)
         if pong is None:
@@ -145,24 +157,40 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
         if number is not None:  # what a scan took for it may have been another answer
             pong = pong._replace(model_number=bus.model_number.value(number))
         model = model_of_number(pong.model_number, bus.protocol)
-        if model is None and pong.reads and version_of(bus.protocol) == 1:
-            mark = bus.confirmed(servo, FEETECH_MARK)
-            other = None if mark is None else feetech_of(mark, servo)
-            if other is not None and other[1] != bus.protocol:
-                pong = pong._replace(other=other)
         if model is not None and not pong.doubled and not bus.is_clear(servo, model.measured):
             pong = pong._replace(doubled=True)
         pongs[servo] = pong
-    return dict(sorted(pongs.items()))
+    return pongs
 
 
 def named(pong: Pong, protocol: Protocol) -> str:
     """Describe a servo in words."""
-    if pong.other is not None:
-        return f"{pong.other[0]}, of protocol {pong.other[1]!r}"
-    if pong.model_number is None:
-        return "answers pings only"
-    return number_name(pong.model_number, protocol)
+    model = model_of_number(pong.model_number, protocol)
+    if model is not None:
+        return model.name
+    return (
+        "answers pings only" if pong.model_number is None else f"model number {pong.model_number}"
+    )
+
+
+def doubled_text(servos: Iterable[int]) -> str:
+    """Describe ids that several servos have."""
+    return (
+        f"several servos answer to id {', '.join(map(str, servos))} (or its line is disturbed); "
+        "connect them one by one and give each an id of its own"
+    )
+
+
+def astray_text(port: Port, place: Place, ids: Sequence[int]) -> str:
+    """Describe servos that answer at another rate, or in the other protocol, than their port's."""
+    baud, protocol = place
+    does = "answers" if len(ids) == 1 else "answer"
+    what = "baud rate" if protocol == port.protocol else "baud rate and protocol"
+    return (
+        f"servo {', '.join(map(str, ids))} {does} at {baud} baud, protocol {protocol}, not at "
+        f"{port.baud} baud, protocol {port.protocol}; set its {what} with "
+        f"{tool_of(port.protocol)}, as all servos of a port have one"
+    )
 
 
 def look_elsewhere(
@@ -200,51 +228,38 @@ def look_elsewhere(
     return found
 
 
-def let_answer(
-    bus: Bus, found: dict[int, Pong], servo: int, model: ServoModel | None = None
-) -> str | None:
-    """Let a servo answer everything that answers pings only: write its status return level.
+def _let_answer(bus: Bus, found: dict[int, Pong], servo: int) -> str:
+    """Let a servo answer everything that answers pings only; what was done, or why not, in words.
 
-    Args:
-        bus: its port.
-        found: who answers; the servo's pong is replaced by what it answers then.
-        servo: which.
-        model: what it is expected to be; all models of protocol 1.0 have the register at one place.
-
-    Returns:
-        Why that was not done, in words; None when it was.
-
-    Raises:
-        PortLostError: the port is gone.
+    All models of protocol 1.0 have the register at one place.
     """
     pong = found[servo]
-    model = (
-        model_of_number(pong.model_number, bus.protocol)
-        or model
-        or (MODELS[0] if bus.protocol == 1 else None)
-    )
-    register = None if model is None else model.registers.get("status_return")
-    if model is None or register is None:
+    usual = MODELS[0] if bus.protocol == 1 else None
+    model = model_of_number(pong.model_number, bus.protocol) or usual
+    if model is None or "status_return" not in model.registers:
         what = named(pong, bus.protocol)
         return f"({what}) has its status return level at a place that is unknown here"
-    if bus.put(servo, register, _ANSWER_ALL):
-        again = bus.ping(servo)
-        if again is not None:
-            found |= scan_again(bus, {servo: again}, ())
-        return None
-    torque = "torque off first (the leg will go limp)"
-    remedy = torque if register.eeprom and model.protocol == 2 else "power off and on"
-    return f"did not take a status return level of {_ANSWER_ALL}; switch its {remedy}"
+    done = _keep(bus, servo, model, "status_return", 2)
+    found |= scan_again(bus, {servo: pong}, ())
+    return done
 
 
-def keep(bus: Bus, servo: int, model: ServoModel, register: Register, value: int) -> bool:
-    """Write a register of the EEPROM; True when the servo holds the value after."""
-    lock = model.registers.get("eeprom_lock")
-    if lock is None or not bus.get(servo, lock):
-        return bus.put(servo, register, value)
-    bus.put(servo, lock, 0)
-    done = bus.put(servo, register, value)
-    return bus.put(servo, lock, 1) and done
+def _keep(bus: Bus, servo: int, model: ServoModel, name: str, value: int) -> str:
+    """Write a register of the EEPROM; what was done, or why not, in words."""
+    lock, what = model.registers.get("eeprom_lock"), name.replace("_", " ")
+    locked = lock is not None and bus.get(servo, lock)
+    if lock is not None and locked:
+        bus.put(servo, lock, 0)
+    done = bus.put(servo, model.registers[name], value)
+    if lock is not None and locked:
+        done = bus.put(servo, lock, 1) and done
+    if done:
+        return f"{what} set to {value}"
+    return (
+        f"did not take a {what} of {value}; its EEPROM may be locked, as that of a servo with "
+        "protocol 2.0 that drives: switch its torque off (the leg will go limp), or its power off "
+        "and on, then run with --configure again"
+    )
 
 
 def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
@@ -283,8 +298,7 @@ class _Handshake:
     def run(self) -> Findings:
         try:
             self._bus.open()
-            found = self._ask()
-            self._compare(found, self._look_for([s for s in self._expected if s not in found]))
+            self._compare(self._ask())
             self._judge_settings()
         except BusError as error:
             self._errors.append(str(error))
@@ -293,91 +307,61 @@ class _Handshake:
         return self._findings
 
     def _ask(self) -> dict[int, Pong]:
-        """Find who is there, by id; let servos that answer pings only answer reads, if wanted."""
-        bus, expected = self._bus, self._expected
-        asked = ALL_IDS if self._full else expected
-        found = scan(bus, [servo for servo in asked if servo not in self._plan.port.ignore])
-        if not found:
-            bus.settle(MOST_PATIENT_MS)  # were they late?
-        if found or bus.late:  # a bus without an answer is asked once
-            found = scan_again(bus, found, {*expected, *bus.late})
-        mute = [s for s, pong in found.items() if s in expected and not pong.reads]
-        for servo in mute if self._configure else ():
-            trouble = let_answer(bus, found, servo, expected[servo].model)
-            if trouble is None:
-                self._findings.done.append(f"{self._port}: servo {servo}: {ANSWERS_NOW}")
-            else:
-                self._advice.append(f"{self._port}: servo {servo} {trouble}")
+        asked = ALL_IDS if self._full else self._expected
+        ignored, expected = self._plan.port.ignore, self._expected
+        configure = expected if self._configure else ()
+        ids = [servo for servo in asked if servo not in ignored]
+        found, lines = find_all(self._bus, ids, expected, configure)
+        self._advice += [f"{self._port}: {line}" for line in lines]
         return found
-
-    def _look_for(self, missing: Sequence[int]) -> dict[Place, list[int]]:
-        """Find missing servos that answer at another rate, or in the other protocol."""
-        if not missing:
-            return {}
-        self._bus.settle()  # were they late?
-        if self._many_late(missing):
-            return {}
-        self._bus.close()
-        bauds = (*USUAL_BAUDS, *(3_000_000, 500_000, 19_200, 9_600))
-        elsewhere = look_elsewhere(self._plan.name, self._plan.port, missing, bauds)
-        self._bus.open()
-        return elsewhere
 
     def _judge_settings(self) -> None:
         plan, bus = self._plan, self._bus
         present = [] if self._errors else list(plan.joints)
         unread = [joint.servo for joint in present if not self._is_set(joint)]
-        if unread and self._many_late(unread):
-            self._errors.append(self._too_late(len(unread)))
-        elif unread:
+        if unread:
+            disturbed = "the line is disturbed: check its plugs and cable, and try again"
             self._errors.append(
                 f"{self._port}: the settings of servo {', '.join(map(str, unread))} cannot be read "
-                "twice alike; the line is disturbed: check its plugs and cable, and try again"
+                f"twice alike; {BUSY if self._many_late(unread) else disturbed}"
             )
         self._check_delays(present)
-        slow = [joint for joint in present if self._is_slow(joint)] if bus.late else []
-        if len(slow) >= crowd(len(plan.joints)):
-            self._advice.append(self._too_late(len(slow)))
+        if present and self._many_late(self._expected):
+            self._advice.append(self._too_late())
         advice = latency_advice(bus.device)
         if advice is not None:
             self._advice.append(f"{self._port}: {advice}")
 
-    def _too_late(self, count: int) -> str:
-        return f"{self._port}: answers of {count} servos come too late: {BUSY}"
-
-    def _is_slow(self, joint: JointPlan) -> bool:
-        """Return whether a servo never answers in time, however quiet the line and the computer."""
-        taken_s = (
-            answer.till_s - answer.at_s
-            for answer in self._bus.ask_often(joint.servo, joint.model.measured)
-            if answer.data is not None
-        )
-        return min(taken_s, default=0.0) > self._plan.port.timeout_ms / 1000.0
+    def _too_late(self) -> str:
+        return f"{self._port}: answers of {len(self._bus.late)} servos come too late: {BUSY}"
 
     def _many_late(self, servos: Iterable[int]) -> bool:
         late = [servo for servo in servos if self._bus.late[servo]]
         return len(late) >= crowd(len(self._plan.joints))
 
-    def _compare(self, found: dict[int, Pong], elsewhere: dict[Place, list[int]]) -> None:
+    def _compare(self, found: dict[int, Pong]) -> None:
         """Compare who is there with who should be."""
         plan, expected, where = self._plan, self._expected, self._where
-        many_late = self._many_late(expected)
-        if self._bus.port.timeout_ms >= MOST_PATIENT_MS and many_late:
-            self._errors.append(self._too_late(len(expected)))
+        missing = [servo for servo in expected if servo not in found]
+        if missing:
+            self._bus.settle()  # were they late?
+        patient = self._bus.port.timeout_ms >= MOST_PATIENT_MS
+        if self._many_late(missing) or (patient and self._many_late(expected)):
+            self._errors.append(self._too_late())
             return
-        others = [self._other_place(place, ids) for place, ids in elsewhere.items()]
-        if not found and not many_late:
-            remedy = "; ".join(others) or "check the servos' power, the cable and the baud rate"
+        for place, ids in self._look_for(missing).items():
+            missing = [servo for servo in missing if servo not in ids]
+            line = astray_text(plan.port, place, ids)
+            if len(ids) == len(expected):
+                line += (
+                    f"; or set baud = {place[0]} and protocol = {place[1]!r} in [port.{plan.name}]"
+                )
+            self._errors.append(f"{where}: {line}")
+        if missing and not found:
             self._errors.append(
                 f"{where}: no servo answers at {plan.port.baud} baud, protocol "
-                f"{plan.port.protocol}; {remedy}"
+                f"{plan.port.protocol}; check the servos' power, the cable and the baud rate"
             )
-            return
-        self._errors += [f"{where}: {other}" for other in others]
-        astray = {servo for ids in elsewhere.values() for servo in ids}
-        missing = [servo for servo in expected if servo not in found and servo not in astray]
-        if self._many_late(missing):
-            self._errors.append(self._too_late(len(missing)))
         elif missing:
             listed = ", ".join(f"{s} ({self._legs[s]} {expected[s].name})" for s in missing)
             self._errors.append(
@@ -389,15 +373,22 @@ class _Handshake:
             if trouble is not None:
                 self._errors.append(f"{where}: {trouble}")
 
+    def _look_for(self, missing: Sequence[int]) -> dict[Place, list[int]]:
+        """Find missing servos that answer at another rate, or in the other protocol."""
+        if not missing:
+            return {}
+        self._bus.close()
+        bauds = (*USUAL_BAUDS, *(3_000_000, 500_000, 19_200, 9_600))
+        elsewhere = look_elsewhere(self._plan.name, self._plan.port, missing, bauds)
+        self._bus.open()
+        return elsewhere
+
     def _trouble(self, servo: int, pong: Pong, aside: Sequence[int]) -> str | None:
         """Return why a servo that answers is not the one expected; ``aside`` are ids of no leg."""
         joint, protocol = self._expected.get(servo), self._plan.port.protocol
         what = named(pong, protocol)
         if pong.doubled:
-            return (
-                f"several servos answer to id {servo} (or its line is disturbed); connect "
-                "them one by one and give each an id of its own"
-            )
+            return doubled_text([servo])
         if joint is None:
             model = model_of_number(pong.model_number, protocol)
             first = followed(self._bus, servo, model) if pong.reads else None
@@ -414,30 +405,9 @@ class _Handshake:
             )
         leg, wanted = self._legs[servo], " or ".join(model.name for model in joint.models)
         who = f"servo {servo} ({leg} {joint.name})"
-        if pong.other is not None:
-            return (
-                f"{who} is a {what}, expected {wanted}; put it on a port with "
-                f"protocol = {pong.other[1]!r}"
-            )
         if pong.model_number not in [model.number for model in joint.models]:
             return f"{who} is {what}, expected {wanted}; correct servos.model of leg '{leg}'"
         return None
-
-    def _other_place(self, place: Place, ids: Sequence[int]) -> str:
-        """Describe servos that answer at another rate, or in the other protocol."""
-        baud, protocol = place
-        own = self._plan.port
-        does = "answers" if len(ids) == 1 else "answer"
-        if set(ids) == set(self._expected):
-            remedy = f"set baud = {baud} and protocol = {protocol!r} in [port.{self._plan.name}]"
-        else:
-            what = "baud rate" if protocol == own.protocol else "baud rate and protocol"
-            tool = tool_of(own.protocol)
-            remedy = f"set its {what} with {tool}, as all servos of a port have one"
-        return (
-            f"servo {', '.join(map(str, ids))} {does} at {baud} baud, protocol {protocol}, not at "
-            f"{own.baud} baud, protocol {own.protocol}; {remedy}"
-        )
 
     def _is_set(self, joint: JointPlan) -> bool:
         """Judge the modes of a servo; False if it does not say them reliably."""
@@ -469,27 +439,11 @@ class _Handshake:
             if delay_us > _MOST_DELAY_US:
                 slow[joint.servo] = delay_us
                 if self._configure:
-                    self._set_delay(joint)
+                    done = _keep(self._bus, joint.servo, joint.model, "return_delay", 0)
+                    self._advice.append(f"{self._port}: servo {joint.servo}: {done}")
         if slow and not self._configure:
             ids = ", ".join(map(str, slow))
             self._advice.append(
                 f"{self._port}: return delay of servo {ids} is {max(slow.values())} us, expected "
                 f"{_MOST_DELAY_US} or less (0 is best); run once with --configure to set it"
-            )
-
-    def _set_delay(self, joint: JointPlan) -> None:
-        registers, servo = joint.model.registers, joint.servo
-        if joint.model.protocol == 2 and self._bus.get(servo, registers["torque_enable"]):
-            # Those of protocol 2.0 lock their EEPROM while they drive; letting go would drop the
-            # robot.
-            self._advice.append(
-                f"{self._port}: servo {servo} drives, so its return delay cannot be set; switch "
-                "its torque off first (the leg will go limp), then run with --configure again"
-            )
-        elif keep(self._bus, servo, joint.model, registers["return_delay"], 0):
-            self._findings.done.append(f"{self._port}: servo {servo}: return delay set to 0")
-        else:
-            self._advice.append(
-                f"{self._port}: servo {servo} did not take a return delay of 0; its EEPROM may be "
-                "locked: switch its power off and on, then run with --configure again"
             )

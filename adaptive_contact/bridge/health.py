@@ -181,8 +181,8 @@ class Punctuality:
         return None if unknown_s * abs(speed_rad_s) > step_rad else correction
 
 
-class _Conditions(Generic[K]):
-    """Remembers for which servos a condition was reported, and for how many looks it differs."""
+class Conditions(Generic[K]):
+    """Remembers of whom a condition was reported, and for how many looks it differs."""
 
     def __init__(self) -> None:
         self.reported: set[K] = set()
@@ -204,9 +204,9 @@ class News:
     def __init__(self, plan: PortPlan) -> None:
         self._plan = plan
         self._names = {j.servo: f"{leg.id} {j.name}" for leg in plan.legs for j in leg.joints}
-        self._busy, self._silent = _Conditions[str](), _Conditions[int]()
-        self._slow, self._shut, self._shared = (_Conditions[int]() for _ in range(3))
-        self._alarms = _Conditions[tuple[str, int]]()
+        self._busy, self._silent = Conditions[str](), Conditions[int]()
+        self._slow, self._shut, self._shared = (Conditions[int]() for _ in range(3))
+        self._alarms = Conditions[tuple[str, int]]()
         self._late: dict[int, int] = {}
         self._foreign: dict[int, int] = {}
 

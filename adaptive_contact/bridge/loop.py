@@ -6,13 +6,12 @@ In observe mode another controller writes goals at the control rate, at times of
 pairs positions with the goals in force until the next reading, so the reading has to come right
 *after* the writes: before them, the goals it sees would be those of the tick that just ended.
 
-Once a tick, one moving servo's goal is read a little ahead of the main reading, alternately a
-*far* lead :math:`\delta` and a *near* one :math:`\delta/3`.  A goal that changes between the two
-readings was written in between.  The writes are wanted between far and near lead:
+Once a tick, one moving servo's goal is read a *lead* ahead of the main reading.  A goal that
+changes between the two was written in between:
 
-- far, no change: they came earlier; the schedule moves earlier, by half a lead until it meets them
-  (at the latest after one turn), by a sixth once it has;
-- near, change: they come so close that the next may be too late; the schedule moves later.
+- no change: the writes came earlier; the schedule moves earlier, by half a lead until it meets them
+  (at the latest after one turn), by a twelfth once it has;
+- change: it moves later by a twelfth, so that it stays a lead behind the writes.
 
 Goals that stand still show nothing, and the schedule stays.
 """
@@ -27,7 +26,7 @@ from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.cycle import Cycle
-from adaptive_contact.bridge.health import News
+from adaptive_contact.bridge.health import Conditions, News
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import PortLostError
 from adaptive_contact.bridge.transport import Mailbox, Outlet, Pulse
@@ -35,7 +34,7 @@ from adaptive_contact.errors import BusError
 from adaptive_contact.wire import BridgeStatus
 
 # Of the control period: 2.4 ms at 50 Hz.
-FAR_SHARE: Final = 0.12
+LEAD_SHARE: Final = 0.12
 
 
 @dataclasses.dataclass
@@ -44,13 +43,12 @@ class PhaseLock:
 
     period_s: float
     locked: bool = False  # the writes come right before the reading, as far as could be seen
-    _near: bool = False
     _unconfirmed: int = 0
 
     @property
     def lead_s(self) -> float:
-        """Return how far ahead of the main reading the goal is to be read in this tick, s."""
-        return (FAR_SHARE / 3 if self._near else FAR_SHARE) * self.period_s
+        """Return how far ahead of the main reading the goal is to be read, s."""
+        return LEAD_SHARE * self.period_s
 
     def update(self, *, before: int | None, now: int | None, last: int | None) -> float:
         """Take in one tick's goals of one servo, in steps; None for a reading that did not come.
@@ -65,23 +63,17 @@ class PhaseLock:
         """
         if before is None or now is None or last is None or now == last:
             return 0.0
-        between = before != now
-        far = FAR_SHARE * self.period_s
-        if self._near:
-            self._near = False
-            return far / 6 if between else 0.0
-        if between:
+        if before != now:
             self.locked, self._unconfirmed = True, 0
-            self._near = True
-            return 0.0
+            return self.lead_s / 12
         if not self.locked:
-            return -far / 2
+            return -self.lead_s / 2
         self._unconfirmed += 1
-        # Far readings with moving goals, in a row, after which a lock that is not confirmed is
+        # Readings with moving goals, in a row, after which a lock that is not confirmed is
         # given up.
         if self._unconfirmed >= 8:
             self.locked, self._unconfirmed = False, 0
-        return -far / 6
+        return -self.lead_s / 12
 
 
 _NS: Final = 1_000_000_000
@@ -120,8 +112,7 @@ class PortLoop:
         self._reconnects = 0
         self._lost = False
         self._returning = False
-        self._held: list[str] = []
-        self._lacking: dict[str, str] = {}
+        self._held, self._lacking = Conditions[str](), Conditions[str]()
         self._status_ns = 0
         self._watched: JointPlan | None = None
 
@@ -224,17 +215,12 @@ class PortLoop:
         return True
 
     def _tell_holding(self) -> None:
-        held = self.cycle.holding
-        if held == self._held:
-            return
-        new = [leg for leg in held if leg not in self._held]
+        new, back = self._held.update(set(self.cycle.holding))
         if new:
             legs = ", ".join(new)
             self._outlet.say(f"leg {legs}: no command for 200 ms, holding the last goal")
-        back = [leg for leg in self._held if leg not in held]
         if back:
             self._outlet.say(f"leg {', '.join(back)}: commands are back")
-        self._held = held
 
     def _tell(self, now_ns: int) -> None:
         """Publish the status where a second has passed."""
@@ -246,11 +232,8 @@ class PortLoop:
             for line in self._news.lines(self.cycle.health, self.bus.late):
                 self._outlet.say(line)
             # Legs that have commands which some of their servos do not follow.
-            lacking = self.cycle.lacking
-            for leg, line in lacking.items():
-                if self._lacking.get(leg) != line:
-                    self._outlet.say(f"port {self.plan.name}: {line}")
-            self._lacking = lacking
+            for line in self._lacking.update(set(self.cycle.lacking.values()))[0]:
+                self._outlet.say(f"port {self.plan.name}: {line}")
         self._outlet.status(self.status(now_ns))
 
     def status(self, now_ns: int) -> BridgeStatus:

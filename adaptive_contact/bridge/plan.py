@@ -10,10 +10,10 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.bridge.tables import BAUDS, MODELS, ServoModel, models_named
+from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import AngleFrame, Leg, Port, Robot, ServoBus
-from adaptive_contact.robot.description import Protocol, angles_text
+from adaptive_contact.robot import AngleFrame, Leg, Port, Robot
+from adaptive_contact.robot.description import Protocol
 
 # Name of the port of a description without any.
 DEFAULT_PORT: Final = "main"
@@ -117,11 +117,6 @@ def plan_ports(
     for name, port in ports.items():
         if baud is not None:
             port = msgspec.structs.replace(port, baud=baud)
-        if port.baud not in BAUDS:
-            raise ConfigurationError(
-                f"[port.{name}] baud {port.baud} is not supported; expected one of "
-                f"{', '.join(map(str, BAUDS))}"
-            )
         legs = tuple(
             _leg(leg, name, port)
             for leg in robot.legs
@@ -140,7 +135,12 @@ def plan_ports(
 def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
     servos = leg.servos
     assert servos is not None
-    _refuse_angles(leg, servos)
+    if not AngleFrame(leg).same:  # the bridge's samples and commands are in the description's frame
+        raise ConfigurationError(
+            f"[[leg]] '{leg.id}' has [leg.angles], which are for sources that are no bridge: they "
+            "would turn the bridge's samples twice; remove them, and count them into directions "
+            "and offsets_rad of [leg.servos]"
+        )
     joints = []
     for j, (servo, joint) in enumerate(zip(servos.ids, leg.joints, strict=True)):
         direction = 1 if servos.directions is None else servos.directions[j]
@@ -181,26 +181,6 @@ def _models(where: str, wanted: str, name: str, port: Port) -> tuple[ServoModel,
             f"{where}: {wanted} knows no fast sync read; remove fast from [port.{name}]"
         )
     return models
-
-
-def _refuse_angles(leg: Leg, servos: ServoBus) -> None:
-    """Refuse a leg whose samples the service would turn once more.
-
-    The bridge's samples and commands are in the description's frame already (decision 28).
-    """
-    frame = AngleFrame(leg)
-    if frame.same:
-        return
-    joints = len(leg.joints)
-    directions = servos.directions or (1,) * joints
-    offsets = servos.offsets_rad or (0.0,) * joints
-    both = list(zip(frame.directions, directions, strict=True))
-    moved = zip(frame.directions, offsets, frame.offsets_rad, strict=True)
-    text = angles_text([a * b for a, b in both], [d * s + o for d, s, o in moved], "[leg.servos]")
-    raise ConfigurationError(
-        f"[[leg]] '{leg.id}' has [leg.angles], which are for sources that are no bridge: they "
-        f"would turn the bridge's samples twice; remove them, and write {text}"
-    )
 
 
 def protocol_of(robot: Robot) -> Protocol:

@@ -235,15 +235,8 @@ def holders(device: str) -> dict[int, str]:
         if any(_device(file) == wanted for file in _files(process)) and not (
             wanted.within is not None and _has_other_end(process, os.path.realpath(device))
         ):
-            found[int(process.name)] = _name(process)
+            found[int(process.name)] = _text(process / "comm") or "a program"
     return dict(sorted(found.items()))
-
-
-def _name(process: Path) -> str:
-    """Return a program's name; the kernel keeps 15 characters of it, its command line has all."""
-    short = _text(process / "comm")
-    words = (PurePosixPath(word).name for word in _text(process / "cmdline").split("\0")[:2])
-    return next((word for word in words if word.startswith(short)), short) or "a program"
 
 
 def _device(file: Path) -> _Device | None:

@@ -19,7 +19,6 @@ guessed.
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -28,6 +27,7 @@ from importlib import resources
 from typing import Any, Final, Literal, NamedTuple
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.printable import did_you_mean
 from adaptive_contact.robot.description import Protocol
 
 
@@ -222,23 +222,12 @@ def _models() -> Iterator[ServoModel]:
 
 
 MODELS: Final = tuple(_models())
-# Model numbers that are public, of Dynamixel servos without a table here.
-_OTHERS: Final = {int(number): name for number, name in _DATA["others"].items()}
 # Where each protocol has the model's number.
 MODEL_NUMBERS: Final[Mapping[Protocol, Register]] = {
     **dict.fromkeys((1, 2), Register(0, 2)),
     "sts": Register(3, 2),
     "scs": Register(3, 2, order="big"),
 }
-# Feetech's servos answer pings and reads of protocol 1.0, and have byte order, model number and id
-# where Dynamixel servos have firmware, id, baud rate and return delay.
-FEETECH_MARK: Final = Block(2, 4)
-
-# AX-12A reach 1,000,000, X-series 4,000,000; Feetech's 1,000,000.
-BAUDS: Final = (
-    *(9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 576000, 921600, 1000000),
-    *(1152000, 2000000, 2500000, 3000000, 3500000, 4000000),
-)
 
 
 def is_feetech(protocol: Protocol) -> bool:
@@ -255,32 +244,6 @@ def model_of_number(number: int | None, protocol: Protocol) -> ServoModel | None
     """Return the model with this number in a protocol of its maker, or None."""
     made = (m for m in MODELS if m.feetech == is_feetech(protocol))
     return next((m for m in made if m.number == number), None)
-
-
-def number_name(number: int, protocol: Protocol) -> str:
-    """Describe a servo of this model number in words, as far as that is public."""
-    model = model_of_number(number, protocol)
-    if model is not None:
-        return model.name
-    by_number = f"model number {number}"
-    if number not in _OTHERS or is_feetech(protocol):
-        return by_number
-    return f"{_OTHERS[number]}, {by_number}"
-
-
-def feetech_of(data: bytes, servo: int) -> tuple[str, Protocol] | None:
-    """Return a Feetech servo's name and protocol by the bytes at :data:`FEETECH_MARK`, or None."""
-    order, number, own = data[0], data[1:3], data[3]
-    both: tuple[Protocol, ...] = ("sts", "scs")
-    for protocol in both:
-        found = MODEL_NUMBERS[protocol].value(number)
-        model = model_of_number(found, protocol)
-        if own == servo and model is not None and model.protocol == protocol:
-            return f"Feetech {model.name}", protocol
-    if own != servo or number[0] == servo or order > 1:
-        return None
-    protocol = both[order]
-    return f"Feetech number {MODEL_NUMBERS[protocol].value(number)}", protocol
 
 
 def models_named(name: str) -> tuple[ServoModel, ...]:
@@ -300,15 +263,7 @@ def models_named(name: str) -> tuple[ServoModel, ...]:
         )
     if found:
         return found
-    if wanted in map(_plain, _OTHERS.values()):
-        raise ConfigurationError(
-            f"servo model '{name}' has no control table here; those that have are in docs/bridge.md"
-        )
-    near = difflib.get_close_matches(wanted, [_plain(m.name) for m in MODELS], n=3)
-    likely = [m.name for plain in near for m in MODELS if _plain(m.name) == plain]
-    hint = "expected one such as AX-12A or XL430-W250;"
-    if likely:
-        hint = f"did you mean {', '.join(map(repr, likely))}?"
+    hint = did_you_mean(name, [model.name for model in MODELS], "expected one such as AX-12A;")
     raise ConfigurationError(
         f"unknown servo model '{name}'; {hint} all that are known are in docs/bridge.md"
     )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated
 
 import msgspec
 
+from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.cli._bus import DeviceOption, devices_of
 from adaptive_contact.cli._options import ForceOption, check_output, flatten, floats, option
 from adaptive_contact.cli._output import say, say_note
@@ -21,12 +21,6 @@ from adaptive_contact.robot.kinematics import Vector
 from adaptive_contact.robot.load import recorded_as
 from adaptive_contact.robot.urdf import UrdfLegs, read_urdf
 from adaptive_contact.robot.write import write_robot
-from adaptive_contact.wire import is_leg_id
-
-if TYPE_CHECKING:
-    from adaptive_contact.bridge.discovery import Wanted
-
-_ID: Final = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +102,14 @@ class Wishes:
         ),
     ] = None
     baud: Annotated[
-        int | None, option("--baud", "Baud rate; by default the usual ones are tried.")
+        int | None,
+        option(
+            "--baud",
+            "Baud rate; by default the usual ones are tried.",
+            "BAUD",
+            min=1_200,
+            max=12_000_000,
+        ),
     ] = None
     configure: Annotated[
         bool,
@@ -143,23 +144,21 @@ def init(*, wishes: Wishes) -> None:
         raise ConfigurationError("--lengths and --urdf both give the geometry; leave one out")
     if wishes.urdf is None and (wishes.base or wishes.tip):
         raise ConfigurationError("--base and --tip go with --urdf FILE; give it, or leave them out")
-    # All that makes a bad description is ruled out before the bus is asked, which takes its time.
     feet = _feet(wishes)
     names = _joint_names(wishes.joints)
-    if wishes.name is not None and not (wishes.name.isprintable() and wishes.name.strip()):
-        raise ConfigurationError(f"--name {wishes.name!r} is no name; give one such as my-robot")
-    _check_ports(devices)
     read = None if wishes.urdf is None else _read_urdf(wishes, wishes.urdf, feet)
     if devices:
         robot = _of_bus(wishes, devices, tuple(feet), names, read)
     else:
         robot = _of_options(wishes, tuple(feet), names, read)
     if wishes.lengths is not None:
-        measured = _lengths(wishes.lengths, len(robot.legs[0].joints))
+        measured = floats(wishes.lengths)
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
         robot = msgspec.structs.replace(robot, legs=alike)
     text = write_robot(robot)
-    parse_robot(text, source=str(wishes.urdf or f"{out} would not be read back"))
+    robot = parse_robot(text, source=str(wishes.urdf or f"{out}, as the options have it"))
+    if devices:
+        plan_ports(robot)  # what a bridge would refuse
     write_file(out, text, advice="give another --out")
     for note in () if read is None else read.notes:
         say_note(note)
@@ -186,42 +185,20 @@ def _feet(wishes: Wishes) -> dict[str, str]:
                 f"{last}"
             )
         return {}
-    feet: dict[str, str] = {}
-    for part in text.split(","):
-        leg, equals, link = (piece.strip() for piece in part.partition("="))
-        if not is_leg_id(leg):
-            raise ConfigurationError(
-                f"--legs {text}: '{leg}' cannot name a leg; expected {_ID}, such as lf,lm,lr"
-            )
-        if leg in feet:
-            raise ConfigurationError(f"--legs {text}: '{leg}' is there twice; names must differ")
-        if wishes.urdf is not None and not link:
-            raise ConfigurationError(
-                f"--legs {text}: '{leg}' has no link; with --urdf give lf=LINK,..., with each "
-                "foot's link"
-            )
-        if equals and wishes.urdf is None:
-            raise ConfigurationError(
-                f"--legs {text}: links go with --urdf FILE; give it, or leave out ={link}"
-            )
-        if link and link in feet.values():
-            raise ConfigurationError(f"--legs {text}: link '{link}' is there twice; feet differ")
-        feet[leg] = link
+    parts = [[piece.strip() for piece in part.partition("=")] for part in text.split(",")]
+    feet = {leg: link for leg, _, link in parts}
+    linked = [link for link in feet.values() if link]
+    if len(feet) < len(parts) or len(set(linked)) < len(linked):
+        raise ConfigurationError(f"--legs {text}: one is there twice; legs and feet must differ")
+    if wishes.urdf is not None and len(linked) < len(feet):
+        raise ConfigurationError(
+            f"--legs {text}: a leg has no link; with --urdf give lf=LINK,..., with each foot's link"
+        )
+    if wishes.urdf is None and linked:
+        raise ConfigurationError(
+            f"--legs {text}: links go with --urdf FILE; give it, or leave out ={linked[0]}"
+        )
     return feet
-
-
-def _check_ports(devices: Mapping[str, str]) -> None:
-    owners: dict[str, str] = {}
-    for port, path in devices.items():
-        if not is_leg_id(port):
-            raise ConfigurationError(
-                f"--device {port}={path}: '{port}' cannot name a port; expected {_ID}"
-            )
-        before = owners.setdefault(os.path.realpath(path), port)
-        if before != port:
-            raise ConfigurationError(
-                f"--device gives {path} to port '{before}' and to port '{port}'; give each its own"
-            )
 
 
 def _joint_names(text: str | None) -> int | tuple[str, ...]:
@@ -238,16 +215,6 @@ def _joint_names(text: str | None) -> int | tuple[str, ...]:
             "hip,thigh,knee"
         )
     return names
-
-
-def _lengths(text: str, joints: int) -> tuple[float, ...]:
-    lengths = floats(text)
-    if len(lengths) != joints or not all(0.0 < length <= 5.0 for length in lengths):
-        raise ConfigurationError(
-            f"--lengths {text}: expected {joints} lengths in m (not mm), 5 at most, such as "
-            f"{','.join(['0.1'] * joints)}"
-        )
-    return lengths
 
 
 def _points(text: str) -> list[Vector]:
@@ -275,43 +242,19 @@ def _of_bus(
     read: UrdfLegs | None,
 ) -> Robot:
     """Describe the robot whose servos answer, with a URDF's geometry where there is one."""
-    from adaptive_contact.bridge.discovery import (
-        describe,
-        find_servos,
-        group,
-        wanted_legs,
-    )
-    from adaptive_contact.bridge.tables import BAUDS
+    from adaptive_contact.bridge.discovery import describe, find_servos, group, wanted_legs
+    from adaptive_contact.bridge.handshake import USUAL_BAUDS
 
     wanted = () if wishes.ids is None else wanted_legs(wishes.ids)
     joints = names if isinstance(names, int) else len(names)
     if read is not None:
         joints = len(read.legs[0].joints)
-        counts = sorted({len(leg.joints) for leg in read.legs})
-        if len(counts) > 1 and not wanted:
-            raise ConfigurationError(
-                f"the URDF's legs have {' and '.join(map(str, counts))} joints; give --ids, the "
-                "servos of each leg"
-            )
-    _check_wanted(wishes, wanted, joints, devices, read)
-    baud = wishes.baud
-    if baud is not None and baud not in BAUDS:
-        raise ConfigurationError(
-            f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
-        )
-    if wishes.lengths is not None:
-        numbers = {len(leg.ids) for leg in wanted} or {joints}
-        if len(numbers) > 1:
-            raise ConfigurationError(
-                "--lengths is for legs that are alike, and --ids has legs of "
-                f"{' and '.join(map(str, sorted(numbers)))} servos; fill lengths_m in by hand"
-            )
-        _lengths(wishes.lengths, numbers.pop())  # refused before the bus is searched
+    bauds = USUAL_BAUDS if wishes.baud is None else (wishes.baud,)
     found = [
         find_servos(
             port,
             path,
-            *(() if baud is None else ((baud,),)),
+            bauds,
             ids=[s for leg in wanted if leg.port in (port, None) for s in leg.ids]
             if len(devices) == 1 or all(leg.port for leg in wanted)
             else (),
@@ -338,34 +281,6 @@ def _of_bus(
         for leg, own in zip(read.legs, robot.legs, strict=True)
     )
     return msgspec.structs.replace(robot, legs=legs)
-
-
-def _check_wanted(
-    wishes: Wishes,
-    wanted: Sequence[Wanted],
-    joints: int,
-    devices: Mapping[str, str],
-    read: UrdfLegs | None,
-) -> None:
-    """Refuse servos of ``--ids`` that do not fit the joints or the ports."""
-    for leg in wanted:
-        if leg.port is not None and leg.port not in devices:
-            raise ConfigurationError(
-                f"--ids names port '{leg.port}'; --device gives {', '.join(devices)}"
-            )
-        if read is None and wishes.joints is not None and len(leg.ids) != joints:
-            raise ConfigurationError(
-                f"--ids has a leg of {len(leg.ids)} servos ({','.join(map(str, leg.ids))}), "
-                f"--joints says {joints}; leave --joints out, or correct --ids"
-            )
-    if read is None or not wanted:
-        return
-    given, counts = [len(leg.ids) for leg in wanted], [len(leg.joints) for leg in read.legs]
-    if given != counts:
-        raise ConfigurationError(
-            f"--ids has legs of {', '.join(map(str, given))} servos, the URDF's legs have "
-            f"{', '.join(map(str, counts))} joints; give the servos of each leg of --legs"
-        )
 
 
 def _of_options(

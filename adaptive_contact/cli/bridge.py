@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import os
-import signal
 import threading
 import time
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, shake_hands
+from adaptive_contact.cli._bus import BaudOption, DeviceOption, described_in, plans_of, shake_hands
 from adaptive_contact.cli._link import unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
@@ -164,7 +162,7 @@ def dynamixel(
     ] = False,
     realtime: opt.RealtimeOption = False,
     device: DeviceOption = None,
-    baud: Annotated[int | None, option("--baud", "Baud rate instead of robot.toml's.")] = None,
+    baud: BaudOption = None,
     network: opt.Network,
     json: opt.JsonPayloadOption = False,
 ) -> None:
@@ -174,74 +172,56 @@ def dynamixel(
     plans = plans_of(opt.described_robot(config), config, device, baud)
     settings = network.client(json=json)
     shake_hands(plans, "adaptive-contact bridge", configure=configure, drive=drive)
-    _Crew(plans, "drive" if drive else "observe", settings, realtime=realtime).run(stop)
+    _run_ports(plans, "drive" if drive else "observe", settings, stop, realtime=realtime)
 
 
-class _Crew:
-    """Runs a process per port; one that dies is started again."""
+def _run_ports(
+    plans: tuple[PortPlan, ...],
+    mode: Literal["observe", "drive"],
+    settings: LinkSettings,
+    stop: threading.Event,
+    *,
+    realtime: bool,
+) -> None:
+    """Run a process per port; one that dies is started again."""
+    from adaptive_contact.cli._bridge_worker import work
 
-    def __init__(
-        self, plans: tuple[PortPlan, ...], mode: Any, settings: LinkSettings, *, realtime: bool
-    ) -> None:
-        self._plans, self._mode, self._settings = plans, mode, settings
-        self._realtime = realtime
-        self._context = multiprocessing.get_context("spawn")
-        self._workers: dict[str, SpawnProcess] = {}
+    context = multiprocessing.get_context("spawn")
 
-    def run(self, stop: threading.Event) -> None:
-        for plan in self._plans:
-            self._start(plan)
-        servos = sum(len(plan.joints) for plan in self._plans)
-        legs = " ".join(leg.id for plan in self._plans for leg in plan.legs)
-        what = "driving" if self._mode == "drive" else "observing"
-        say(
-            f"adaptive-contact bridge: {what} {servos} servos on {len(self._plans)} ports, legs "
-            f"{legs}; publishing robot/leg/*/servo; stop with Ctrl-C"
-        )
-        try:
-            while not stop.wait(0.2):
-                for plan in self._plans:
-                    worker = self._workers[plan.name]
-                    if not worker.is_alive():
-                        say(
-                            f"adaptive-contact bridge: port {plan.name}: its process ended "
-                            f"({worker.exitcode}); starting it again",
-                            err=True,
-                        )
-                        if not stop.wait(1.0):
-                            self._start(plan)
-        finally:
-            self._end()
-
-    def _start(self, plan: PortPlan) -> None:
-        from adaptive_contact.cli._bridge_worker import work
-
+    def started(turn: int, plan: PortPlan) -> SpawnProcess:
         # A run of its own: ``seq`` begins at 0 again, and within a run that is a duplicate.
         run = time.time_ns() // 1_000_000
-        worker = self._context.Process(
-            target=work,
-            args=(
-                plan,
-                self._mode,
-                self._settings,
-                run,
-                self._realtime,
-                self._plans.index(plan) / len(self._plans),  # ports take turns
-            ),
-            name=f"bridge-{plan.name}",
-        )
+        given = (plan, mode, settings, run, realtime, turn / len(plans))  # ports take turns
+        worker = context.Process(target=work, args=given, name=f"bridge-{plan.name}")
         worker.start()
-        self._workers[plan.name] = worker
+        return worker
 
-    def _end(self) -> None:
-        for worker in self._workers.values():
-            if worker.is_alive() and worker.pid is not None:
-                os.kill(worker.pid, signal.SIGTERM)
-        for worker in self._workers.values():
+    workers = [started(turn, plan) for turn, plan in enumerate(plans)]
+    servos = sum(len(plan.joints) for plan in plans)
+    legs = " ".join(leg.id for plan in plans for leg in plan.legs)
+    say(
+        f"adaptive-contact bridge: {'driving' if mode == 'drive' else 'observing'} {servos} servos "
+        f"on {len(plans)} ports, legs {legs}; publishing robot/leg/*/servo; stop with Ctrl-C"
+    )
+    try:
+        while not stop.wait(0.2):
+            for turn, plan in enumerate(plans):
+                if workers[turn].is_alive():
+                    continue
+                say(
+                    f"adaptive-contact bridge: port {plan.name}: its process ended "
+                    f"({workers[turn].exitcode}); starting it again",
+                    err=True,
+                )
+                if not stop.wait(1.0):
+                    workers[turn] = started(turn, plan)
+    finally:
+        for worker in workers:
+            worker.terminate()
+        for worker in workers:
             worker.join(3.0)
-            if worker.is_alive():
-                worker.kill()
-                worker.join()
+            worker.kill()
+            worker.join()
 
 
 @app.command()

@@ -100,6 +100,8 @@ Sign = Literal[1, -1]
 Step = Annotated[float, Meta(ge=1e-6, le=0.2)]
 Text = Annotated[str, Meta(min_length=1, max_length=1000)]
 # A Dynamixel bus: 253 is reserved, 254 is broadcast.
+# AX-12A go down to 7,843; no adapter goes beyond 12 M.
+Baud = Annotated[int, Meta(ge=1_200, le=12_000_000)]
 ServoId = Annotated[int, Meta(ge=0, le=252)]
 MAX_JOINTS: Final = 16  # of a sample
 Joints = Meta(min_length=1, max_length=MAX_JOINTS)
@@ -326,7 +328,7 @@ class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Describes a serial port of the bridge."""
 
     device: Text  # such as ``/dev/ttyUSB0``
-    baud: int = 1_000_000  # bits per second
+    baud: Baud = 1_000_000  # bits per second
     protocol: Protocol = 1
     fast: bool = False  # read with fast sync read (X-series, firmware 45 or newer)
     # how long an answer may take beyond its bytes

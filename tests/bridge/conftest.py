@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.bridge import discovery, handshake
+from adaptive_contact.bridge import handshake
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
@@ -51,7 +51,7 @@ def _few_ids(monkeypatch: pytest.MonkeyPatch) -> None:
     Commands that are processes of their own look for all.
     """
     monkeypatch.setattr(handshake, "ALL_IDS", range(31))
-    monkeypatch.setattr(discovery, "BEYOND", 2)
+    monkeypatch.setattr(handshake, "BEYOND", 2)
 
 
 @dataclasses.dataclass

@@ -17,7 +17,7 @@ from adaptive_contact.bridge.health import (
     due,
     is_stale,
 )
-from adaptive_contact.bridge.loop import FAR_SHARE, PhaseLock
+from adaptive_contact.bridge.loop import LEAD_SHARE, PhaseLock
 from adaptive_contact.bridge.plan import LegPlan, plan_ports
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.wire import BridgeStatus, Command, Quantiles, ServoCounts, encode
@@ -86,10 +86,10 @@ def test_a_joint_outside_its_limits_comes_back_and_goes_no_further() -> None:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (Command(desired=[0.0]), "1 values for 2"),
+        (Command(desired=[0.0]), "a row has 1 values; expected 2 finite ones"),
         (Command(desired=[0.0] * 2, preview=[[0.0] * 2] * 65), "preview has 65 ticks; 64 at most"),
-        (Command(desired=[0.0, float("nan")]), "not finite"),
-        (Command(desired=[0.0, 0.0], preview=[[0.0]]), "preview"),
+        (Command(desired=[0.0, float("nan")]), "expected 2 finite ones"),
+        (Command(desired=[0.0, 0.0], preview=[[0.0]]), "a row has 1 values"),
     ],
 )
 def test_commands_that_cannot_be_used(command: Command, words: str) -> None:
@@ -184,8 +184,8 @@ def test_the_phase_lock_comes_to_the_writes_from_anywhere(write_at_s: float) -> 
         t += period + shift
     assert lock.locked
     settled = np.array(gaps[-1000:])
-    # Behind the writes, never before them, and no further than the far lead and a step.
-    assert settled.max() < 1.2 * FAR_SHARE * period
+    # Behind the writes, never before them, and no further than the lead and a step.
+    assert settled.max() < 1.2 * LEAD_SHARE * period
     assert settled.min() > 0.0
 
 

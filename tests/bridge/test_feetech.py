@@ -68,7 +68,7 @@ def test_servos_of_the_other_byte_order_are_named(bus: Serve) -> None:
     device, _ = bus("1-2:STS3215", "3:SCS0009")
     mixed = robot(device, ((1, 2, 3), "STS3215"), protocol="sts")
     (line,) = check_ports(plan_ports(mixed), full=False).errors
-    assert "servo 3 (l0 j2) is a Feetech SCS0009, of protocol 'scs', expected STS3215" in line
+    assert "servo 3 (l0 j2) is model number 1029, expected STS3215" in line
     with pytest.raises(ConfigurationError, match=r"uses protocol scs, .* set protocol = 'scs'"):
         plan_ports(robot(device, ((1, 2, 3), "SCS0009"), protocol="sts"))
 

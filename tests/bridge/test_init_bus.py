@@ -10,15 +10,13 @@ import msgspec
 import pytest
 from described import Serve, init, robot
 
-from adaptive_contact.bridge import discovery, handshake
+from adaptive_contact.bridge import handshake
 from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.discovery import find_servos, wanted_legs
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
-from adaptive_contact.bridge.tables import feetech_of
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import load_robot
-from adaptive_contact_sim.virtual.servo import VirtualServo
 from programs import invoke, tried
 
 
@@ -59,9 +57,10 @@ def test_legs_of_several_sizes(bus: Serve) -> None:
     [
         (("--ids", "1,2,x"), "'1,2,x' is no list of ids"),
         (("--ids", "1,2,3/"), "'' is no list of ids"),
-        (("--ids", "1,2,3/3,4,5"), "3 is there twice"),
-        (("--ids", "1,2,253"), "253 is no id"),
-        (("--ids", "1,2,3/4,5"), "has a leg of 2 servos"),
+        (("--ids", "1,2/3,2"), "servo id 2 is used twice"),
+        (("--ids", "1,2/3", "--joints", "hip,knee"), "servos.ids has 1 values for 2 joints"),
+        (("--lengths", "52,66,138"), "lengths_m[0] is 52.0; expected at most 5 m"),
+        (("--lengths", "0.1,0.1"), "lengths_m has 2 values for 3 joints"),
         (("--ids", "head:1,2,3"), "--ids names port 'head'; --device gives main"),
         (("--ids", "1,2,3", "--legs", "a,b"), "2 legs are named, but the servos make 1"),
         (("--ids", "1,2,9"), "port main has no servo 9 (ids there are 1-3)"),
@@ -69,9 +68,8 @@ def test_legs_of_several_sizes(bus: Serve) -> None:
 )
 def test_ids_that_cannot_be(bus: Serve, words: tuple[str, ...], message: str) -> None:
     device, _ = bus("1-3:AX-12A")
-    joints = ("--joints", "3") if message.startswith("has a leg") else ()
     with pytest.raises((BusError, ConfigurationError), match=re.escape(message)) as caught:
-        init(device, *words, *joints)
+        init(device, *words)
     assert "\n" not in str(caught.value)
     assert not (device.parent / "robot.toml").exists()
 
@@ -148,11 +146,13 @@ def test_servos_whose_answers_come_late_are_found(
 def test_a_servo_that_is_never_heard_in_time_is_told_and_not_left_out(
     rig: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    patient = handshake.scan_again
+
     def in_vain(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int, Pong]:
-        again = handshake.scan_again(bus, found, [servo for servo in ids if servo != 6])
+        again = patient(bus, found, [servo for servo in ids if servo != 6])
         return {servo: pong for servo, pong in again.items() if servo != 6}
 
-    monkeypatch.setattr(discovery, "scan_again", in_vain)
+    monkeypatch.setattr(handshake, "scan_again", in_vain)
     # The look at all ids goes on for much longer than servo 6 is late.
     monkeypatch.setattr(handshake, "ALL_IDS", range(61))
     r = rig(model="AX-12A", protocol=1)
@@ -179,7 +179,7 @@ def test_the_rate_of_most_servos_is_the_ports(bus: Serve) -> None:
 def test_init_lets_a_mute_servo_answer(bus: Serve) -> None:
     device, servos = bus("1-2:AX-12A", "3:AX-12A:status_return=0")
     said, found = init(device, "--configure")
-    assert "port main: servo 3: status return level set to 2" in said
+    assert "port main: servo 3: status return set to 2" in said
     assert found.legs[0].servos.ids == (1, 2, 3)
     assert servos[2].answers == 2
 
@@ -203,37 +203,16 @@ def test_the_other_firmware_of_an_mx(bus: Serve) -> None:
     assert check_ports(plan_ports(described), full=False, drive=True).errors == []
 
 
-class Feetech:
-    """Answers reads as a Feetech STS servo: firmware, model number and id at its own places."""
-
-    def __init__(self, servo: VirtualServo, number: bytes) -> None:
-        def read(address: int, size: int) -> bytes:
-            memory = bytes((3, 10, 0)) + number + bytes((servo.id, 0)) + bytes(80)
-            return memory[address : address + size]
-
-        servo.read = read  # type: ignore[method-assign,assignment]
-
-
-@pytest.mark.parametrize(
-    ("number", "name", "protocol"),
-    [((777).to_bytes(2, "little"), "STS3215", "sts"), ((1284).to_bytes(2, "big"), "SCS0009", "scs"),
-     (b"\x63\x00", "number 99", "sts")],
-)  # fmt: skip
-def test_a_feetech_servo_among_dynamixel_servos(
-    bus: Serve, number: bytes, name: str, protocol: str
-) -> None:
-    device, servos = bus("1-3:AX-12A")
-    Feetech(servos[2], number)
-    with pytest.raises(BusError) as caught:
+def test_feetech_servos_among_dynamixel_servos(bus: Serve) -> None:
+    """Those of which there are more are the port's."""
+    device, servos = bus("1-3:AX-12A", "4:STS3215")
+    with pytest.raises(BusError, match=r"servo 4 \(model number \d+\) is of no known model"):
         init(device)
-    what = f"Feetech {name}, of protocol '{protocol}'"
-    assert f"servo 3 ({what}) is of no known model" in str(caught.value)
-    [line] = check_ports(plan_ports(robot(device, ((1, 2, 3), "AX-12A"))), full=False).errors
-    assert f"is a {what}, expected AX-12A; put it on a port with protocol = '{protocol}'" in line
-    assert servos[2].writes == 0
+    assert all(servo.writes == 0 for servo in servos)
 
 
-def test_a_dynamixel_is_no_feetech() -> None:
-    # AX: id, baud rate, return delay; an id that is also the return delay.
-    assert feetech_of(bytes((24, 3, 1, 3)), 3) is None
-    assert feetech_of(bytes((24, 3, 1, 250)), 3) is None
+def test_two_names_of_one_port(bus: Serve) -> None:
+    device, _ = bus("1-3:AX-12A")
+    (device.parent / "link").symlink_to(device.name)
+    with pytest.raises(ConfigurationError, match=r"\[port.q\] and \[port.main\] are one device"):
+        init(device, "--device", f"q={device.parent / 'link'}")

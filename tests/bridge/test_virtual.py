@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from kinematic import KinematicBackend
 
-from adaptive_contact.bridge.plan import plan_ports
+from adaptive_contact.bridge.plan import JointPlan, plan_ports
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import foot, shipped_robot
@@ -22,13 +22,13 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 from adaptive_contact_sim.virtual.assembly import with_ports
-from adaptive_contact_sim.virtual.backend import Horns, PassiveBackend
+from adaptive_contact_sim.virtual.backend import PassiveBackend, mounted
 from adaptive_contact_sim.virtual.session import run
 from quadruped import LEGS
 
 
-def horns() -> Horns:
-    return Horns.of(plan_ports(with_ports(shipped_robot(), Path("x"), None)), HEXAPOD.servos)
+def joints() -> tuple[JointPlan, ...]:
+    return mounted(plan_ports(with_ports(shipped_robot(), Path("x"), None)), HEXAPOD.servos)
 
 
 def test_registers_refuse_what_real_ones_refuse() -> None:
@@ -47,7 +47,7 @@ def test_registers_refuse_what_real_ones_refuse() -> None:
 def test_a_gentler_slope_lets_a_leg_sag_further() -> None:
     sag = []
     for slope in (32, 128):
-        backend, now = PassiveBackend(horns()), 3.0
+        backend, now = PassiveBackend(joints()), 3.0
         servo = VirtualServo(
             2, models_named("AX-12A")[0], backend, 1, np.random.default_rng(1), noise_steps=0.0
         )  # a femur, that holds its leg out level

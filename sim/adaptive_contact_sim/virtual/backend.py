@@ -19,7 +19,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -29,13 +29,13 @@ import mujoco
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.bridge.plan import PortPlan
+from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.elements import N_SERVOS
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.servo import QUANTUM_RAD, manufactured
-from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import HARD_SOLREF
 
 STEP_S: Final = 0.001
@@ -82,81 +82,61 @@ class Backend(Protocol):
         return
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Horns:
-    """Mounting of a robot's servos, in the order of the simulator's joints.
+def mounted(plans: Sequence[PortPlan], order: Sequence[tuple[str, str]]) -> tuple[JointPlan, ...]:
+    """Return the servos of a description, which say how they are mounted.
+
+    Args:
+        plans: the robot's ports.
+        order: (leg, joint) of every simulated joint.
+
+    Raises:
+        ConfigurationError: the description lacks one of them.
+    """
+    known = {
+        (leg.id, joint.name): joint for plan in plans for leg in plan.legs for joint in leg.joints
+    }
+    missing = [f"{leg} {joint}" for leg, joint in order if (leg, joint) not in known]
+    if missing:
+        raise ConfigurationError(
+            f"the description has no servo for {', '.join(missing)}; give the simulated "
+            "robot's own robot.toml, or one with the same legs and joints"
+        )
+    return tuple(known[pair] for pair in order)
+
+
+class _OnHorns(Backend):
+    """Joints whose angles and speeds, (n,), are read through their horns.
 
     A joint's angle is ``direction * horn + offset``, as in ``robot.toml``.
     """
 
-    direction: Array  # (n,) 1 or -1
-    offset_rad: Array  # (n,) joint angle with the horn in its centre
-
-    @classmethod
-    def of(cls, plans: Sequence[PortPlan], order: Sequence[tuple[str, str]]) -> Horns:
-        """Take them from what a description says.
-
-        Args:
-            plans: the robot's ports.
-            order: (leg, joint) of every simulated joint.
-
-        Raises:
-            ConfigurationError: the description lacks one of them.
-        """
-        known = {
-            (leg.id, joint.name): joint
-            for plan in plans
-            for leg in plan.legs
-            for joint in leg.joints
-        }
-        missing = [f"{leg} {joint}" for leg, joint in order if (leg, joint) not in known]
-        if missing:
-            raise ConfigurationError(
-                f"the description has no servo for {', '.join(missing)}; give the simulated "
-                "robot's own robot.toml, or one with the same legs and joints"
-            )
-        joints = [known[pair] for pair in order]
-        return cls(
-            np.array([float(joint.direction) for joint in joints]),
-            np.array([joint.offset_rad for joint in joints]),
-        )
-
-    def horn(self, index: int, joint_rad: float) -> float:
-        """Horn angle of a joint angle."""
-        return float(self.direction[index] * (joint_rad - self.offset_rad[index]))
-
-    def joint(self, index: int, horn_rad: float) -> float:
-        """Joint angle of a horn angle."""
-        return float(self.direction[index] * horn_rad + self.offset_rad[index])
-
-
-class _OnHorns(Backend):
-    """Joints whose angles and speeds, (n,), are read through their horns."""
-
-    def __init__(self, horns: Horns, angles: Array, speeds: Array) -> None:
-        self._horns, self._angles, self._speeds = horns, angles, speeds
+    def __init__(self, joints: Sequence[JointPlan], angles: Array, speeds: Array) -> None:
+        self._joints, self._angles, self._speeds = joints, angles, speeds
 
     def angle(self, index: int) -> float:
         """Angle of a servo's horn, rad."""
-        return self._horns.horn(index, float(self._angles[index]))
+        return self._horn(index, self._angles)
 
     def speed(self, index: int) -> float:
         """Speed of a servo's horn, rad/s."""
-        return float(self._horns.direction[index] * self._speeds[index])
+        return self._joints[index].direction * float(self._speeds[index])
+
+    def _horn(self, index: int, angles: Array) -> float:
+        joint = self._joints[index]
+        return joint.direction * (float(angles[index]) - joint.offset_rad)
 
 
 class PassiveBackend(_OnHorns):
     """A hexapod on a stand; a backend of virtual servos.
 
     Args:
-        horns: how the servos are mounted.
-        height_m: of the body over the floor.
+        joints: how the servos are mounted.
+        height_m: of the body over the floor; by default it is out of reach of the legs.
     """
 
-    # Of the body over the floor, with the legs out of reach of it.
-    def __init__(self, horns: Horns, *, height_m: float = 1.0) -> None:
+    def __init__(self, joints: Sequence[JointPlan], *, height_m: float = 1.0) -> None:
         self.plant = Plant(_on_a_stand(height_m), manufactured(0), period_s=STEP_S)
-        super().__init__(horns, self.plant.joint_angles, self.plant.joint_speeds)
+        super().__init__(joints, self.plant.joint_angles, self.plant.joint_speeds)
         self._goal = np.zeros(N_SERVOS)  # stretched out level
         self._on = np.zeros(N_SERVOS, dtype=np.bool_)
         self._start_s: float | None = None
@@ -178,7 +158,8 @@ class PassiveBackend(_OnHorns):
 
     def set_goal(self, index: int, angle_rad: float) -> None:
         """Write a servo's goal."""
-        self._goal[index] = self._horns.joint(index, angle_rad)
+        joint = self._joints[index]
+        self._goal[index] = joint.direction * angle_rad + joint.offset_rad
 
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""
@@ -223,34 +204,6 @@ class MadeTick(NamedTuple):
     angles: Array
     speeds: Array
     goals: Array  # (18,) rad, in force from the tick's start on
-
-
-class LocalSource:
-    """Makes ticks here and now."""
-
-    def __init__(
-        self, settings: SimulationSettings, on_tick: Callable[[Tick], None] = lambda _: None
-    ) -> None:
-        self.sim = Simulation(settings)
-        self.on_tick = on_tick
-        self._rows: list[tuple[Array, Array]] = []
-        plant = self.sim.plant
-        plant.on_step = lambda: self._rows.append(
-            (plant.joint_angles.copy(), plant.joint_speeds.copy())
-        )
-
-    def begin(self, epoch_ns: int) -> None:
-        """Take up the time stamp of tick 0; the tick is made when it is taken."""
-        if epoch_ns != self.sim.settings.epoch_ns:
-            self.sim.settings = dataclasses.replace(self.sim.settings, epoch_ns=epoch_ns)
-
-    def take(self) -> MadeTick:
-        """Make the next tick."""
-        self._rows.clear()
-        self.on_tick(self.sim.tick())
-        offset = self.sim.plant.servos.offset_rad
-        angles = np.stack([row[0] for row in self._rows]) + offset
-        return MadeTick(angles, np.stack([row[1] for row in self._rows]), self.sim.desired.copy())
 
 
 class ProcessSource:
@@ -313,15 +266,31 @@ def _make_ticks(pipe: Connection, settings: SimulationSettings, record: Path | N
     _stand_back()
     with ExitStack() as stack:
         try:
-            source = LocalSource(settings)
+            sim = Simulation(settings)
+            plant = sim.plant
+            angles: list[Array] = []
+            speeds: list[Array] = []
+
+            def keep() -> None:
+                angles.append(plant.joint_angles + plant.servos.offset_rad)
+                speeds.append(plant.joint_speeds.copy())
+
+            plant.on_step = keep
+            recorder = None
             if record is not None:
                 from adaptive_contact_sim.recorder import TickRecorder
 
-                source.on_tick = stack.enter_context(TickRecorder(record, source.sim)).write
+                recorder = stack.enter_context(TickRecorder(record, sim))
             pipe.send("ready")
             while True:
-                source.begin(pipe.recv())
-                pipe.send(source.take())
+                epoch_ns = pipe.recv()
+                sim.settings = dataclasses.replace(sim.settings, epoch_ns=epoch_ns)
+                angles.clear()
+                speeds.clear()
+                tick = sim.tick()
+                if recorder is not None:
+                    recorder.write(tick)
+                pipe.send(MadeTick(np.stack(angles), np.stack(speeds), sim.desired.copy()))
         except (EOFError, BrokenPipeError, ConnectionResetError):
             return  # the bus has ended
         except Exception as error:
@@ -341,14 +310,14 @@ class GaitedBackend(_OnHorns):
 
     Args:
         source: of the simulation's ticks.
-        horns: how the servos are mounted.
+        joints: how the servos are mounted.
         period_s: control tick.
     """
 
     def __init__(
-        self, source: LocalSource | ProcessSource, horns: Horns, *, period_s: float = 0.02
+        self, source: ProcessSource, joints: Sequence[JointPlan], *, period_s: float = 0.02
     ) -> None:
-        super().__init__(horns, np.zeros(N_SERVOS), np.zeros(N_SERVOS))
+        super().__init__(joints, np.zeros(N_SERVOS), np.zeros(N_SERVOS))
         self._source = source
         self._period_s = period_s
         self._made: MadeTick | None = None
@@ -377,8 +346,7 @@ class GaitedBackend(_OnHorns):
 
     def goal(self, index: int) -> float | None:
         """The goal in force, of the robot's own controller."""
-        made = self._made
-        return self._horns.horn(index, 0.0 if made is None else float(made.goals[index]))
+        return self._horn(index, self._angles if self._made is None else self._made.goals)
 
     def _let_begin(self, now_s: float) -> None:
         """Let the present tick be now, by the monotonic clock and in the time stamps to come."""

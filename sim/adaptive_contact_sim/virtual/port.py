@@ -25,10 +25,9 @@ from adaptive_contact.bridge.packets import (
     fast_sync_status,
     version_of,
 )
-from adaptive_contact.bridge.tables import BAUDS
 from adaptive_contact.robot.description import Protocol
 from adaptive_contact_sim.virtual.faults import FaultSchedule
-from adaptive_contact_sim.virtual.servo import Refusal, VirtualServo
+from adaptive_contact_sim.virtual.servo import BAUDS, Refusal, VirtualServo
 
 _INSTRUCTION_ERROR: Final[dict[Protocol, int]] = {1: 0x40, 2: 0x02}
 # Terminals' constants of rates.
@@ -124,8 +123,7 @@ class VirtualPort:
         if not self._listening:
             return
         self._buffer += data
-        frames = self._codec.parse(self._buffer)
-        for frame in frames:
+        for frame in self._codec.parse(self._buffer):
             self.requests += 1
             arrival_s = len(data) * self._byte_s
             self._answer(frame, now_s + arrival_s, elapsed_s)
@@ -200,38 +198,32 @@ class VirtualPort:
         address, size = _number(p[:width]), _number(p[width : 2 * width])
         rows = p[2 * width :]
         for at in range(0, len(rows) - size, size + 1):
-            self._write(rows[at], address, rows[at + 1 : at + 1 + size])
-
-    def _write(self, wanted: int, address: int, data: bytes) -> None:
-        """Write registers of all servos that an id means, which do not answer."""
-        for servo in self._listening:
-            if servo.id == wanted or servo.follows(wanted, address):
-                servo.write(address, data)
+            for servo in self._listening:
+                if servo.id == rows[at] or servo.follows(rows[at], address):
+                    servo.write(address, rows[at + 1 : at + 1 + size])
 
     def _read_many(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
         """Sync and fast sync read: servos answer one after the other."""
         p, width = frame.parameters, self._codec.version
         address, size = _number(p[:width]), _number(p[width : 2 * width])
-        joint: list[list[tuple[VirtualServo, Status]]] = []
+        joint: list[tuple[VirtualServo, Status]] = []
         for wanted in p[2 * width :]:
             group = [servo for servo in self._listening if servo.id == wanted and servo.answers]
             if not group or self.faults.strike("silent", wanted, elapsed_s) is not None:
                 # Each waits for the one before it: those after a mute one stay mute.
-                break
+                return
             statuses = [(s, self._read_out(s, address, size, elapsed_s)) for s in group]
-            if frame.code == Instruction.FAST_SYNC_READ:
-                joint.append([(s, self._troubled(s, status, elapsed_s)) for s, status in statuses])
+            if frame.code == Instruction.FAST_SYNC_READ:  # the first of one id is heard
+                servo, status = statuses[0]
+                joint.append((servo, self._troubled(servo, status, elapsed_s)))
             else:
                 answers = [self._answer_of(s, status, now_s, elapsed_s) for s, status in statuses]
                 now_s = self._send_all(answers)
-        if joint and len(joint) == len(p[2 * width :]):
-            packet = fast_sync_status([group[0][1] for group in joint])
-            if any(len(group) > 1 for group in joint):
-                packet = _overlap(packet, fast_sync_status([group[-1][1] for group in joint]))
-            due_s = now_s + self._spent(joint[0][0][0], packet)
-            self._send(
-                *self._spoiled([group[0][0].id for group in joint], packet, due_s, elapsed_s)
-            )
+        if joint:
+            packet = fast_sync_status([status for _, status in joint])
+            due_s = now_s + self._spent(joint[0][0], packet)
+            ids = [servo.id for servo, _ in joint]
+            self._send(*self._spoiled(ids, packet, due_s, elapsed_s))
 
     def _read_out(self, servo: VirtualServo, address: int, size: int, elapsed_s: float) -> Status:
         """What a servo answers to a read."""

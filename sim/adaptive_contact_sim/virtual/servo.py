@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.bridge.modes import LAW_REGISTERS, DriveMode, slope_rad
-from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
+from adaptive_contact.bridge.tables import Register, ServoModel
 from adaptive_contact.robot.description import Protocol
 from adaptive_contact_sim.virtual.backend import Backend
 
@@ -42,8 +42,11 @@ _READ_ONLY: Final = (
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
 _MOST_STEPS: Final = 1_048_575  # of a goal in the extended modes
-_BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-_BAUDS_FEETECH: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
+# Rates of terminals.
+BAUDS: Final = (
+    *(9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 576000, 921600, 1000000),
+    *(1152000, 2000000, 2500000, 3000000, 3500000, 4000000),
+)
 # Of compact servos as delivered, by protocol: errors that shut them down.
 _FATAL: Final[dict[Protocol, int]] = {1: 0x24, 2: 0x03, "sts": 0x2C, "scs": 0x25}
 _LAW: Final[set[str]] = {name for names in LAW_REGISTERS for name in names}
@@ -66,10 +69,11 @@ class VirtualServo:
         rng: of the reading noise.
         noise_steps: standard deviation of a reading, in steps; an AX-12A's is in docs/simulator.md,
             an X-series' magnetic encoder jitters by a step.
-        baud: it receives packets at this rate only.
+        baud: rate at which it receives packets.
 
     Attributes:
-        id, baud: follow their registers.
+        id: follows its register.
+        baud: at which it receives packets; what is written to its register is kept only.
         last: the control table as it was last read.
         writes: instructions to write, carried out or refused.
         keeps_goal: torque that comes on drives to the goal in the register.  Firmwares differ in
@@ -125,7 +129,6 @@ class VirtualServo:
                 "pwm_limit": 885,
             }
         )
-        self.store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
         self.last = bytes(self._memory)
@@ -291,8 +294,6 @@ class VirtualServo:
                 self._drive()
         elif name == "id":
             self.id = self.value("id")
-        elif name == "baud":
-            self.baud = self._baud()
         elif name in _LAW:
             self._set_slope()
         elif name == "torque_limit":
@@ -397,44 +398,28 @@ class VirtualServo:
         for name in values.keys() & self.model.registers.keys():
             self.store(name, values[name])
 
-    def _baud(self) -> int:
-        register = self.value("baud")
-        if self.model.protocol == 1:
-            rate = 2_000_000 / (register + 1)
-            near = min(BAUDS, key=lambda baud: abs(baud - rate))
-            # E-manual: within 3 % no more errors than at the rate itself.
-            return near if abs(near - rate) < 0.03 * rate else 0
-        return self._rates[register] if register < len(self._rates) else 0
-
-    def _baud_register(self, baud: int) -> int:
-        """Value of the register for a rate; the nearest there is."""
-        if self.model.protocol == 1:
-            return min(max(round(2_000_000 / baud) - 1, 0), 254)
-        return min(range(len(self._rates)), key=lambda i: abs(self._rates[i] - baud))
-
-    @property
-    def _rates(self) -> tuple[int, ...]:
-        if self.model.feetech:
-            return _BAUDS_FEETECH
-        return _BAUDS2[:4] if self.model.compact else _BAUDS2  # compact: XL-320
-
     def _power_on(self) -> None:
         model = self.model
         self._latched = 0
         self._memory[:] = self._saved  # what was written while EEPROM was locked is gone
         self._settle_turns(fresh=True)
         here = self._steps(self._backend.angle(self._index))
-        initial = {"temperature": 35, "torque_control": 0, "goal_position": here}
-        initial["voltage"] = 50 if model.protocol == 2 else 120
-        if model.feetech:
-            initial |= {"hardware_error": 0, "eeprom_lock": 1, "torque_limit": 1000}
-            initial |= {"position_p": 32, "position_d": 32, "max_acceleration": 254}
-        elif model.compact:
-            initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
-            initial |= {"torque_limit": 1023, "punch": 32, "position_p": 32}
-        else:
-            initial |= {"position_p": 400 if "330" in model.name else 800}
-            initial |= {"hardware_error": 0, "status_return": 2}
+        # Registers that the model has not are left out.
+        initial = {
+            "goal_position": here,
+            "voltage": 50 if model.protocol == 2 else 120,
+            "temperature": 35,
+            "torque_control": 0,
+            "torque_limit": 1000 if model.feetech else 1023,
+            "hardware_error": 0,
+            "eeprom_lock": 1,
+            "position_p": 32 if model.compact else 400 if "330" in model.name else 800,
+            "max_acceleration": 254,
+            **dict.fromkeys(("lower_slope", "upper_slope", "punch"), 32),
+            **dict.fromkeys(("lower_margin", "upper_margin"), 1),
+        }
+        if not model.compact:  # those of the others are in their EEPROM
+            initial["status_return"] = 2
         self._store_known(initial)
         starts = bool(self._has("startup") & 1)
         on = starts or self._backend.goal(self._index) is not None

@@ -23,9 +23,9 @@ from adaptive_contact_sim.virtual.assembly import assemble, check_faults, with_p
 from adaptive_contact_sim.virtual.backend import (
     Backend,
     GaitedBackend,
-    Horns,
     PassiveBackend,
     ProcessSource,
+    mounted,
 )
 from adaptive_contact_sim.virtual.faults import FaultSpec
 
@@ -93,10 +93,10 @@ def run(
             write_file(write_config, write_robot(robot), advice="give another --write-config")
         # The physics, and the order of its servos.
         pairs = HEXAPOD.servos
-        horns = Horns.of(plans, pairs)
+        joints = mounted(plans, pairs)
         backend: Backend
         if scenario is None:
-            backend = PassiveBackend(horns, height_m=height_m)
+            backend = PassiveBackend(joints, height_m=height_m)
         else:
             settings = load_scenario(scenario).settings
             settings = dataclasses.replace(
@@ -104,7 +104,7 @@ def run(
             )
             source = stack.enter_context(ProcessSource(settings, record))
             source.wait()
-            backend = GaitedBackend(source, horns, period_s=settings.period_s)
+            backend = GaitedBackend(source, joints, period_s=settings.period_s)
         server = stack.enter_context(
             assemble(plans, backend, pairs, faults, seed=seed, wire_time=wire_time)
         )
