@@ -10,11 +10,11 @@ import os
 import stat
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
+from typing import IO, TYPE_CHECKING, Final, Self
 
 from mcap.writer import CompressionType, Writer
 
-from adaptive_contact.errors import RecordingError
+from adaptive_contact.errors import RecordingError, reason_of
 from adaptive_contact.service.recording.format import ABOUT, ENCODING, PROTOBUF, TO_MCAP, TO_ZENOH
 from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_class, schema_name
 from adaptive_contact.wire import MSGPACK, Message, Rejected, decode, encode
@@ -26,27 +26,6 @@ if TYPE_CHECKING:
 FLUSH_NS: Final = 1_000_000_000
 MAX_TIME_NS: Final = (1 << 64) - 1
 MAX_CHANNELS: Final = (1 << 16) - 1
-
-
-class _Counted:
-    """Counts bytes for mcap, which asks for positions: a FIFO does not know its own."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._at = 0
-
-    def write(self, data: bytes) -> int:
-        """Pass bytes on and count them."""
-        self._at += len(data)
-        return self._file.write(data)
-
-    def tell(self) -> int:
-        """Return the bytes written so far."""
-        return self._at
-
-    def flush(self) -> None:
-        """Pass on."""
-        self._file.flush()
 
 
 class RecordingWriter:
@@ -83,7 +62,7 @@ class RecordingWriter:
         # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small enough
         # that a damaged chunk costs little, large enough that zstd still halves it.
         self._writer = Writer(
-            cast(Any, _Counted(self._file)),
+            self._file,
             chunk_size=32 * 1024,
             compression=CompressionType.ZSTD,
         )
@@ -229,6 +208,6 @@ class RecordingWriter:
 
     def _failed(self, error: OSError) -> RecordingError:
         return RecordingError(
-            f"{self.path}: cannot be written ({error.strerror}); "
+            f"{self.path}: cannot be written ({reason_of(error)}); "
             "give a path in a folder that exists, is writable and has room"
         )
