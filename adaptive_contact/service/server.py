@@ -33,7 +33,7 @@ from adaptive_contact.service.network_health import NetworkHealth, UnreadKeys
 from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue, read
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state.keeper import StateKeeper
-from adaptive_contact.service.trace import Tracer, judged_tick, placed
+from adaptive_contact.service.trace import Tracer, placed
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.status import SERVICE_STATUS, Latency, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
@@ -406,23 +406,9 @@ class Service:
         """Record the tick for a page that asks for it."""
         # Of two ticks of a leg in one go the learner knows the last.
         last = dict(self._untraced)
-        learners = {leg: self._endpoints[leg].learner for leg in last}
-        self._tracer.record(
-            (
-                (
-                    leg,
-                    sample,
-                    judged_tick(learners[leg], sample) if sample is last[leg] else None,
-                )
-                for leg, sample in self._untraced
-            ),
-            {leg: learner.state for leg, learner in learners.items()},
-            {
-                leg: bool(learner.place.leg.swing_phase)
-                for leg, learner in learners.items()
-                if learner.leg.chain is not None
-            },
-        )
+        for leg, sample in self._untraced:
+            learner = self._endpoints[leg].learner if sample is last[leg] else None
+            self._tracer.record(leg, sample, learner)
         self._untraced.clear()
 
     def _answer(self, request: Request) -> None:
