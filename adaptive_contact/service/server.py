@@ -30,7 +30,7 @@ from adaptive_contact.service.leg_endpoint import LegEndpoint
 from adaptive_contact.service.link import Link, Publisher, Request
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.network_health import NetworkHealth, UnreadKeys
-from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue, read
+from adaptive_contact.service.sample_queue import Batch, SampleQueue
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state.keeper import StateKeeper
 from adaptive_contact.service.trace import Tracer, placed
@@ -51,6 +51,7 @@ from adaptive_contact.wire import (
     servo_key,
     trace_key,
 )
+from adaptive_contact.wire.received import Received
 
 if TYPE_CHECKING:
     from adaptive_contact.core.bank import LearnerBank
@@ -236,7 +237,7 @@ class Service:
             if endpoint is None:
                 continue
             self._samples += 1
-            sample = read(raw)
+            sample = decode(raw.payload, ServoSample, raw.encoding)
             if isinstance(sample, Rejected):
                 endpoint.refused(sample, now_ns)
                 self._warn("payload refused", sample.reason, now_ns, leg=leg, detail=sample.detail)
@@ -354,16 +355,17 @@ class Service:
 
     # -- one round ------------------------------------------------------------------------
 
-    def _newcomer(self, leg: str, raw: Raw, now_ns: int) -> None:
+    def _newcomer(self, leg: str, raw: Received, now_ns: int) -> None:
         """Request a learner for a leg that is not described, by its first good sample."""
-        read_, detail = read(raw), ""
+        if leg in self._making:  # what comes meanwhile is not judged
+            return
+        read_, detail = decode(raw.payload, ServoSample, raw.encoding), ""
         if isinstance(read_, Rejected):
             reason, detail = read_.reason, read_.detail
         else:
             joints = len(read_.measured)
             fault = fault_of(read_, joints)
             if fault is None and self._bank.has_room([*self._making.values(), joints]):
-                self._queue.hold(leg, raw)
                 self._making[leg] = joints
                 self._made.append((leg, self._maker.submit(self._make, leg, joints, now_ns)))
                 return
@@ -373,7 +375,9 @@ class Service:
         self._samples += 1
         self._refuse(reason, now_ns, key=servo_key(leg), detail=detail)
 
-    def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw], now_ns: int) -> None:
+    def _update(
+        self, samples: dict[str, ServoSample], raws: dict[str, Received], now_ns: int
+    ) -> None:
         for event in self._bank.judge(samples):
             self._post(event, raws[event.leg].arrival_ns)
         used = []
@@ -439,7 +443,7 @@ class Service:
     def _make(self, leg: str, joints: int, now_ns: int) -> LegEndpoint:
         """Make what a new leg needs; not on the worker, which has no time for it."""
         # At most ten learners a second are made of legs that are not described: some 50 ms of a
-        # core for 16 joints, and the samples of the sixth leg wait in its queue.
+        # core for 16 joints.
         time.sleep(0.1)
         return self._endpoint(leg, self._bank.make(leg, joints), joints, now_ns)
 
