@@ -151,8 +151,8 @@ class StateStore:
             OSError: it could not be written, or the folder is another's; what was there before is
                 still there.
         """
-        if self._lock is None or not self.reopen():
-            raise OSError(errno.EBUSY, self.trouble or f"{self.shown} is not open")
+        if not self.reopen():
+            raise OSError(errno.EBUSY, self.trouble)
         data = pack(record)
         path = self.path(record.identity)
         newest, new = path.name, path.with_suffix(_NEW).name
