@@ -204,7 +204,6 @@ class Gateway:
         finally:
             stop.set()
             self._contacts.put(None)
-            self._lines.put("")
             for worker in workers:
                 worker.join(2.0)
 
@@ -323,7 +322,9 @@ class Gateway:
         # After this long without a sample of a leg it is said, and again after ten times as long.
         silent_s = begun_s + 5.0
         reported: str | None = None
-        while not self._say_for(1.0, stop):
+        while not stop.wait(1.0):
+            for _ in range(self._lines.qsize()):
+                self._say(self._lines.get())
             for topic, times in self._inbox.take_dropped().items():
                 for _ in range(times):
                     self._complain(
@@ -358,18 +359,6 @@ class Gateway:
             except LinkError:
                 if not stop.is_set():
                     continue
-
-    def _say_for(self, seconds: float, stop: threading.Event) -> bool:
-        """Print the lines of other threads for some time; return whether to stop."""
-        until_s = time.monotonic() + seconds
-        while not stop.is_set():
-            try:
-                line = self._lines.get(timeout=max(0.0, until_s - time.monotonic()))
-            except queue.Empty:
-                return False
-            if line:  # an empty one ends the wait
-                self._say(line)
-        return True
 
     def _trouble(self, up_s: float) -> str | None:
         """Describe what prevents relaying; None where nothing does."""

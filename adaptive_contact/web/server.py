@@ -30,6 +30,7 @@ from typing import Any, Final
 from urllib.parse import parse_qs
 
 from adaptive_contact.errors import ConfigurationError, reason_of
+from adaptive_contact.service.settings import is_loopback_host
 from adaptive_contact.wire import is_leg_id
 
 # Browsers that look at once, and other connections: each is a thread while it hangs.
@@ -106,11 +107,7 @@ class WebSettings:
     @property
     def loopback(self) -> bool:
         """Return whether only this computer can reach the page."""
-        if self.host == "localhost":
-            return True
-        with contextlib.suppress(ValueError):
-            return ipaddress.ip_address(self.host).is_loopback
-        return False
+        return is_loopback_host(self.host)
 
 
 @dataclass
