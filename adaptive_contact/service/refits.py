@@ -42,7 +42,6 @@ class ProcessRefitter:
     def __init__(
         self, timeout_s: float = JOB_TIMEOUT_S, *, process: subprocess.Popen[bytes] | None = None
     ) -> None:
-        self.failures = 0  # jobs that were given up
         self.timeout_s = timeout_s  # that of the jobs to come
         self._jobs: dict[str, tuple[int, Future[object]]] = {}  # the newest of each leg
         self._thread = ThreadPoolExecutor(1, "refits")
@@ -94,7 +93,6 @@ class ProcessRefitter:
             except Exception as fault:  # it died, or was killed, or none could be started
                 why = " ".join(f"{type(fault).__name__}: {fault}".split())
                 self._end_process()
-        self.failures += 1
         if not self._ending:
             _log.warning("refit given up", leg=job.leg, job=job.number, why=why)
         return result_of_lost(job)

@@ -130,12 +130,6 @@ class StateKeeper:
             _log.warning("state refused", leg=leg, file=path.name, why=why)
             self._refused.append(f"{path.name}: {why}")
             self._store.set_aside(path)
-        others = self._store.others(identity)
-        if others and leg not in self._restored:
-            _log.info(
-                "state of other settings, another baseline or another version is left alone",
-                leg=leg,
-            )
         return None
 
     def due(self, endpoint: LegEndpoint, now_ns: int) -> bool:

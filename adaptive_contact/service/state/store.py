@@ -129,15 +129,6 @@ class StateStore:
             if found is not None:
                 yield path, found
 
-    def others(self, identity: Identity) -> int:
-        """Count states of this leg that belong to other settings or another library."""
-        newest = self.path(identity)
-        pattern = f"{_plain(identity.leg)}-*{NEWEST}"
-        try:
-            return sum(path != newest for path in self.folder.glob(pattern))
-        except OSError:
-            return 0
-
     def set_aside(self, path: Path) -> None:
         """Rename a refused state, to keep it for inspection."""
         with contextlib.suppress(OSError):  # a read-only folder keeps it where it is
