@@ -25,7 +25,7 @@ from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.web.frames import Frames, Table
 from adaptive_contact.web.recordings import Recordings
 from adaptive_contact.web.server import Refused, Site, WebSettings
-from adaptive_contact.wire import LegTrace, ModelReport, Rejected, decode, model_key
+from adaptive_contact.wire import LearnerStatus, LegTrace, ModelReport, Rejected, decode, model_key
 
 FRAME_S: Final = 0.1
 _END_S: Final = 2.0
@@ -173,8 +173,7 @@ class LivePage:
     def _feed(self) -> None:
         feed: Feed | None = None
         due_s = time.monotonic()
-        count = 0
-        unknown: list[str] = []  # legs of which nothing is known
+        statuses: dict[str, LearnerStatus] = {}
         while not self._stop.is_set():
             if feed is None and self._link is not None:
                 feed = Feed(self._link, self._frames.contact)
@@ -182,23 +181,18 @@ class LivePage:
             if feed is not None:
                 view = self._view = feed.view(time.monotonic_ns())
                 self._frames.verdicts(feed.watch.take_verdicts())
+                statuses = feed.watch.statuses()
             for _ in range(len(self._traces)):
                 self._frames.trace(*self._traces.popleft())
-            table, before = None, unknown
-            unknown = [] if view is None else [leg.leg for leg in view.legs if leg.contact is None]
-            # Figures of the table come once a second; that a leg is not known is shown at once.
-            if count % 3 == 0 or unknown != before:
-                statuses = {} if feed is None else feed.watch.statuses()
-                table = self._table.encode(
-                    view,
-                    statuses,
-                    time.monotonic_ns(),
-                    waiting=self._waiting,
-                    recording=None if self._recordings is None else self._recordings.state(),
-                )
+            table = self._table.encode(
+                view,
+                statuses,
+                time.monotonic_ns(),
+                waiting=self._waiting,
+                recording=None if self._recordings is None else self._recordings.state(),
+            )
             frame = self._frames.frame(time.monotonic_ns())
             self._site.history.push(frame, table)
-            count += 1
             due_s = max(due_s + FRAME_S, time.monotonic())
             self._stop.wait(due_s - time.monotonic())
 
