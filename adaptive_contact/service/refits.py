@@ -61,7 +61,7 @@ class ProcessRefitter:
     def collect(self, leg: str, number: int) -> object | None:
         """Return the result of a job; None while there is none."""
         known, result = self._jobs.get(leg, (None, None))
-        if result is None or known != number or not result.done():
+        if result is None or known != number or not result.done() or result.cancelled():
             return None
         del self._jobs[leg]
         return result.result()
