@@ -161,15 +161,6 @@ class Intake:
         """Return the legs of which no sample has been made yet."""
         return tuple(leg.id for leg in self._legs.values() if not leg.samples)
 
-    def topics_of(self, leg: str) -> tuple[str, ...]:
-        """Return the topics that a leg's samples are made of."""
-        state = self._legs[leg]
-        return tuple(
-            topic
-            for topic, roles in self._roles.items()
-            if state in roles.states or state in roles.commands
-        )
-
     def read(
         self, decode: Decode, topic: str, type_name: str, type_hash: str, payload: bytes
     ) -> Any | None:

@@ -337,13 +337,10 @@ class Gateway:
             silent = self.intake.silent if now_s >= silent_s else ()
             if silent:
                 silent_s = now_s + 50.0
-            for topic in self.topics if silent else ():
-                legs = [leg for leg in silent if topic in self.intake.topics_of(leg)]
-                if legs:
-                    self._say(
-                        f"{topic}: no sample of legs {', '.join(legs)} yet; compare robot.toml "
-                        "with `ros2 topic list -t`"
-                    )
+                self._say(
+                    f"no sample of legs {', '.join(silent)} yet; compare the topics of robot.toml "
+                    "with `ros2 topic list -t`"
+                )
             trouble = self._trouble(now_s - begun_s)
             if trouble != reported:
                 reported = trouble
