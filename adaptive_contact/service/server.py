@@ -136,7 +136,6 @@ class Service:
         self._rejects: Counter[str] = Counter()
         self._ticks_latency = Latency()
         self._unfinished: list[int] = []  # arrivals of samples that are not learned from yet
-        self._event_latency = Latency()
         self._asked: list[Request] = []
         self._tracer = Tracer()
         self._untraced: list[tuple[str, ServoSample]] = []  # samples that a page asks for
@@ -306,8 +305,6 @@ class Service:
 
     def status(self, now_ns: int) -> ServiceStatus:
         """Return the state of the service."""
-        for latency_ns in self._publisher.latencies():
-            self._event_latency.add(latency_ns)
         state = None if self._keeper is None else self._keeper.facts
         return ServiceStatus(
             instance=self._network.instance,
@@ -330,7 +327,7 @@ class Service:
             strays=self._stray_keys,
             callback_faults=self._link.callback_faults,
             tick_latency=self._ticks_latency.quantiles(),
-            event_latency=self._event_latency.quantiles(),
+            event_latency=self._publisher.latency.quantiles(),
         )
 
     def _complaints(self, now_ns: int) -> tuple[str | None, ...]:
