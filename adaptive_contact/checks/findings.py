@@ -44,7 +44,6 @@ Cause = Literal[
     "leg_ids",
     "undescribed",
     "too_many_keys",
-    "encoding",
     # Payloads.
     "unreadable",
     "time_type",

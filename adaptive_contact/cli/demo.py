@@ -262,12 +262,12 @@ class _Demo:
         from adaptive_contact.core.bank import LearnerBank
         from adaptive_contact.model import shipped_baseline
         from adaptive_contact.service.recording import read_recording
-        from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events
+        from adaptive_contact.service.replay import Counts, TraceBank, replay_events
 
         bank = TraceBank(LearnerBank(robot, shipped_baseline(robot.name), mode=mode))
-        records = TracedRecords(read_recording(self._recording), robot)
+        records = bank.gather(read_recording(self._recording))
         events = list(replay_events(records, bank, Counts()))
-        return bank.traces(records), events
+        return bank.traces(), events
 
 
 def _tally(summary: Summary) -> str:

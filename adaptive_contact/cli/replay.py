@@ -135,7 +135,7 @@ def _to_events(
     from adaptive_contact.core.bank import LearnerBank
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
-    from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events
+    from adaptive_contact.service.replay import Counts, TraceBank, replay_events
 
     if plot is not None:
         check_plot(plot)
@@ -151,9 +151,9 @@ def _to_events(
     with closing(WaitingRefitter()) as refitter:
         bank = LearnerBank(robot, learned, refitter=refitter, when_ambiguous=when_ambiguous)
         robots = OneRobot(recording)
-        traced = TracedRecords(robots, robot) if plot is not None else None
         traces = TraceBank(bank)
-        for event in replay_events(traced or robots, traces if traced else bank, counts):
+        records = robots if plot is None else traces.gather(robots)
+        for event in replay_events(records, bank if plot is None else traces, counts):
             file.write(encode(event, JSON) + b"\n")
             written += 1
     elapsed_s = time.perf_counter() - started_s
@@ -186,8 +186,8 @@ def _to_events(
         file.flush()
     elif out is not None:
         write_file(out, kept.getvalue(), error=RecordingError)
-    if plot is not None and traced is not None:
-        write_plot(plot, traces.traces(traced), f"Replay of {recording.path.name}")
+    if plot is not None:
+        write_plot(plot, traces.traces(), f"Replay of {recording.path.name}")
 
 
 def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[str]:

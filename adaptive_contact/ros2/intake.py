@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
 from adaptive_contact.errors import ConfigurationError
@@ -55,6 +55,7 @@ class _LegState:
         assert leg.ros2 is not None
         self.id = leg.id
         self.names = leg.ros2.joints
+        self.joints = frozenset(self.names)
         self.measured: list[float] | None = None
         self.desired = [math.nan] * len(self.names)
         self.phase: bool | None = None
@@ -113,7 +114,7 @@ class Intake:
         self._refuse = on_problem
         self._roles: dict[str, _Roles] = {}
         self._ticks = TickCounter(run, robot.period_s * _NS, on_problem)
-        self._layouts: dict[str, dict[tuple[str, ...], list[tuple[_LegState, list[int]]]]] = {}
+        self._ignored: set[str] = set()  # joints of no leg that have been reported
         self._no_command_ticks = round(_NO_COMMAND_S / robot.period_s)
         self._offset_ns: int | None = None
         for leg in robot.legs:
@@ -159,15 +160,6 @@ class Intake:
     def silent(self) -> tuple[str, ...]:
         """Return the legs of which no sample has been made yet."""
         return tuple(leg.id for leg in self._legs.values() if not leg.samples)
-
-    def topics_of(self, leg: str) -> tuple[str, ...]:
-        """Return the topics that a leg's samples are made of."""
-        state = self._legs[leg]
-        return tuple(
-            topic
-            for topic, roles in self._roles.items()
-            if state in roles.states or state in roles.commands
-        )
 
     def read(
         self, decode: Decode, topic: str, type_name: str, type_hash: str, payload: bytes
@@ -224,50 +216,49 @@ class Intake:
         publisher = self._ticks.publisher(topic, origin)
         if publisher is None:
             return
+        legs = self._roles[topic].states
         whole = type_name == RosType.CONTROLLER_STATE
-        if whole:
-            names = message.joint_names
-            readings, commands = message.feedback.positions, message.reference.positions
-        else:
-            names, readings, commands = message.name, message.position, None
-        if len(readings) != len(names) or (commands is not None and len(commands) != len(names)):
-            which = "feedback or reference" if whole else "position"
-            found = min(len(readings), len(readings if commands is None else commands))
-            self._refuse(
-                topic,
-                "no_positions",
-                f"{which} has {found} positions for {len(names)} joints; "
-                "expected one of each: let the controller have position interfaces",
-            )
+        names = message.joint_names if whole else message.name
+        readings = message.feedback.positions if whole else message.position
+        columns = (readings, message.reference.positions) if whole else (readings,)
+        values = self._by_name(topic, legs, names, *columns)
+        if values is None:
             return
         stamp = message.header.stamp
         stamp_ns = stamp.sec * _NS + stamp.nanosec
         t_ns = stamp_ns or origin.time_ns  # some nodes leave the stamp empty
         self._offset_ns = t_ns - origin.time_ns
-        for leg, at in self._layout(topic, tuple(names), whole=whole):
-            sample = self._sample(topic, leg, at, readings, commands, publisher, t_ns, origin)
-            if sample is not None:
-                leg.samples += 1
-                yield leg.id, sample
+        for leg in legs:
+            if values.keys() >= leg.joints:
+                rows = [values[name] for name in leg.names]
+                sample = self._sample(topic, leg, rows, publisher, t_ns, origin)
+                if sample is not None:
+                    leg.samples += 1
+                    yield leg.id, sample
+                continue
+            lacking = [name for name in leg.names if name not in names]
+            # Several nodes may publish one joint state topic, each its own joints.
+            if lacking and (whole or len(lacking) < len(leg.names)):
+                self._refuse(
+                    topic,
+                    "joints_missing",
+                    f"leg '{leg.id}' lacks {some(lacking)}; there are {some(names)}: "
+                    "correct [leg.ros2] joints",
+                )
 
     def _sample(
         self,
         topic: str,
         leg: _LegState,
-        at: list[int],
-        readings: Any,
-        commands: Any,
+        rows: list[list[float]],
         publisher: Publisher,
         t_ns: int,
         origin: Origin,
     ) -> ServoSample | None:
         """Make a leg's sample; None where there is none, though its tick is counted."""
         seq = self._ticks.tick(publisher, leg.id, t_ns, origin)
-        measured = [float(readings[i]) for i in at]
-        if commands is not None:
-            desired = [float(commands[i]) for i in at]
-        else:
-            desired = leg.desired.copy()
+        measured, *commanded = map(list, zip(*rows, strict=True))
+        desired = commanded[0] if commanded else leg.desired.copy()
         valid: list[bool] | None = None
         if not all(map(math.isfinite, measured)):
             valid = [math.isfinite(value) for value in measured]
@@ -280,13 +271,13 @@ class Intake:
             ]
         leg.measured = measured
         if not all(map(math.isfinite, desired)):
-            if commands is None:
-                self._no_command(topic, leg)
-            else:
+            if commanded:
                 good = [math.isfinite(value) for value in desired]
                 self._not_finite(topic, leg, good, "the reference")
+            else:
+                self._no_command(topic, leg)
             return None
-        if commands is None and self._moves_without_command(topic, leg, measured):
+        if not commanded and self._moves_without_command(topic, leg, measured):
             return None
         return ServoSample(
             t_ns=t_ns,
@@ -335,103 +326,63 @@ class Intake:
             "look whether the hardware answers and the controller is active",
         )
 
-    # -- layout ------------------------------------------------------------------------------------
+    # -- joints ------------------------------------------------------------------------------------
 
-    def _layout(
-        self, topic: str, names: tuple[str, ...], *, whole: bool
-    ) -> list[tuple[_LegState, list[int]]]:
-        """Find which value of a message belongs to which joint of which leg."""
-        layouts = self._layouts.setdefault(topic, {})
-        found = layouts.get(names)
-        if found is None:
-            # Distinct sets of joint names of one topic that are kept.
-            if len(layouts) >= 64:
-                layouts.clear()
-            found = layouts[names] = self._lay_out(topic, names)
-        if len(found) < len(self._roles[topic].states):
-            self._tell_missing(topic, names, whole=whole)
-        return found
+    def _by_name(
+        self, topic: str, legs: Sequence[_LegState], names: Sequence[str], *columns: Any
+    ) -> dict[str, list[float]] | None:
+        """Return what a message has of each joint; None where it has not one value of each.
 
-    def _lay_out(self, topic: str, names: tuple[str, ...]) -> list[tuple[_LegState, list[int]]]:
-        where = {name: i for i, name in enumerate(names)}
-        twice = _twice(names)
-        mapped: set[str] = set()
-        found = []
-        for leg in self._roles[topic].states:
-            mapped.update(leg.names)
-            if where.keys() >= set(leg.names) and twice.isdisjoint(leg.names):
-                found.append((leg, [where[name] for name in leg.names]))
-        self._ignore(topic, [name for name in names if name not in mapped])
-        return found
-
-    def _ignore(self, topic: str, names: Sequence[str]) -> None:
-        if names:
+        A joint that is named twice is left out: nobody knows which value is meant.
+        """
+        for column in columns:
+            if len(column) != len(names):
+                self._refuse(
+                    topic,
+                    "no_positions",
+                    f"{len(column)} positions for {len(names)} joints; expected one of each: let "
+                    "the controller have position interfaces",
+                )
+                return None
+        found = {
+            name: [float(value) for value in values]
+            for name, *values in zip(names, *columns, strict=True)
+        }
+        known = {name for leg in legs for name in leg.names}
+        strange = [name for name in found if name not in known and name not in self._ignored]
+        if strange:
+            if len(self._ignored) > 1024:
+                self._ignored.clear()
+            self._ignored.update(strange)
             self._refuse(
                 topic,
                 "unmapped",
-                f"{some(names)} belong to no leg of robot.toml; ignored: "
+                f"{some(strange)} belong to no leg of robot.toml; ignored: "
                 "write them into [leg.ros2] joints if they should",
             )
-
-    def _refuse_twice(self, topic: str, names: Sequence[str]) -> None:
-        self._refuse(
-            topic,
-            "named_twice",
-            f"a message has {some(names)} more than once; not used: name each joint once",
-        )
-
-    def _tell_missing(self, topic: str, names: tuple[str, ...], *, whole: bool) -> None:
-        """Report legs that lack joints; of a controller's state, also legs that lack all."""
-        twice = _twice(names)
-        for leg in self._roles[topic].states:
-            if doubled := [name for name in leg.names if name in twice]:
-                self._refuse_twice(topic, doubled)
-            lacking = [name for name in leg.names if name not in names]
-            # Several nodes may publish one joint state topic, each its own joints.
-            if lacking and (whole or len(lacking) < len(leg.names)):
-                self._refuse(
-                    topic,
-                    "joints_missing",
-                    f"leg '{leg.id}' lacks {some(lacking)}; there are {some(names)}: "
-                    "correct [leg.ros2] joints",
-                )
+        twice = [name for name, times in Counter(names).items() if times > 1 and name in known]
+        if twice:
+            self._refuse(
+                topic,
+                "named_twice",
+                f"a message has {some(twice)} more than once; not used: name each joint once",
+            )
+        return {name: values for name, values in found.items() if name not in twice}
 
     # -- commands ----------------------------------------------------------------------------------
 
     def _commands(self, topic: str, type_name: str, message: Any, roles: _Roles) -> None:
-        values = self._command_values(topic, type_name, message, roles)
-        if values is None:
-            return
-        known = {name for leg in roles.commands for name in leg.names}
-        if values and known.isdisjoint(values):
-            self._ignore(topic, list(values))
-        bad = [name for name, value in values.items() if not math.isfinite(value)]
-        if bad:
-            self._refuse(
-                topic,
-                "not_finite",
-                f"the command of {some(bad)} is NaN or infinite; the last one stays in force",
-            )
-        for leg in roles.commands:
-            for j, name in enumerate(leg.names):
-                if name in values and math.isfinite(values[name]):
-                    leg.desired[j] = values[name]
-                    leg.waited, leg.further, leg.nearest = 0, 0, math.inf
-
-    def _command_values(
-        self, topic: str, type_name: str, message: Any, roles: _Roles
-    ) -> Mapping[str, float] | None:
-        """Return the commanded angles by joint; None where a message has none that can be used."""
+        """Take the commanded angles of a message, where it has some that can be used."""
         if type_name == RosType.ARRAY:
-            names, positions = roles.order, message.data
-            if names is None:
+            if roles.order is None:
                 self._refuse(
                     topic,
                     "no_positions",
                     "the values carry no names; write command_joints = [...] into [ros2], in "
                     "the controller's order",
                 )
-                return None
+                return
+            names, positions = roles.order, message.data
         elif type_name == RosType.TRAJECTORY:
             if len(message.points) != 1:
                 self._refuse(
@@ -440,21 +391,25 @@ class Intake:
                     f"a trajectory of {len(message.points)} points says no command in force; "
                     "take the controller's state topic as `state` instead",
                 )
-                return None
+                return
             names, positions = message.joint_names, message.points[0].positions
         else:
             names, positions = message.name, message.position
-        if len(names) != len(positions):
+        values = self._by_name(topic, roles.commands, names, positions)
+        if values is None:
+            return
+        bad = [name for name, (value,) in values.items() if not math.isfinite(value)]
+        if bad:
             self._refuse(
                 topic,
-                "no_positions",
-                f"{len(positions)} positions for {len(names)} joints; expected one of each",
+                "not_finite",
+                f"the command of {some(bad)} is NaN or infinite; the last one stays in force",
             )
-            return None
-        if twice := _twice(names):
-            self._refuse_twice(topic, sorted(twice))
-        pairs = zip(names, positions, strict=True)
-        return {name: float(value) for name, value in pairs if name not in twice}
+        for leg in roles.commands:
+            for j, name in enumerate(leg.names):
+                if name in values and name not in bad:
+                    leg.desired[j] = values[name][0]
+                    leg.waited, leg.further, leg.nearest = 0, 0, math.inf
 
     def _truth(self, leg: _LegState, touches: bool, origin: Origin) -> list[tuple[str, Message]]:
         """Return a change of a foot switch, on the clock of the samples' stamps."""
@@ -464,8 +419,3 @@ class Intake:
         t_ns = origin.time_ns + self._offset_ns
         # A switch knows no force; it has closed.
         return [(leg.id, ContactTruth(t_ns=t_ns, contact=touches, force=0.0))]
-
-
-def _twice(names: Sequence[str]) -> set[str]:
-    """Names that come more than once: nobody knows which value is meant."""
-    return {name for name, times in Counter(names).items() if times > 1}

@@ -43,9 +43,6 @@ STREAM: Final = "::,10:,:,:,,"
 LATCHED: Final = ":1:,1:,:,:,,"  # transient local, depth 1
 
 _PLAIN: Final = struct.Struct("<qqB16s")
-# Before April 2025 (rmw_zenoh 0.2.3 of Jazzy) each value had its name before it.
-_LABELLED: Final = struct.Struct("<16sq17sq11sB16s")
-_LABELS: Final = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid")
 _ID_BYTES: Final = 16
 
 
@@ -128,12 +125,8 @@ def encode_attachment(attachment: Attachment) -> bytes:
 
 
 def decode_attachment(data: bytes) -> Attachment | None:
-    """Read an attachment, with or without labels; None where it is neither."""
-    if len(data) == _PLAIN.size:
-        seq, time_ns, length, publisher = _PLAIN.unpack(data)
-        return Attachment(seq, time_ns, publisher) if length == _ID_BYTES else None
-    if len(data) == _LABELLED.size:
-        first, seq, second, time_ns, third, length, publisher = _LABELLED.unpack(data)
-        if (first, second, third) == _LABELS and length == _ID_BYTES:
-            return Attachment(seq, time_ns, publisher)
-    return None
+    """Read an attachment; None where it is none."""
+    if len(data) != _PLAIN.size:
+        return None
+    seq, time_ns, length, publisher = _PLAIN.unpack(data)
+    return Attachment(seq, time_ns, publisher) if length == _ID_BYTES else None

@@ -30,7 +30,6 @@ from adaptive_contact.wire import (
     Rejected,
     ServoSample,
     decode,
-    is_json,
     leg_of_key,
     meant_key,
     namespace_of,
@@ -74,7 +73,6 @@ class _Meter:
     count: int = 0
     size: int = 0
     encodings: Counter[str] = field(default_factory=Counter)
-    odd: Counter[str] = field(default_factory=Counter)  # of payloads that nothing says are JSON
 
 
 @dataclass(slots=True)
@@ -99,10 +97,6 @@ class Examination:
         meter.count += 1
         meter.size += len(received.payload)
         meter.encodings[received.encoding] += 1
-        if not received.encoding.startswith(
-            ("application/msgpack", "application/json")
-        ) and not is_json(received.payload, received.encoding):
-            meter.odd[received.encoding] += 1
         if received.key == SERVICE_STATUS:
             status = decode(received.payload, ServiceStatus, received.encoding)
             if isinstance(status, ServiceStatus):
@@ -258,11 +252,6 @@ def _about_service(seen: Examination, alive: bool) -> Iterator[Fault]:
 
 def _about_keys(seen: Examination, seconds: float) -> _Faults:
     for key, meter in sorted(seen.meters.items()):
-        leg = leg_of_key(key)
-        odd = list(meter.odd)
-        if odd and leg is not None:
-            level: Level = "warning" if leg in seen.refused else "note"
-            yield leg, Fault.of("encoding", key, key=odd[0], level=level, encoding=odd[0])
         stray = _stray(key, f"{key} ({meter.count / seconds:.1f}/s)")
         if stray is not None:
             yield stray

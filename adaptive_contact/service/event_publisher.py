@@ -20,6 +20,7 @@ import structlog
 from adaptive_contact.errors import LinkError
 from adaptive_contact.service.link import Publisher
 from adaptive_contact.service.logs import LogThrottle
+from adaptive_contact.status import Latency
 from adaptive_contact.wire import Message
 
 _log = structlog.get_logger()
@@ -61,8 +62,8 @@ class EventPublisher:
         self._thread: threading.Thread | None = None
         self._putting_since_ns: int | None = None
         self._dropped_ns: int | None = None
-        # Handed over by the sending thread, taken by the worker: both ends are atomic.
-        self._latencies: deque[int] = deque(maxlen=4096)
+        # From the deciding sample received to its event sent; the sending thread adds.
+        self.latency = Latency()
 
     def start(self) -> None:
         """Send on a thread from now on."""
@@ -129,10 +130,6 @@ class EventPublisher:
         who = _SUBSCRIBER if self._held_ns() >= now_ns - for_ns else _COMPUTER
         return f"{who} has held up contact events for {for_ns / 1e9:.1f} s"
 
-    def latencies(self) -> list[int]:
-        """Return latencies since the last call, ns: deciding sample received to event sent."""
-        return [self._latencies.popleft() for _ in range(len(self._latencies))]
-
     def _work(self) -> None:
         while True:
             with self._changed:
@@ -156,7 +153,7 @@ class EventPublisher:
         finally:
             self._putting_since_ns = None
         done_ns = time.monotonic_ns()
-        self._latencies.append(done_ns - arrival_ns)
+        self.latency.add(done_ns - arrival_ns)
         # A put takes 0.05 ms; a tenth of a second means that a subscriber hangs, or that
         # the computer has no core for it.
         if done_ns - began_ns > 100_000_000:

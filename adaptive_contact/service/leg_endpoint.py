@@ -81,31 +81,26 @@ class JointAvailability:
     """Follows ``valid`` of one leg's samples."""
 
     def __init__(self, joints: int) -> None:
-        self._mute_since_ns: list[int | None] = [None] * joints
+        self._joints = joints
+        self._mute_since_ns: dict[int, int] = {}  # by number of the joint, from 1
 
     def follow(self, valid: list[bool] | None, now_ns: int) -> bool:
         """Update from the validity of a sample's readings, (J,); return whether any is valid."""
-        if valid is None or all(valid):
-            self._mute_since_ns = [None] * len(self._mute_since_ns)
-            return True
-        for joint, good in enumerate(valid):
-            if good:
-                self._mute_since_ns[joint] = None
-            elif self._mute_since_ns[joint] is None:
-                self._mute_since_ns[joint] = now_ns
-        return any(valid)
+        mute = [joint for joint, good in enumerate(valid or (), start=1) if not good]
+        self._mute_since_ns = {joint: self._mute_since_ns.get(joint, now_ns) for joint in mute}
+        return len(mute) < self._joints
 
     def note(self, now_ns: int) -> str | None:
         """Describe in one line the joints that have not answered for half a second; else None."""
         mute = {
             joint: (now_ns - since_ns) / 1e9
-            for joint, since_ns in enumerate(self._mute_since_ns, start=1)
-            if since_ns is not None and now_ns - since_ns > 500_000_000
+            for joint, since_ns in self._mute_since_ns.items()
+            if now_ns - since_ns > 500_000_000
         }
         if not mute:
             return None
         for_s = f"{min(mute.values()):.1f} s"
-        if len(mute) == len(self._mute_since_ns):
+        if len(mute) == self._joints:
             return f"no servo has answered for {for_s}"
         which = ", ".join(map(str, mute))
         joints = f"joint {which} has" if len(mute) == 1 else f"joints {which} have"

@@ -6,7 +6,7 @@ kept for late joiners (an advanced publisher's cache for those who subscribe wit
 queryable for those who ask with a plain ``get``).
 
 Callbacks run on a thread of their subscription, behind a 256-deep queue; one that works holds up
-the session's other subscriptions.  A sink only enqueues; :class:`Arrivals` needs no such thread.
+the session's other subscriptions.  A sink only enqueues.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from __future__ import annotations
 import collections
 import functools
 import math
-import queue
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import zenoh
 import zenoh.ext
@@ -48,7 +47,6 @@ from adaptive_contact.wire.received import Received, Reply
 
 __all__ = [
     "DEFAULT_ENDPOINT",
-    "Arrivals",
     "Declared",
     "Finding",
     "Link",
@@ -221,59 +219,21 @@ class Publisher:
             query.reply(self.key, self._last[0], encoding=self._last[1])
 
 
-class Arrivals:
-    """Samples of any number of subscriptions, in order, for the one thread that takes them.
-
-    Zenoh's receiving thread puts them here itself, which saves a thread per subscription and a
-    switch per sample.  It calls a C function, as a Python one would cost it 40 µs.  So nothing
-    bounds the queue but the thread that takes, which must wait for nothing else, and a sample's
-    time of arrival is that of its taking.
-    """
-
-    def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[zenoh.Sample | None] = queue.SimpleQueue()
-        self.put: Final[Callable[[zenoh.Sample], None]] = self._queue.put
-
-    def __len__(self) -> int:
-        return self._queue.qsize()
-
-    def get(self, timeout_s: float | None = None) -> Received | None:
-        """Return the next sample; None if none comes in time, and once after :meth:`end`."""
-        received = None
-        while received is None:  # a deletion is passed over
-            try:
-                sample = self._queue.get(timeout=timeout_s)
-            except queue.Empty:
-                return None
-            if sample is None:
-                return None
-            received = _received(sample)
-        return received
-
-    def end(self) -> None:
-        """Make :meth:`get` return None once all that has arrived was taken."""
-        self._queue.put(None)
-
-
-def _received(sample: zenoh.Sample) -> Received | None:
-    """Return a Zenoh sample's values; None for a deletion."""
-    if sample.kind == zenoh.SampleKind.DELETE:
-        return None
-    stamp, attached = sample.timestamp, sample.attachment
-    return Received(
-        str(sample.key_expr),
-        sample.payload.to_bytes(),
-        str(sample.encoding),
-        time.monotonic_ns(),
-        None if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
-        b"" if attached is None else attached.to_bytes(),
-    )
-
-
 def _hand_over(sink: Callable[[Received], None], sample: zenoh.Sample) -> None:
-    received = _received(sample)
-    if received is not None:
-        sink(received)
+    """Give a sink a sample's values; a deletion is passed over."""
+    if sample.kind == zenoh.SampleKind.DELETE:
+        return
+    stamp, attached = sample.timestamp, sample.attachment
+    sink(
+        Received(
+            str(sample.key_expr),
+            sample.payload.to_bytes(),
+            str(sample.encoding),
+            time.monotonic_ns(),
+            None if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
+            b"" if attached is None else attached.to_bytes(),
+        )
+    )
 
 
 class Link:
@@ -414,7 +374,7 @@ class Link:
     def subscribe(
         self,
         key_expr: str,
-        sink: Callable[[Received], None] | Arrivals,
+        sink: Callable[[Received], None],
         *,
         history: bool = False,
     ) -> Declared:
@@ -425,11 +385,7 @@ class Link:
             sink: called on a thread of the subscription's own; it must only enqueue.
             history: ask publishers with a history for it, those that come later too.
         """
-        handler = (
-            zenoh.handlers.Callback(sink.put, indirect=False)
-            if isinstance(sink, Arrivals)
-            else zenoh.handlers.Callback(functools.partial(_hand_over, sink))
-        )
+        handler = zenoh.handlers.Callback(functools.partial(_hand_over, sink))
         if history:
             return Declared(
                 zenoh.ext.declare_advanced_subscriber(

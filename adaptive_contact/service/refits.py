@@ -9,11 +9,10 @@ lost, so that its leg goes on asking.
 
 from __future__ import annotations
 
-import contextlib
 import pickle
 import subprocess
 import threading
-from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Final
 
 import structlog
@@ -43,94 +42,64 @@ class ProcessRefitter:
     def __init__(
         self, timeout_s: float = JOB_TIMEOUT_S, *, process: subprocess.Popen[bytes] | None = None
     ) -> None:
-        self.failures = 0  # jobs that were given up
         self.timeout_s = timeout_s  # that of the jobs to come
-        self._waiting: OrderedDict[str, Job] = OrderedDict()
-        self._results: dict[str, tuple[int, object]] = {}
-        self._changed = threading.Condition()
+        self._jobs: dict[str, tuple[int, Future[object]]] = {}  # the newest of each leg
+        self._thread = ThreadPoolExecutor(1, "refits")
         self._ending = False
-        self._thread: threading.Thread | None = None
         self._process = process
 
     def start(self) -> None:
         """Start the process, so that the first result is no later than others."""
-        with self._changed:
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="refits", daemon=True)
-                self._thread.start()
+        self._thread.submit(self._running)  # a job that finds no process says so
 
     def submit(self, job: Job) -> None:
         """Queue a job; it replaces one of the same leg that still waits."""
-        with self._changed:
-            self._results.pop(job.leg, None)
-            self._waiting[job.leg] = job
-            self._changed.notify_all()
-        self.start()
+        if job.leg in self._jobs:
+            self._jobs[job.leg][1].cancel()
+        self._jobs[job.leg] = job.number, self._thread.submit(self._do, job)
 
     def collect(self, leg: str, number: int) -> object | None:
         """Return the result of a job; None while there is none."""
-        with self._changed:
-            found = self._results.get(leg)
-            if found is None or found[0] != number:
-                return None
-            del self._results[leg]
-            return found[1]
+        known, result = self._jobs.get(leg, (None, None))
+        if result is None or known != number or not result.done() or result.cancelled():
+            return None
+        del self._jobs[leg]
+        return result.result()
 
     def close(self) -> None:
-        """End the process; what is under way is lost."""
-        with self._changed:
-            self._ending = True
-            self._changed.notify_all()
+        """End the process; what is under way is lost.  Calling it twice is safe."""
+        if self._ending:
+            return
+        self._ending = True
         process = self._process  # looked at once: the thread may let go of it at any moment
         if process is not None:
             process.kill()  # the thread notices, and reaps it
-        if self._thread is not None:
-            self._thread.join(1.0)
-        elif process is not None:
-            self._end_process()
+        wait([self._thread.submit(self._end_process)], 1.0)
+        self._thread.shutdown(wait=False, cancel_futures=True)
 
-    def _work(self) -> None:
-        with contextlib.suppress(OSError):  # a job that finds no process says so
-            if self._process is None:
-                self._process = start_process()
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: bool(self._waiting) or self._ending)
-                if self._ending:
-                    break
-                leg, job = self._waiting.popitem(last=False)
-            try:
-                result = self._do(job)
-            except Exception as fault:  # no process could be started, say; the next may be
-                why = " ".join(f"{type(fault).__name__}: {fault}".split())
-                _log.warning("refit given up", leg=leg, job=job.number, why=why)
-                self._end_process()
-                self.failures += 1
-                result = result_of_lost(job)
-            with self._changed:
-                if leg not in self._waiting:  # else it has been superseded
-                    self._results[leg] = (job.number, result)
-                    self._changed.notify_all()
-        self._end_process()
+    def _running(self) -> subprocess.Popen[bytes]:
+        """Return the process; start one where there is none."""
+        if self._process is None:
+            self._process = start_process()
+        return self._process
 
     def _do(self, job: Job) -> object:
+        why = ""
         for _ in range(_TRIES):
             if self._ending:
                 break
             try:
                 return self._exchange(job)
-            except (EOFError, BrokenPipeError, pickle.UnpicklingError):  # it died, or was killed
+            except Exception as fault:  # it died, or was killed, or none could be started
+                why = " ".join(f"{type(fault).__name__}: {fault}".split())
                 self._end_process()
-        self.failures += 1
         if not self._ending:
-            _log.warning("refit given up", leg=job.leg, job=job.number)
+            _log.warning("refit given up", leg=job.leg, job=job.number, why=why)
         return result_of_lost(job)
 
     def _exchange(self, job: Job) -> object:
         """Send a job and read its result."""
-        process = self._process
-        if process is None:
-            process = self._process = start_process()
+        process = self._running()
         if self._ending:  # `close` may have looked for a process before there was this one
             raise EOFError
         assert process.stdin is not None
@@ -166,11 +135,8 @@ class WaitingRefitter(ProcessRefitter):
 
     def collect(self, leg: str, number: int) -> object | None:
         """Return the result of a submitted job, as soon as it is there."""
-        with self._changed:
-            self._changed.wait_for(
-                lambda: self._results.get(leg, (None,))[0] == number,
-                timeout=2 * _TRIES * self.timeout_s,
-            )
+        if leg in self._jobs:
+            wait([self._jobs[leg][1]], 2 * _TRIES * self.timeout_s)
         return super().collect(leg, number)
 
 

@@ -28,7 +28,6 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.core.bank import LearnerBank
 from adaptive_contact.errors import ConfigurationError, RecordingError
-from adaptive_contact.robot import Robot
 from adaptive_contact.score import ROWS, Contacts, Gatherer, LegOutcome, contacts_of, match
 from adaptive_contact.service.link import Link, Publisher
 from adaptive_contact.service.recording import Record
@@ -290,6 +289,7 @@ class TraceBank:
 
     def __init__(self, bank: LearnerBank) -> None:
         self._bank = bank
+        self._gathered = Gatherer(bank.robot)
         self._ticks: dict[str, _Ticks] = {}
         self._events: list[ContactEvent] = []
 
@@ -317,9 +317,15 @@ class TraceBank:
         self._events += events
         return events
 
-    def traces(self, recorded: TracedRecords) -> list[LegTrace]:
-        """Combine what was decided with what the recording says."""
-        gathered = recorded.gathered
+    def gather(self, records: Iterable[Record]) -> Iterator[Record]:
+        """Pass records on, and keep of them what the score needs."""
+        for record in records:
+            self._gathered.take(record)
+            yield record
+
+    def traces(self) -> list[LegTrace]:
+        """Combine what was decided with what the gathered records say."""
+        gathered = self._gathered
         gathered.replace_events(self._events)
         legs = [leg for leg in gathered.legs if leg in self._ticks]
         start_ns = min((self._ticks[leg].t_ns[0] for leg in legs), default=0)
@@ -372,19 +378,6 @@ class TraceBank:
             angles=angles.reshape(len(t_ns), 3, -1),
             note=note,
         )
-
-
-class TracedRecords:
-    """Passes records on, and keeps of them what the score needs."""
-
-    def __init__(self, records: Iterable[Record], robot: Robot) -> None:
-        self.gathered = Gatherer(robot)
-        self._records = records
-
-    def __iter__(self) -> Iterator[Record]:
-        for record in self._records:
-            self.gathered.take(record)
-            yield record
 
 
 def _spans(changes: list[tuple[int, bool]], start_ns: int, end_ns: int) -> Spans:

@@ -14,6 +14,7 @@ a terminal may stand still.
 from __future__ import annotations
 
 import collections
+import contextlib
 import gc
 import itertools
 import queue
@@ -31,7 +32,7 @@ from adaptive_contact.ros2.report import Report
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types
 from adaptive_contact.service.known_contacts import KnownContacts
-from adaptive_contact.service.link import Arrivals, Declared, Link, Publisher, Received
+from adaptive_contact.service.link import Declared, Link, Publisher, Received
 from adaptive_contact.service.settings import REMEDY, Finding
 from adaptive_contact.status import message_of
 from adaptive_contact.wire import (
@@ -66,43 +67,42 @@ def shown_of_ros(finding: Finding) -> str:
 
 
 class Inbox:
-    """Queues messages by topic; of each topic the newest ones are kept.
-
-    One thread puts and gets; another may take what was dropped.
-    """
+    """Queues messages by topic; of each topic the newest ones are kept."""
 
     def __init__(self, topics: tuple[str, ...]) -> None:
-        self.dropped: collections.Counter[str] = collections.Counter()
+        self._dropped: collections.Counter[str] = collections.Counter()
         self._waiting: dict[str, collections.deque[tuple[rmw.Address, Received]]] = {
             topic: collections.deque() for topic in topics
         }
         self._order: collections.deque[str] = collections.deque()
-        self._lock = threading.Lock()
+        self._awake = threading.Condition()
 
-    def __len__(self) -> int:
-        return len(self._order)
-
-    def put(self, address: rmw.Address | None, received: Received) -> None:
-        """Add a message, where it is one of a topic that is read."""
-        waiting = None if address is None else self._waiting.get(address.topic)
-        if address is None or waiting is None:
+    def put(self, received: Received) -> None:
+        """Add a message, where it is one of a topic that is read; called on Zenoh's threads."""
+        address = rmw.address_of(received.key)
+        if address is None or address.topic not in self._waiting:
             return
-        waiting.append((address, received))
-        if len(waiting) <= WAITING:
-            self._order.append(address.topic)
-            return
-        waiting.popleft()
-        with self._lock:
-            self.dropped[address.topic] += 1
+        with self._awake:
+            waiting = self._waiting[address.topic]
+            waiting.append((address, received))
+            if len(waiting) <= WAITING:
+                self._order.append(address.topic)
+                self._awake.notify()
+            else:
+                waiting.popleft()
+                self._dropped[address.topic] += 1
 
-    def get(self) -> tuple[rmw.Address, Received] | None:
-        """Return the next message; None where none waits."""
-        return self._waiting[self._order.popleft()].popleft() if self._order else None
+    def get(self, timeout_s: float) -> tuple[rmw.Address, Received] | None:
+        """Return the next message; None where none comes in time."""
+        with self._awake:
+            if not self._awake.wait_for(lambda: self._order, timeout_s):
+                return None
+            return self._waiting[self._order.popleft()].popleft()
 
     def take_dropped(self) -> dict[str, int]:
         """Return and reset the number of dropped messages, by topic."""
-        with self._lock:
-            dropped, self.dropped = dict(self.dropped), collections.Counter()
+        with self._awake:
+            dropped, self._dropped = dict(self._dropped), collections.Counter()
         return dropped
 
 
@@ -163,9 +163,8 @@ class Gateway:
         self._report = Report(self._types, settings.node, robot.name, robot.leg_ids)
         self._node = rmw.Node(settings.domain, ros.id, settings.node)
         self._legs = frozenset(robot.leg_ids)
-        self._addresses: dict[str, rmw.Address | None] = {}
         self._inbox = Inbox(tuple(self.topics))
-        self._arrivals, self._contacts = Arrivals(), Arrivals()
+        self._contacts: queue.SimpleQueue[Received | None] = queue.SimpleQueue()
         self._known = KnownContacts()
         self._heard_s: float | None = None  # when the last heartbeat came
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -196,7 +195,7 @@ class Gateway:
             worker.start()
         try:
             while not stop.is_set():
-                got = self._next(_LOOK_S)
+                got = self._inbox.get(_LOOK_S)
                 if got is not None:
                     self._inward(*got)
         except LinkError:
@@ -204,8 +203,7 @@ class Gateway:
                 raise
         finally:
             stop.set()
-            self._contacts.end()
-            self._lines.put("")
+            self._contacts.put(None)
             for worker in workers:
                 worker.join(2.0)
 
@@ -223,11 +221,11 @@ class Gateway:
         self._diagnostics = _RosPublisher(ros, node, next(numbers), report.diagnostics)
         self._states = _RosPublisher(ros, node, next(numbers), report.states, latched=False)
         for topic, types in self.topics.items():
-            ros.subscribe(rmw.any_type(node.domain, topic), self._arrivals)
+            ros.subscribe(rmw.any_type(node.domain, topic), self._inbox.put)
             if len(types) == 1:
                 self._show(rmw.Address(topic, types[0], self._types.hash_of(types[0])))
-        self._service.subscribe(HEARTBEAT, self._contacts)
-        self._service.subscribe(ALL_CONTACT, self._contacts, history=True)
+        self._service.subscribe(HEARTBEAT, self._contacts.put)
+        self._service.subscribe(ALL_CONTACT, self._contacts.put, history=True)
         self._service.subscribe(ALL_LEARNER, self.note_learner)
 
     def _show(self, address: rmw.Address) -> None:
@@ -244,16 +242,6 @@ class Gateway:
             self._learners[status.leg] = status
 
     # -- ROS 2 to the service ----------------------------------------------------------------------
-
-    def _next(self, timeout_s: float) -> tuple[rmw.Address, Received] | None:
-        """Return the next message; None where none comes in time."""
-        wait_s = 0.0 if self._inbox else timeout_s
-        for _ in range(len(self._arrivals) or 1):  # and no more: a flood may come as fast
-            received = self._arrivals.get(wait_s)
-            if received is not None:
-                self._inbox.put(self._address(received.key), received)
-            wait_s = 0.0
-        return self._inbox.get()
 
     def _inward(self, address: rmw.Address, received: Received) -> None:
         topic = address.topic
@@ -280,13 +268,6 @@ class Gateway:
                 self._samples[leg].put(sample)
                 self.relayed += 1
 
-    def _address(self, key: str) -> rmw.Address | None:
-        if key not in self._addresses:
-            if len(self._addresses) >= 1024:
-                self._addresses.clear()
-            self._addresses[key] = rmw.address_of(key)
-        return self._addresses[key]
-
     def _complain(self, topic: str, reason: Reason, detail: str) -> None:
         line = self.complaints.count(topic, reason, detail, time.monotonic())
         if line is not None and self._lines.qsize() < 256:
@@ -296,7 +277,10 @@ class Gateway:
 
     def _outward(self, stop: threading.Event) -> None:
         while not stop.is_set():
-            self._relay(self._contacts.get(_LOOK_S), stop)
+            received = None
+            with contextlib.suppress(queue.Empty):
+                received = self._contacts.get(timeout=_LOOK_S)
+            self._relay(received, stop)
         self._known.heartbeat(Heartbeat(legs={}), 0)  # from now on ROS 2 gets no word of any leg
         self._relay(None, stop)
 
@@ -338,7 +322,9 @@ class Gateway:
         # After this long without a sample of a leg it is said, and again after ten times as long.
         silent_s = begun_s + 5.0
         reported: str | None = None
-        while not self._say_for(1.0, stop):
+        while not stop.wait(1.0):
+            for _ in range(self._lines.qsize()):
+                self._say(self._lines.get())
             for topic, times in self._inbox.take_dropped().items():
                 for _ in range(times):
                     self._complain(
@@ -351,13 +337,10 @@ class Gateway:
             silent = self.intake.silent if now_s >= silent_s else ()
             if silent:
                 silent_s = now_s + 50.0
-            for topic in self.topics if silent else ():
-                legs = [leg for leg in silent if topic in self.intake.topics_of(leg)]
-                if legs:
-                    self._say(
-                        f"{topic}: no sample of legs {', '.join(legs)} yet; compare robot.toml "
-                        "with `ros2 topic list -t`"
-                    )
+                self._say(
+                    f"no sample of legs {', '.join(silent)} yet; compare the topics of robot.toml "
+                    "with `ros2 topic list -t`"
+                )
             trouble = self._trouble(now_s - begun_s)
             if trouble != reported:
                 reported = trouble
@@ -365,7 +348,7 @@ class Gateway:
             try:
                 # The states of all legs are asked for while somebody in ROS 2 subscribes to them.
                 if self._states.matched and self._asked_states is None:
-                    self._asked_states = self._service.subscribe(ALL_STATE, self._contacts)
+                    self._asked_states = self._service.subscribe(ALL_STATE, self._contacts.put)
                 elif self._asked_states is not None and not self._states.matched:
                     self._asked_states.close()
                     self._asked_states = None
@@ -373,18 +356,6 @@ class Gateway:
             except LinkError:
                 if not stop.is_set():
                     continue
-
-    def _say_for(self, seconds: float, stop: threading.Event) -> bool:
-        """Print the lines of other threads for some time; return whether to stop."""
-        until_s = time.monotonic() + seconds
-        while not stop.is_set():
-            try:
-                line = self._lines.get(timeout=max(0.0, until_s - time.monotonic()))
-            except queue.Empty:
-                return False
-            if line:  # an empty one ends the wait
-                self._say(line)
-        return True
 
     def _trouble(self, up_s: float) -> str | None:
         """Describe what prevents relaying; None where nothing does."""

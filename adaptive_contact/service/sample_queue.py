@@ -13,14 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final, Generic, TypeVar
 
-from adaptive_contact.wire import (
-    MAX_SAMPLE_BYTES,
-    Reject,
-    Rejected,
-    ServoSample,
-    decode,
-    leg_of_key,
-)
+from adaptive_contact.wire import MAX_SAMPLE_BYTES, leg_of_key
 from adaptive_contact.wire.received import Received
 
 # The queue of all legs that have none: no leg's id, it is counted under that name.
@@ -30,20 +23,8 @@ NO_QUEUE: Final = "(without a learner)"
 R = TypeVar("R")
 
 
-@dataclass(frozen=True, slots=True)
-class Raw:
-    """Holds a payload that waits for the worker; ``arrival_ns`` is monotonic.
-
-    ``size`` is that of the payload as it came; ``payload`` is empty where it was too large.
-    """
-
-    payload: bytes
-    encoding: str
-    arrival_ns: int
-    size: int
-
-
-_Queue = deque[tuple[str, Raw]]
+# With their legs.
+_Queue = deque[tuple[str, Received]]
 
 
 @dataclass(slots=True)
@@ -51,7 +32,7 @@ class Batch(Generic[R]):
     """Holds what the worker takes in one round."""
 
     # at most one payload per leg, the oldest; and one of all legs without a queue
-    samples: dict[str, Raw] = field(default_factory=dict)
+    samples: dict[str, Received] = field(default_factory=dict)
     # payloads dropped since the last round, per leg
     overflow: Counter[str] = field(default_factory=Counter)
     strangers: int = 0  # payloads on keys that name no usable leg, since the last round
@@ -82,7 +63,6 @@ class SampleQueue(Generic[R]):
     ) -> None:
         self._queue_samples = queue_samples
         self._queues: dict[str, _Queue] = {leg: deque() for leg in (*legs, NO_QUEUE)}
-        self._held: dict[str, _Queue] = {}  # of legs whose learners are being made
         self._next: Batch[R] = Batch()  # counts what the next round reports
         self._requests: deque[R] = deque()
         self._awake = threading.Condition()
@@ -90,34 +70,21 @@ class SampleQueue(Generic[R]):
     def offer(self, received: Received) -> None:
         """Queue a sample; never waits for the worker, never raises on what it was given."""
         leg = leg_of_key(received.key)
-        size = len(received.payload)
-        raw = Raw(
-            # Not kept where it will be refused: 64 of them would hold 256 MB.
-            received.payload if size <= MAX_SAMPLE_BYTES else b"",
-            received.encoding,
-            received.arrival_ns,
-            size,
-        )
+        if len(received.payload) > MAX_SAMPLE_BYTES:
+            # It will be refused, and 64 of them would hold 256 MB.
+            received = received._replace(payload=received.payload[: MAX_SAMPLE_BYTES + 1])
         with self._awake:
             if leg is None:
                 self._next.strangers += 1
                 self._next.stranger = received.key
             else:
-                self._enqueue(leg, raw)
+                self._enqueue(leg, received)
             self._awake.notify()
 
-    def hold(self, leg: str, first: Raw) -> None:
-        """Hold a leg's payloads from now on, the first one taken already, until :meth:`open`."""
-        with self._awake:
-            self._held.setdefault(leg, deque()).append((leg, first))
-            others, self._queues[NO_QUEUE] = self._queues[NO_QUEUE], deque()
-            for name, raw in others:
-                self._enqueue(name, raw)
-
     def open(self, leg: str) -> None:
-        """Give a leg a queue of its own, with what was held of it."""
+        """Give a leg a queue of its own."""
         with self._awake:
-            self._queues[leg] = self._held.pop(leg)
+            self._queues[leg] = deque()
 
     def ask(self, request: R) -> bool:
         """Queue a query; return False where too many wait already."""
@@ -149,22 +116,14 @@ class SampleQueue(Generic[R]):
                 round_.requests.append(self._requests.popleft())
         return round_
 
-    def _enqueue(self, leg: str, raw: Raw) -> None:
-        queue, name = self._queues.get(leg, self._held.get(leg)), leg
-        if queue is None:
-            queue, name = self._queues[NO_QUEUE], NO_QUEUE
+    def _enqueue(self, leg: str, received: Received) -> None:
+        name = leg if leg in self._queues else NO_QUEUE
+        queue = self._queues[name]
         if len(queue) >= self._queue_samples:
             queue.popleft()
             self._next.overflow[name] += 1
-        queue.append((leg, raw))
+        queue.append((leg, received))
 
     def _waiting(self, query: bool) -> bool:
         asked = query and self._requests
         return bool(asked or self._next or any(self._queues.values()))
-
-
-def read(raw: Raw) -> ServoSample | Rejected:
-    """Decode a payload that waited; the worker's side of :meth:`SampleQueue.offer`."""
-    if raw.size > len(raw.payload):
-        return Rejected(Reject.TOO_LARGE, f"{raw.size} bytes, at most {MAX_SAMPLE_BYTES}")
-    return decode(raw.payload, ServoSample, raw.encoding)

@@ -30,10 +30,10 @@ from adaptive_contact.service.leg_endpoint import LegEndpoint
 from adaptive_contact.service.link import Link, Publisher, Request
 from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.network_health import NetworkHealth, UnreadKeys
-from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue, read
+from adaptive_contact.service.sample_queue import Batch, SampleQueue
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state.keeper import StateKeeper
-from adaptive_contact.service.trace import Tracer, judged_tick, placed
+from adaptive_contact.service.trace import Tracer, placed
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.status import SERVICE_STATUS, Latency, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
@@ -51,6 +51,7 @@ from adaptive_contact.wire import (
     servo_key,
     trace_key,
 )
+from adaptive_contact.wire.received import Received
 
 if TYPE_CHECKING:
     from adaptive_contact.core.bank import LearnerBank
@@ -135,7 +136,6 @@ class Service:
         self._rejects: Counter[str] = Counter()
         self._ticks_latency = Latency()
         self._unfinished: list[int] = []  # arrivals of samples that are not learned from yet
-        self._event_latency = Latency()
         self._asked: list[Request] = []
         self._tracer = Tracer()
         self._untraced: list[tuple[str, ServoSample]] = []  # samples that a page asks for
@@ -236,7 +236,7 @@ class Service:
             if endpoint is None:
                 continue
             self._samples += 1
-            sample = read(raw)
+            sample = decode(raw.payload, ServoSample, raw.encoding)
             if isinstance(sample, Rejected):
                 endpoint.refused(sample, now_ns)
                 self._warn("payload refused", sample.reason, now_ns, leg=leg, detail=sample.detail)
@@ -305,8 +305,6 @@ class Service:
 
     def status(self, now_ns: int) -> ServiceStatus:
         """Return the state of the service."""
-        for latency_ns in self._publisher.latencies():
-            self._event_latency.add(latency_ns)
         state = None if self._keeper is None else self._keeper.facts
         return ServiceStatus(
             instance=self._network.instance,
@@ -329,7 +327,7 @@ class Service:
             strays=self._stray_keys,
             callback_faults=self._link.callback_faults,
             tick_latency=self._ticks_latency.quantiles(),
-            event_latency=self._event_latency.quantiles(),
+            event_latency=self._publisher.latency.quantiles(),
         )
 
     def _complaints(self, now_ns: int) -> tuple[str | None, ...]:
@@ -354,16 +352,17 @@ class Service:
 
     # -- one round ------------------------------------------------------------------------
 
-    def _newcomer(self, leg: str, raw: Raw, now_ns: int) -> None:
+    def _newcomer(self, leg: str, raw: Received, now_ns: int) -> None:
         """Request a learner for a leg that is not described, by its first good sample."""
-        read_, detail = read(raw), ""
+        if leg in self._making:  # what comes meanwhile is not judged
+            return
+        read_, detail = decode(raw.payload, ServoSample, raw.encoding), ""
         if isinstance(read_, Rejected):
             reason, detail = read_.reason, read_.detail
         else:
             joints = len(read_.measured)
             fault = fault_of(read_, joints)
             if fault is None and self._bank.has_room([*self._making.values(), joints]):
-                self._queue.hold(leg, raw)
                 self._making[leg] = joints
                 self._made.append((leg, self._maker.submit(self._make, leg, joints, now_ns)))
                 return
@@ -373,7 +372,9 @@ class Service:
         self._samples += 1
         self._refuse(reason, now_ns, key=servo_key(leg), detail=detail)
 
-    def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw], now_ns: int) -> None:
+    def _update(
+        self, samples: dict[str, ServoSample], raws: dict[str, Received], now_ns: int
+    ) -> None:
         for event in self._bank.judge(samples):
             self._post(event, raws[event.leg].arrival_ns)
         used = []
@@ -406,23 +407,9 @@ class Service:
         """Record the tick for a page that asks for it."""
         # Of two ticks of a leg in one go the learner knows the last.
         last = dict(self._untraced)
-        learners = {leg: self._endpoints[leg].learner for leg in last}
-        self._tracer.record(
-            (
-                (
-                    leg,
-                    sample,
-                    judged_tick(learners[leg], sample) if sample is last[leg] else None,
-                )
-                for leg, sample in self._untraced
-            ),
-            {leg: learner.state for leg, learner in learners.items()},
-            {
-                leg: bool(learner.place.leg.swing_phase)
-                for leg, learner in learners.items()
-                if learner.leg.chain is not None
-            },
-        )
+        for leg, sample in self._untraced:
+            learner = self._endpoints[leg].learner if sample is last[leg] else None
+            self._tracer.record(leg, sample, learner)
         self._untraced.clear()
 
     def _answer(self, request: Request) -> None:
@@ -453,7 +440,7 @@ class Service:
     def _make(self, leg: str, joints: int, now_ns: int) -> LegEndpoint:
         """Make what a new leg needs; not on the worker, which has no time for it."""
         # At most ten learners a second are made of legs that are not described: some 50 ms of a
-        # core for 16 joints, and the samples of the sixth leg wait in its queue.
+        # core for 16 joints.
         time.sleep(0.1)
         return self._endpoint(leg, self._bank.make(leg, joints), joints, now_ns)
 

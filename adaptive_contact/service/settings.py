@@ -178,24 +178,27 @@ def shown_path(path: Path) -> str:
     return os.fsencode(path).decode(errors="replace")
 
 
+def _host_port(locator: str) -> tuple[str, int] | None:
+    """Return host and port of an endpoint; None where it has none."""
+    address = re.split(r"[?#]", locator.partition("/")[2], maxsplit=1)[0]
+    match = _HOST_PORT.match(address)
+    return None if match is None else (match["host"].strip("[]"), int(match["port"]))
+
+
 def tcp_address(locator: str) -> tuple[str, int] | None:
     """Return host and port of an endpoint that runs over TCP; None for other protocols."""
-    protocol, _, address = locator.partition("/")
-    match = _HOST_PORT.match(re.split(r"[?#]", address, maxsplit=1)[0])
-    if protocol not in _OVER_TCP or match is None:
-        return None
-    return match["host"].strip("[]"), int(match["port"])
+    return _host_port(locator) if locator.partition("/")[0] in _OVER_TCP else None
 
 
 def is_loopback(locator: str) -> bool:
     """Return whether an endpoint can be reached from this machine only."""
-    protocol, _, address = locator.partition("/")
-    if protocol == "unixsock-stream":
-        return True
-    match = _HOST_PORT.match(re.split(r"[?#]", address, maxsplit=1)[0])
-    if match is None:
-        return False
-    host = match["host"].strip("[]")
+    found = _host_port(locator)
+    unix = locator.startswith("unixsock-stream/")
+    return unix or (found is not None and is_loopback_host(found[0]))
+
+
+def is_loopback_host(host: str) -> bool:
+    """Return whether a host is this machine, reached by nobody else."""
     if host == "localhost":
         return True
     try:

@@ -9,7 +9,7 @@ taken after the events of a tick are on their way: no contact waits for a page.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Container
 from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -19,7 +19,6 @@ from adaptive_contact.arrays import np
 from adaptive_contact.robot import AngleFrame, Leg
 from adaptive_contact.service.link import Link
 from adaptive_contact.wire import (
-    LegState,
     LegTrace,
     Rejected,
     ServoSample,
@@ -33,8 +32,8 @@ if TYPE_CHECKING:
 
 # Ticks are kept for so long after a question; a page asks ten times a second.
 LEASE_S: Final = 3.0
-# Of a leg: two seconds at 200 Hz.  Who asks less often misses ticks.
-MOST_TICKS: Final = 400
+# Two seconds of ten legs at 200 Hz.  Who asks less often misses ticks.
+MOST_TICKS: Final = 4000
 # Samples in one answer, of all legs: samples that come meanwhile wait for less than a millisecond.
 _MOST_ANSWERED: Final = 200
 
@@ -48,6 +47,7 @@ class Judged(NamedTuple):
 
 class _Tick(NamedTuple):
     number: int
+    leg: str
     sample: ServoSample
     swing: bool | None
     judged: Judged | None
@@ -58,7 +58,7 @@ class Tracer:
     """Keeps ticks while they are asked for; all calls from the worker."""
 
     def __init__(self) -> None:
-        self._legs: dict[str, deque[_Tick]] = {}
+        self._ticks: deque[_Tick] = deque(maxlen=MOST_TICKS)
         self._number = 0
         self._until_ns = 0
 
@@ -66,31 +66,20 @@ class Tracer:
         """Return whether ticks are to be recorded."""
         return now_ns < self._until_ns
 
-    def record(
-        self,
-        samples: Iterable[tuple[str, ServoSample, Judged | None]],
-        states: Mapping[str, LegState] | None = None,
-        swings: Mapping[str, bool] | None = None,
-    ) -> None:
-        """Store the samples of a tick, with the states that follow from them.
-
-        Args:
-            samples: with how they were judged.
-            states: of legs, by their newest samples.
-            swings: whether the legs' newest commands show a swing, where that is known.
-        """
+    def record(self, leg: str, sample: ServoSample, learner: ContactLearner | None) -> None:
+        """Store a sample; with its learner, if it is that one's last, how it was judged."""
+        judged, swing, p = None, None, None
+        if learner is not None:
+            judged, state = judged_tick(learner, sample), learner.state
+            if state.seq == sample.seq:
+                p = state.p
+                swing = bool(learner.place.leg.swing_phase) if learner.leg.chain else None
+        if sample.phase is not None:
+            swing = sample.phase == "swing"
         self._number += 1
-        for name, sample, judged in samples:
-            state = (states or {}).get(name)
-            newest = state is not None and state.seq == sample.seq
-            p = state.p if state is not None and newest else None
-            swing = (swings or {}).get(name) if newest else None
-            if sample.phase is not None:
-                swing = sample.phase == "swing"
-            ticks = self._legs.setdefault(name, deque(maxlen=MOST_TICKS))
-            ticks.append(_Tick(self._number, sample, swing, judged, p))
+        self._ticks.append(_Tick(self._number, leg, sample, swing, judged, p))
 
-    def answer(self, legs: Iterable[str], after: str | None, now_ns: int) -> list[LegTrace]:
+    def answer(self, legs: Container[str], after: str | None, now_ns: int) -> list[LegTrace]:
         """Return the ticks after a given number, as many as one answer holds.
 
         What is left comes with the next question; without a number the newest comes.
@@ -101,31 +90,20 @@ class Tracer:
             now_ns: monotonic.
         """
         if not self.wanted(now_ns):
-            self._legs.clear()  # of an earlier question
+            self._ticks.clear()  # of an earlier question
         self._until_ns = now_ns + int(LEASE_S * 1e9)
         known = after is not None and after.isascii() and after.isdigit() and len(after) < 20
         begin = int(after) if known and after is not None else -1
-        fresh = begin < 0 or begin > self._number  # or of another start of the service
-        asked = {leg: self._legs[leg] for leg in legs if leg in self._legs}
-        numbers = sorted(
-            tick.number
-            for ticks in asked.values()
-            for tick in takewhile(lambda tick: fresh or tick.number > begin, reversed(ticks))
-        )
-        last = self._number
-        if len(numbers) > _MOST_ANSWERED and fresh:
-            begin = numbers[-_MOST_ANSWERED] - 1
-        elif len(numbers) > _MOST_ANSWERED:
-            last = numbers[_MOST_ANSWERED - 1]
-        elif fresh:
-            begin = -1
-        return [_trace(name, ticks, begin, last) for name, ticks in asked.items()]
+        fresh = not 0 <= begin <= self._number  # or of another start of the service
+        newer = takewhile(lambda tick: fresh or tick.number > begin, reversed(self._ticks))
+        asked = [tick for tick in newer if tick.leg in legs][::-1]
+        taken = asked[-_MOST_ANSWERED:] if fresh else asked[:_MOST_ANSWERED]
+        last = self._number if len(taken) == len(asked) or fresh else taken[-1].number
+        return [_trace(leg, taken, last) for leg in dict.fromkeys(tick.leg for tick in taken)]
 
 
-def _trace(leg: str, kept: deque[_Tick], after: int, last: int) -> LegTrace:
-    newest = takewhile(lambda tick: tick.number > after, reversed(kept))
-    ticks = [tick for tick in newest if tick.number <= last]
-    ticks.reverse()
+def _trace(leg: str, taken: list[_Tick], last: int) -> LegTrace:
+    ticks = [tick for tick in taken if tick.leg == leg]
     return LegTrace(
         leg=leg,
         number=last,

@@ -171,7 +171,7 @@ class _Arrivals:
 
     base: LearnerStatus | None = None
     last: LearnerStatus | None = None
-    times_ns: set[int] = field(default_factory=set)  # of contacts after the base
+    times_ns: set[int] = field(default_factory=set)  # of contacts
     before: int = 0  # unheard before the base
 
     @property
@@ -179,15 +179,11 @@ class _Arrivals:
         if self.base is None or self.last is None:
             return self.before
         until_ns = self.last.t_ns
-        arrived = sum(t_ns <= until_ns for t_ns in self.times_ns)
+        arrived = sum(self.base.t_ns < t_ns <= until_ns for t_ns in self.times_ns)
         return self.before + max(self.last.contacts - self.base.contacts - arrived, 0)
 
     def event(self, t_ns: int) -> None:
-        # Before the first status it is unknown which contacts it counts: the newest are kept.
-        if self.base is None or t_ns > self.base.t_ns:
-            self.times_ns.add(t_ns)
-            if self.base is None and len(self.times_ns) > _MOST_TIMES:
-                self.times_ns.remove(min(self.times_ns))
+        self.times_ns.add(t_ns)
 
     def status(self, status: LearnerStatus) -> None:
         last = self.last

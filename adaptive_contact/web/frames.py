@@ -49,7 +49,6 @@ class Frames:
         self._last_ms: dict[str, int] = {}
         self._ticks: dict[str, list[list[Any]]] = {}
         self._places: dict[str, list[int]] = {}
-        # They wait for the first tick of their leg, which shows its clock.
         self._contacts: deque[tuple[str, ContactEvent | ContactTruth]] = deque(maxlen=1024)
         self._verdicts: list[tuple[str, Verdict]] = []
 
@@ -109,19 +108,17 @@ class Frames:
     def frame(self, now_ns: int) -> bytes:
         """Encode what is new since the last call."""
         events, truths = [], []
-        waiting: list[tuple[str, ContactEvent | ContactTruth]] = []
         for leg, message in self._contacts:
             at_ms = self._ms(leg, message.t_ns)
-            if at_ms is None:
-                waiting.append((leg, message))
-            elif isinstance(message, ContactTruth):
+            if at_ms is None:  # before the first tick of its leg, which shows its clock
+                continue
+            if isinstance(message, ContactTruth):
                 truths.append([leg, at_ms, int(message.contact)])
             else:
                 onset_ms = self._ms(leg, message.onset_ns)
                 score, withheld = _hundredths(message.score), int(message.withheld)
                 events.append([leg, at_ms, onset_ms, int(message.contact), score, withheld])
         self._contacts.clear()
-        self._contacts.extend(waiting)
         verdicts = [
             [leg, verdict.kind, at_ms]
             for leg, verdict in self._verdicts

@@ -1,13 +1,12 @@
 """Runs the page's server and what feeds it, each on a thread of its own.
 
-The feeding thread takes in what has been published, ten times a second, and hands bytes to the
-serving thread, which gives the same bytes to every browser.  A third one asks the service for its
-ticks: where no answer comes, the others do not wait for it.
+The feeding thread takes in what has been published, ten times a second, and makes bytes, which the
+serving threads give to every browser.  Another one asks the service for its ticks: where no answer
+comes, the others do not wait for it.
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import threading
 import time
@@ -24,10 +23,9 @@ from adaptive_contact.service.link import Link
 from adaptive_contact.service.trace import TraceReader
 from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.web.frames import Frames, Table
-from adaptive_contact.web.http import Refused
 from adaptive_contact.web.recordings import Recordings
-from adaptive_contact.web.server import Site, WebSettings
-from adaptive_contact.wire import LegTrace, ModelReport, Rejected, decode, model_key
+from adaptive_contact.web.server import Refused, Site, WebSettings
+from adaptive_contact.wire import LearnerStatus, LegTrace, ModelReport, Rejected, decode, model_key
 
 FRAME_S: Final = 0.1
 _END_S: Final = 2.0
@@ -43,10 +41,7 @@ class LivePage:
     def __init__(self, settings: WebSettings) -> None:
         to = settings.record_to
         self._recordings = None if to is None else Recordings(to)
-        self._site = Site(settings, self._model, self._do)
-        self._site.bind()
-        self._loop = asyncio.new_event_loop()
-        self._ended = asyncio.Event()
+        self._site = Site(settings, self._model, self._record)
         self._stop = threading.Event()
         self._start_ns = time.monotonic_ns()
         # One offset for the whole page, as of a recording.
@@ -58,10 +53,9 @@ class LivePage:
         self._reader: TraceReader | None = None
         self._traces: deque[tuple[LegTrace, int]] = deque()  # and when they came
         self._view: View | None = None
-        self._asking = asyncio.Lock()
-        self._closed = False
+        self._asking = threading.Lock()
         self._fault: BaseException | None = None
-        self._server = self._thread("page-server", self._serve)
+        self._server = self._thread("page-server", self._site.serve_forever)
         self._feeder = self._thread("page-feeder", self._feed)
         self._asker = self._thread("page-asker", self._ask)
         for thread in (self._server, self._feeder, self._asker):
@@ -103,23 +97,21 @@ class LivePage:
             self._recordings.stop()
 
     def close(self, farewell: str | None = None) -> None:
-        """End both threads; calling it twice is safe.
+        """End all threads; calling it twice is safe.
 
         Args:
             farewell: what browsers show from then on, where the page will not come back.
         """
         self.leave()
-        if self._closed or not self._server.is_alive():
-            return
-        self._closed = True
-        if farewell is not None:
-            self._loop.call_soon_threadsafe(self._site.history.end, farewell)
+        if self._server.is_alive():
+            self._site.history.end(farewell)
             # A browser that looks takes its last words within milliseconds.
             until_s = time.monotonic() + 0.5
             while self._site.streams and time.monotonic() < until_s:
                 time.sleep(0.02)
-        self._loop.call_soon_threadsafe(self._ended.set)
-        self._server.join(_END_S)
+            self._site.shutdown()
+            self._server.join(_END_S)
+        self._site.server_close()
 
     def _thread(self, name: str, work: Callable[[], None]) -> threading.Thread:
         def run() -> None:
@@ -133,24 +125,10 @@ class LivePage:
 
         return threading.Thread(target=run, name=name, daemon=True)
 
-    # -- the serving thread --------------------------------------------------------------------
-
-    def _serve(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        try:
-            self._loop.run_until_complete(self._site.serve(self._ended))
-        finally:
-            self._loop.close()
-
-    async def _model(self, leg: str) -> bytes | None:
-        async with self._asking:  # one question at a time, however many browsers ask
-            return await asyncio.get_running_loop().run_in_executor(None, self._ask_model, leg)
-
-    async def _do(self, path: str, query: Mapping[str, str]) -> bytes:
-        """Do one of :data:`~.server.ACTIONS`; return the state of the recording."""
-        return await asyncio.get_running_loop().run_in_executor(None, self._record, path, query)
+    # -- the serving threads -------------------------------------------------------------------
 
     def _record(self, path: str, query: Mapping[str, str]) -> bytes:
+        """Do one of :data:`~.server.ACTIONS`; return the state of the recording."""
         recordings = self._recordings
         if recordings is None:
             line = "this page records nothing; give `watch --web` a folder by --record-to"
@@ -175,11 +153,12 @@ class LivePage:
             raise Refused(HTTPStatus.BAD_REQUEST, "no time of this page; expected /mark?t=1200")
         return self._start_ns + self._wall_ns + int(text) * 1_000_000
 
-    def _ask_model(self, leg: str) -> bytes | None:
+    def _model(self, leg: str) -> bytes | None:
         if self._link is None:
             return None
         try:
-            replies = self._link.query(model_key(leg), timeout_s=0.5)
+            with self._asking:  # one question at a time, however many browsers ask
+                replies = self._link.query(model_key(leg), timeout_s=0.5)
         except LinkError:
             return None
         for reply in replies:
@@ -194,8 +173,7 @@ class LivePage:
     def _feed(self) -> None:
         feed: Feed | None = None
         due_s = time.monotonic()
-        count = 0
-        unknown: list[str] = []  # legs of which nothing is known
+        statuses: dict[str, LearnerStatus] = {}
         while not self._stop.is_set():
             if feed is None and self._link is not None:
                 feed = Feed(self._link, self._frames.contact)
@@ -203,23 +181,18 @@ class LivePage:
             if feed is not None:
                 view = self._view = feed.view(time.monotonic_ns())
                 self._frames.verdicts(feed.watch.take_verdicts())
+                statuses = feed.watch.statuses()
             for _ in range(len(self._traces)):
                 self._frames.trace(*self._traces.popleft())
-            table, before = None, unknown
-            unknown = [] if view is None else [leg.leg for leg in view.legs if leg.contact is None]
-            # Figures of the table come once a second; that a leg is not known is shown at once.
-            if count % 3 == 0 or unknown != before:
-                statuses = {} if feed is None else feed.watch.statuses()
-                table = self._table.encode(
-                    view,
-                    statuses,
-                    time.monotonic_ns(),
-                    waiting=self._waiting,
-                    recording=None if self._recordings is None else self._recordings.state(),
-                )
+            table = self._table.encode(
+                view,
+                statuses,
+                time.monotonic_ns(),
+                waiting=self._waiting,
+                recording=None if self._recordings is None else self._recordings.state(),
+            )
             frame = self._frames.frame(time.monotonic_ns())
-            self._loop.call_soon_threadsafe(self._site.history.push, frame, table)
-            count += 1
+            self._site.history.push(frame, table)
             due_s = max(due_s + FRAME_S, time.monotonic())
             self._stop.wait(due_s - time.monotonic())
 

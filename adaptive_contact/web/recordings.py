@@ -5,7 +5,6 @@ Nothing of a request reaches a path, and no file is written over.
 
 from __future__ import annotations
 
-import itertools
 import shutil
 import threading
 import time
@@ -126,13 +125,8 @@ class Recordings:
             self._seconds = time.monotonic() - self._began_s
 
     def _new(self) -> Path:
-        """Make an empty file of a new name; a link that lies there is not followed."""
-        now = time.strftime("page-%Y%m%d-%H%M%S")
-        for count in itertools.count():
-            path = self._folder / (f"{now}.mcap" if count == 0 else f"{now}-{count}.mcap")
-            try:
-                path.open("xb").close()
-            except FileExistsError:
-                continue
-            return path
-        raise AssertionError
+        """Make an empty file, named by the time; one that is there is not written over."""
+        ms = time.time_ns() // 1_000_000 % 1000
+        path = self._folder / f"{time.strftime('page-%Y%m%d-%H%M%S')}-{ms:03}.mcap"
+        path.open("xb").close()
+        return path

@@ -2,45 +2,59 @@
 
 What is done needs POST with a header that no other site can send unasked.  Requests carry no body,
 answers are bytes that are there already, and every connection but a stream
-closes after its answer.  Who may ask for what, why streams share one history, and why Python's own
-``asyncio`` is enough: decision 34.
+closes after its answer.  Each has a thread (``http.server``).  Who may ask for what, and why
+streams share one history: decision 34.
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
+import errno
 import hmac
+import io
 import ipaddress
 import json
-import os
 import secrets
 import socket
+import socketserver
+import threading
+import time
 from collections import Counter, deque
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler
 from importlib import resources
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+from urllib.parse import parse_qs
 
-from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.web.http import (
-    MOST_HEAD_BYTES,
-    Refused,
-    Request,
-    get_only,
-    read_request,
-    write_answer,
-)
+from adaptive_contact.errors import ConfigurationError, reason_of
+from adaptive_contact.service.settings import is_loopback_host
 from adaptive_contact.wire import is_leg_id
 
-# Browsers that look at once, connections that have shown the token, and those that have not yet:
-# each takes up to half a megabyte while it hangs.
+# Browsers that look at once, and other connections: each is a thread while it hangs.
 MOST_STREAMS: Final = 128
-_MOST_WAITING: Final = 256
+MOST_WAITING: Final = 256
 _BUFFER_BYTES: Final = 128 * 1024
-_HUNG_AFTER_S: Final = 20.0
+HUNG_AFTER_S: Final = 20.0
+# A request of a browser is a kilobyte; cookies of other ports of this host come along.
+_MOST_HEAD_BYTES: Final = 16 * 1024
+HEAD_WITHIN_S: Final = 5.0
+_TEXT: Final = "text/plain; charset=utf-8"
+_SECURITY: Final = (
+    (
+        "Content-Security-Policy",
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+        "img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+        "require-trusted-types-for 'script'; trusted-types 'none'",
+    ),
+    ("X-Content-Type-Options", "nosniff"),
+    ("X-Frame-Options", "DENY"),
+    ("Referrer-Policy", "no-referrer"),
+    ("Cross-Origin-Resource-Policy", "same-origin"),
+    ("Cache-Control", "no-store"),
+)
 
 _PAGES: Final = {
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -63,9 +77,17 @@ ACTIONS: Final = frozenset({"/record/start", "/record/stop", "/mark"})
 _HEADER: Final = "x-adaptive-contact"
 
 # Asked for a leg's model: JSON, or None where there is none.
-ModelOf = Callable[[str], Awaitable[bytes | None]]
+ModelOf = Callable[[str], bytes | None]
 # Asked to do one of :data:`ACTIONS`, with the parameters of the request: JSON; raises Refused.
-Do = Callable[[str, Mapping[str, str]], Awaitable[bytes]]
+Do = Callable[[str, Mapping[str, str]], bytes]
+
+
+class Refused(Exception):  # noqa: N818 - an answer
+    """Refuses a request with a status and one line."""
+
+    def __init__(self, status: HTTPStatus, line: str, *headers: tuple[str, str]) -> None:
+        super().__init__(line)
+        self.status, self.line, self.headers = status, line, headers
 
 
 @dataclass(frozen=True)
@@ -85,115 +107,112 @@ class WebSettings:
     @property
     def loopback(self) -> bool:
         """Return whether only this computer can reach the page."""
-        if self.host == "localhost":
-            return True
-        with contextlib.suppress(ValueError):
-            return ipaddress.ip_address(self.host).is_loopback
-        return False
+        return is_loopback_host(self.host)
 
 
 @dataclass
 class History:
-    """Holds the frames of the last minutes, shared by all streams."""
+    """Holds the frames of the last minutes, shared by all streams; calls come from any thread."""
 
     # names this run of the server; numbers of another mean nothing
     session: str = field(default_factory=lambda: secrets.token_hex(4))
-    view: bytes = b""  # the last table of legs, as an event of a stream
-    views: int = 0  # how many there have been
-    farewell: bytes | None = None
+    _view: bytes = b""  # the last table of legs, as an event of a stream
+    _views: int = 0  # how many there have been
+    _farewell: bytes | None = None
     _frames: deque[bytes] = field(default_factory=deque)
     _bytes: int = 0
     _next: int = 0
-    _changed: asyncio.Event = field(default_factory=asyncio.Event)
+    _changed: threading.Condition = field(default_factory=threading.Condition)
 
     def push(self, frame: bytes, view: bytes | None) -> None:
         """Add a frame, and a table where that has changed; both are JSON on one line."""
-        number = f"{self.session}.{self._next}".encode()
-        event = b"id: " + number + b"\ndata: " + frame + b"\n\n"
-        self._frames.append(event)
-        self._bytes += len(event)
-        self._next += 1
-        # How far back a page can look that is opened now: five minutes of ten frames a second, less
-        # where many legs or fast ones make frames large.
-        while len(self._frames) > 3000 or self._bytes > (32 * 1024 * 1024):
-            self._bytes -= len(self._frames.popleft())
-        if view is not None:
-            self.view = b"event: view\ndata: " + view + b"\n\n"
-            self.views += 1
-        changed, self._changed = self._changed, asyncio.Event()
-        changed.set()
+        with self._changed:
+            number = f"{self.session}.{self._next}".encode()
+            event = b"id: " + number + b"\ndata: " + frame + b"\n\n"
+            self._frames.append(event)
+            self._bytes += len(event)
+            self._next += 1
+            # How far back a page can look that is opened now: five minutes of ten frames a second,
+            # less where many legs or fast ones make frames large.
+            while len(self._frames) > 3000 or self._bytes > (32 * 1024 * 1024):
+                self._bytes -= len(self._frames.popleft())
+            if view is not None:
+                self._view = b"event: view\ndata: " + view + b"\n\n"
+                self._views += 1
+            self._changed.notify_all()
 
-    def end(self, line: str) -> None:
-        """Let every stream end, once it has given all, with a line for the person who looks."""
-        self.farewell = b"event: end\ndata: " + json.dumps(line).encode() + b"\n\n"
-        self._changed.set()
-
-    @property
-    def begin(self) -> int:
-        """Return the number of the oldest frame."""
-        return self._next - len(self._frames)
-
-    def after(self, number: int) -> tuple[bytes, int]:
-        """Return some frames from a number on, and the number of the next."""
-        at = max(number, self.begin)
-        taken: list[bytes] = []
-        size = 0
-        while at < self._next and size < (64 * 1024):
-            frame = self._frames[at - self.begin]
-            taken.append(frame)
-            size += len(frame)
-            at += 1
-        return b"".join(taken), at
+    def end(self, line: str | None = None) -> None:
+        """Let every stream end once it has given all, with a line for the person who looks."""
+        with self._changed:
+            words = json.dumps(line).encode()
+            self._farewell = b"" if line is None else b"event: end\ndata: " + words + b"\n\n"
+            self._changed.notify_all()
 
     def resume(self, last: str) -> int:
         """Return the frame at which a stream continues; the oldest if it has had none."""
         session, _, number = last.partition(".")
-        if session == self.session and number.isascii() and number.isdigit() and len(number) < 16:
-            return min(int(number) + 1, self._next)
-        return self.begin
+        with self._changed:
+            if session == self.session and number.isascii() and number.isdigit():
+                return min(int(number[:15]) + 1, self._next)
+            return self._next - len(self._frames)
 
-    async def changed(self) -> None:
-        """Wait for the next frame."""
-        await self._changed.wait()
+    def pump(self, number: int, write: Callable[[bytes], object]) -> None:
+        """Write the events of a stream, from a frame on, until the end."""
+        shown = -1
+        while True:
+            some: list[bytes] = []
+            with self._changed:
+                while number == self._next and shown == self._views and self._farewell is None:
+                    self._changed.wait()
+                if shown != self._views:
+                    shown = self._views
+                    some.append(self._view)
+                begin = self._next - len(self._frames)
+                number, size = max(number, begin), 0
+                while number < self._next and size < (64 * 1024):
+                    some.append(self._frames[number - begin])
+                    size += len(some[-1])
+                    number += 1
+                over = self._farewell if number == self._next else None
+            write(b"".join([*some, over or b""]))
+            if over is not None:
+                return
 
 
-class Site:
-    """Serves the page; everything but :meth:`bind` runs in one event loop.
+class Site(socketserver.ThreadingTCPServer):
+    """Serves the page by :meth:`serve_forever`; the port is taken at once.
 
     Attributes:
         history: what the streams give out.
         streams: browsers that look at the moment.
+
+    Raises:
+        ConfigurationError: the port is in use, or the address is none of this computer's.
     """
 
+    allow_reuse_address = True
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = 128
+
     def __init__(self, settings: WebSettings, model_of: ModelOf, do: Do) -> None:
-        self._settings = settings
-        self._model_of = model_of
-        self._do = do
-        self._socket: socket.socket | None = None
-        self._connections: set[asyncio.Task[None]] = set()
-        # Those that have shown the token, where one is asked for; others with their address, the
-        # oldest first.
-        self._admitted: set[asyncio.Task[None]] = set()
-        self._waiting: dict[asyncio.Task[None], str] = {}
-        self._files = {
+        self.settings = settings
+        self.model_of = model_of
+        self.do = do
+        self.files = {
             path: (resources.files(__package__).joinpath("static", name).read_bytes(), kind)
             for path, (name, kind) in _PAGES.items()
         }
         self.history = History()
         self.streams = 0
-
-    def bind(self) -> None:
-        """Take the port.
-
-        Raises:
-            ConfigurationError: it is in use, or the address is none of this computer's.
-        """
-        host, port = self._settings.host, self._settings.port
+        self.lock = threading.Lock()
+        # Connections that are no streams, with their address, the oldest first.
+        self.waiting: dict[socket.socket, str] = {}
+        host, port = settings.host, settings.port
         try:
-            family, *_, address = socket.getaddrinfo(
-                host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-            )[0]
-            self._socket = socket.create_server(address[:2], family=family, backlog=128)
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            self.address_family = found[0][0]
+            super().__init__((str(found[0][4][0]), port), _Connection)
         except socket.gaierror as error:
             raise ConfigurationError(
                 f"--host {host}: no such address or name; give one of this computer's"
@@ -203,168 +222,193 @@ class Site:
                 f"port {port} may not be taken by this user; give --port 1024 or higher"
             ) from error
         except OSError as error:
-            # create_server puts its own words behind the system's.
-            if error.errno is not None and "in use" in str(error):
+            if error.errno == errno.EADDRINUSE:
                 raise ConfigurationError(
                     f"port {port} of {host} is in use; give another --port, or none to take a free "
                     "one"
                 ) from error
             raise ConfigurationError(
-                f"--host {host}: cannot listen there ({os.strerror(error.errno or 0)}); give an "
-                "address of this computer"
+                f"--host {host}: cannot listen there ({reason_of(error)}); give an address of this "
+                "computer"
             ) from error
-
-    @property
-    def port(self) -> int:
-        """Return the port that was taken."""
-        assert self._socket is not None
-        port: int = self._socket.getsockname()[1]
-        return port
+        self.port: int = self.socket.getsockname()[1]
 
     @property
     def url(self) -> str:
         """Return the address for a browser; it has the token."""
-        host = self._settings.host
+        host = self.settings.host
         if host in ("0.0.0.0", "::"):
             host = _own_address()
         if ":" in host:
             host = f"[{host}]"
-        token = "" if self._settings.token is None else f"?token={self._settings.token}"
+        token = "" if self.settings.token is None else f"?token={self.settings.token}"
         return f"http://{host}:{self.port}/{token}"
 
-    async def serve(self, stop: asyncio.Event) -> None:
-        """Serve until ``stop`` is set."""
-        server = await asyncio.start_server(
-            self._connected, sock=self._socket, limit=MOST_HEAD_BYTES
-        )
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Begin a connection's thread; of too many, end one."""
+        with self.lock:
+            self.waiting[request] = client_address[0]
+            if len(self.waiting) > MOST_WAITING:
+                # The oldest connection of the address that has most: nobody keeps others out.
+                ((most, _),) = Counter(self.waiting.values()).most_common(1)
+                oldest = next(one for one, address in self.waiting.items() if address == most)
+                del self.waiting[oldest]
+                with contextlib.suppress(OSError):
+                    oldest.shutdown(socket.SHUT_RDWR)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """End a connection."""
+        with self.lock:
+            self.waiting.pop(request, None)
+        super().shutdown_request(request)
+
+    def is_own(self, host: str) -> bool:
+        """Return whether a browser that asks this host asks this page.
+
+        A bare address is one beyond loopback: no foreign name server can point it elsewhere, and
+        packets have come to one of this computer's.  On loopback only its own are let in.
+        """
+        if self.settings.loopback:
+            names = {"127.0.0.1", "localhost", "[::1]", self.settings.host}
+        else:
+            own = socket.gethostname().lower()
+            names = {"localhost", self.settings.host.lower(), own, f"{own}.local"}
+        if self.port == 80 and host in names:
+            return True
+        name, _, port = host.rpartition(":")
+        if port != str(self.port) or name in names:
+            return port == str(self.port)
+        with contextlib.suppress(ValueError):
+            ipaddress.ip_address(name.removeprefix("[").removesuffix("]"))
+            return not self.settings.loopback
+        return False
+
+
+class _Connection(BaseHTTPRequestHandler):
+    """Answers one request."""
+
+    protocol_version = default_request_version = request_version = "HTTP/1.1"
+    server: Site
+
+    def handle(self) -> None:
         try:
-            await stop.wait()
-        finally:
-            server.close()
-            for task in list(self._connections):
-                task.cancel()
-            await asyncio.gather(*self._connections, return_exceptions=True)
+            try:
+                self.rfile = io.BytesIO(self._head())
+                self.raw_requestline = self.rfile.readline()
+                if self.raw_requestline and self.parse_request():
+                    self._answer()
+            except Refused as refused:
+                body = f"{refused.line}\n".encode()
+                self._send(refused.status, _TEXT, body, *refused.headers)
+        except OSError:  # it hangs, or is gone
+            return
 
-    # -- one connection ------------------------------------------------------------------------
+    def log_message(self, *_: object) -> None:
+        """Log nothing: strangers would fill the disk."""
 
-    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._connections.add(task)
-        address, *_ = writer.get_extra_info("peername") or ("",)
-        self._waiting[task] = address
-        if len(self._waiting) > _MOST_WAITING:
-            self._end_a_stranger()
-        try:
-            writer.transport.set_write_buffer_limits(high=_BUFFER_BYTES)
-            await self._converse(reader, writer)
-            await _drain(writer)
-        except (OSError, TimeoutError, asyncio.CancelledError):
-            writer.transport.abort()
-        finally:
-            writer.close()
-            self._connections.discard(task)
-            self._admitted.discard(task)
-            self._waiting.pop(task, None)
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Answer what is no request of HTTP."""
+        raise Refused(HTTPStatus(code), "no request of HTTP/1.1")
 
-    def _end_a_stranger(self) -> None:
-        """End the oldest connection of the address that has most: nobody keeps others out."""
-        ((most, _),) = Counter(self._waiting.values()).most_common(1)
-        oldest = next(task for task, address in self._waiting.items() if address == most)
-        del self._waiting[oldest]
-        oldest.cancel()
+    def _head(self) -> bytes:
+        """Read the head of a request; empty where none came."""
+        head = b""
+        until_s = time.monotonic() + HEAD_WITHIN_S
+        while b"\r\n\r\n" not in head:
+            self.connection.settimeout(max(until_s - time.monotonic(), 1e-3))
+            try:
+                part = self.connection.recv(65536)
+            except TimeoutError:
+                line = f"no whole request within {HEAD_WITHIN_S:g} s"
+                raise Refused(HTTPStatus.REQUEST_TIMEOUT, line) from None
+            head += part
+            if len(head) > _MOST_HEAD_BYTES:
+                line = f"more than {_MOST_HEAD_BYTES} bytes of headers"
+                raise Refused(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, line)
+            if not part:
+                break
+        self.connection.settimeout(HUNG_AFTER_S)
+        if head and b"\r\n\r\n" not in head:
+            raise Refused(HTTPStatus.BAD_REQUEST, "half a request")
+        return head
 
-    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            await self._answer(await read_request(reader), reader, writer)
-        except Refused as refused:
-            body = f"{refused.line}\n".encode()
-            kind = "text/plain; charset=utf-8"
-            write_answer(writer, refused.status, kind, body, refused.headers)
-            if writer.can_write_eof():  # what a stranger still sends is not reset before it is read
-                writer.write_eof()
-
-    async def _answer(
-        self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    def _send(
+        self, status: HTTPStatus, kind: str, body: bytes | None, *headers: tuple[str, str]
     ) -> None:
-        self._check_origin(request)
-        self._check_token(request)
-        self._admit()
-        if request.method == "POST":
-            if request.path not in ACTIONS:
-                raise get_only()
-            if _HEADER not in request.headers:
+        """Write an answer; without a body what follows is a stream."""
+        self.send_response_only(status)
+        self.send_header("Content-Type", kind)
+        if body is not None:
+            self.send_header("Content-Length", str(len(body)))
+        for name, value in (*_SECURITY, *headers, ("Connection", "close")):
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body or b"")
+
+    def _answer(self) -> None:
+        site, path = self.server, self.path.partition("?")[0]
+        self._check_form()
+        self._check_origin(path)
+        try:
+            pairs = parse_qs(self.path.partition("?")[2], max_num_fields=8)
+        except ValueError:
+            raise Refused(HTTPStatus.BAD_REQUEST, "too many parameters") from None
+        query = {name: values[0] for name, values in pairs.items()}
+        self._check_token(path, query)
+        kind = "application/json"
+        if self.command == "POST":
+            if _HEADER not in self.headers:
                 raise Refused(HTTPStatus.FORBIDDEN, f"a request without {_HEADER} does nothing")
-            body, kind = await self._do(request.path, request.query), "application/json"
-        elif request.path in ACTIONS:
-            raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "POST only", ("Allow", "POST"))
-        elif request.path in self._files:
-            body, kind = self._files[request.path]
-        elif request.path == "/model":
-            body, kind = await self._model(request.query.get("leg", "")), "application/json"
-        elif request.path == "/stream":
-            await self._stream(request, reader, writer)
+            body = site.do(path, query)
+        elif path in site.files:
+            body, kind = site.files[path]
+        elif path == "/model":
+            body = self._model(query.get("leg", ""))
+        elif path == "/stream":
+            self._stream(self.headers.get("last-event-id", query.get("after", "")))
             return
         else:
             raise Refused(HTTPStatus.NOT_FOUND, "no such page; there is /")
-        write_answer(writer, HTTPStatus.OK, kind, body)
+        self._send(HTTPStatus.OK, kind, body)
 
-    def _admit(self) -> None:
-        """Count a connection among those that have shown the token."""
-        task = asyncio.current_task()
-        assert task is not None
-        if len(self._admitted) >= 256:
-            raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections; try again")
-        self._waiting.pop(task, None)
-        self._admitted.add(task)
+    def _check_form(self) -> None:
+        """Refuse requests that no browser makes of the page."""
+        headers = self.headers
+        path = self.path.partition("?")[0]
+        method = "POST" if path in ACTIONS else "GET"
+        if self.command != method:
+            allow = ("Allow", method)
+            raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, f"{method} only", allow)
+        if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
+            raise Refused(HTTPStatus(413), "a request with a body")
+        twice = any(len(headers.get_all(n, ())) > 1 for n in ("host", "origin", "sec-fetch-site"))
+        if headers.defects or twice:
+            raise Refused(HTTPStatus.BAD_REQUEST, "a header that is none, or is there twice")
 
-    def _check_origin(self, request: Request) -> None:
+    def _check_origin(self, path: str) -> None:
         """Refuse what a page of another site asks, under whatever name it reached this server."""
-        host = request.headers.get("host", "")
-        if host.lower() not in self._own_hosts() and not self._is_address(host):
+        host = self.headers.get("host", "").lower()
+        if not self.server.is_own(host):
             raise Refused(
                 HTTPStatus.MISDIRECTED_REQUEST,
                 "this name is not an address of this page; use the link that `watch` printed",
             )
-        origin = request.headers.get("origin")
-        if origin is not None and origin.lower() != f"http://{host}".lower():
-            raise Refused(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
-        site = request.headers.get("sec-fetch-site", "none")
+        origin = self.headers.get("origin", f"http://{host}")
+        site = self.headers.get("sec-fetch-site", "none")
         # A link elsewhere may lead here; nothing else may.
-        follows_link = request.path == "/" and request.headers.get("sec-fetch-mode") == "navigate"
-        if site not in ("same-origin", "none") and not follows_link:
+        follows_link = path == "/" and self.headers.get("sec-fetch-mode") == "navigate"
+        foreign = site not in ("same-origin", "none") and not follows_link
+        if foreign or origin.lower() != f"http://{host}":
             raise Refused(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
 
-    def _own_hosts(self) -> set[str]:
-        if self._settings.loopback:
-            names = {"127.0.0.1", "localhost", "[::1]", self._settings.host}
-        else:
-            own = socket.gethostname().lower()
-            names = {"localhost", self._settings.host.lower(), own, f"{own}.local"}
-        return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
-
-    def _is_address(self, host: str) -> bool:
-        """Return whether a host is a bare address: no foreign name server can point it elsewhere.
-
-        On loopback only its own are let in; beyond, packets have come to one of this computer's.
-        """
-        if self._settings.loopback:
-            return False
-        name, _, port = host.rpartition(":")
-        if port != str(self.port):
-            return False
-        with contextlib.suppress(ValueError):
-            ipaddress.ip_address(name.removeprefix("[").removesuffix("]"))
-            return True
-        return False
-
-    def _check_token(self, request: Request) -> None:
-        token = self._settings.token
+    def _check_token(self, path: str, query: Mapping[str, str]) -> None:
+        token = self.server.settings.token
         if token is None:
             return
-        cookie = f"adaptive_contact_{self.port}"  # cookies of all ports of a host are one jar
-        given = request.query.get("token")
-        if request.path == "/" and given is not None and _same(given, token):
+        # Cookies of all ports of a host are one jar.
+        cookie = f"adaptive_contact_{self.server.port}"
+        if path == "/" and _same(query.get("token", ""), token):
             raise Refused(
                 HTTPStatus.SEE_OTHER,
                 "the token is kept in a cookie",
@@ -372,66 +416,37 @@ class Site:
                 # Lax: a link in a mail or chat leads here, and is followed by a redirection.
                 ("Set-Cookie", f"{cookie}={token}; HttpOnly; SameSite=Lax; Path=/"),
             )
-        pairs = (
-            part.strip().partition("=") for part in request.headers.get("cookie", "").split(";")
-        )
+        pairs = (part.strip().partition("=") for part in self.headers.get("cookie", "").split(";"))
         if not any(name == cookie and _same(value, token) for name, _, value in pairs):
             raise Refused(
                 HTTPStatus.FORBIDDEN, "a token is needed; use the link that `watch` printed"
             )
 
-    async def _model(self, leg: str) -> bytes:
+    def _model(self, leg: str) -> bytes:
         if not is_leg_id(leg):
             raise Refused(HTTPStatus.BAD_REQUEST, "no leg's id; expected /model?leg=rf")
-        model = await self._model_of(leg)
+        model = self.server.model_of(leg)
         if model is None:
             raise Refused(HTTPStatus.NOT_FOUND, "no model of this leg")
         return model
 
-    async def _stream(
-        self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> None:
-        if self.streams >= MOST_STREAMS:
-            raise Refused(
-                HTTPStatus.SERVICE_UNAVAILABLE,
-                f"{self.streams} browsers look already, as many as may; close one",
-            )
-        own = writer.get_extra_info("socket")
-        if own is not None:  # or the kernel alone keeps megabytes for each that hangs
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
-        self.streams += 1
+    def _stream(self, last: str) -> None:
+        site = self.server
+        with site.lock:
+            if site.streams >= MOST_STREAMS:
+                line = f"{site.streams} browsers look already, as many as may; close one"
+                raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, line)
+            site.streams += 1
+            site.waiting.pop(self.connection, None)
         try:
-            write_answer(writer, HTTPStatus.OK, "text/event-stream", None)
-            last = request.headers.get("last-event-id", request.query.get("after", ""))
-            pump = asyncio.ensure_future(self._pump(self.history.resume(last), writer))
-            gone = asyncio.ensure_future(reader.read(1))  # a browser that looks says nothing more
-            try:
-                await asyncio.wait((pump, gone), return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                pump.cancel()
-                gone.cancel()
-                await asyncio.gather(pump, gone, return_exceptions=True)
-            if pump.done() and not pump.cancelled():
-                pump.result()
+            # Or the kernel alone keeps megabytes for each that hangs.
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+            self._send(HTTPStatus.OK, "text/event-stream", None)
+            self.wfile.write(b"retry: 1000\n\n")
+            site.history.pump(site.history.resume(last), self.wfile.write)
         finally:
-            self.streams -= 1
-
-    async def _pump(self, number: int, writer: asyncio.StreamWriter) -> None:
-        history, shown = self.history, -1
-        writer.write(b"retry: 1000\n\n")
-        while not writer.is_closing():
-            if shown != history.views:
-                shown = history.views
-                writer.write(history.view)
-            some, number = history.after(number)
-            if some:
-                writer.write(some)
-                await _drain(writer)
-            elif history.farewell is not None:
-                writer.write(history.farewell)
-                return
-            else:
-                await history.changed()
+            with site.lock:
+                site.streams -= 1
 
 
 def _own_address() -> str:
@@ -441,18 +456,6 @@ def _own_address() -> str:
         address: str = probe.getsockname()[0]
         return address
     return socket.gethostname()
-
-
-async def _drain(writer: asyncio.StreamWriter) -> None:
-    """Wait until a browser has taken most of what it was sent.
-
-    Not by ``wait_for``, which may swallow a cancellation in Python 3.11.
-
-    Raises:
-        TimeoutError: it hangs.
-    """
-    async with asyncio.timeout(_HUNG_AFTER_S):
-        await writer.drain()
 
 
 def _same(given: str, token: str) -> bool:

@@ -87,7 +87,7 @@ def decode(payload: bytes, kind: type[M], encoding: str = MSGPACK) -> M | Reject
     """
     limit = MAX_SAMPLE_BYTES if kind is ServoSample else MAX_PAYLOAD_BYTES
     if len(payload) > limit:
-        return Rejected(Reject.TOO_LARGE, f"{len(payload)} bytes, at most {limit}")
+        return Rejected(Reject.TOO_LARGE, f"more than {limit} bytes")
     parsed = _parse(payload, encoding)
     if isinstance(parsed, Rejected):
         return parsed

@@ -161,9 +161,7 @@ def read(path: Path, robot: Robot) -> tuple[dict[str, list[Message]], Any]:
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))
-@pytest.mark.parametrize(
-    "compressed", [CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.FILE]
-)
+@pytest.mark.parametrize("compressed", [CompressionMode.NONE, CompressionMode.MESSAGE])
 def test_a_bag_gives_what_was_on_the_wire(tmp_path, robot, storage, compressed) -> None:
     ticks = walk()
     with BagWriter(tmp_path / "bag", storage=storage, compressed=compressed) as bag:
@@ -309,8 +307,7 @@ OLD = b"#ROSBAG V2.0\n" + bytes(100)
         ("old.bag", b"#ROSBAG V2.0\n", "a bag of ROS 1; convert it"),
         ("old.bag.active", OLD, "a bag of ROS 1; convert it"),
         ("no_suffix", OLD, "a bag of ROS 1; convert it"),
-        ("walk_0.mcap.zstd", b"\x28\xb5\x2f\xfd", "walk_0.mcap: is empty"),
-        ("walk_0.mcap.zstd", b"x", "unpacked"),
+        ("walk_0.mcap.zstd", b"x", "unpack each such file with `zstd -d .*walk_0.mcap.zstd`"),
         ("bad.db3", b"nothing", "cannot be read as a bag"),
         ("none.db3", None, "cannot be read"),
     ],

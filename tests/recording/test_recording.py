@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
 import contextlib
 import errno
 import gzip
@@ -257,11 +256,9 @@ def test_files_of_other_writers(
     assert {r.encoding for r in recording} == {JSON}
     assert recording.about == {}
     whole = path.read_bytes()
-    plain = compression == CompressionType.NONE or not chunked
-    path.write_bytes(whole[: whole.index(b"{13}") if plain else 200])
+    path.write_bytes(whole[: 200 if chunked else whole.index(b"{13}")])
     cut = read_recording(path)
-    expected = 13 if plain else 0
-    assert len(list(cut)) == expected  # uncompressed messages are read up to the cut itself
+    assert len(list(cut)) == (0 if chunked else 13)  # a chunk that is cut is lost
     assert cut.damage is not None
 
 
@@ -437,18 +434,15 @@ ENDLESS = (
     "SELECT x AS id, 'a' || x AS name, 'b' AS type FROM c"
 )
 BAG_BOMBS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "x.db3.zstd": (lambda path: path.write_bytes(zeros()), "unpacks to more than 64 MB"),
-    "x.mcap.zstd": (lambda path: path.write_bytes(zeros()), "unpacks to more than 64 MB"),
     "message.db3": (lambda path: database(path, data=zeros()), "a message is no"),
     "cells.db3": (lambda path: database(path, "data AS (zeroblob(900000000))"), "too big"),
     "view.db3": (lambda path: database(path, view=ENDLESS), "cannot be read as a bag"),
     "gz.db3": (lambda path: path.write_bytes(gzip.compress(bytes(1 << 28))), "is not a database"),
-    "bz2.mcap.zstd": (lambda path: path.write_bytes(bz2.compress(bytes(1 << 28))), "be unpacked"),
 }
 
 
 @pytest.mark.parametrize("name", BAG_BOMBS)
-def test_a_bag_that_unpacks_to_gigabytes_fills_neither_memory_nor_disk(
+def test_a_bag_that_unpacks_to_gigabytes_does_not_fill_the_memory(
     tmp_path: Path, name: str
 ) -> None:
     (tmp_path / "bag").mkdir()

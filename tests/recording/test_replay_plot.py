@@ -20,7 +20,6 @@ from adaptive_contact.service.replay import (
     LegTrace,
     Touch,
     TraceBank,
-    TracedRecords,
     replay_events,
 )
 from adaptive_contact.service.replay import why_missed as why_missed
@@ -102,9 +101,9 @@ def replayed() -> tuple[list[ContactEvent], LegTrace]:
     baseline = shipped_baseline(robot.name)
     plain = list(replay_events(standing_records(4), LearnerBank(robot, baseline), Counts()))
     bank = TraceBank(LearnerBank(robot, baseline))
-    traced = TracedRecords(standing_records(4), robot)
-    assert list(replay_events(traced, bank, Counts())) == plain
-    (found,) = bank.traces(traced)
+    records = bank.gather(standing_records(4))
+    assert list(replay_events(records, bank, Counts())) == plain
+    (found,) = bank.traces()
     return plain, found
 
 

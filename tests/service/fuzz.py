@@ -25,7 +25,6 @@ from adaptive_contact.core.detect.stream import (
     Accepted,
     StreamGuard,
 )
-from adaptive_contact.service.sample_queue import Raw, read
 from adaptive_contact.service.state import Identity, Record, pack
 from adaptive_contact.wire import (
     JSON,
@@ -34,6 +33,7 @@ from adaptive_contact.wire import (
     Reject,
     Rejected,
     ServoSample,
+    decode,
     encode,
     leg_of_key,
 )
@@ -153,7 +153,7 @@ def fuzz(inputs: int, seed: int, say: Callable[[str], None]) -> Counter[str]:
             payload = scramble(payload, rng)
         if not rng.randrange(50):
             encoding = rng.choice((JSON, MSGPACK, "", "text/plain", "application/json;charset=x"))
-        message = read(Raw(payload, encoding, 0, len(payload)))
+        message = decode(payload, ServoSample, encoding)
         leg_of_key(payload.decode("latin-1"))
         if isinstance(message, Rejected):
             assert isinstance(message.reason, Reject), message

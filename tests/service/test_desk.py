@@ -21,7 +21,7 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.link import Link, router_settings
-from adaptive_contact.service.sample_queue import Batch, Raw
+from adaptive_contact.service.sample_queue import Batch
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.state import StateStore
 from adaptive_contact.service.state.keeper import StateKeeper
@@ -32,7 +32,9 @@ from adaptive_contact.wire import (
     ServoSample,
     encode,
     learner_key,
+    servo_key,
 )
+from adaptive_contact.wire.received import Received
 
 S = 1_000_000_000
 TICK = 20_000_000
@@ -54,7 +56,7 @@ class Life:
         """One sample per control tick."""
         for sample in samples:
             self.now_ns += TICK
-            raw = Raw(encode(sample), MSGPACK, self.now_ns, 1)
+            raw = Received(servo_key("rf"), encode(sample), MSGPACK, self.now_ns, None)
             self.service.work(Batch(samples={"rf": raw}), self.now_ns)
             self.service.look(self.now_ns)
 

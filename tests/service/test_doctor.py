@@ -332,14 +332,6 @@ def test_strays(key: str, what: str, remedy: str) -> None:
     assert remedy in diagnosis.findings[0].remedy
 
 
-def test_an_odd_encoding_is_a_note_while_its_payloads_are_read() -> None:
-    received = receive(*good())
-    received.take(Received(servo_key("rf"), encode(stream(151)[-1]), "zenoh/bytes", 0, None))
-    finding = only(diagnose(received, 3.0, alive=True).findings)
-    assert "the encoding zenoh/bytes is read as msgpack" in finding.what
-    assert finding.level == "note", "what it holds can be read"
-
-
 @pytest.mark.parametrize("encoding", ["text/json", "zenoh/bytes", "zenoh/string", ""])
 def test_json_is_understood_whatever_is_declared(encoding: str) -> None:
     """With a mark of byte order, or white space before it, too."""

@@ -20,7 +20,6 @@ import zenoh
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.link import (
-    Arrivals,
     Finding,
     Link,
     NoRouterError,
@@ -47,33 +46,16 @@ def foreign(router: Link) -> zenoh.Session:
     return zenoh.open(zenoh.Config.from_json5(text))
 
 
-def test_arrivals_of_all_subscriptions_are_taken_in_order(router: Link, join: Join) -> None:
-    client, arrivals, legs = join(router.endpoints[0]), Arrivals(), ("rf", "lf")
-    assert arrivals.get(0.0) is None
-    for leg in legs:
-        client.subscribe(truth_key(leg), arrivals)
-    publishers = [matched(router.publisher(truth_key(leg), reliable=True)) for leg in legs]
-    count = 600  # more than the 256 that wait for a thread of a subscription
-    for n in range(count):
-        publishers[n % 2].put(truth(n))
-    for n in range(count):
-        got = arrivals.get(10.0)
-        assert got.key == truth_key(legs[n % 2])
-        assert decode(got.payload, ContactTruth) == truth(n)
-    arrivals.end()
-    assert arrivals.get(10.0) is None
-
-
-def test_a_deletion_is_no_arrival(router: Link, join: Join) -> None:
-    client, arrivals = join(router.endpoints[0]), Arrivals()
-    client.subscribe(KEY, arrivals)
+def test_a_deletion_does_not_arrive(router: Link, join: Join, inbox: Any) -> None:
+    client = join(router.endpoints[0])
+    got = inbox().subscribe(client, KEY)
     matched(router.publisher(KEY))
     with foreign(router) as other:
         publisher = other.declare_publisher(KEY)
         publisher.delete()
         publisher.put(b"after it")
-        got = arrivals.get(10.0)
-    assert got.payload == b"after it"
+        (received,) = got.wait(1)
+    assert received.payload == b"after it"
 
 
 def test_samples_arrive_with_what_was_sent(router: Link, join: Join, inbox: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from msgspec.structs import replace
 
 from adaptive_contact.core.leg_learner import JudgedTick
 from adaptive_contact.robot import Mount, parse_robot
-from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Tracer, judged_tick, placed
+from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Tracer, placed
 from adaptive_contact.wire import LegState, LegTrace, Phase, ServoSample
 
 S = 1_000_000_000
@@ -60,62 +61,57 @@ def test_ticks_are_wanted_while_somebody_asks() -> None:
     assert asked(tracer) == {}
     assert tracer.wanted(int(LEASE_S * S) - 1)
     assert not tracer.wanted(int(LEASE_S * S))
-    tracer.record([("rf", sample(1), None)])
+    tracer.record("rf", sample(1), None)
     assert asked(tracer, now_ns=S) == {"rf": [1]}
     assert tracer.wanted(int(LEASE_S * S) + S - 1), "each question asks for more"
     assert asked(tracer, now_ns=100 * S) == {}, "what is old was kept for nobody"
 
 
-def test_a_tick_has_the_p_of_its_own_state(tracer: Tracer) -> None:
-    state = LegState(t_ns=2, seq=2, contact=True, p=0.9, known=True)
-    tracer.record([("rf", sample(1), None), ("rf", sample(2), None)], {"rf": state})
-    tracer.record([("lf", sample(2), None)])
-    found = {trace.leg: trace.p for trace in tracer.answer(("rf", "lf"), None, 0)}
-    assert found == {"rf": [None, 0.9], "lf": [None]}
+def learner(leg: str, seq: int) -> Any:
+    """Of a leg whose newest sample is ``seq``; its command shows a swing."""
+    # In the description's angles the reading of the femur is 0.5 - 0.2, and was expected at 0.28.
+    tick = JudgedTick(np.array([0.01, 0.02, 0.0]), np.array([1.5, 0.1, np.nan]), np.ones(3))
+    return SimpleNamespace(
+        leg=ROBOT.leg(leg),
+        judged=lambda: tick,
+        state=LegState(t_ns=2, seq=seq, contact=True, p=0.9, known=True),
+        place=SimpleNamespace(leg=SimpleNamespace(swing_phase=1.0)),
+    )
 
 
 def test_each_asker_gets_what_it_has_not_had(tracer: Tracer) -> None:
     for seq in (1, 2, 3):
-        tracer.record([("rf", sample(seq), None), ("lf", sample(seq), None)])
+        tracer.record("rf", sample(seq), None)
+        tracer.record("lf", sample(seq), None)
     (first, _) = tracer.answer(("rf", "lf"), None, 0)
-    assert first.number == 3
-    tracer.record([("rf", sample(4), None)])
-    assert asked(tracer, "3") == {"rf": [4], "lf": []}
-    assert asked(tracer, "2") == {"rf": [3, 4], "lf": [3]}
+    assert first.number == 6
+    tracer.record("rf", sample(4), None)
+    assert asked(tracer, "6") == {"rf": [4]}
+    assert asked(tracer, "4") == {"rf": [3, 4], "lf": [3]}
     for none in (None, "", "-1", "x", "1e3", "٣", "9" * 5000, "999"):
         assert asked(tracer, none) == {"rf": [1, 2, 3, 4], "lf": [1, 2, 3]}, none
 
 
 def test_what_is_kept_and_what_is_answered_is_bounded(tracer: Tracer) -> None:
-    for seq in range(3 * MOST_TICKS):
-        tracer.record([("rf", sample(seq), None)])
-    newest = 3 * MOST_TICKS - 1
-    assert asked(tracer)["rf"] == list(range(newest - 199, newest + 1))
+    last = MOST_TICKS + 500
+    for seq in range(1, last + 1):
+        tracer.record("rf", sample(seq), None)
+    assert asked(tracer)["rf"] == list(range(last - 199, last + 1))
+    assert asked(tracer, "1")["rf"] == list(range(501, 701))
+    assert asked(tracer, "700")["rf"] == list(range(701, 901)), "the rest comes with the next"
 
 
-def test_a_prediction_is_in_the_angles_of_the_source(tracer: Tracer) -> None:
-    # In the description's angles the reading of the femur is 0.5 - 0.2, and was expected at 0.28.
-    scores = np.array([1.5, 0.1, np.nan])
-    tick = JudgedTick(np.array([0.01, 0.02, 0.0]), scores, np.ones(3))
-    learner = SimpleNamespace(leg=ROBOT.leg("rf"), judged=lambda: tick)
-    judged = judged_tick(learner, sample(1))  # type: ignore[arg-type]
-    tracer.record([("rf", sample(1), judged), ("lf", sample(1), None)])
+def test_the_last_sample_has_what_its_learner_made_of_it(tracer: Tracer) -> None:
+    tracer.record("rf", sample(1, None), None)
+    tracer.record("rf", sample(2, None), learner("rf", 2))
+    tracer.record("rf", sample(3, "stance"), learner("rf", 3))
+    tracer.record("rf", sample(4, None), learner("rf", 3))  # that was refused
+    tracer.record("lf", sample(2, None), learner("lf", 2))
     rf, lf = tracer.answer(("rf", "lf"), None, 0)
-    (predicted,) = rf.predicted
-    assert [round(angle, 6) for angle in predicted] == [0.09, 0.22, -1.2]
-    assert rf.test_ratio == [1.5]
-    assert (lf.predicted, lf.test_ratio) == ([None], [None])
-
-
-def test_swing_is_the_samples_word_or_the_commands(tracer: Tracer) -> None:
-    state = LegState(t_ns=2, seq=2, contact=False, p=0.1, known=True)
-    silent = [("rf", sample(1, None), None), ("rf", sample(2, None), None)]
-    tracer.record(
-        [*silent, ("lf", sample(2, None), None)], {"rf": state, "lf": state}, {"rf": True}
-    )
-    tracer.record([("rf", sample(3, "stance"), None)], {"rf": state}, {"rf": True})
-    rf, lf = tracer.answer(("rf", "lf"), None, 0)
-    assert rf.swing == [None, True, False]
+    assert rf.p == [None, 0.9, 0.9, None]
+    assert rf.test_ratio == [None, 1.5, 1.5, 1.5]
+    assert [round(angle, 6) for angle in rf.predicted[1]] == [0.09, 0.22, -1.2]
+    assert rf.swing == [None, True, False, None], "the sample's word, or the command's"
     assert lf.swing == [None], "without lengths nobody knows"
 
 

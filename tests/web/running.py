@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import socket
+import sys
 import threading
 import time
 import urllib.request
@@ -18,47 +18,29 @@ FRAME = b'{"t":1}'
 
 
 class Running:
-    """A site whose loop runs on a thread; it pushes a frame when it is told to."""
+    """A site on a thread; it pushes a frame when it is told to."""
 
     def __init__(self, settings_: WebSettings) -> None:
-        self.loop = asyncio.new_event_loop()
         self.site = Site(settings_, self._model, self._do)
-        self.site.bind()
-        self.stop = asyncio.Event()
         self.asked: list[str] = []
         self.done: list[tuple[str, dict[str, str]]] = []
         self.faults: list[object] = []
-        self.loop.set_exception_handler(lambda _, context: self.faults.append(context))
-        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.site.handle_error = lambda *_: self.faults.append(sys.exception())
+        self.thread = threading.Thread(target=self.site.serve_forever, args=(0.02,), daemon=True)
         self.thread.start()
         self.port = self.site.port
         self.host = f"127.0.0.1:{self.port}"
 
-    def _run(self) -> None:
-        self.loop.run_until_complete(self.site.serve(self.stop))
-        self.loop.close()
-
-    async def _model(self, leg: str) -> bytes | None:
+    def _model(self, leg: str) -> bytes | None:
         self.asked.append(leg)
         return b'{"leg":"rf"}' if leg == "rf" else None
 
-    async def _do(self, path: str, query: Mapping[str, str]) -> bytes:
+    def _do(self, path: str, query: Mapping[str, str]) -> bytes:
         self.done.append((path, dict(query)))
         return b"{}"
 
     def push(self, frame: bytes = FRAME, view: bytes | None = None) -> None:
-        self.on_loop(lambda: self.site.history.push(frame, view))
-
-    def on_loop(self, call: Callable[[], object]) -> None:
-        """Call something in the loop, and wait for it."""
-        done = threading.Event()
-
-        def run() -> None:
-            call()
-            done.set()
-
-        self.loop.call_soon_threadsafe(run)
-        assert done.wait(60)
+        self.site.history.push(frame, view)
 
     def connect(self) -> socket.socket:
         return socket.create_connection(("127.0.0.1", self.port), 20)
@@ -81,7 +63,9 @@ class Running:
         return one
 
     def close(self) -> None:
-        self.loop.call_soon_threadsafe(self.stop.set)
+        self.site.history.end()
+        self.site.shutdown()
+        self.site.server_close()
         self.thread.join(10)
         assert not self.thread.is_alive()
         assert not self.faults

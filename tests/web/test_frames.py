@@ -70,8 +70,9 @@ def test_a_tick_that_was_not_judged_has_no_prediction() -> None:
 def test_events_and_truth_are_placed_by_the_clock_of_their_leg() -> None:
     frames = Frames(0)
     frames.contact("rf", event("rf", 50 * S))
-    frames.contact("rf", ContactTruth(t_ns=50 * S - TICK, contact=True, force=3.0))
     assert frame(frames, 1 * S).keys() == {"t"}, "nobody knows their clock yet"
+    frames.contact("rf", event("rf", 50 * S))
+    frames.contact("rf", ContactTruth(t_ns=50 * S - TICK, contact=True, force=3.0))
     frames.trace(trace("rf", 50 * S, 1), 2 * S)
     frames.verdicts([("rf", Verdict("missed", 50 * S)), ("lf", Verdict("false", 50 * S))])
     found = frame(frames, 2 * S)

@@ -157,7 +157,7 @@ def test_a_recording_has_what_came_and_its_marks(router: Link, tmp_path: Path) -
         status, state = act(live, "/record/start?file=../../evil&name=/tmp/evil")
         assert status == 200
         file = json.loads(state)["file"]
-        assert re.fullmatch(r"page-\d{8}-\d{6}\.mcap", file)
+        assert re.fullmatch(r"page-\d{8}-\d{6}-\d{3}\.mcap", file)
         assert act(live, "/record/start") == (409, "a recording runs already; stop it first\n")
         service = Service(own)
         for bad in ("", "-1", "1e3", "9" * 11, "\u0663"):
@@ -189,15 +189,13 @@ def test_no_recording_writes_over_a_file_or_through_a_link(
     router: Link, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("time.strftime", lambda *_: "page-20260101-000000")
+    monkeypatch.setattr("time.time_ns", lambda: 5_000_000)
     victim = tmp_path / "victim"
     victim.write_text("kept")
-    (tmp_path / "page-20260101-000000.mcap").symlink_to(victim)
-    (tmp_path / "page-20260101-000000-1.mcap").write_text("kept")
-    recordings = Recordings(tmp_path)
-    recordings.start(router)
-    recordings.stop()
-    assert recordings.state()["file"] == "page-20260101-000000-2.mcap"
-    assert victim.read_text() == (tmp_path / "page-20260101-000000-1.mcap").read_text() == "kept"
+    (tmp_path / "page-20260101-000000-005.mcap").symlink_to(victim)
+    with pytest.raises(RecordingError, match="cannot be written to"):
+        Recordings(tmp_path).start(router)
+    assert victim.read_text() == "kept"
 
 
 def test_what_stands_in_the_way_of_a_recording_is_one_line(

@@ -4,9 +4,8 @@ The topics of ``[ros2]`` become ``robot/leg/*/servo`` and, of foot switches, ``r
 The files are read one by one, whatever ``metadata.yaml`` says of them, so that a bag whose recorder
 was killed is read as far as it goes.  MCAP is walked as any recording is, db3 asked by SQL.
 
-A bag of strangers neither fills the memory nor the disk: chunks, messages, cells and files that
-were compressed as a whole unpack to so much and no more.  The readers of rosbags have no such
-bounds, and refuse a file whose end is missing.
+A bag of strangers does not fill the memory: chunks, messages and cells unpack to so much and no
+more.  The readers of rosbags have no such bounds, and refuse a file whose end is missing.
 """
 
 from __future__ import annotations
@@ -14,9 +13,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-import shutil
 import sqlite3
-import tempfile
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Final
@@ -32,15 +29,14 @@ from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import (
     MAX_CHUNK_BYTES,
-    MAX_RATIO,
     Recording,
 )
 from adaptive_contact.wire import MSGPACK, ContactTruth, encode, servo_key, truth_key
 
 _SHOWN: Final = 6
 _ROS_1: Final = b"#ROSBAG V"
-# A file of a bag, packed or not, and what orders the files of one that was split.
-_FILE: Final = re.compile(r".*?(\d*)\.(?:mcap|db3)(?:\.zstd)?")
+# A file of a bag, and what orders the files of one that was split.
+_FILE: Final = re.compile(r".*?(\d*)\.(?:mcap|db3)")
 _QUERY: Final = """
     SELECT topics.name, CAST(timestamp AS INTEGER), COALESCE(CAST(data AS BLOB), x'')
     FROM messages JOIN topics ON topics.id = messages.topic_id
@@ -126,9 +122,12 @@ class Bag(Recording):
         path = self.path
         if not path.exists():
             raise RecordingError(f"{path}: cannot be read (no such file); give a bag")
-        within = sorted((f for f in path.glob("*") if _FILE.fullmatch(f.name)), key=_number)
-        # One that a person has unpacked stands beside what it was packed in.
-        files = [f for f in within if f.suffix != ".zstd" or f.with_suffix("") not in within]
+        files = sorted((f for f in path.glob("*") if _FILE.fullmatch(f.name)), key=_number)
+        packed = (path, *path.glob("*.zstd"))[-1]
+        if not files and packed.suffix == ".zstd":
+            raise RecordingError(
+                f"{packed}: compressed as a whole; unpack each such file with `zstd -d {packed}`"
+            )
         for file in files or (path, *sorted(path.glob("*.bag*"))):
             if _is_ros_1(file):
                 raise RecordingError(
@@ -139,22 +138,17 @@ class Bag(Recording):
 
     def _messages(self, topics: Collection[str]) -> Iterator[Record]:
         for file in self._files:
-            with _unpacked_file(file) as whole:
-                read = self._asked if whole.suffix == ".db3" else self._walked
-                records = read(whole, file.name, topics)
-                first = next(records, None)
-            if first is not None:  # the file is open by now, and needs no name any more
-                yield first
-                yield from records
+            read = self._asked if file.suffix == ".db3" else self._walked
+            yield from read(file, topics)
 
-    def _walked(self, path: Path, name: str, _: Collection[str]) -> Iterator[Record]:
+    def _walked(self, path: Path, _: Collection[str]) -> Iterator[Record]:
         """Yield the messages of an MCAP file."""
         recording = Recording(path)
         recording.types = self.types
         yield from recording
-        self._note_damage(name, recording.damage)
+        self._note_damage(path.name, recording.damage)
 
-    def _asked(self, path: Path, name: str, topics: Collection[str]) -> Iterator[Record]:
+    def _asked(self, path: Path, topics: Collection[str]) -> Iterator[Record]:
         """Yield the messages of a db3 file."""
         given = 0
         where = f"{path.resolve().as_uri()}?immutable=1"
@@ -177,49 +171,12 @@ class Bag(Recording):
                     "that `ros2 bag record` wrote, or an .mcap or .db3 of it"
                 ) from error
             what = f"{_one_line(error)}; the {given} messages before it are intact"
-            self._note_damage(name, what)
+            self._note_damage(path.name, what)
 
     def _note_damage(self, name: str, damage: str | None) -> None:
         if damage is not None:
             which = "" if name == self.path.name else f"{name}: "
             self.damage = f"{which}{damage}" if self.damage is None else self.damage
-
-
-@contextlib.contextmanager
-def _unpacked_file(path: Path) -> Iterator[Path]:
-    """Open a file of a bag; one compressed as a whole is unpacked to a temporary file.
-
-    Raises:
-        RecordingError: it cannot be unpacked, or to more than a recording of a robot holds.
-    """
-    if path.suffix != ".zstd":
-        yield path
-        return
-    # As many characters of a file's name are in that of what it unpacks to.
-    with tempfile.NamedTemporaryFile(suffix=f"-{path.stem}"[-60:]) as file:
-        # Half of the disk is left to others.
-        most = min(
-            max(MAX_CHUNK_BYTES, MAX_RATIO * path.stat().st_size),
-            shutil.disk_usage(file.name).free // 2,
-        )
-        unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
-        try:
-            with path.open("rb") as packed:
-                source = unpacker.stream_reader(packed, read_across_frames=True)
-                while piece := source.read(1 << 20):
-                    if file.tell() + len(piece) > most:
-                        raise RecordingError(
-                            f"{path}: unpacks to more than {most >> 20} MB, expected at most "
-                            f"{MAX_RATIO} times its size and half of the free disk; if it is "
-                            f"sound, unpack it with `zstd -d {path}`"
-                        )
-                    file.write(piece)
-            file.flush()
-        except (zstandard.ZstdError, OSError) as error:
-            raise RecordingError(
-                f"{path}: cannot be unpacked ({_one_line(error)}); expected a file of a bag"
-            ) from error
-        yield Path(file.name)
 
 
 def _is_ros_1(path: Path) -> bool:

@@ -28,7 +28,8 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Header, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
@@ -89,7 +90,8 @@ class Recording:
     def about(self) -> dict[str, str]:
         """Return what the writer noted (scenario, seed); empty for files of other tools."""
         with self._open() as file, contextlib.suppress(*_PARSE_ERRORS):
-            for record in _records(file):
+            reader = StreamReader(file, True, True, record_size_limit=1 << 20)
+            for record in reader.records:
                 if isinstance(record, Metadata) and record.name == ABOUT:
                     return {k: text for k, text in record.metadata.items() if k != "v"}
                 if not isinstance(record, Header | Metadata):
@@ -152,22 +154,17 @@ class _Walk:
         return "; ".join(filter(None, (line, f"{given} messages are intact", self._end)))
 
     def records(self) -> Iterator[Record]:
-        index = ""
-        while True:
+        opcode = None
+        while opcode != Opcode.FOOTER:
             at = self._file.tell()
             head = self._file.read(_FRAME.size)
             if len(head) < _FRAME.size:
-                self._end = f"cut at byte {self._size}{index}"
+                self._end = f"cut at byte {self._size}"
                 return
             opcode, length = _FRAME.unpack(head)
             end = at + _FRAME.size + length
-            if opcode < _PRIVATE and opcode not in _KNOWN:
-                self._end = f"damaged: no record begins at byte {at}"
-                return
-            if end > self._size:
-                self._end = f"cut at byte {self._size}{index}, or damaged at byte {at}"
-                if opcode == Opcode.CHUNK:
-                    yield from self._up_to_the_cut()
+            if end > self._size or (opcode < _PRIVATE and opcode not in _KNOWN):
+                self._end = f"damaged at byte {at}, or cut at byte {self._size}"
                 return
             try:
                 yield from self._record(opcode, length)
@@ -175,12 +172,8 @@ class _Walk:
                 self._skipped.append(f"at byte {at} ({damage})")
                 self._learn_channels()
             self._file.seek(end)
-            if opcode == Opcode.DATA_END:
-                index = ", inside the index"
-            elif opcode == Opcode.FOOTER:
-                break
         if self._file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            self._end = f"cut at byte {self._size}{index}"
+            self._end = f"cut at byte {self._size}"
         elif self._file.read(1):
             self._end = "another recording is appended, which is not read"
         elif not self._skipped and self._messages < self._learn_channels():
@@ -196,13 +189,6 @@ class _Walk:
             if length > MAX_CHUNK_BYTES:
                 raise _DamagedError(f"a message of {length >> 20} MB")
             yield from self._unpacked(_FRAME.pack(opcode, length) + self._file.read(length))
-
-    def _up_to_the_cut(self) -> Iterator[Record]:
-        """Yield the messages of a chunk that ends beyond the file, where it is not compressed."""
-        content = self._file.read(MAX_CHUNK_BYTES)
-        with contextlib.suppress(_DamagedError, struct.error):  # the cut itself
-            if _CHUNK.unpack_from(content)[4] == 0:
-                yield from self._unpacked(content[_CHUNK.size + _LENGTH_BYTES :])
 
     def _unpack(self, length: int) -> bytes:
         """Unpack the records of the chunk whose content is next."""
@@ -277,20 +263,16 @@ class _Walk:
 
     def _learn_channels(self) -> int:
         """Learn channels lost by damage from the summary; return how many messages that counts."""
-        count, here = 0, self._file.tell()
+        here, count = self._file.tell(), 0
+        self._file.seek(0)
         with contextlib.suppress(*_PARSE_ERRORS, OSError):
-            # The frame and the content of the footer, and the magic behind it.
-            self._file.seek(-(9 + 20 + 8), os.SEEK_END)
-            footer = next(_records(self._file))
-            if isinstance(footer, Footer) and footer.summary_start:
-                self._file.seek(footer.summary_start)
-                for record in _records(self._file):
-                    if isinstance(record, Schema):
-                        self._learn_schema(record)
-                    elif isinstance(record, Channel):
-                        self._learn_channel(record)
-                    elif isinstance(record, Statistics):
-                        count = record.message_count
+            summary = SeekingReader(self._file, record_size_limit=1 << 20).get_summary()
+            if summary is not None:
+                count = summary.statistics.message_count if summary.statistics else 0
+                for schema in summary.schemas.values():
+                    self._learn_schema(schema)
+                for channel in summary.channels.values():
+                    self._learn_channel(channel)
         self._file.seek(here)
         return count
 
@@ -312,11 +294,6 @@ class _Walk:
 
     def _learn_schema(self, found: Schema) -> None:
         self._schemas[found.id] = (found.name, found.data)
-
-
-def _records(file: IO[bytes]) -> Iterator[McapRecord]:
-    """Yield records from where a file is, chunks packed, for as long as mcap can read them."""
-    return StreamReader(file, True, True, record_size_limit=1 << 20).records
 
 
 def _stream(content: bytes) -> ReadDataStream:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import queue
 import threading
 import time
@@ -123,21 +124,17 @@ class Recorder:
         progress_s = now_s + _PROGRESS_S
         while not stop.is_set() and (end_s is None or now_s < end_s):
             wait_s = _LOOK_S if end_s is None else min(_LOOK_S, end_s - now_s)
-            self._take(wait_s)
+            with contextlib.suppress(queue.Empty):
+                self._write(self._queue.get(timeout=wait_s))
             now_s = time.monotonic()
             if on_progress is not None and now_s >= progress_s:
                 progress_s = now_s + _PROGRESS_S
                 on_progress()
         self._subscription.close()
         while not self._queue.empty():
-            self._take(0.0)
+            self._write(self._queue.get())
 
-    def _take(self, wait_s: float) -> None:
-        """Write what is queued, waiting for the first."""
-        try:
-            received = self._queue.get(timeout=wait_s) if wait_s > 0 else self._queue.get_nowait()
-        except queue.Empty:
-            return
+    def _write(self, received: Received) -> None:
         log_ns = received.arrival_ns + self._offset_ns
         self._writer.write(
             received.key, received.payload, received.encoding, log_ns, received.published_ns

@@ -8,13 +8,13 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
+from typing import IO, TYPE_CHECKING, Final, Self
 
 from mcap.writer import CompressionType, Writer
 
-from adaptive_contact.errors import RecordingError
+from adaptive_contact.errors import RecordingError, reason_of
 from adaptive_contact.service.recording.format import ABOUT, ENCODING, PROTOBUF, TO_MCAP, TO_ZENOH
 from adaptive_contact.service.recording.schemas import kind_of_key, protobuf_class, schema_name
 from adaptive_contact.wire import MSGPACK, Message, Rejected, decode, encode
@@ -26,27 +26,6 @@ if TYPE_CHECKING:
 FLUSH_NS: Final = 1_000_000_000
 MAX_TIME_NS: Final = (1 << 64) - 1
 MAX_CHANNELS: Final = (1 << 16) - 1
-
-
-class _Counted:
-    """Counts bytes for mcap, which asks for positions: a FIFO does not know its own."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._at = 0
-
-    def write(self, data: bytes) -> int:
-        """Pass bytes on and count them."""
-        self._at += len(data)
-        return self._file.write(data)
-
-    def tell(self) -> int:
-        """Return the bytes written so far."""
-        return self._at
-
-    def flush(self) -> None:
-        """Pass on."""
-        self._file.flush()
 
 
 class RecordingWriter:
@@ -75,25 +54,18 @@ class RecordingWriter:
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
         self._flush_at: int | None = None
-        try:
+        self._file: IO[bytes] | None = None
+        with self._writing():
             # Under its name from the first byte on: a recorder that is killed leaves what it has.
-            self._file: IO[bytes] | None = self.path.open("wb")
-        except OSError as error:
-            raise self._failed(error) from error
-        # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small enough
-        # that a damaged chunk costs little, large enough that zstd still halves it.
-        self._writer = Writer(
-            cast(Any, _Counted(self._file)),
-            chunk_size=32 * 1024,
-            compression=CompressionType.ZSTD,
-        )
-        try:
+            self._file = self.path.open("wb")
+            # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small
+            # enough that a damaged chunk costs little, large enough that zstd still halves it.
+            self._writer = Writer(
+                self._file, chunk_size=32 * 1024, compression=CompressionType.ZSTD
+            )
             self._writer.start(profile="", library="adaptive-contact")
             self._writer.add_metadata(ABOUT, {"v": "1", **(about or {})})
             self._file.flush()
-        except OSError as error:
-            self._abandon()
-            raise self._failed(error) from error
 
     def write(
         self,
@@ -130,15 +102,12 @@ class RecordingWriter:
         """Write the last chunk and the index, and close the file.  A second call does nothing."""
         if self._file is None:
             return
-        try:
+        with self._writing():
             self._writer.finish()
             self._file.flush()
-            if stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):  # no device or FIFO can sync
+            if stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):  # no device can sync
                 os.fsync(self._file.fileno())
-        except OSError as error:
-            raise self._failed(error) from error
-        finally:
-            self._abandon()
+        self._abandon()
 
     def __enter__(self) -> Self:
         return self
@@ -183,7 +152,7 @@ class RecordingWriter:
                 f"{self.path}: time {log_time_ns} or {sent_ns} ns on '{key}' does not fit; "
                 "expected 0 to 2^64 - 1"
             )
-        try:
+        with self._writing():
             channel = self._channels.get((key, encoding))
             if channel is None:
                 channel = self._open_channel(key, encoding, schema)
@@ -193,9 +162,6 @@ class RecordingWriter:
             elif log_time_ns >= self._flush_at:
                 self._writer.flush()
                 self._flush_at = log_time_ns + FLUSH_NS
-        except OSError as error:
-            self._abandon()
-            raise self._failed(error) from error
 
     def _open_channel(self, key: str, encoding: str, schema: tuple[str, bytes] | None) -> int:
         if len(self._channels) >= MAX_CHANNELS:
@@ -227,8 +193,14 @@ class RecordingWriter:
             with contextlib.suppress(OSError):
                 file.close()
 
-    def _failed(self, error: OSError) -> RecordingError:
-        return RecordingError(
-            f"{self.path}: cannot be written ({error.strerror}); "
-            "give a path in a folder that exists, is writable and has room"
-        )
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Report what the disk refuses, and write no more."""
+        try:
+            yield
+        except OSError as error:
+            self._abandon()
+            raise RecordingError(
+                f"{self.path}: cannot be written ({reason_of(error)}); "
+                "give a path in a folder that exists, is writable and has room"
+            ) from error

@@ -2,8 +2,8 @@
 
 The worker takes a snapshot, one leg at a time and only when no sample waits; the thread packs
 it, writes it and syncs it.  A disk that is slower than the snapshots come gets the newest of
-each leg; a disk that fails is counted, reported, and tried again with the next snapshot.  A folder
-that could not be had at the start (full, read-only, in use) is tried again every 10 s.
+each leg; a disk that fails, or a folder that cannot be had (read-only, in use), is counted,
+reported, and tried again with the next snapshot.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class StateKeeper:
         robot: name of the robot.
         settings: digest of a leg's settings, by its id.
         package: version of this package.
-        period_s: between two saves of a leg, and between two tries to get hold of a folder.
+        period_s: between two saves of a leg.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class StateKeeper:
         self._thread: threading.Thread | None = None
         if store.trouble is not None:
             _log.warning("state is not saved", why=store.trouble)
-            self._start()
-        self._warn_exposed()
+        if store.exposed is not None:
+            _log.warning("state is open to others", what=store.exposed)
 
     @property
     def facts(self) -> StateFacts:
@@ -130,12 +130,6 @@ class StateKeeper:
             _log.warning("state refused", leg=leg, file=path.name, why=why)
             self._refused.append(f"{path.name}: {why}")
             self._store.set_aside(path)
-        others = self._store.others(identity)
-        if others and leg not in self._restored:
-            _log.info(
-                "state of other settings, another baseline or another version is left alone",
-                leg=leg,
-            )
         return None
 
     def due(self, endpoint: LegEndpoint, now_ns: int) -> bool:
@@ -145,14 +139,12 @@ class StateKeeper:
             return False
         if last.model_version is None:  # what it started or went on with is no promotion
             last = self._last[endpoint.leg] = last._replace(model_version=endpoint.model_version)
-        if self._store.trouble is not None or endpoint.received_samples == last.samples:
+        if endpoint.received_samples == last.samples:
             return False
         return endpoint.model_version != last.model_version or now_ns >= last.due_ns
 
     def snapshot(self, endpoint: LegEndpoint, now_ns: int) -> None:
-        """Snapshot a leg for the thread to save; does nothing without a folder."""
-        if self._store.trouble is not None:
-            return
+        """Snapshot a leg for the thread to save."""
         self._last[endpoint.leg] = _Last(
             now_ns + self._period_ns, endpoint.received_samples, endpoint.model_version
         )
@@ -176,7 +168,9 @@ class StateKeeper:
         with self._changed:
             self._waiting[endpoint.leg] = record  # replaces one that still waits
             self._changed.notify_all()
-        self._start()
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="state", daemon=True)
+            self._thread.start()
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until everything taken is on disk; False when it is not in time."""
@@ -200,47 +194,21 @@ class StateKeeper:
             self._thread.join(0.1)
         self._store.close()
 
-    def _start(self) -> None:
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="state", daemon=True)
-            self._thread.start()
-
     def _work(self) -> None:
         while True:
-            # Only this thread waits for the disk, also to find out whether it is there again.
-            again_s = None if self._store.trouble is None else self._period_ns / 1e9
             with self._changed:
-                waits = self._changed.wait_for(lambda: bool(self._waiting) or self._ending, again_s)
+                self._changed.wait_for(lambda: bool(self._waiting) or self._ending)
                 if self._ending:
                     return
-                if waits:
-                    leg = next(iter(self._waiting))
-                    record = self._waiting.pop(leg)
-                    self._under_way = leg
-            if not waits:
-                self._reopen()
-                continue
+                leg = next(iter(self._waiting))
+                record = self._waiting.pop(leg)
+                self._under_way = leg
             try:
                 self._write(leg, record)
             finally:
                 with self._changed:
                     self._under_way = None
                     self._changed.notify_all()
-
-    def _reopen(self) -> None:
-        """Try to get hold of a folder that could not be had; its legs are due at once then."""
-        before = self._store.trouble
-        self._store.reopen()
-        if self._store.trouble is not None:
-            self._error = self._store.trouble
-            if self._store.trouble != before:
-                _log.warning("state is not saved", why=self._store.trouble)
-        else:
-            self._warn_exposed()
-
-    def _warn_exposed(self) -> None:
-        if self._store.exposed is not None:
-            _log.warning("state is open to others", what=self._store.exposed)
 
     def _write(self, leg: str, record: Record) -> None:
         try:
@@ -258,8 +226,8 @@ class StateKeeper:
     def _fail(self, leg: str, error: Exception) -> None:
         """Count a state that was not saved, and say so now and then."""
         why = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        why = (why or type(error).__name__).lower()
+        why = self._store.trouble or (why or type(error).__name__).lower()
         with self._counting:
             self._failed += 1
-            self._error = f"{leg} not saved in {self._store.shown}: {why}"
+            self._error = self._store.trouble or f"{leg} not saved in {self._store.shown}: {why}"
             self._throttle.warn("failed", time.monotonic_ns(), "state not saved", leg=leg, why=why)

@@ -129,15 +129,6 @@ class StateStore:
             if found is not None:
                 yield path, found
 
-    def others(self, identity: Identity) -> int:
-        """Count states of this leg that belong to other settings or another library."""
-        newest = self.path(identity)
-        pattern = f"{_plain(identity.leg)}-*{NEWEST}"
-        try:
-            return sum(path != newest for path in self.folder.glob(pattern))
-        except OSError:
-            return 0
-
     def set_aside(self, path: Path) -> None:
         """Rename a refused state, to keep it for inspection."""
         with contextlib.suppress(OSError):  # a read-only folder keeps it where it is
@@ -151,8 +142,8 @@ class StateStore:
             OSError: it could not be written, or the folder is another's; what was there before is
                 still there.
         """
-        if self._lock is None or not self.reopen():
-            raise OSError(errno.EBUSY, self.trouble or f"{self.shown} is not open")
+        if not self.reopen():
+            raise OSError(errno.EBUSY, self.trouble)
         data = pack(record)
         path = self.path(record.identity)
         newest, new = path.name, path.with_suffix(_NEW).name
