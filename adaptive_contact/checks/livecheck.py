@@ -16,9 +16,9 @@ import msgspec
 import numpy as np
 
 from adaptive_contact.arrays import Array
+from adaptive_contact.checks.conventions.feet import on_body
 from adaptive_contact.checks.conventions.judge import judge_motion
 from adaptive_contact.checks.conventions.motion import LegMotion
-from adaptive_contact.checks.conventions.rigid import on_body
 from adaptive_contact.checks.findings import Fault, Finding, Level, entries
 from adaptive_contact.checks.legcheck import check_ids, check_leg
 from adaptive_contact.core.detect.stream import fault_of

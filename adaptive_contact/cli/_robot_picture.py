@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.checks.conventions.rigid import on_body
+from adaptive_contact.checks.conventions.feet import on_body
 from adaptive_contact.cli._output import say
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file

@@ -22,11 +22,11 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.checks.conventions.judge import (
     ConventionFinding,
-    LegMotion,
     Verdict,
     judge_hanging,
     judge_motion,
 )
+from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.checks.limits import Limits, find_limits
 from adaptive_contact.checks.source_watch import RateWatch, Seams
 from adaptive_contact.core.detect.source import LATE_PERIODS

@@ -36,7 +36,7 @@ ROOMS: Final = (
     *("checks.angle_watch", "checks.leg_ids", "checks.source_watch", "checks.watch"),
 )
 # Nothing of them changes once they are made.
-FIXED: Final = {"HeldOut", "Rows", "StandingFeet", "_Posterior", "_Speeds", "_Swings"}
+FIXED: Final = {"HeldOut", "Rows", "_Posterior", "_Speeds", "_Swings"}
 # What bad samples change: counts of them, and when all legs are compared, which counts calls.
 COUNTED: Final = (
     "Counters.rejects", "LegGatherer.rejects", "ConventionWatch", "IdWatch", "InlineRefitter",
