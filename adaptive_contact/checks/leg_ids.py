@@ -239,13 +239,13 @@ def judge_recorded_ids(
     return {leg: owner.note for leg, owner in judge_ids(robot, None, motions).items()}
 
 
-class IdWatch(Watch[Owner]):
-    """Watches whose samples come under each leg's name."""
+def _found_ids(
+    robot: Robot, baseline: Baseline | None, motions: Mapping[str, LegMotion]
+) -> dict[str, Owner | None]:
+    return {**dict.fromkeys(motions), **judge_ids(robot, baseline, motions)}
 
-    def __init__(self, robot: Robot, baseline: Baseline | None, refitter: Refitter) -> None:
-        judge = functools.partial(judge_ids, robot, baseline)
-        super().__init__(robot, refitter, "*ids", TIMES_S, judge)
 
-    def _conclude(self, found: Mapping[str, Owner]) -> None:
-        for leg, track in self._tracks.items():
-            track.take(found.get(leg), right=leg not in found)
+def watch_ids(robot: Robot, baseline: Baseline | None, refitter: Refitter) -> Watch[Owner]:
+    """Make the watch of whose samples come under each leg's name."""
+    judge = functools.partial(_found_ids, robot, baseline)
+    return Watch(robot, refitter, "*ids", TIMES_S, judge)
