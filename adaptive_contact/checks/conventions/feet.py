@@ -328,20 +328,6 @@ class Feet:
         """Whether every leg that stands keeps its distances from the others."""
         return bool((self.costs(chosen) < RIGID**2).all())
 
-    def best(self, among: Sequence[Sequence[Reading]]) -> list[Reading]:
-        """The choice of one of its readings for each leg under which rho² is least."""
-        n = len(among)
-        total, weights = np.zeros([1] * n), np.zeros([1] * n)
-        for i, j in itertools.combinations(range(n), 2):
-            shape = [len(among[k]) if k in (i, j) else 1 for k in range(n)]
-            pairs = [self._pair(i, j, a, b) for a in among[i] for b in among[j]]
-            ratio = np.array([pair.ratio for pair in pairs]).reshape(shape)
-            weight = np.array([pair.weight for pair in pairs]).reshape(shape) * np.isfinite(ratio)
-            total, weights = total + weight * np.minimum(ratio, MOST), weights + weight
-        mean = np.where(weights > 0.0, total / np.maximum(weights, 1.0), np.inf)
-        at = np.unravel_index(int(np.argmin(mean)), mean.shape)
-        return [among[i][int(k)] for i, k in enumerate(at)]
-
     def kept(self, readings: Sequence[Reading]) -> list[Ints]:
         """Rows of every pair that are not left out as its worst."""
         return [pair.kept for _, _, pair in self._pairs(readings)]

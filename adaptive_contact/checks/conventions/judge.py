@@ -114,7 +114,7 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
             chosen |= Search(straight, robot.period_s, 2).choose()
         if len(bent) > 1:
             # Feet of a trot stand two at a time.
-            chosen |= Search(bent, robot.period_s, 1).by_hand()
+            chosen |= Search(bent, robot.period_s, 1).signs()
         if not _carried(legs, chosen):
             described = {leg.leg.id: leg.plain for leg in legs}
             chosen = {leg: c for leg, c in chosen.items() if c.reading == described[leg]}

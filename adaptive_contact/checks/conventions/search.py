@@ -39,10 +39,8 @@ ZERO_RIVAL: Final = 1.5
 OPEN_RAD: Final = 0.1
 ALIKE_RAD: Final = 0.15
 SURE_RAD: Final = 0.05
-# Zeros are sought from these on, rad: of one joint, and of all by the number of pitch joints; of
-# more nothing is sought.
-ZERO_STARTS: Final = (0.0, -0.5, 0.5, -1.0, 1.0, -math.pi / 2, math.pi / 2)
-START_STEPS_RAD: Final = {1: math.pi / 8, 2: math.pi / 4, 3: math.pi / 2}
+# Zeros are sought from these on, rad: of one joint, and of all together.
+ZERO_STARTS: Final = (0.0, -math.pi / 2, math.pi / 2)
 # A search over all signs and zeros takes a second or more: it is made with so much motion, s.
 LEAST_S: Final = 15.0
 
@@ -95,31 +93,11 @@ class Search:
             return {}
         if self._feet.rigid(self._plain) and all(leg.sane(leg.plain) for leg in self._legs):
             found = self._near_zeros() or self._plain
+        elif signs := self.signs():
+            return signs
         else:
-            signs = self._signs()
-            if signs:
-                return signs
             found = self._order(self._all) or self._of_one_leg() or self._zeros_from_anywhere()
         return {leg.leg.id: Chosen(_settled(r)) for leg, r in zip(self._legs, found, strict=False)}
-
-    def _signs(self) -> dict[str, Chosen]:
-        """Signs that explain the motion, by leg."""
-        sane = [[reading for reading in leg.signs if leg.sane(reading)] for leg in self._legs]
-        # Choices of signs grow with the legs.
-        if not all(sane) or math.prod(map(len, sane)) > 300_000:
-            return {}
-        best = self._feet.best(sane)
-        if not self._feet.rigid(best):
-            return {}
-        chosen = {}
-        costs = self._feet.costs(best)
-        for k, leg in enumerate(self._legs):
-            # Every other choice of this leg must be worse, or nothing is said of it.
-            least = max(BETTER * float(costs[k]), LOOSE**2)
-            others = [self._with([k], reading, best) for reading in sane[k] if reading != best[k]]
-            if all(self._feet.costs(other)[k] > least for other in others):
-                chosen[leg.leg.id] = Chosen(best[k])
-        return chosen
 
     def _order(self, group: Sequence[int]) -> Readings:
         """Another order of joints, with any signs, the same for a group of legs."""
@@ -190,17 +168,16 @@ class Search:
         return self._zeros_of_all([reading for _, reading in starts[:6]])
 
     def _starts(self) -> Iterator[Reading]:
-        axes = self._legs[0].leg.joint_axes
-        pitched = [j for j, axis in enumerate(axes) if axis == "pitch"]
-        step = START_STEPS_RAD.get(len(pitched))
-        if step is None:
-            return
-        angles = np.arange(-math.pi, math.pi - 1e-3, step)
-        zeros = itertools.product(angles, repeat=len(pitched))
-        for at, sign in itertools.product(zeros, self._legs[0].signs):
-            by_rad = np.zeros(len(axes))
-            by_rad[pitched] = at
-            yield sign.shifted(by_rad)
+        pitched = [
+            joint for joint, axis in enumerate(self._legs[0].leg.joint_axes) if axis == "pitch"
+        ]
+        # Zeros of so many joints are sought together.
+        if len(pitched) <= 3:
+            zeros = itertools.product(ZERO_STARTS, repeat=len(pitched))
+            for at, sign in itertools.product(zeros, self._legs[0].signs):
+                by_rad = np.zeros(len(self._plain[0].order))
+                by_rad[pitched] = at
+                yield sign.shifted(by_rad)
 
     def _zeros_of_all(self, starts: Readings) -> Readings:
         """Zeros, the same for all legs, near any of the starts."""
@@ -233,15 +210,15 @@ class Search:
             and self._sane(group, reading)
         )
 
-    # -- legs whose mirror image walks as well ---------------------------------------------------
+    # -- signs -----------------------------------------------------------------------------------
 
-    def by_hand(self) -> dict[str, Chosen]:
-        """Choose the signs that explain how legs walk whose mirror image walks as well.
+    def signs(self) -> dict[str, Chosen]:
+        """Choose the signs that explain how legs walk.
 
-        A leg that hangs down with a hip that rolls is its own mirror image: all its pitches turned
-        round, the foot has the same height and goes the other way, and feet that stand are as rigid
-        wherever the robot walks straight on.  So of all choices only those are looked at that a
-        hand makes: the same joints of all legs, of one side, of one end, or of one leg.  Those that
+        Only choices are looked at that a hand makes: the same joints of all legs, of one side, of
+        one end, or of one leg.  A leg that hangs down with a hip that rolls is its own mirror
+        image: all its pitches turned round, the foot has the same height and goes the other way,
+        and feet that stand are as rigid wherever the robot walks straight on.  So choices that
         explain the motion equally well are reported together, and a description among them is not
         accused.
 
@@ -262,7 +239,8 @@ class Search:
         if least >= RIGID**2:
             return {}
         # What is nearly as good; what a hand changes least comes first.
-        rivals = [c for c, cost in tried.items() if cost < BETTER * least and c != best]
+        limit = max(BETTER * least, LOOSE**2)
+        rivals = [c for c, cost in tried.items() if cost < limit and c != best]
         if described == best or described in rivals:
             return {} if rivals else {leg.leg.id: Chosen(leg.plain) for leg in legs}
         sane = all(leg.sane(leg.plain) for leg in legs)
@@ -299,11 +277,9 @@ class Search:
     def _sane(self, group: Sequence[int], reading: Reading) -> bool:
         return all(self._legs[k].sane(reading) for k in group)
 
-    def _with(
-        self, group: Sequence[int], reading: Reading, rest: Readings | None = None
-    ) -> list[Reading]:
-        """A reading of a group, and those of the rest; as described where absent."""
-        return [reading if k in group else r for k, r in enumerate(rest or self._plain)]
+    def _with(self, group: Sequence[int], reading: Reading) -> list[Reading]:
+        """A reading of a group, and the rest as described."""
+        return [reading if k in group else plain for k, plain in enumerate(self._plain)]
 
     def _cost(self, readings: Readings, group: Sequence[int]) -> float:
         """rho² of the worst leg of a group."""
