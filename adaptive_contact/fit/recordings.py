@@ -5,8 +5,8 @@ ends a stretch.  What may be learned as free comes from the truth where a record
 from the cautious part of each swing where it has not.
 
 A change of the truth states its time by its source's clock, but not the start of the source that it
-belongs to; the next start may count the same times again.  So every run has its own truth.  A
-change that may be of either of two runs makes no tick of either free.
+belongs to; the next start may count the same times again.  It is of the run whose samples had a
+time nearest to its own when it was received.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from adaptive_contact.checks.limits import Limits, find_limits
 from adaptive_contact.checks.source_watch import RateWatch, Seams
 from adaptive_contact.core.detect.source import LATE_PERIODS
 from adaptive_contact.core.detect.stream import (
-    RESET_SAMPLES,
     StreamGuard,
 )
 from adaptive_contact.errors import IdentificationError
@@ -158,29 +157,15 @@ class LegGatherer:
             [row for stretch in self._runs[-1].stretches for row in stretch] if self._runs else []
         )
 
-    def _truths(self) -> list[_Truth]:
-        """Every run's truth."""
-        truths = [_Truth([], []) for _ in self._runs]
-        if not truths:
-            return truths
-        for received in self._changes:
-            owners = self._owners(received)
-            for n in owners:
-                kept = truths[n].sure if len(owners) == 1 else truths[n].uncertain
-                kept.append(received.change)
-        return truths
-
-    def _owners(self, received: _Received) -> list[int]:
-        """Numbers of the runs that a change may be of; with more than one it is uncertain."""
-        t_ns = received.change.t_ns
-        # Where `run` does not show a restart, that many samples of the new run are refused.
-        slack_ns = RESET_SAMPLES * self._period_ns
-        around = self._around(received)
-        near = [n for n, came in around.items() if self._runs[n].near(t_ns, came)]
-        holding = [n for n in near or range(len(self._runs)) if self._runs[n].holds(t_ns, slack_ns)]
-        if near:
-            return holding or near
-        return list({*around, *holding})
+    def _truths(self) -> list[list[ContactTruth]]:
+        """Every run's changes of contact, in order of time."""
+        truths: list[list[ContactTruth]] = [[] for _ in self._runs]
+        for received in self._changes if truths else ():
+            around = self._around(received)
+            t_ns = received.change.t_ns
+            owner = min(around, key=lambda n: self._runs[n].apart_ns(t_ns, around[n]))
+            truths[owner].append(received.change)
+        return [sorted(truth, key=lambda change: change.t_ns) for truth in truths]
 
     def _around(self, received: _Received) -> dict[int, int]:
         """Runs that were received around a change; samples of each by then."""
@@ -195,16 +180,14 @@ class LegGatherer:
             around[n + 1] = 0
         return around
 
-    def _stretch(self, rows: list[ServoSample], truth: _Truth, free: bool) -> Stretch:
+    def _stretch(self, rows: list[ServoSample], truth: list[ContactTruth], free: bool) -> Stretch:
         joints = len(self.leg.joints)
         desired = self._limits.clip(np.array([s.desired for s in rows]))
         swing = self._swing(rows, desired)
         # A run without changes may have touched nothing, or not know.
-        certain = bool(truth.sure) or free
+        certain = bool(truth) or free
         mask = np.ones(len(rows), dtype=bool) if certain else cautious(swing)
-        t_ns = _tick_times(rows, self._period_ns)
-        for changes in truth.readings():
-            mask &= untouched(t_ns, changes, self._period_ns)
+        mask &= untouched(_tick_times(rows, self._period_ns), truth, self._period_ns)
         measured = np.array([s.measured for s in rows]).reshape(-1, joints)
         answered = np.array([s.valid is None or all(s.valid) for s in rows])
         return Stretch(
@@ -289,14 +272,10 @@ class _Run:
     t_ns: list[int]  # of all samples accepted, used or not
     stretches: list[list[ServoSample]]  # those used, cut where one is missing
 
-    def near(self, t_ns: int, came: int) -> bool:
-        """Whether a time is near this run's when ``came`` of its samples had come."""
+    def apart_ns(self, t_ns: int, came: int) -> int:
+        """How far a time is from this run's when ``came`` of its samples had come."""
         before, after = self.t_ns[max(came - 1, 0)], self.t_ns[min(came, len(self.t_ns) - 1)]
-        return before - ASTRAY_NS <= t_ns <= after + ASTRAY_NS
-
-    def holds(self, t_ns: int, slack_ns: int) -> bool:
-        """Whether a time is between those of the first sample and the last."""
-        return self.t_ns[0] - slack_ns <= t_ns <= self.t_ns[-1] + slack_ns
+        return max(before - t_ns, t_ns - after, 0)
 
 
 def _tick_times(rows: list[ServoSample], period_ns: int) -> Ints:
@@ -341,24 +320,6 @@ class _Received(NamedTuple):
     change: ContactTruth  # it
     run: int  # number of the run in force, -1 before any sample
     came: int  # samples of that run by then
-
-
-class _Truth(NamedTuple):
-    """Changes of contact in order of time: one run's own, and those that may be another's."""
-
-    sure: list[ContactTruth]
-    uncertain: list[ContactTruth]
-
-    def readings(self) -> Iterator[list[ContactTruth]]:
-        """What may have happened; free is what is free in each."""
-        onsets = [change for change in self.uncertain if change.contact]
-        yield sorted(self.sure + onsets, key=_time)
-        if self.uncertain:  # a release that may be another's must not end a contact
-            yield sorted(self.sure + self.uncertain, key=_time)
-
-
-def _time(change: ContactTruth) -> int:
-    return change.t_ns
 
 
 def judge_conventions(

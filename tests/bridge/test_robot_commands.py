@@ -181,7 +181,6 @@ def test_the_picture_says_where_front_is_and_which_way_angles_grow() -> None:
     text = draw(robot, {x: [0.0, 0.0, 0.0] for x in robot.leg_ids})
     assert "front (x)" in text
     assert ">left (y)<" in text
-    assert ">left front, from the side<" in text
     turned = arrows(text)
     assert len(turned) == 6 * 3  # a yaw of each leg on the body, two pitches beside it
     for _, begin_y, _, end_y in turned[6:]:
