@@ -12,6 +12,7 @@ time nearest to its own when it was received.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -237,7 +238,7 @@ def untouched(t_ns: Ints, truth: Iterable[ContactTruth], period_ns: int) -> Mask
     the reading after: ticks are excluded by time, not by state.
 
     Args:
-        t_ns: (n,) times of the readings.
+        t_ns: (n,) times of the readings, one at least.
         truth: changes of contact, in order.
         period_ns: control tick.
 
@@ -245,24 +246,14 @@ def untouched(t_ns: Ints, truth: Iterable[ContactTruth], period_ns: int) -> Mask
         (n,) True where nothing touches.
     """
     mask = np.ones(len(t_ns), dtype=bool)
-    onset: int | None = None
-    for change in truth:
-        if change.contact:
-            onset = change.t_ns if onset is None else onset
-        elif onset is not None:
-            _exclude(mask, t_ns, onset, change.t_ns, period_ns)
-            onset = None
-        else:  # the recording began in contact
-            _exclude(mask, t_ns, int(t_ns[0]), change.t_ns, period_ns)
-    if onset is not None and len(t_ns):
-        _exclude(mask, t_ns, onset, int(t_ns[-1]), period_ns)
+    first, last = int(t_ns[0]), int(t_ns[-1])
+    changes = [(first, False), *((one.t_ns, one.contact) for one in truth), (last, True)]
+    for (since, touches), (until, touched) in itertools.pairwise(changes):
+        if touches or not touched:  # between two releases an onset was lost
+            begin = np.searchsorted(t_ns, since - BEFORE_TICKS * period_ns)
+            end = np.searchsorted(t_ns, until + AFTER_TICKS * period_ns, side="right")
+            mask[begin:end] = False
     return mask
-
-
-def _exclude(mask: Mask, t_ns: Ints, onset: int, release: int, period_ns: int) -> None:
-    first = np.searchsorted(t_ns, onset - BEFORE_TICKS * period_ns)
-    last = np.searchsorted(t_ns, release + AFTER_TICKS * period_ns, side="right")
-    mask[first:last] = False
 
 
 @dataclasses.dataclass

@@ -56,6 +56,8 @@ CARRIED: Final = 0.001
 LIMP: Final = 0.03
 # A leg's foot counts as above its axis, or below, in this share of its ticks.
 SURE_SHARE: Final = 0.9
+# A servo rests when its command has not changed for this long, s.
+HOLD_S: Final = 0.36
 # Patterns of signs grow as powers of two.
 MOST_FLIPS: Final = 5
 # Errors of rows are not independent: their mean square is as sure as that of so many.
@@ -198,29 +200,13 @@ class Walker:
         up = float(np.median(read - self.height(reading)[at])) if len(at) else 0.0
         return CARRIED * self.chain.reach_m < up < LIMP * self.chain.reach_m
 
-    def sags_rad(self) -> Array:
-        """By how much the first pitch joint gives way to gravity in each hold, (m,) rad.
-
-        Plus is down, by the description; holds in which the foot is under the joint are left out.
-        The leg is straight.
-        """
-        motion = self.motion
-        same = (np.diff(motion.desired, axis=0) == 0.0).all(axis=1) & (np.diff(self.grid) == 1)
-        # A servo rests when its command has not changed for this long, s; the last part of it is
-        # looked at.
-        hold, rest = round(0.36 / self._period_s), round(0.16 / self._period_s)
-        edges = np.flatnonzero(np.diff(same, prepend=False, append=False)).reshape(-1, 2)
-        first = int(np.flatnonzero(self.chain.lifts)[0])
-        # Gravity pulls at a joint where its foot is this share of its links' reach away from it.
-        least = 0.3 * sum(length for length, _, _ in self.chain.origins_m[first:])
-        sags = []
-        for _, end in edges[edges[:, 1] - edges[:, 0] >= hold]:
-            command = motion.desired[end]
-            lever = self.chain.height_gradients(command)[first]
-            off = float(np.mean(motion.measured[end - rest : end + 1, first]) - command[first])
-            if abs(lever) >= least:
-                sags.append(-math.copysign(off, off * lever))
-        return np.array(sags)
+    def up_at_rest_m(self) -> Array:
+        """By how much the foot is above its command at the end of each hold, (m,) m."""
+        desired, hold = self.motion.desired, round(HOLD_S / self._period_s)
+        still = (desired[hold:] == desired[:-hold]).all(axis=1)
+        ends = np.flatnonzero(still & np.append(~still[1:], True)) + hold
+        read, told = (self.chain.foot(of[ends])[:, 2] for of in (self.motion.measured, desired))
+        return np.asarray(read - told)
 
 
 class _Pair(NamedTuple):

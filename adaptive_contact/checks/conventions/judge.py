@@ -134,9 +134,9 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
 def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     """Judge the signs of legs that hang free, from what gravity does to them at rest.
 
-    A servo holds a leg a little below its command.  The first pitch joint carries the most: an
-    AX-12A gives way by four to five steps there, and by less than its friction at the next one, so
-    that a single sign further out is not shown.  A servo with an integral gain does not give way.
+    A servo holds a leg a little below its command: an AX-12A gives way by four to five steps at the
+    joint that carries the most, and by less than its friction at the next one, so that a single
+    sign is not shown.  A servo with an integral gain does not give way.
 
     Args:
         robot: its description, as the samples were turned by.
@@ -144,14 +144,13 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     """
     findings, fits = [], []
     for leg in _walkers(robot, motions):
-        if not leg.chain.is_straight:
+        up_m = leg.up_at_rest_m()
+        # Holds of a leg that hangs before they count, and how far from their commands they must be,
+        # steps of the servo at the whole leg.
+        least_m = 1.5 * robot.quantum(leg.leg.id) * leg.chain.reach_m
+        if not leg.chain.is_straight or len(up_m) < 4 or abs(float(np.median(up_m))) < least_m:
             continue
-        sags = leg.sags_rad()
-        # Holds of a leg that hangs before their sag counts, and how far it must be, steps of the
-        # servo.
-        if len(sags) < 4 or abs(float(np.median(sags))) < 1.5 * robot.quantum(leg.leg.id):
-            continue
-        down = float(np.mean(sags > 0))
+        down = float(np.mean(up_m < 0.0))
         if down >= SURE_SHARE:
             fits.append(leg.leg.id)
         elif down <= 1 - SURE_SHARE:
