@@ -142,8 +142,6 @@ def learn(
     while True:
         samples = source(seconds=next_s)
         left_s -= next_s
-        for line in losses(samples):
-            say_note(line)
         for name, rows in samples.items():
             everything.setdefault(name, []).extend(rows)
             for sample in rows:
@@ -319,19 +317,3 @@ def fit_samples(robot: Robot, gathered: Mapping[str, LegGatherer], origin: str) 
 
 def _free(stretch: Stretch) -> int:
     return int((stretch.swing & stretch.free & stretch.sound).sum())
-
-
-def losses(samples: Mapping[str, list[ServoSample]]) -> list[str]:
-    """Name legs of which too little was read to learn from, and what to do about it."""
-    lines = []
-    for leg, rows in samples.items():
-        if not rows:
-            continue
-        whole = sum(row.valid is None for row in rows) / (rows[-1].seq - rows[0].seq + 1)
-        # Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
-        if whole < 0.97:
-            lines.append(
-                f"leg {leg}: only {100 * whole:.0f} % of its ticks were read in whole and in time; "
-                "end other work on this computer, give --realtime, or check cable and power"
-            )
-    return lines

@@ -216,14 +216,7 @@ class _Pair(NamedTuple):
     change: Array  # (m,) m
     way2: Array  # (m,) m², mean of both
     kept: Ints  # rows that are not left out as the worst
-
-    @property
-    def ratio(self) -> float:
-        """rho²; infinite where they hardly move, or stand together in few ticks."""
-        way = float(self.way2[self.kept].mean()) if self.weight else 0.0
-        if way < LEAST_WAY_M**2:
-            return np.inf
-        return float(np.square(self.change[self.kept]).mean() / way)
+    ratio: float  # rho²; infinite where they hardly move, or stand together in few ticks
 
 
 class Feet:
@@ -274,8 +267,12 @@ class Feet:
         change = np.sqrt(_squared(now - other)) - np.sqrt(_squared(then - before))
         way2 = (_squared(now - then) + _squared(other - before)) / 2.0
         kept = np.argsort(np.abs(change))[: math.ceil(KEPT_SHARE * len(change))]
+        if count < LEAST_ROWS:
+            return _Pair(0.0, change, way2, kept, np.inf)
+        way = float(way2[kept].mean())
+        ratio = float(np.square(change[kept]).mean() / way) if way >= LEAST_WAY_M**2 else np.inf
         # Legs that stand by turns meet in few ticks, those of a touch and a lift.
-        return _Pair(float(count) ** 2 if count >= LEAST_ROWS else 0.0, change, way2, kept)
+        return _Pair(float(count) ** 2, change, way2, kept, ratio)
 
     def _pairs(
         self, chosen: Sequence[Any], among: Sequence[int] | None = None
@@ -301,10 +298,9 @@ class Feet:
         """
         total, weight, partners = np.zeros((3, len(self.legs)))
         for i, j, pair in self._pairs(chosen, among):
-            ratio = pair.ratio
-            if np.isfinite(ratio):
+            if np.isfinite(pair.ratio):
                 for k in (i, j):
-                    total[k] += pair.weight * ratio
+                    total[k] += pair.weight * pair.ratio
                     weight[k] += pair.weight
                     partners[k] += 1
         with np.errstate(invalid="ignore", divide="ignore"):

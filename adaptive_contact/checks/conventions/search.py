@@ -136,7 +136,9 @@ class Search:
         found = [self._zeros_of_all(self._plain[:1])]
         if worst is not None:
             found.append(self._zero_of_one_joint(worst, ZERO_STARTS[:1]))
-        return _only([_Tried(self._mean(readings), readings) for readings in found if readings])
+        return _only(
+            [_Tried(self._cost(readings, self._all), readings) for readings in found if readings]
+        )
 
     def _zero_of_one_joint(self, worst: int, starts_rad: Sequence[float]) -> Readings:
         """The zero of one joint of a leg that explains its motion."""
@@ -159,7 +161,7 @@ class Search:
         if (grid[-1] - grid[0]) * self._period_s < LEAST_S or not self._of_a_kind(self._all):
             return []
         starts = [
-            (self._mean(self._with(self._all, reading)), reading)
+            (self._cost(self._with(self._all, reading), self._all), reading)
             for reading in self._starts()
             # A start is not yet the answer: this share of all ticks is below the axis.
             if all(np.mean(leg.height(reading)[::20] < 0.0) >= 0.8 for leg in self._legs)
@@ -230,7 +232,7 @@ class Search:
             return {}
         legs, described = self._legs, tuple(self._plain)
         tried = {
-            chosen: max(self._worst(chosen), FLOOR**2)
+            chosen: self._cost(chosen, self._all)
             for chosen in map(tuple, self._hands())
             if all(leg.sane(r) and leg.within(r) for leg, r in zip(legs, chosen, strict=True))
         }
@@ -245,7 +247,9 @@ class Search:
             return {} if rivals else {leg.leg.id: Chosen(leg.plain) for leg in legs}
         sane = all(leg.sane(leg.plain) for leg in legs)
         # More choices than these explain a motion that shows nothing.
-        if len(rivals) > 2 or self._worst(described) < (LOOSE**2 if sane else BETTER * least):
+        if len(rivals) > 2 or self._cost(described, self._all) < (
+            LOOSE**2 if sane else BETTER * least
+        ):
             return {}
         found = {}
         for k, leg in enumerate(legs):
@@ -264,10 +268,6 @@ class Search:
         for group, sign in itertools.product(groups, self._legs[0].signs):
             yield self._with(np.flatnonzero(group).tolist(), sign)
 
-    def _worst(self, readings: Readings) -> float:
-        """rho² of the worst leg; infinite where one stands with no other."""
-        return float(self._feet.costs(readings, self._least).max())
-
     # -- helpers ---------------------------------------------------------------------------------
 
     def _of_a_kind(self, group: Sequence[int]) -> bool:
@@ -283,11 +283,8 @@ class Search:
 
     def _cost(self, readings: Readings, group: Sequence[int]) -> float:
         """rho² of the worst leg of a group."""
-        return float(np.clip(self._feet.costs(readings)[group], FLOOR**2, MOST).max())
-
-    def _mean(self, readings: Readings) -> float:
-        """rho² of a leg, on average."""
-        return float(np.clip(self._feet.costs(readings), FLOOR**2, MOST).mean())
+        costs = self._feet.costs(readings, self._least)[group]
+        return float(np.clip(costs, FLOOR**2, MOST).max())
 
 
 def _only(
