@@ -29,9 +29,8 @@ from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.checks.watch import Watch
 from adaptive_contact.core.detect.layout import KEPT
 from adaptive_contact.fit.refit_job import Refitter
-from adaptive_contact.fit.train import cautious
+from adaptive_contact.fit.train import Stretch, cautious, free_rows
 from adaptive_contact.model.model_file import Baseline
-from adaptive_contact.model.window import stack
 from adaptive_contact.notes import SWAPPED
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.gait_phase import infer_phase
@@ -128,21 +127,19 @@ def _errors(
         swing = infer_phase(motion.desired, robot.leg(leg))
     if swing is None:
         return {}
-    free = cautious(swing)
-    theta, target = [], []
-    for part in np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) != 1) + 1):
-        if len(part) <= own.library.window.length + 1:
-            continue
-        cut = stack(motion.measured[part], motion.desired[part], own.library.window)
-        at = part[cut.tick]
-        use = np.flatnonzero(free[at] & free[np.minimum(at + 1, part[-1])])
-        theta.append(own.library.evaluate(cut.measured[use], cut.desired[use], cut.preview[use]))
-        target.append(cut.increment[use])
-    if sum(map(len, target)) < LEAST_TICKS:
+    free, sound = cautious(swing), np.ones(len(swing), dtype=bool)
+    stretches = [
+        Stretch(motion.measured[part], motion.desired[part], swing[part], free[part], sound[part])
+        for part in np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) != 1) + 1)
+        if len(part) > own.library.window.length + 1
+    ]
+    if not stretches:
         return {}
-    regressors, increments = np.concatenate(theta), np.concatenate(target)
+    rows = free_rows(robot.leg(leg), own.library, stretches, robot.quantum(leg))
+    if len(rows.target) < LEAST_TICKS:
+        return {}
     return {
-        name: _root(increments - regressors @ known.model.coefficients)
+        name: _root(rows.target - rows.theta @ known.model.coefficients)
         for name, known in baseline.legs.items()
         if known.model.library == own.library
     }
