@@ -12,6 +12,7 @@ time nearest to its own when it was received.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import statistics
 from collections import Counter
@@ -47,9 +48,6 @@ BEFORE_TICKS: Final = 1
 AFTER_TICKS: Final = 3
 # Stamps on each side of a late one, by which it is judged whether the loop slipped.
 SLIP_TICKS: Final = 25
-# Truth comes 20 ms after its samples, for it states a mean force, and on a key of its own, which
-# may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
-ASTRAY_NS: Final = 1_000_000_000
 # How much of a recording is judged at a time for signs and zeros, and how often.
 JUDGED_NS: Final = 60_000_000_000
 # A reading that is off the median of five: by so many times what one tick in twenty moves, and by
@@ -162,24 +160,17 @@ class LegGatherer:
         """Every run's changes of contact, in order of time."""
         truths: list[list[ContactTruth]] = [[] for _ in self._runs]
         for received in self._changes if truths else ():
-            around = self._around(received)
-            t_ns = received.change.t_ns
-            owner = min(around, key=lambda n: self._runs[n].apart_ns(t_ns, around[n]))
+            near = range(max(received.run - 1, 0), min(received.run + 2, len(truths)))
+            owner = min(near, key=functools.partial(self._apart_ns, received))
             truths[owner].append(received.change)
         return [sorted(truth, key=lambda change: change.t_ns) for truth in truths]
 
-    def _around(self, received: _Received) -> dict[int, int]:
-        """Runs that were received around a change; samples of each by then."""
-        if received.run < 0:
-            return {0: 0}
-        t_ns, n = self._runs[received.run].t_ns, received.run
-        now_ns = t_ns[received.came - 1]
-        around = {n: received.came}
-        if n > 0 and now_ns - t_ns[0] <= ASTRAY_NS:
-            around[n - 1] = len(self._runs[n - 1].t_ns)
-        if n + 1 < len(self._runs) and t_ns[-1] - now_ns <= ASTRAY_NS:
-            around[n + 1] = 0
-        return around
+    def _apart_ns(self, received: _Received, number: int) -> int:
+        """How far a change was from a run's time when it was received."""
+        change_ns, t_ns = received.change.t_ns, self._runs[number].t_ns
+        came = received.came if number == received.run else len(t_ns) * (number < received.run)
+        before, after = t_ns[max(came - 1, 0)], t_ns[min(came, len(t_ns) - 1)]
+        return max(before - change_ns, change_ns - after, 0)
 
     def _stretch(self, rows: list[ServoSample], truth: list[ContactTruth], free: bool) -> Stretch:
         joints = len(self.leg.joints)
@@ -263,11 +254,6 @@ class _Run:
     t_ns: list[int]  # of all samples accepted, used or not
     stretches: list[list[ServoSample]]  # those used, cut where one is missing
 
-    def apart_ns(self, t_ns: int, came: int) -> int:
-        """How far a time is from this run's when ``came`` of its samples had come."""
-        before, after = self.t_ns[max(came - 1, 0)], self.t_ns[min(came, len(self.t_ns) - 1)]
-        return max(before - t_ns, t_ns - after, 0)
-
 
 def _tick_times(rows: list[ServoSample], period_ns: int) -> Ints:
     """(n,) times of ticks: those of an even grid, moved by the mean of what stamps are off it."""
@@ -334,19 +320,19 @@ def judge_conventions(
     begin = min(int(motion.t_ns[0]) for motion in motions.values())
     end = max(int(motion.t_ns[-1]) for motion in motions.values())
     parts = min(max(round((end - begin) / JUDGED_NS), 1), 10)
-    found: dict[str, ConventionFinding] = {}
-    fits: set[str] = set()
-    for part in range(parts):
-        first = begin + (end + 1 - begin) * part // parts
-        verdict = judge_motion(
-            robot,
-            {leg: motion.between(first, first + JUDGED_NS) for leg, motion in motions.items()},
+    firsts = [begin + (end + 1 - begin) * part // parts for part in range(parts)]
+    verdicts = [
+        judge_motion(
+            robot, {leg: m.between(first, first + JUDGED_NS) for leg, m in motions.items()}
         )
-        fits.update(verdict.fits)
-        for finding in verdict.findings:
-            found.setdefault(finding.leg, finding)
+        for first in firsts
+    ]
+    fits = {leg for verdict in verdicts for leg in verdict.fits}
     if hangs:
-        for finding in judge_hanging(robot, motions).findings:
+        verdicts.append(judge_hanging(robot, motions))
+    found: dict[str, ConventionFinding] = {}
+    for verdict in verdicts:
+        for finding in verdict.findings:
             found.setdefault(finding.leg, finding)
     left = tuple(finding for leg, finding in found.items() if leg not in fits)
     return Verdict(left, tuple(leg for leg in motions if leg in fits))
