@@ -43,13 +43,13 @@ def check_live(
     seconds: float,
     *,
     stop: threading.Event,
-    picture: Path | None,
     json: bool,
-) -> int:
+) -> tuple[int, dict[str, list[float]]]:
     """Look for a while, or until ``stop`` is set, then judge; ``json`` prints the report alone.
 
     Returns:
-        The exit code: 0 where nothing is worse than a note, else 1.
+        The exit code: 0 where nothing is worse than a note, else 1; each leg's newest reading,
+        (J,) rad.
 
     Raises:
         NoRouterError: there is no router.
@@ -75,11 +75,7 @@ def check_live(
         say_json(report)
     else:
         _print(report, console)
-    if picture is not None:
-        from adaptive_contact.cli._robot_picture import write_picture
-
-        write_picture(robot, check.angles(), picture)
-    return report.exit_code
+    return report.exit_code, check.angles()
 
 
 def collect_live(
@@ -303,50 +299,51 @@ def check(
     if live:
         if device:
             raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")
-        raise typer.Exit(
-            check_live(
-                opt.described_robot(config),
-                network.client(wait=False),
-                20.0 if seconds is None else seconds,
-                stop=stop,
-                picture=picture,
-                json=json,
-            )
+        robot = opt.described_robot(config)
+        code, angles = check_live(
+            robot,
+            network.client(wait=False),
+            20.0 if seconds is None else seconds,
+            stop=stop,
+            json=json,
         )
-    if json or network.given:
+    elif json or network.given:
         raise ConfigurationError(
             "--connect, --namespace, --zenoh-config and --json go with --live; without it, the bus "
             "is asked"
         )
-    robot = opt.described_robot(config)
-    if not (robot.ports or device):
-        if picture is None:
+    else:
+        robot, code = opt.described_robot(config), 0
+        if robot.ports or device:
+            angles = _check_bus(robot, config, device, 1.0 if seconds is None else seconds, stop)
+        elif picture is None:
             raise ConfigurationError(
                 f"{described_in(config)}: robot '{robot.name}' has no port; add [port.main] with "
                 "its device, give --device /dev/ttyUSB0, or give --live to look at the samples of "
                 "its source"
             )
+        else:
+            angles = {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}
+            say(
+                f"drawn with all joints at 0, as robot '{robot.name}' has no port; with --live it "
+                "stands as its samples say",
+                err=True,
+            )
+    if picture is not None:
         from adaptive_contact.cli._robot_picture import write_picture
 
-        # Its joint angles are unknown.
-        write_picture(robot, {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}, picture)
-        say(
-            f"drawn with all joints at 0, as robot '{robot.name}' has no port; with --live it "
-            "stands as its samples say",
-            err=True,
-        )
-        return
-    _check_bus(robot, config, device, picture, 1.0 if seconds is None else seconds, stop)
+        write_picture(robot, angles, picture)
+    raise typer.Exit(code)
 
 
 def _check_bus(
     robot: Robot,
     config: Path | None,
     device: list[str] | None,
-    picture: Path | None,
     seconds: float,
     stop: threading.Event,
-) -> None:
+) -> dict[str, list[float]]:
+    """Look at the joints by the bus; each leg's newest reading, (J,) rad."""
     from adaptive_contact.bridge.compare import compare, read_servos
     from adaptive_contact.bridge.training import collect
 
@@ -376,10 +373,7 @@ def _check_bus(
             f"leg {', '.join(silent)}: not all of its servos answered; see the lines above"
         )
     console.print(legs_table(check.legs(), console.width))
-    if picture is not None:
-        from adaptive_contact.cli._robot_picture import write_picture
-
-        write_picture(robot, {leg: rows[-1].measured for leg, rows in samples.items()}, picture)
     blank = [leg.id for leg in robot.legs if leg.chain is None]
     if blank:
         say(f"lengths_m (or origins_m) are still missing for leg {', '.join(blank)}", err=True)
+    return {leg: rows[-1].measured for leg, rows in samples.items()}
