@@ -16,6 +16,7 @@ of a left leg with its mirror image looks like a yaw of the wrong sign: both are
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
@@ -23,14 +24,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.checks.conventions.feet import LOOSE, Feet, Walker, on_body
 from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
-from adaptive_contact.checks.standing_feet import StandingFeet
 from adaptive_contact.checks.watch import Watch
 from adaptive_contact.core.detect.layout import KEPT
 from adaptive_contact.fit.refit_job import Refitter
-from adaptive_contact.fit.train import cautious
+from adaptive_contact.fit.train import Stretch, cautious, free_rows
 from adaptive_contact.model.model_file import Baseline
-from adaptive_contact.model.window import stack
 from adaptive_contact.notes import SWAPPED
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.gait_phase import infer_phase
@@ -127,21 +127,19 @@ def _errors(
         swing = infer_phase(motion.desired, robot.leg(leg))
     if swing is None:
         return {}
-    free = cautious(swing)
-    theta, target = [], []
-    for part in np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) != 1) + 1):
-        if len(part) <= own.library.window.length + 1:
-            continue
-        cut = stack(motion.measured[part], motion.desired[part], own.library.window)
-        at = part[cut.tick]
-        use = np.flatnonzero(free[at] & free[np.minimum(at + 1, part[-1])])
-        theta.append(own.library.evaluate(cut.measured[use], cut.desired[use], cut.preview[use]))
-        target.append(cut.increment[use])
-    if sum(map(len, target)) < LEAST_TICKS:
+    free, sound = cautious(swing), np.ones(len(swing), dtype=bool)
+    stretches = [
+        Stretch(motion.measured[part], motion.desired[part], swing[part], free[part], sound[part])
+        for part in np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) != 1) + 1)
+        if len(part) > own.library.window.length + 1
+    ]
+    if not stretches:
         return {}
-    regressors, increments = np.concatenate(theta), np.concatenate(target)
+    rows = free_rows(robot.leg(leg), own.library, stretches, robot.quantum(leg))
+    if len(rows.target) < LEAST_TICKS:
+        return {}
     return {
-        name: _root(increments - regressors @ known.model.coefficients)
+        name: _root(rows.target - rows.theta @ known.model.coefficients)
         for name, known in baseline.legs.items()
         if known.model.library == own.library
     }
@@ -171,22 +169,32 @@ def judge_ids(
         or len({leg.mount for leg in legs}) < len(legs)
     ):
         return fitted
-    places = StandingFeet(robot, motions)
-    if not fitted and places.rigid:  # as nearly always
+    ticks = control_ticks(motions, robot.period_s)
+    walkers = [Walker(leg, motions[leg.id], ticks[leg.id], robot.period_s) for leg in legs]
+    feet = _seated(walkers)
+    own = range(len(walkers))
+    rigid = feet.rigid(own)
+    if not fitted and rigid:  # as nearly always
         return {}
-    orders = places.rigid_orders()
+    costs = feet.costs(own)
+    loose = costs.max(initial=0.0, where=np.isfinite(costs)) >= LOOSE**2
+    # Of a robot that hangs nothing shows.
+    if not (rigid or loose) or 2 * sum(leg.carries(leg.plain) for leg in walkers) < len(own):
+        return fitted
+    orders = [order for order in itertools.permutations(own) if feet.rigid(order)]
     if not orders:
         return fitted
-    ids = places.ids
+    ids = [leg.id for leg in legs]
     named = tuple(ids.index(fitted[leg].leg if leg in fitted else leg) for leg in ids)
     if fitted and named in orders:
         # Two legs may be like two others by chance; their feet then move against the rest.
         return fitted
+    orders.sort(key=lambda order: sum(i != k for i, k in enumerate(order)))
     order = orders[0]
-    moved = [i for i in range(len(ids)) if order[i] != i]
+    moved = [i for i in own if order[i] != i]
     if any(known.get(ids[i], Owner("", "")).leg == ids[i] for i in moved):
         return {}
-    mirrored = places.rigid_with_yaw_turned(moved)
+    mirrored = feet.rigid([len(own) if i in moved else i for i in own])
     placed = {}
     for i in moved:
         why = "feet that stand keep their distances then, and not as the legs are named"
@@ -197,6 +205,23 @@ def judge_ids(
             why += "; as likely, the yaw angles grow the wrong way"
         placed[ids[i]] = Owner(ids[order[i]], why)
     return placed
+
+
+def _seated(legs: Sequence[Walker]) -> Feet:
+    """Feet of which each is read as that of another leg's place, by its number.
+
+    With the number that no leg has it stands at its own place, and its yaws have the other sign.
+    """
+
+    @functools.cache
+    def place(i: int, seat: int) -> Array:
+        turned = seat == len(legs)
+        at = legs[i if turned else seat]
+        yaws = turned & (np.array(at.leg.joint_axes) == "yaw")
+        desired = legs[i].motion.desired * np.where(yaws, -1.0, 1.0)
+        return on_body(at.leg, at.chain.foot(desired))
+
+    return Feet(legs, legs[0].lag, [leg.plain for leg in legs], place)
 
 
 def _either(names: Sequence[str]) -> str:
@@ -211,13 +236,13 @@ def judge_recorded_ids(
     return {leg: owner.note for leg, owner in judge_ids(robot, None, motions).items()}
 
 
-class IdWatch(Watch[Owner]):
-    """Watches whose samples come under each leg's name."""
+def _found_ids(
+    robot: Robot, baseline: Baseline | None, motions: Mapping[str, LegMotion]
+) -> dict[str, Owner | None]:
+    return {**dict.fromkeys(motions), **judge_ids(robot, baseline, motions)}
 
-    def __init__(self, robot: Robot, baseline: Baseline | None, refitter: Refitter) -> None:
-        judge = functools.partial(judge_ids, robot, baseline)
-        super().__init__(robot, refitter, "*ids", TIMES_S, judge)
 
-    def _conclude(self, found: Mapping[str, Owner]) -> None:
-        for leg, track in self._tracks.items():
-            track.take(found.get(leg), right=leg not in found)
+def watch_ids(robot: Robot, baseline: Baseline | None, refitter: Refitter) -> Watch[Owner]:
+    """Make the watch of whose samples come under each leg's name."""
+    judge = functools.partial(_found_ids, robot, baseline)
+    return Watch(robot, refitter, "*ids", TIMES_S, judge)

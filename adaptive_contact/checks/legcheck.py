@@ -162,23 +162,16 @@ def check_ids(published: Sequence[str], described: Sequence[str], robot: str) ->
 
 def _refusals(refused: Sequence[Rejected], total: int) -> Iterator[Fault]:
     """Yield faults of payloads that could not be read; ``total`` is the number of all."""
-    times = [item for item in refused if "$.t_ns" in item.detail]
-    if times:
-        yield Fault.of(
-            "time_type", f"{len(times)} refused ({times[0].detail})", len(times), total=total
-        )
-    rest = [item for item in refused if "$.t_ns" not in item.detail]
-    if rest:
-        reason, number = Counter(item.reason for item in rest).most_common(1)[0]
-        detail = next(item.detail for item in rest if item.reason == reason)
-        whole = reason in (Reject.MALFORMED, Reject.TOO_LARGE)
-        yield Fault.of(
-            "unreadable" if whole else "unreadable-fields",
-            f"{len(rest)} refused; {reason} {number} times: {detail}",
-            len(rest),
-            reason,
-            total=total,
-        )
+    parts: dict[str, list[Rejected]] = {}
+    for item in refused:
+        whole = item.reason in (Reject.MALFORMED, Reject.TOO_LARGE)
+        name = "unreadable" if whole else "unreadable-fields"
+        parts.setdefault("time_type" if "$.t_ns" in item.detail else name, []).append(item)
+    for name, items in parts.items():
+        reason, number = Counter(item.reason for item in items).most_common(1)[0]
+        detail = next(item.detail for item in items if item.reason == reason)
+        found = f"{len(items)} refused; {reason} {number} times: {detail}"
+        yield Fault.of(name, found, len(items), reason, total=total)
 
 
 def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) -> Iterator[Fault]:
@@ -208,23 +201,18 @@ def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
         return
     if phases == {"swing"}:
         yield Fault.of("phase-swing", f"{len(samples)} samples", key="swing")
-    elif _cycles(samples) >= 4:
+    elif _goes_to_and_fro(samples):
         yield Fault.of("phase-stance", f"{len(samples)} samples", key="stance")
 
 
-def _cycles(samples: Sequence[ServoSample]) -> int:
-    """Count how often the joint with the widest command goes from one end to the other."""
-    joints = Counter(len(s.desired) for s in samples).most_common(1)[0][0]
+def _goes_to_and_fro(samples: Sequence[ServoSample]) -> bool:
+    """Return whether the joint with the widest command passes its middle four times or more."""
+    joints = len(samples[0].desired)
     desired = np.array([s.desired for s in samples if len(s.desired) == joints], dtype=np.float64)
-    travel = np.ptp(desired, axis=0)
-    widest = int(np.argmax(travel))
     # A leg that walks: its widest joint travels so far, rad.
-    if not travel[widest] > 0.3:
-        return 0
-    shares = (desired[:, widest] - desired[:, widest].min()) / travel[widest]
-    ends = np.sign(np.where(np.abs(shares - 0.5) > 0.25, shares - 0.5, 0.0))
-    ends = ends[ends != 0.0]
-    return int(np.count_nonzero(np.diff(ends)))
+    low, high = desired.min(axis=0), desired.max(axis=0)
+    above = (desired > (low + high) / 2.0)[:, np.argmax(high - low)]
+    return bool((high - low).max() > 0.3 and np.count_nonzero(np.diff(above)) >= 4)
 
 
 def _publishers(samples: Sequence[ServoSample]) -> Iterator[Fault]:

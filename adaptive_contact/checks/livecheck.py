@@ -16,9 +16,9 @@ import msgspec
 import numpy as np
 
 from adaptive_contact.arrays import Array
+from adaptive_contact.checks.conventions.feet import on_body
 from adaptive_contact.checks.conventions.judge import judge_motion
 from adaptive_contact.checks.conventions.motion import LegMotion
-from adaptive_contact.checks.conventions.rigid import on_body
 from adaptive_contact.checks.findings import Fault, Finding, Level, entries
 from adaptive_contact.checks.legcheck import check_ids, check_leg
 from adaptive_contact.core.detect.stream import fault_of
@@ -277,7 +277,7 @@ class _LegCheck:
 
 
 def _moved(leg: Leg, before: Array, now: Array) -> str:
-    """Describe which joints were moved, and where the foot went by the description."""
+    """Describe which joints were moved, and where on the body the foot went by the description."""
     by = now - before
     most = np.abs(by).max()
     joints = ", ".join(
@@ -287,24 +287,8 @@ def _moved(leg: Leg, before: Array, now: Array) -> str:
     )
     if leg.chain is None:
         return f"{leg.id}: {joints}"
-    was, came = (leg.chain.foot(q) for q in (before, now))
-    if not leg.chain.is_straight:
-        return f"{leg.id}: {joints}: the foot went {_way(leg, came - was)}"
-    rise, turn = came[2] - was[2], np.arctan2(came[1], came[0]) - np.arctan2(was[1], was[0])
-    turn = (turn + np.pi) % (2 * np.pi) - np.pi
-    aside = turn * np.hypot(came[0], came[1])
-    parts = []
-    if abs(rise) >= _GAVE_WAY * abs(aside):
-        parts.append(f"{'up' if rise > 0 else 'down'} by {abs(rise) * 1e3:.0f} mm")
-    if abs(aside) >= _GAVE_WAY * abs(rise):
-        way = "left (counter-clockwise from above)" if aside > 0 else "right (clockwise from above)"
-        parts.append(f"to the {way} by {abs(aside) * 1e3:.0f} mm")
-    return f"{leg.id}: {joints}: the foot went {' and '.join(parts)}"
-
-
-def _way(leg: Leg, by: Array) -> str:
-    """Describe a direction of the foot in words of the body's frame."""
-    ahead, left, up = on_body(leg, by) - on_body(leg, np.zeros(3))
+    was, came = (on_body(leg, leg.chain.foot(q)) for q in (before, now))
+    ahead, left, up = came - was
     ways = ((up, "up", "down"), (ahead, "forward", "back"), (left, "left", "right"))
     most = max(abs(way) for way, *_ in ways)
     parts = [
@@ -312,7 +296,7 @@ def _way(leg: Leg, by: Array) -> str:
         for way, plus, minus in ways
         if abs(way) >= _GAVE_WAY * most
     ]
-    return " and ".join(parts)
+    return f"{leg.id}: {joints}: the foot went {' and '.join(parts)}"
 
 
 def _flatness(resting: Mapping[Leg, Array]) -> Flatness | None:

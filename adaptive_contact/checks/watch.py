@@ -1,17 +1,30 @@
-"""Has the newest motion of all legs judged when it is time; a finding needs two in a row."""
+"""Has the newest motion of all legs judged when it is time; a finding needs two in a row.
+
+A leg whose angles are described wrong (:mod:`adaptive_contact.checks.conventions.judge`), or whose
+samples are another's (:mod:`adaptive_contact.checks.leg_ids`), gets a finding; its learner then
+reports no contacts and learns nothing, as both would rest on a leg that is not this one.
+"""
 
 from __future__ import annotations
 
-import abc
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Final, Generic, Protocol, Self, TypeVar
 
+from adaptive_contact.checks.conventions.judge import ConventionFinding, judge_motion
 from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.core.detect.layout import KEPT
 from adaptive_contact.core.detect.leg_batch import LegPlace
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.robot import Leg, Robot
+
+# When angles are judged, s of samples, until the motion has confirmed every leg; a tripod's 20
+# swings take 28 s.
+ANGLE_TIMES_S: Final = (
+    *(4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 24.0, 28.0, 34.0, 40.0, 50.0),
+    *range(60, 601, 60),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +86,7 @@ class Track(Generic[FindingT]):
         self._suspected = found
 
 
-class Watch(abc.ABC, Generic[FindingT]):
+class Watch(Generic[FindingT]):
     """Has a robot's motion judged when it is time.
 
     Args:
@@ -81,7 +94,9 @@ class Watch(abc.ABC, Generic[FindingT]):
         refitter: makes the judgements.
         name: no leg has it.
         times_s: when it is time, s of samples.
-        judge: judges all legs' motion; a function that can be pickled.
+        judge: judges all legs' motion; a function that can be pickled.  It returns the finding of
+            each leg, None for one that nothing is wrong with.
+        until_confirmed: nothing more is looked for once nothing is wrong with any leg.
     """
 
     def __init__(
@@ -90,9 +105,12 @@ class Watch(abc.ABC, Generic[FindingT]):
         refitter: Refitter | None,
         name: str,
         times_s: Sequence[float],
-        judge: Callable[[Mapping[str, LegMotion]], object],
+        judge: Callable[[Mapping[str, LegMotion]], Mapping[str, FindingT | None]],
+        *,
+        until_confirmed: bool = False,
     ) -> None:
         self._robot, self._name, self._judge = robot, name, judge
+        self._until_confirmed = until_confirmed
         self._refitter = InlineRefitter() if refitter is None else refitter
         self._tracks: dict[str, Track[FindingT]] = {}
         self._times = [round(time / robot.period_s) for time in times_s]
@@ -112,7 +130,7 @@ class Watch(abc.ABC, Generic[FindingT]):
         if self._pending is None:
             self._ask()
         if self._pending is not None:
-            found = self._refitter.collect(self._name, self._pending)
+            found: Any = self._refitter.collect(self._name, self._pending)
             if found is not None:
                 self._pending = None
                 self._conclude(found)
@@ -131,6 +149,29 @@ class Watch(abc.ABC, Generic[FindingT]):
         motions = {leg: track.motion for leg, track in self._tracks.items() if track.begun}
         self._refitter.submit(MotionJob(self._name, self._jobs, self._judge, motions))
 
-    @abc.abstractmethod
-    def _conclude(self, found: Any) -> None:
+    def _conclude(self, found: Mapping[str, FindingT | None]) -> None:
         """Take a judgement."""
+        begun = {leg: track for leg, track in self._tracks.items() if track.begun}
+        # Legs are judged by each other: none is let go before all are confirmed.
+        right = {leg for leg, finding in found.items() if finding is None}
+        confirmed = self._until_confirmed and begun.keys() <= right
+        for leg, track in begun.items():
+            if not track.settled:
+                track.take(found.get(leg), right=leg in right)
+            track.settled |= confirmed or not self._times
+
+
+def judge_angles(
+    robot: Robot, motions: Mapping[str, LegMotion]
+) -> dict[str, ConventionFinding | None]:
+    """Find legs whose angles are counted otherwise than described; None for those that fit."""
+    verdict = judge_motion(robot, motions)
+    unknown = [leg.id for leg in robot.legs if leg.chain is None]
+    found: dict[str, ConventionFinding | None] = dict.fromkeys([*verdict.fits, *unknown])
+    return {**found, **{finding.leg: finding for finding in verdict.findings}}
+
+
+def watch_angles(robot: Robot, refitter: Refitter | None = None) -> Watch[ConventionFinding]:
+    """Make the watch of how the angles of a robot are counted."""
+    judge = functools.partial(judge_angles, robot)
+    return Watch(robot, refitter, "*", ANGLE_TIMES_S, judge, until_confirmed=True)

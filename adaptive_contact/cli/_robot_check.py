@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,7 +34,7 @@ from adaptive_contact.wire import ALL_SERVO, Rejected, ServoSample, decode, leg_
 from adaptive_contact.wire.received import Received
 
 if TYPE_CHECKING:
-    from adaptive_contact.checks.livecheck import LegView, LiveReport
+    from adaptive_contact.checks.livecheck import LegView, LiveCheck, LiveReport
 
 
 def check_live(
@@ -42,13 +43,13 @@ def check_live(
     seconds: float,
     *,
     stop: threading.Event,
-    picture: Path | None,
     json: bool,
-) -> int:
+) -> tuple[int, dict[str, list[float]]]:
     """Look for a while, or until ``stop`` is set, then judge; ``json`` prints the report alone.
 
     Returns:
-        The exit code: 0 where nothing is worse than a note, else 1.
+        The exit code: 0 where nothing is worse than a note, else 1; each leg's newest reading,
+        (J,) rad.
 
     Raises:
         NoRouterError: there is no router.
@@ -58,21 +59,7 @@ def check_live(
     with needs("robot check --live", "doctor", "numpy"):
         from adaptive_contact.checks.livecheck import LiveCheck
 
-    check = LiveCheck(robot)
-    console = table_console(pipe_width=120)
-    drawn = console.is_terminal and not json
-    shown, redrawn = 0, 0.0
-
-    def look() -> None:
-        nonlocal shown, redrawn
-        if not drawn and not json:
-            for line in check.moves[shown:]:
-                console.print(line, soft_wrap=True)
-            shown = len(check.moves)
-        if drawn and time.monotonic() - redrawn >= 0.2:
-            redrawn = time.monotonic()
-            live.update(legs_table(check.legs(), check.moves[-6:], console.width), refresh=True)
-
+    check, console = LiveCheck(robot), table_console(pipe_width=120)
     with Link.open(settings) as link:
         if not json:
             say(
@@ -81,18 +68,14 @@ def check_live(
                 "wrong.",
                 err=True,
             )
-        with Live(console=console, auto_refresh=False, transient=True) as live:
+        with _shown(check, console, quiet=json) as look:
             elapsed = listen(link, ALL_SERVO, seconds, check.take, stop=stop, look=look)
     report = check.report(elapsed)
     if json:
         say_json(report)
     else:
-        _print(report, console, moves=drawn)
-    if picture is not None:
-        from adaptive_contact.cli._robot_picture import write_picture
-
-        write_picture(robot, check.angles(), picture)
-    return report.exit_code
+        _print(report, console)
+    return report.exit_code, check.angles()
 
 
 def collect_live(
@@ -136,12 +119,37 @@ def collect_live(
     return kept
 
 
-def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
+@contextlib.contextmanager
+def _shown(
+    check: LiveCheck, console: Console, *, quiet: bool = False
+) -> Iterator[Callable[[], None]]:
+    """Print moves as they come, below them every joint where this is a terminal.
 
+    Yields:
+        What is to be called now and then; it does nothing where ``quiet``.
+    """
+    printed, redrawn = 0, 0.0
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+
+        def look() -> None:
+            nonlocal printed, redrawn
+            if quiet:
+                return
+            for line in check.moves[printed:]:
+                console.print(line, soft_wrap=True)
+            printed = len(check.moves)
+            if console.is_terminal and time.monotonic() - redrawn >= 0.2:
+                redrawn = time.monotonic()
+                live.update(legs_table(check.legs(), console.width), refresh=True)
+
+        yield look
+
+
+def _print(report: LiveReport, console: Console) -> None:
     from adaptive_contact.cli.doctor import print_findings
 
     if report.legs:
-        console.print(legs_table(report.legs, report.moves if moves else [], console.width))
+        console.print(legs_table(report.legs, console.width))
     for line in report_lines(report):
         console.print(Text(line))
     print_findings(report.findings, console)
@@ -202,11 +210,11 @@ def report_lines(report: LiveReport) -> list[str]:
     return lines
 
 
-def legs_table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Table:
+def legs_table(legs: Sequence[LegView], width: int) -> Table:
     """Format every joint as it is now, and where the foot is, in a number of columns."""
     import numpy as np
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), caption_justify="left")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     columns = ["leg", "Hz", "joint", "wire", "angle", "range", "goal", "sign", "limits", "foot"]
     # A terminal narrower than this has no room for the foot.
     for column in columns[: 10 if width >= 96 else 9]:
@@ -239,8 +247,6 @@ def legs_table(legs: Sequence[LegView], moves: Sequence[str], width: int) -> Tab
                 where[j] if j < len(where) else "",
             ]
             table.add_row(*row[: len(table.columns)])
-    if moves:
-        table.caption = Text("\n".join(moves), style="not dim not italic")
     return table
 
 
@@ -293,50 +299,51 @@ def check(
     if live:
         if device:
             raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")
-        raise typer.Exit(
-            check_live(
-                opt.described_robot(config),
-                network.client(wait=False),
-                20.0 if seconds is None else seconds,
-                stop=stop,
-                picture=picture,
-                json=json,
-            )
+        robot = opt.described_robot(config)
+        code, angles = check_live(
+            robot,
+            network.client(wait=False),
+            20.0 if seconds is None else seconds,
+            stop=stop,
+            json=json,
         )
-    if json or network.given:
+    elif json or network.given:
         raise ConfigurationError(
             "--connect, --namespace, --zenoh-config and --json go with --live; without it, the bus "
             "is asked"
         )
-    robot = opt.described_robot(config)
-    if not (robot.ports or device):
-        if picture is None:
+    else:
+        robot, code = opt.described_robot(config), 0
+        if robot.ports or device:
+            angles = _check_bus(robot, config, device, 1.0 if seconds is None else seconds, stop)
+        elif picture is None:
             raise ConfigurationError(
                 f"{described_in(config)}: robot '{robot.name}' has no port; add [port.main] with "
                 "its device, give --device /dev/ttyUSB0, or give --live to look at the samples of "
                 "its source"
             )
+        else:
+            angles = {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}
+            say(
+                f"drawn with all joints at 0, as robot '{robot.name}' has no port; with --live it "
+                "stands as its samples say",
+                err=True,
+            )
+    if picture is not None:
         from adaptive_contact.cli._robot_picture import write_picture
 
-        # Its joint angles are unknown.
-        write_picture(robot, {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}, picture)
-        say(
-            f"drawn with all joints at 0, as robot '{robot.name}' has no port; with --live it "
-            "stands as its samples say",
-            err=True,
-        )
-        return
-    _check_bus(robot, config, device, picture, 1.0 if seconds is None else seconds, stop)
+        write_picture(robot, angles, picture)
+    raise typer.Exit(code)
 
 
 def _check_bus(
     robot: Robot,
     config: Path | None,
     device: list[str] | None,
-    picture: Path | None,
     seconds: float,
     stop: threading.Event,
-) -> None:
+) -> dict[str, list[float]]:
+    """Look at the joints by the bus; each leg's newest reading, (J,) rad."""
     from adaptive_contact.bridge.compare import compare, read_servos
     from adaptive_contact.bridge.training import collect
 
@@ -349,28 +356,24 @@ def _check_bus(
 
     check, console = LiveCheck(robot), table_console(pipe_width=120)
     taken: Counter[str] = Counter()
-    with Live(console=console, refresh_per_second=10, transient=True) as live:
+    with _shown(check, console) as look:
 
-        def look(so_far: dict[str, list[ServoSample]]) -> None:
+        def take(so_far: dict[str, list[ServoSample]]) -> None:
             for leg, rows in so_far.items():
                 for row in rows[taken[leg] :]:
                     check.take_sample(leg, row)
                 taken[leg] = len(rows)
-            if console.is_terminal:
-                live.update(legs_table(check.legs(), check.moves[-6:], console.width))
+            look()
 
-        samples = collect(plans, seconds, stop=stop, say=say_note, look=look)
-    look(samples)
+        samples = collect(plans, seconds, stop=stop, say=say_note, look=take)
+        take(samples)
     silent = [leg.id for leg in robot.legs if not samples.get(leg.id)]
     if silent:
         raise ConfigurationError(
             f"leg {', '.join(silent)}: not all of its servos answered; see the lines above"
         )
-    console.print(legs_table(check.legs(), check.moves, console.width))
-    if picture is not None:
-        from adaptive_contact.cli._robot_picture import write_picture
-
-        write_picture(robot, {leg: rows[-1].measured for leg, rows in samples.items()}, picture)
+    console.print(legs_table(check.legs(), console.width))
     blank = [leg.id for leg in robot.legs if leg.chain is None]
     if blank:
         say(f"lengths_m (or origins_m) are still missing for leg {', '.join(blank)}", err=True)
+    return {leg: rows[-1].measured for leg, rows in samples.items()}

@@ -15,7 +15,7 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, plans_of, shake_hands
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
-from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
+from adaptive_contact.errors import ConfigurationError, TooLittleDataError
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample, servo_key
 
@@ -142,8 +142,6 @@ def learn(
     while True:
         samples = source(seconds=next_s)
         left_s -= next_s
-        for line in losses(samples):
-            say_note(line)
         for name, rows in samples.items():
             everything.setdefault(name, []).extend(rows)
             for sample in rows:
@@ -298,61 +296,24 @@ def fit_samples(robot: Robot, gathered: Mapping[str, LegGatherer], origin: str) 
     try:
         with threadpool_limits(1):  # matrices this small only wait for each other in threads
             return train.learn(robot, streams, origin=origin)
-    except IdentificationError as error:
-        short = _shortfalls(robot, streams, gathered, error)
-        if not short:
-            raise
-        have = sum(_free(x) for stretches in streams.values() for x in stretches)
-        needed = round(have * max(factor for _, factor in short))
-        lines = "; ".join(line for line, _ in short)
-        raise TooLittleDataError(f"too little to learn from: {lines}", have, needed) from error
+    except TooLittleDataError as error:
+        factor = _MORE * error.needed / max(error.have, 1)
+        have, lines = 0, []
+        for leg, gatherer in gathered.items():
+            ticks = sum(map(_free, streams.get(leg, ())))
+            have += ticks
+            more_s = math.ceil(gatherer.samples * robot.period_s * (factor - 1.0))
+            lines.append(
+                f"leg {leg} {ticks} of {math.ceil(ticks * factor)} free ticks, {more_s} s more at "
+                "this pace"
+                if ticks
+                else f"leg {leg} was not swung"
+            )
+        listed = "; ".join(lines)
+        raise TooLittleDataError(
+            f"too little to learn from: {listed}", have, round(have * factor)
+        ) from error
 
 
 def _free(stretch: Stretch) -> int:
     return int((stretch.swing & stretch.free & stretch.sound).sum())
-
-
-def _shortfalls(
-    robot: Robot,
-    streams: Mapping[str, Sequence[Stretch]],
-    gathered: Mapping[str, LegGatherer],
-    error: IdentificationError,
-) -> list[tuple[str, float]]:
-    """Return what is missing of every leg, in words, and how many times as much it takes."""
-    from adaptive_contact.model import leg_library
-
-    # Thresholds rest on all legs together: each has its part in what they lack.
-    together = error.needed / max(error.have, 1) if isinstance(error, TooLittleDataError) else 0.0
-    lines = []
-    for leg in robot.legs:
-        have = sum(_free(stretch) for stretch in streams.get(leg.id, ()))
-        if not have:
-            lines.append((f"leg {leg.id} was not swung", 0.0))
-            continue
-        # Free ticks per term of the library below which a fit is refused (adapt.training).
-        least = 4 * leg_library(robot, leg, "servo", None).size
-        factor = max(together, least / have) * _MORE
-        if factor > _MORE:
-            seconds = gathered[leg.id].samples * robot.period_s
-            more = max(math.ceil(seconds * (factor - 1.0)), 1)
-            wanted = math.ceil(have * factor)
-            lines.append(
-                (f"leg {leg.id} {have} of {wanted} free ticks, {more} s more at this pace", factor)
-            )
-    return lines if any(factor for _, factor in lines) else []
-
-
-def losses(samples: Mapping[str, list[ServoSample]]) -> list[str]:
-    """Name legs of which too little was read to learn from, and what to do about it."""
-    lines = []
-    for leg, rows in samples.items():
-        if not rows:
-            continue
-        whole = sum(row.valid is None for row in rows) / (rows[-1].seq - rows[0].seq + 1)
-        # Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
-        if whole < 0.97:
-            lines.append(
-                f"leg {leg}: only {100 * whole:.0f} % of its ticks were read in whole and in time; "
-                "end other work on this computer, give --realtime, or check cable and power"
-            )
-    return lines

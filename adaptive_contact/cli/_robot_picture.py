@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.checks.conventions.rigid import on_body
+from adaptive_contact.checks.conventions.feet import on_body
 from adaptive_contact.cli._output import say
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
@@ -115,12 +115,10 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
 
 def _views(leg: Leg, angles: Sequence[float], *, placed: bool) -> list[_View]:
     assert leg.chain is not None
-    straight = leg.chain.is_straight
+    yaws = leg.chain.is_straight or leg.chain.vectors[0, 2] ** 2 > _FACING**2
+    beside = [_own_plane(leg, angles)] if yaws else [_SIDE, _FRONT]
     # Without mounts the legs' places are unknown: each is drawn from above by itself.
-    above = [] if placed and (straight or leg.chain.vectors[0, 2] ** 2 <= _FACING**2) else [_ABOVE]
-    if straight or leg.chain.vectors[0, 2] ** 2 > _FACING**2:
-        return [_own_plane(leg, angles), *above]
-    return [_SIDE, _FRONT, *above]
+    return beside if placed else [*beside, _ABOVE]
 
 
 def _own_plane(leg: Leg, angles: Sequence[float]) -> _View:
@@ -176,7 +174,7 @@ def _panel(
     else:
         parts += [
             _text(left + 10, top + 20, legs[0].id, _INK, bold=True),
-            _text(left + 10, top + 36, f"{_side(legs[0])}{view.words}", _GREY),
+            _text(left + 10, top + 36, view.words, _GREY),
             _text(left + 10, top + 51, view.ways, _GREY),
         ]
     for leg, at, (_, turns) in zip(legs, on_page, seen, strict=True):
@@ -216,17 +214,6 @@ def _flat(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_
             x, y = (beyond - beyond[0])[int(np.argmax(far))]
             turns.append((j, float(np.arctan2(y, x)), 1 if towards[j] > 0 else -1))
     return np.asarray(on_body(leg, points) @ plane.T), turns
-
-
-def _side(leg: Leg) -> str:
-    """Return where on the body a leg sits, as far as the mount says."""
-    x, y, _ = leg.mount.xyz_m
-    words = [
-        "left" if y > 0 else "right" if y < 0 else "",
-        "front" if x > 0 else "rear" if x < 0 else "",
-    ]
-    place = " ".join(word for word in words if word)
-    return f"{place}, " if place else ""
 
 
 def _turning(

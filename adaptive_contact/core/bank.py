@@ -17,8 +17,8 @@ from typing import Final, TypeVar, TypeVarTuple
 import msgspec
 import numpy as np
 
-from adaptive_contact.checks.angle_watch import ConventionWatch
-from adaptive_contact.checks.leg_ids import IdWatch
+from adaptive_contact.checks.leg_ids import watch_ids
+from adaptive_contact.checks.watch import watch_angles
 from adaptive_contact.compiled import note_cached
 from adaptive_contact.core.detect.leg_batch import LegBatch
 from adaptive_contact.core.detect.stream import fault_of
@@ -201,8 +201,8 @@ class LearnerBank:
         self.robot = robot
         self.baseline = baseline
         self._refitter = refitter or InlineRefitter()
-        self._conventions = ConventionWatch(robot, self._refitter)
-        self._ids = IdWatch(robot, baseline, self._refitter)
+        self._conventions = watch_angles(robot, self._refitter)
+        self._ids = watch_ids(robot, baseline, self._refitter)
         self._learners: dict[str, ContactLearner] = {}
         self._on_fault = on_fault
         self._when_ambiguous, self._mode = when_ambiguous, mode

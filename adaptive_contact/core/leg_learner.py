@@ -17,8 +17,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.checks.angle_watch import ConventionWatch
+from adaptive_contact.checks.conventions.judge import ConventionFinding
 from adaptive_contact.checks.limits import Limits
+from adaptive_contact.checks.watch import Watch, watch_angles
 from adaptive_contact.core.detect.history import MAX_STEP_RAD_S
 from adaptive_contact.core.detect.layout import (
     BEGAN,
@@ -59,7 +60,7 @@ from adaptive_contact.wire import (
 )
 
 if TYPE_CHECKING:  # imports the fits
-    from adaptive_contact.checks.leg_ids import IdWatch
+    from adaptive_contact.checks.leg_ids import Owner
 
 # Confirmed rows learned per tick, at most (a valid leg learns one): a swing's dozen are spread over
 # the stance that follows.
@@ -127,8 +128,8 @@ class ContactLearner:
         *,
         mode: LearnerMode = LearnerMode.FULL,
         refitter: Refitter | None = None,
-        conventions: ConventionWatch | None = None,
-        ids: IdWatch | None = None,
+        conventions: Watch[ConventionFinding] | None = None,
+        ids: Watch[Owner] | None = None,
         when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
     ) -> None:
         if baseline is not None:
@@ -140,7 +141,7 @@ class ContactLearner:
         self.lifecycle = Lifecycle(robot, self.leg, baseline, mode, refitter or InlineRefitter())
         self.place = LegPlace(self._batch())
         self._guard = StreamGuard(len(self.leg.joints))
-        self._conventions = ConventionWatch(robot) if conventions is None else conventions
+        self._conventions = watch_angles(robot) if conventions is None else conventions
         self._track = self._conventions.track(self.leg, self.place)
         self._ids = None if ids is None else ids.track(self.leg, self.place)
         self._misread = False  # the leg's angles are not counted as described

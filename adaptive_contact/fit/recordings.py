@@ -5,13 +5,15 @@ ends a stretch.  What may be learned as free comes from the truth where a record
 from the cautious part of each swing where it has not.
 
 A change of the truth states its time by its source's clock, but not the start of the source that it
-belongs to; the next start may count the same times again.  So every run has its own truth.  A
-change that may be of either of two runs makes no tick of either free.
+belongs to; the next start may count the same times again.  It is of the run whose samples had a
+time nearest to its own when it was received.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -22,16 +24,15 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.checks.conventions.judge import (
     ConventionFinding,
-    LegMotion,
     Verdict,
     judge_hanging,
     judge_motion,
 )
+from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.checks.limits import Limits, find_limits
 from adaptive_contact.checks.source_watch import RateWatch, Seams
 from adaptive_contact.core.detect.source import LATE_PERIODS
 from adaptive_contact.core.detect.stream import (
-    RESET_SAMPLES,
     StreamGuard,
 )
 from adaptive_contact.errors import IdentificationError
@@ -47,9 +48,6 @@ BEFORE_TICKS: Final = 1
 AFTER_TICKS: Final = 3
 # Stamps on each side of a late one, by which it is judged whether the loop slipped.
 SLIP_TICKS: Final = 25
-# Truth comes 20 ms after its samples, for it states a mean force, and on a key of its own, which
-# may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
-ASTRAY_NS: Final = 1_000_000_000
 # How much of a recording is judged at a time for signs and zeros, and how often.
 JUDGED_NS: Final = 60_000_000_000
 # A reading that is off the median of five: by so many times what one tick in twenty moves, and by
@@ -158,53 +156,30 @@ class LegGatherer:
             [row for stretch in self._runs[-1].stretches for row in stretch] if self._runs else []
         )
 
-    def _truths(self) -> list[_Truth]:
-        """Every run's truth."""
-        truths = [_Truth([], []) for _ in self._runs]
-        if not truths:
-            return truths
-        for received in self._changes:
-            owners = self._owners(received)
-            for n in owners:
-                kept = truths[n].sure if len(owners) == 1 else truths[n].uncertain
-                kept.append(received.change)
-        return truths
+    def _truths(self) -> list[list[ContactTruth]]:
+        """Every run's changes of contact, in order of time."""
+        truths: list[list[ContactTruth]] = [[] for _ in self._runs]
+        for received in self._changes if truths else ():
+            near = range(max(received.run - 1, 0), min(received.run + 2, len(truths)))
+            owner = min(near, key=functools.partial(self._apart_ns, received))
+            truths[owner].append(received.change)
+        return [sorted(truth, key=lambda change: change.t_ns) for truth in truths]
 
-    def _owners(self, received: _Received) -> list[int]:
-        """Numbers of the runs that a change may be of; with more than one it is uncertain."""
-        t_ns = received.change.t_ns
-        # Where `run` does not show a restart, that many samples of the new run are refused.
-        slack_ns = RESET_SAMPLES * self._period_ns
-        around = self._around(received)
-        near = [n for n, came in around.items() if self._runs[n].near(t_ns, came)]
-        holding = [n for n in near or range(len(self._runs)) if self._runs[n].holds(t_ns, slack_ns)]
-        if near:
-            return holding or near
-        return list({*around, *holding})
+    def _apart_ns(self, received: _Received, number: int) -> int:
+        """How far a change was from a run's time when it was received."""
+        change_ns, t_ns = received.change.t_ns, self._runs[number].t_ns
+        came = received.came if number == received.run else len(t_ns) * (number < received.run)
+        before, after = t_ns[max(came - 1, 0)], t_ns[min(came, len(t_ns) - 1)]
+        return max(before - change_ns, change_ns - after, 0)
 
-    def _around(self, received: _Received) -> dict[int, int]:
-        """Runs that were received around a change; samples of each by then."""
-        if received.run < 0:
-            return {0: 0}
-        t_ns, n = self._runs[received.run].t_ns, received.run
-        now_ns = t_ns[received.came - 1]
-        around = {n: received.came}
-        if n > 0 and now_ns - t_ns[0] <= ASTRAY_NS:
-            around[n - 1] = len(self._runs[n - 1].t_ns)
-        if n + 1 < len(self._runs) and t_ns[-1] - now_ns <= ASTRAY_NS:
-            around[n + 1] = 0
-        return around
-
-    def _stretch(self, rows: list[ServoSample], truth: _Truth, free: bool) -> Stretch:
+    def _stretch(self, rows: list[ServoSample], truth: list[ContactTruth], free: bool) -> Stretch:
         joints = len(self.leg.joints)
         desired = self._limits.clip(np.array([s.desired for s in rows]))
         swing = self._swing(rows, desired)
         # A run without changes may have touched nothing, or not know.
-        certain = bool(truth.sure) or free
+        certain = bool(truth) or free
         mask = np.ones(len(rows), dtype=bool) if certain else cautious(swing)
-        t_ns = _tick_times(rows, self._period_ns)
-        for changes in truth.readings():
-            mask &= untouched(t_ns, changes, self._period_ns)
+        mask &= untouched(_tick_times(rows, self._period_ns), truth, self._period_ns)
         measured = np.array([s.measured for s in rows]).reshape(-1, joints)
         answered = np.array([s.valid is None or all(s.valid) for s in rows])
         return Stretch(
@@ -254,7 +229,7 @@ def untouched(t_ns: Ints, truth: Iterable[ContactTruth], period_ns: int) -> Mask
     the reading after: ticks are excluded by time, not by state.
 
     Args:
-        t_ns: (n,) times of the readings.
+        t_ns: (n,) times of the readings, one at least.
         truth: changes of contact, in order.
         period_ns: control tick.
 
@@ -262,24 +237,14 @@ def untouched(t_ns: Ints, truth: Iterable[ContactTruth], period_ns: int) -> Mask
         (n,) True where nothing touches.
     """
     mask = np.ones(len(t_ns), dtype=bool)
-    onset: int | None = None
-    for change in truth:
-        if change.contact:
-            onset = change.t_ns if onset is None else onset
-        elif onset is not None:
-            _exclude(mask, t_ns, onset, change.t_ns, period_ns)
-            onset = None
-        else:  # the recording began in contact
-            _exclude(mask, t_ns, int(t_ns[0]), change.t_ns, period_ns)
-    if onset is not None and len(t_ns):
-        _exclude(mask, t_ns, onset, int(t_ns[-1]), period_ns)
+    first, last = int(t_ns[0]), int(t_ns[-1])
+    changes = [(first, False), *((one.t_ns, one.contact) for one in truth), (last, True)]
+    for (since, touches), (until, touched) in itertools.pairwise(changes):
+        if touches or not touched:  # between two releases an onset was lost
+            begin = np.searchsorted(t_ns, since - BEFORE_TICKS * period_ns)
+            end = np.searchsorted(t_ns, until + AFTER_TICKS * period_ns, side="right")
+            mask[begin:end] = False
     return mask
-
-
-def _exclude(mask: Mask, t_ns: Ints, onset: int, release: int, period_ns: int) -> None:
-    first = np.searchsorted(t_ns, onset - BEFORE_TICKS * period_ns)
-    last = np.searchsorted(t_ns, release + AFTER_TICKS * period_ns, side="right")
-    mask[first:last] = False
 
 
 @dataclasses.dataclass
@@ -288,15 +253,6 @@ class _Run:
 
     t_ns: list[int]  # of all samples accepted, used or not
     stretches: list[list[ServoSample]]  # those used, cut where one is missing
-
-    def near(self, t_ns: int, came: int) -> bool:
-        """Whether a time is near this run's when ``came`` of its samples had come."""
-        before, after = self.t_ns[max(came - 1, 0)], self.t_ns[min(came, len(self.t_ns) - 1)]
-        return before - ASTRAY_NS <= t_ns <= after + ASTRAY_NS
-
-    def holds(self, t_ns: int, slack_ns: int) -> bool:
-        """Whether a time is between those of the first sample and the last."""
-        return self.t_ns[0] - slack_ns <= t_ns <= self.t_ns[-1] + slack_ns
 
 
 def _tick_times(rows: list[ServoSample], period_ns: int) -> Ints:
@@ -343,24 +299,6 @@ class _Received(NamedTuple):
     came: int  # samples of that run by then
 
 
-class _Truth(NamedTuple):
-    """Changes of contact in order of time: one run's own, and those that may be another's."""
-
-    sure: list[ContactTruth]
-    uncertain: list[ContactTruth]
-
-    def readings(self) -> Iterator[list[ContactTruth]]:
-        """What may have happened; free is what is free in each."""
-        onsets = [change for change in self.uncertain if change.contact]
-        yield sorted(self.sure + onsets, key=_time)
-        if self.uncertain:  # a release that may be another's must not end a contact
-            yield sorted(self.sure + self.uncertain, key=_time)
-
-
-def _time(change: ContactTruth) -> int:
-    return change.t_ns
-
-
 def judge_conventions(
     robot: Robot, gathered: Mapping[str, LegGatherer], *, hangs: bool = False
 ) -> Verdict:
@@ -382,19 +320,19 @@ def judge_conventions(
     begin = min(int(motion.t_ns[0]) for motion in motions.values())
     end = max(int(motion.t_ns[-1]) for motion in motions.values())
     parts = min(max(round((end - begin) / JUDGED_NS), 1), 10)
-    found: dict[str, ConventionFinding] = {}
-    fits: set[str] = set()
-    for part in range(parts):
-        first = begin + (end + 1 - begin) * part // parts
-        verdict = judge_motion(
-            robot,
-            {leg: motion.between(first, first + JUDGED_NS) for leg, motion in motions.items()},
+    firsts = [begin + (end + 1 - begin) * part // parts for part in range(parts)]
+    verdicts = [
+        judge_motion(
+            robot, {leg: m.between(first, first + JUDGED_NS) for leg, m in motions.items()}
         )
-        fits.update(verdict.fits)
-        for finding in verdict.findings:
-            found.setdefault(finding.leg, finding)
+        for first in firsts
+    ]
+    fits = {leg for verdict in verdicts for leg in verdict.fits}
     if hangs:
-        for finding in judge_hanging(robot, motions).findings:
+        verdicts.append(judge_hanging(robot, motions))
+    found: dict[str, ConventionFinding] = {}
+    for verdict in verdicts:
+        for finding in verdict.findings:
             found.setdefault(finding.leg, finding)
     left = tuple(finding for leg, finding in found.items() if leg not in fits)
     return Verdict(left, tuple(leg for leg in motions if leg in fits))

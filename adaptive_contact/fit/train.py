@@ -210,7 +210,7 @@ def gather_rows(
     Raises:
         TooLittleDataError: there is too little to learn from.
     """
-    rows = _rows(leg, library, stretches, quantum_rad)
+    rows = free_rows(leg, library, stretches, quantum_rad)
     _check_enough(leg, library, rows)
     keep = inliers(library, rows.theta, rows.target, rows.position, quantum_rad)
     touched = 0
@@ -311,7 +311,8 @@ def _check_enough(leg: Leg, library: Library, rows: Rows) -> None:
             )
 
 
-def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> Rows:
+def free_rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> Rows:
+    """Gather the free ticks of one leg, as :func:`gather_rows`, with what stands out."""
     parts: list[tuple[Array | Ints | Mask, ...]] = []  # of the rows, in the order of `Rows`
     swings = 0
     offset = 0

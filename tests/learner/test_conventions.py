@@ -11,12 +11,8 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactEvent, LearnerBank, ServoSample
-from adaptive_contact.checks.conventions.judge import (
-    LegMotion,
-    Verdict,
-    judge_hanging,
-    judge_motion,
-)
+from adaptive_contact.checks.conventions.judge import Verdict, judge_hanging, judge_motion
+from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Mount, Robot, shipped_robot

@@ -115,18 +115,6 @@ def test_a_contact_is_of_the_run_that_told_it(
     assert [pressed(stretch.free) for stretch in found] == expected
 
 
-def test_what_may_be_of_either_run_frees_nothing(robot: Robot) -> None:
-    # Both began at 0: the release may be that of either, and neither has another one.
-    first, second = gather(
-        robot,
-        ticks(0, 5, run=1), onset(4.5), ticks(5, 20, run=1),
-        ticks(0, 6, run=2), onset(5.5), ticks(6, 10, run=2), release(8.5),
-        ticks(10, 100, run=2), onset(90.5),
-    ).stretches()  # fmt: skip
-    assert not first.free[4:].any()
-    assert not second.free[5:].any()
-
-
 def test_a_run_without_a_word_of_truth_is_not_known_to_be_free(robot: Robot) -> None:
     for heard, certain in ((), [False, True]), ((onset(50.5),), [True, True]):
         both = gather(robot, ticks(0, 60, run=1), heard, ticks(0, 200, run=2), onset(199.5))

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from adaptive_contact.checks.conventions.judge import LegMotion, Verdict, judge_motion
+from adaptive_contact.checks.conventions.judge import Verdict, judge_motion
+from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.robot import shipped_robot
 
 TICKS, CYCLE = 1500, 100

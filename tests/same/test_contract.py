@@ -33,19 +33,19 @@ from .recordings import Round
 
 ROOMS: Final = (
     *("core", "core.detect", "core.learn", "fit", "model"),
-    *("checks.angle_watch", "checks.leg_ids", "checks.source_watch", "checks.watch"),
+    *("checks.leg_ids", "checks.source_watch", "checks.watch"),
 )
 # Nothing of them changes once they are made.
-FIXED: Final = {"HeldOut", "Rows", "StandingFeet", "_Posterior", "_Speeds", "_Swings"}
+FIXED: Final = {"HeldOut", "Rows", "_Posterior", "_Speeds", "_Swings"}
 # What bad samples change: counts of them, and when all legs are compared, which counts calls.
 COUNTED: Final = (
-    "Counters.rejects", "LegGatherer.rejects", "ConventionWatch", "IdWatch", "InlineRefitter",
+    "Counters.rejects", "LegGatherer.rejects", "Watch", "InlineRefitter",
 )  # fmt: skip
 # What a leg that is reset keeps: counts, regions of the ground, and what is of no leg or of all.
 KEPT: Final = (
     "Counters", "StreamGuard.restarts", "LegBatch.legs.total_n", "Lifecycle.begun", "_Range",
     "ContactLearner._begun", "SwingLabels._region", "Segment.cell", "_Run",
-    "Landings._late", "ConventionWatch", "IdWatch", "InlineRefitter", "LegGatherer", "Factor",
+    "Landings._late", "Watch", "InlineRefitter", "LegGatherer", "Factor",
 )  # fmt: skip
 BAD: Final[Sequence[dict[str, Any]]] = (
     {"measured": [math.nan] * 3}, {"desired": [0.0, math.inf, 0.0]}, {"measured": [0.1] * 2},

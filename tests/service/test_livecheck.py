@@ -131,13 +131,11 @@ def test_a_joint_moved_by_hand_is_named_with_the_way_its_foot_went() -> None:
     leg = shipped_robot().leg("lf")
     raised = (0.0, 1.1, -1.8)
     was, came = (foot(pose, leg.lengths_m, leg.joint_axes)[2] for pose in (STANDING, raised))
-    assert moved(STANDING, raised) == [
-        f"lf: femur +28.6°: the foot went up by {1e3 * (came - was):.0f} mm"
-    ]
+    (up,) = moved(STANDING, raised)
+    assert up.startswith(f"lf: femur +28.6°: the foot went up by {1e3 * (came - was):.0f} mm and")
     (left,) = moved(STANDING, (0.4, 0.6, -1.8))
-    assert left.startswith("lf: coxa +22.9°: the foot went to the left (counter-clockwise")
-    (right,) = moved((0.4, 0.6, -1.8), STANDING)
-    assert "to the right (clockwise" in right
+    assert left.startswith("lf: coxa +22.9°: the foot went back by")
+    assert " and left by " in left
     assert moved(STANDING, (0.0, 0.65, -1.8)) == []  # 3 degrees are no move
 
 

@@ -3,8 +3,8 @@ r"""Finds joints whose angles mean something else than ``robot.toml`` says, from
 Half of all robots count pitch angles downwards, and a leg described so is learned, judged and
 driven wrong without any error.  Three facts of a robot's body show it, none of them a model:
 
-1. *Feet that stand do not move against each other* (``rigid.py``).  Needs
-   the mounts of three legs; shows signs, the order of joints, and zeros.
+1. *Feet that stand do not move against each other* (``feet.py``).  Needs the
+   mounts of three legs; shows signs, the order of joints, and zeros.
 2. *A foot that swings is higher than one that stands*, and a foot that stands is below the axis
    that pitches it.  Both turn round with the signs of all pitch joints of a leg.
 3. *The ground pushes up.*  Where a leg stands, it is above its command in the direction
@@ -16,42 +16,26 @@ all else is no finding: a wrong accusation is worse than silence.
 
 Of chains that are not straight (yaws, then pitches, links along x) the mirror image often walks as
 well.  Of these only signs are judged by rigid feet, and what walks as well is named or kept quiet
-(:func:`choose_signs`).
+(``search.py``).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
+from adaptive_contact.checks.conventions.feet import SURE_SHARE, Reading, Walker
 from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
-from adaptive_contact.checks.conventions.rigid import BETTER, FLOOR, LAG_S, RIGID, Reading
-from adaptive_contact.checks.conventions.sign_choices import SURE_SHARE, Chosen, LegChoices
-from adaptive_contact.checks.conventions.together import (
-    LOOSE,
-    OPEN_RAD,
-    Pairs,
-    choose,
-    pairs_of,
-)
+from adaptive_contact.checks.conventions.search import OPEN_RAD, Chosen, Search
 from adaptive_contact.notes import IN_ORDER, WRONG_WAY, ZEROS
 from adaptive_contact.robot.description import AngleFrame, Leg, Mount, Robot, angles_text
 
-__all__ = [
-    "Chosen",
-    "ConventionFinding",
-    "LegMotion",
-    "Verdict",
-    "choose_signs",
-    "judge_hanging",
-    "judge_motion",
-]
-
 _UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
 _PUSHED: Final = "the foot is above its axis, and the ground pushes it down"
+_HANGS: Final = "the foot hangs above its command at rest, and gravity pulls it down"
 _AGAINST: Final = "feet that stand move against each other, as they are described"
 
 
@@ -74,14 +58,14 @@ class ConventionFinding:
 
     def agrees(self, other: ConventionFinding | None) -> bool:
         """Whether another judgement has found the same, but for what a fit of zeros leaves open."""
-        if other is None or len(other.offsets_rad) != len(self.offsets_rad):
+        if other is None:
             return False
-        apart = [a - b for a, b in zip(self.offsets_rad, other.offsets_rad, strict=True)]
         mine, theirs = (
-            (found.leg, found.joints, found.directions, found.order, found.certain, found.grave)
-            for found in (self, other)
+            dataclasses.replace(f, offsets_rad=(), message="", advice="") for f in (self, other)
         )
-        return mine == theirs and all(abs(d) < OPEN_RAD for d in apart)
+        return mine == theirs and bool(
+            np.allclose(self.offsets_rad, other.offsets_rad, rtol=0.0, atol=OPEN_RAD)
+        )
 
     def line(self, leg: Leg) -> str:
         """What was seen and what to write, for samples of any source."""
@@ -121,237 +105,153 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         robot: its description, as the samples were turned by.
         motions: by leg.
     """
-    ticks = control_ticks(motions, robot.period_s)
-    legs = [
-        LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
-        for leg in robot.legs
-        if leg.id in ticks and leg.chain is not None and len(ticks[leg.id]) > 1
-    ]
-    legs = [leg for leg in legs if len(leg.flips) > 1]
-    if not legs:
-        return Verdict()
+    legs = [leg for leg in _walkers(robot, motions) if len(leg.signs) > 1]
     chosen: dict[str, Chosen] = {}
     if sum(leg.mount != Mount() for leg in robot.legs) >= 2:
         straight = [leg for leg in legs if leg.chain.is_straight]
         bent = [leg for leg in legs if not leg.chain.is_straight]
-        by_leg = choose(straight, robot.period_s) if straight else {}
-        chosen = {leg: Chosen(pattern) for leg, pattern in by_leg.items()}
-        chosen |= choose_signs(bent, robot.period_s)
-        if not _carried(legs, chosen, robot.period_s):
-            chosen = {leg: choice for leg, choice in chosen.items() if choice.pattern == 0}
+        if straight:
+            chosen |= Search(straight, robot.period_s, 2).choose()
+        if len(bent) > 1:
+            # Feet of a trot stand two at a time.
+            chosen |= Search(bent, robot.period_s, 1).signs()
+        if not _carried(legs, chosen):
+            described = {leg.leg.id: leg.plain for leg in legs}
+            chosen = {leg: c for leg, c in chosen.items() if c.reading == described[leg]}
     findings, fits = [], []
     for leg in legs:
-        choice = chosen.get(leg.leg.id) or leg.alone()
-        if choice is not None and choice.pattern == 0:
+        choice = chosen.get(leg.leg.id) or _alone(leg)
+        if choice is None:
+            continue
+        if choice.reading == leg.plain:
             fits.append(leg.leg.id)
-        elif choice is not None:
-            findings.append(_finding(leg, choice))
+        else:
+            reason = _PUSHED if choice.pushed else _UPSIDE_DOWN if leg.upside_down() else _AGAINST
+            findings.append(_finding(leg, choice.reading, reason, choice.others))
     return Verdict(tuple(findings), tuple(fits))
 
 
 def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     """Judge the signs of legs that hang free, from what gravity does to them at rest.
 
-    A servo holds a leg a little below its command.  The first pitch joint carries the most: an
-    AX-12A gives way by four to five steps there, and by less than its friction at the next one, so
-    that a single sign further out is not shown.  A servo with an integral gain does not give way.
+    A servo holds a leg a little below its command: an AX-12A gives way by four to five steps at the
+    joint that carries the most, and by less than its friction at the next one, so that a single
+    sign is not shown.  A servo with an integral gain does not give way.
 
     Args:
         robot: its description, as the samples were turned by.
         motions: by leg; holds of 0.36 s and more are looked at.
     """
     findings, fits = [], []
-    ticks = control_ticks(motions, robot.period_s)
-    for leg in robot.legs:
-        if leg.id not in motions or leg.chain is None or len(ticks.get(leg.id, ())) < 2:
+    for leg in _walkers(robot, motions):
+        up_m = leg.up_at_rest_m()
+        # Holds of a leg that hangs before they count, and how far from their commands they must be,
+        # steps of the servo at the whole leg.
+        least_m = 1.5 * robot.quantum(leg.leg.id) * leg.chain.reach_m
+        if not leg.chain.is_straight or len(up_m) < 4 or abs(float(np.median(up_m))) < least_m:
             continue
-        if not leg.chain.is_straight:
-            continue
-        choices = LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
-        sags = choices.sags_rad()
-        # Holds of a leg that hangs before their sag counts, and how far it must be, steps of the
-        # servo.
-        if len(sags) < 4 or abs(float(np.median(sags))) < 1.5 * robot.quantum(leg.id):
-            continue
-        down = float(np.mean(sags > 0))
+        down = float(np.mean(up_m < 0.0))
         if down >= SURE_SHARE:
-            fits.append(leg.id)
+            fits.append(leg.leg.id)
         elif down <= 1 - SURE_SHARE:
-            signs = [-1 if lifts else 1 for lifts in choices.lifts]
-            findings.append(
-                _sign_finding(
-                    leg,
-                    signs,
-                    "the foot hangs above its command at rest, and gravity pulls it down",
-                )
-            )
+            turned = leg.plain._replace(directions=_lifts_turned(leg))
+            findings.append(_finding(leg, turned, _HANGS))
     return Verdict(tuple(findings), tuple(fits))
 
 
-def _carried(legs: Sequence[LegChoices], chosen: Mapping[str, Chosen], period_s: float) -> bool:
+def _walkers(robot: Robot, motions: Mapping[str, LegMotion]) -> list[Walker]:
+    """The legs that have a geometry and have moved."""
+    ticks = control_ticks(motions, robot.period_s)
+    return [
+        Walker(leg, motions[leg.id], ticks[leg.id], robot.period_s)
+        for leg in robot.legs
+        if leg.chain is not None and len(ticks.get(leg.id, ())) > 1
+    ]
+
+
+def _lifts_turned(leg: Walker) -> tuple[int, ...]:
+    """Directions of a leg all of whose pitches are turned round."""
+    return tuple(-1 if lifts else 1 for lifts in leg.chain.lifts)
+
+
+def _alone(leg: Walker) -> Chosen | None:
+    """What a leg shows by itself; None for nothing that is sure."""
+    pushed = leg.upside_down(pushed=True)
+    if not pushed and not leg.upside_down():
+        return None
+    yaws = np.flatnonzero(~leg.chain.lifts)
+    lifting = [r for r in leg.signs if all(r.directions[j] > 0 for j in yaws)]
+    left = [r for r in lifting if not leg.insane(r) and leg.within(r)]
+    # That all of them are turned round is the usual case: half of all robots are.
+    left.sort(key=lambda reading: reading.directions != _lifts_turned(leg))
+    best = next((reading for reading in left if leg.sane(reading)), None)
+    if best is None or (pushed and not leg.carries(best)):
+        return None
+    return Chosen(best, tuple(reading for reading in left if reading != best), pushed)
+
+
+def _carried(legs: Sequence[Walker], chosen: Mapping[str, Chosen]) -> bool:
     """Whether half of the feet carry where they stand; of a robot that hangs nothing shows."""
-    lag = max(round(LAG_S / period_s), 1)
-    patterns = [chosen[leg.leg.id].pattern if leg.leg.id in chosen else 0 for leg in legs]
-    if not any(patterns):
-        return True
-    carry = [leg.carries(k, lag) for leg, k in zip(legs, patterns, strict=True)]
+    readings = [chosen[leg.leg.id].reading if leg.leg.id in chosen else leg.plain for leg in legs]
+    carry = [leg.carries(reading) for leg, reading in zip(legs, readings, strict=True)]
     return 2 * sum(carry) >= len(carry)
 
 
-def _finding(leg: LegChoices, choice: Chosen) -> ConventionFinding:
-    """What a pattern that is not the described one means, with what to write."""
-    reading, *others = (leg.readings[k] for k in (choice.pattern, *choice.others))
-    plain = Reading.plain(len(leg.leg.joints))
-    if reading.order != plain.order:
-        return _order_finding(leg.leg, reading)
-    if any(reading.offsets_rad):
-        return _zero_finding(leg, reading)
-    reason = _PUSHED if choice.pushed else _UPSIDE_DOWN if leg.upside_down(0) else _AGAINST
-    turned = [other.directions for other in others]
-    return _sign_finding(leg.leg, reading.directions, reason, turned)
-
-
-def _order_finding(leg: Leg, reading: Reading) -> ConventionFinding:
-    """The finding of an order that is not ``joints``'."""
-    frame = AngleFrame(leg)
-    came = [leg.joints[reading.order.index(k)] for k in range(len(leg.joints))]
-    moved = tuple(name for k, name in enumerate(leg.joints) if reading.order[k] != k)
-    advice = f"publish measured, desired and valid in the order {', '.join(leg.joints)}"
-    if any(sign < 0 for sign in reading.directions):
-        turned = _listed([n for n, s in zip(leg.joints, reading.directions, strict=True) if s < 0])
-        advice += f"; then look at the signs of {turned}"
-    message = f"the joints {IN_ORDER}: they seem to come as {', '.join(came)}; {_AGAINST}"
-    return ConventionFinding(
-        leg.id,
-        moved,
-        message,
-        advice,
-        tuple(frame.directions),
-        tuple(frame.offsets_rad),
-        order=reading.order,
-    )
-
-
-def _zero_finding(leg: LegChoices, reading: Reading) -> ConventionFinding:
-    """The finding of zeros, and signs with them, that are not the convention's."""
-    frame = AngleFrame(leg.leg)
-    moved = zip(leg.leg.joints, reading.directions, reading.offsets_rad, strict=True)
-    off = [(name, sign, offset) for name, sign, offset in moved if offset or sign < 0]
-    directions = tuple(s * d for s, d in zip(reading.directions, frame.directions, strict=True))
-    offsets = tuple(
-        s * o + p
-        for s, o, p in zip(reading.directions, frame.offsets_rad, reading.offsets_rad, strict=True)
-    )
-    zeros = _listed([f"{name} by {offset:+.2f} rad" for name, _, offset in off if offset])
-    turned = [name for name, sign, _ in off if sign < 0]
-    grows = f", and the angles of {_listed(turned)} {WRONG_WAY}" if turned else ""
-    message = f"{ZEROS}: {zeros}{grows}; {_AGAINST}"
-    advice = "write " + angles_text(directions, offsets, "[leg.angles]")
-    advice += (
-        "; zeros are found to some 0.05 rad; where they are right, measure lengths_m and mount"
-    )
-    return ConventionFinding(
-        leg.leg.id,
-        tuple(name for name, _, _ in off),
-        message,
-        advice,
-        directions,
-        offsets,
-        grave=bool(turned) or not leg.sane(0),
-    )
-
-
-def _sign_finding(
-    leg: Leg, signs: Sequence[int], reason: str, others: Sequence[Sequence[int]] = ()
+def _finding(
+    walker: Walker, reading: Reading, reason: str, others: Sequence[Reading] = ()
 ) -> ConventionFinding:
-    """The finding of wrong signs, with what to write; directions in force are taken along."""
-    frame = AngleFrame(leg)
-    joints = tuple(name for name, sign in zip(leg.joints, signs, strict=True) if sign < 0)
-    directions = tuple(s * d for s, d in zip(signs, frame.directions, strict=True))
-    offsets = tuple(s * o + 0.0 for s, o in zip(signs, frame.offsets_rad, strict=True))
+    """What a reading that is not the described one means, with what to write.
+
+    Directions and offsets in force are taken along.
+    """
+    leg, frame, names = walker.leg, AngleFrame(walker.leg), walker.leg.joints
+    wrong = list(zip(names, reading.directions, reading.offsets_rad, strict=True))
+    turned = [name for name, sign, _ in wrong if sign < 0]
+    lifting = {name for name, lifts in zip(names, walker.chain.lifts, strict=True) if lifts}
+    if reading.order != walker.plain.order:
+        came = ", ".join(names[reading.order.index(k)] for k in range(len(names)))
+        advice = f"publish measured, desired and valid in the order {', '.join(names)}"
+        if turned:
+            advice += f"; then look at the signs of {_listed(turned)}"
+        return ConventionFinding(
+            leg.id,
+            tuple(name for k, name in enumerate(names) if reading.order[k] != k),
+            f"the joints {IN_ORDER}: they seem to come as {came}; {_AGAINST}",
+            advice,
+            tuple(frame.directions),
+            tuple(frame.offsets_rad),
+            order=reading.order,
+        )
+    shifted = [f"{name} by {offset:+.2f} rad" for name, _, offset in wrong if offset]
+    told = [
+        (s * d, s * o)
+        for s, d, o in zip(reading.directions, frame.directions, frame.offsets_rad, strict=True)
+    ]
+    directions = tuple(d for d, _ in told)
+    offsets = tuple(o + p for (_, o), p in zip(told, reading.offsets_rad, strict=True))
     advice = "write " + angles_text(directions, offsets, "[leg.angles]")
+    grow = f"the angles of {_listed(turned)} {WRONG_WAY}" if turned else ""
+    message = f"{grow}: {reason}"
+    if shifted:
+        message = f"{ZEROS}: {_listed(shifted)}{', and ' if turned else ''}{grow}; {_AGAINST}"
+        advice += (
+            "; zeros are found to some 0.05 rad; where they are right, measure lengths_m and mount"
+        )
     for other in others:
-        turned = [s * d for s, d in zip(other, frame.directions, strict=True)]
-        advice += f"; if that does not help, directions = {turned}"
-    message = f"the angles of {_listed(joints)} {WRONG_WAY}: {reason}"
-    assert leg.chain is not None
-    lifting = {name for name, lifts in zip(leg.joints, leg.chain.lifts, strict=True) if lifts}
+        signs = [s * d for s, d in zip(other.directions, frame.directions, strict=True)]
+        advice += f"; if that does not help, directions = {signs}"
     return ConventionFinding(
         leg.id,
-        joints,
+        tuple(name for name, sign, offset in wrong if sign < 0 or offset),
         message,
         advice,
         directions,
         offsets,
         certain=not others,
-        # A wrong yaw alone changes no height.
-        grave=bool(lifting & set(joints)),
+        # A wrong yaw alone changes no height, nor does a zero that is a little off.
+        grave=bool(lifting & set(turned)) or (bool(shifted) and not walker.sane(walker.plain)),
     )
 
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def choose_signs(legs: Sequence[LegChoices], period_s: float) -> dict[str, Chosen]:
-    """Choose the signs that explain how legs walk whose mirror image walks as well.
-
-    A leg that hangs down with a hip that rolls is its own mirror image: all its pitches turned
-    round, the foot has the same height and goes the other way, and feet that stand are as rigid
-    wherever the robot walks straight on.  So of all choices only those are looked at that a hand
-    makes: the same joints of all legs, of one side, of one end, or of one leg.  Those that explain
-    the motion equally well are reported together, and a description among them is not accused.
-
-    Args:
-        legs: of one kind.
-        period_s: the control tick.
-
-    Returns:
-        By leg, empty for none: of every leg the description's pattern where it explains the
-        motion and no other does; of the legs concerned another one where the description does not.
-    """
-    if len(legs) < 2 or len({leg.leg.joint_axes for leg in legs}) > 1:
-        return {}
-    described = (0,) * len(legs)
-    pairs, _ = pairs_of(legs, period_s, 1)
-    before = _cost(pairs, described)
-    tried = {}
-    for chosen in dict.fromkeys(_by_hand(legs)):
-        if all(leg.may_move(pattern) for leg, pattern in zip(legs, chosen, strict=True)):
-            tried[chosen] = _cost(pairs, chosen)
-    best = min(tried, key=lambda chosen: tried[chosen], default=described)
-    least = max(tried.get(best, np.inf), FLOOR**2)
-    if least >= RIGID**2:
-        return {}
-    # What is nearly as good; what a hand changes least comes first.
-    rivals = [c for c, cost in tried.items() if cost < BETTER * least and c != best]
-    if described == best or described in rivals:
-        return {} if rivals else {leg.leg.id: Chosen(0) for leg in legs}
-    sane = all(leg.sane(0) for leg in legs)
-    # More choices than these explain a motion that shows nothing.
-    if len(rivals) > 2 or before < (LOOSE**2 if sane else BETTER * least):
-        return {}
-    found = {}
-    for k, leg in enumerate(legs):
-        others = tuple(dict.fromkeys(rival[k] for rival in rivals if rival[k] != best[k]))
-        if best[k]:
-            found[leg.leg.id] = Chosen(best[k], others)
-    return found
-
-
-def _cost(pairs: Pairs, chosen: Sequence[int]) -> float:
-    """rho² of the worst leg; infinite where one stands with no other."""
-    # Of legs whose mirror image walks as well: feet of a trot stand two at a time.
-    return max(pairs.cost(chosen, k, 1) for k in range(len(chosen)))
-
-
-def _by_hand(legs: Sequence[LegChoices]) -> Iterator[tuple[int, ...]]:
-    """The choices that are looked at, a pattern for each leg; the described one is the first."""
-    at = np.array([leg.leg.mount.xyz_m for leg in legs])
-    groups = [np.ones(len(legs), dtype=bool)]
-    for axis in (1, 0):
-        groups += [at[:, axis] > 0.0, at[:, axis] < 0.0]
-    groups += list(np.eye(len(legs), dtype=bool))
-    for group in groups:
-        for pattern in range(len(legs[0].flips)):
-            yield tuple(pattern if moved else 0 for moved in group)

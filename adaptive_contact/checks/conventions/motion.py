@@ -69,54 +69,31 @@ def control_ticks(motions: Mapping[str, LegMotion], period_s: float) -> dict[str
     if not runs:
         return {}
     first = max(runs, key=lambda leg: len(motions[leg].t_ns))
-    for run in runs[first]:
-        run.ticks = run.count + round(run.phase(*run.span))
-    for leg, own in runs.items():
-        for run in own if leg != first else ():
-            shared = max(runs[first], key=lambda other: other.overlap(run))
-            low, high = max(run.span[0], shared.span[0]), min(run.span[1], shared.span[1])
-            if shared.overlap(run) > 0:
-                between = run.phase(low, high) - shared.phase(low, high)
-                run.ticks = run.count + int(shared.ticks[0] - shared.count[0]) + round(between)
-            else:
-                run.ticks = run.count + round(run.phase(*run.span))
-    return {leg: np.concatenate([run.ticks for run in own]) for leg, own in runs.items()}
+    known = np.concatenate([stamps for stamps, _ in runs[first]])
+    ticks = np.concatenate([count + _ahead(stamps, count) for stamps, count in runs[first]])
+    order = np.argsort(known)
+    found = {first: ticks}
+    for leg in [leg for leg in runs if leg != first]:
+        parts = []
+        for stamps, count in runs[leg]:
+            rows = (stamps >= known.min()) & (stamps <= known.max())
+            at = np.interp(stamps[rows], known[order], ticks[order]) if rows.any() else stamps
+            parts.append(count + _ahead(at, count[rows] if rows.any() else count))
+        found[leg] = np.concatenate(parts)
+    return found
 
 
-class _Run:
-    """Samples of one leg that one count goes through.
-
-    Attributes:
-        count: (n,) ticks from any number on.
-        span: first and last stamp, ticks.
-        ticks: (n,) ticks, alike for all legs, once they are known.
-    """
-
-    def __init__(self, stamps: Array, count: Ints) -> None:
-        self.count, self.ticks = count, count
-        self._stamps = stamps
-        self.span = float(stamps[0]), float(stamps[-1])
-
-    def overlap(self, other: _Run) -> float:
-        """Time that both have, ticks."""
-        return min(self.span[1], other.span[1]) - max(self.span[0], other.span[0])
-
-    def phase(self, low: float, high: float) -> float:
-        """By how much the stamps of a time are ahead of the count, median, ticks."""
-        rows = (self._stamps >= low) & (self._stamps <= high)
-        rows = rows if rows.any() else np.ones_like(rows)
-        return float(np.median(self._stamps[rows] - self.count[rows]))
+def _ahead(ticks: Array, count: Ints) -> int:
+    """By how much ticks are ahead of a count, most of the time."""
+    return round(float(np.median(ticks - count)))
 
 
-def _runs(motion: LegMotion, period_s: float) -> list[_Run]:
-    """A leg's samples, cut where its count restarts."""
+def _runs(motion: LegMotion, period_s: float) -> list[tuple[Array, Ints]]:
+    """Stamps, in ticks, and the count of a leg's samples, cut where the count restarts."""
     stamps = motion.t_ns / (period_s * 1e9)
     if motion.seq is None:
-        return [_Run(stamps, np.rint(stamps).astype(np.int64))]
+        return [(stamps, np.rint(stamps).astype(np.int64))]
     steps = np.diff(motion.seq)
     lost = np.abs(np.diff(stamps) - steps) > MOST_ADRIFT_S / period_s
     cuts = np.flatnonzero((steps <= 0) | lost) + 1
-    return [
-        _Run(part, count)
-        for part, count in zip(np.split(stamps, cuts), np.split(motion.seq, cuts), strict=True)
-    ]
+    return list(zip(np.split(stamps, cuts), np.split(motion.seq, cuts), strict=True))

@@ -1,0 +1,379 @@
+r"""Compares standing feet, whatever the body does over them, for any way to read the legs' angles.
+
+With the legs' mounts known, the distance of two standing feet is constant.  How far commanded feet
+break that is
+
+.. math:: \rho^2 = \frac{\overline{(\Delta |p_i - p_j|)^2}}{\overline{|\Delta p|^2}}
+
+over ticks in which both stand.  Where a description reads the angles right, it is 0.03 to 0.08,
+and least.  :func:`refine` finds the zeros near a start for which it is.
+
+A leg that walks is below its axis, and higher in its swings than where it stands; the ground
+pushes it up.  Where that is turned round, all its pitch angles are.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.checks.conventions.motion import LegMotion
+from adaptive_contact.robot.description import Leg
+
+# Displacements are taken over this time, s: long against the jitter of a command's rounding, short
+# against a stance.
+LAG_S: Final = 0.08
+# After a touch a controller may press the foot down for this long, s, and before the lift a
+# phase may be reported late.
+SETTLE_S: Final = 0.12
+BEFORE_LIFT_S: Final = 0.06
+# A pair of legs with fewer ticks in common shows nothing.
+LEAST_ROWS: Final = 40
+# Rows of a pair that are looked at; more add nothing, as they come from the same swings.
+MOST_ROWS: Final = 120
+# Of the ticks of a pair, the worst share is left out: feet that slip, and touches.
+KEPT_SHARE: Final = 0.7
+# Standing feet must move by so much per displacement, m, for their distance to show anything.
+LEAST_WAY_M: Final = 0.002
+# rho² beyond which a pair is as bad as can be.
+MOST: Final = 4.0
+# rho of feet that stand: 0.03 to 0.08 where the description is right, and of one that is wrong.
+RIGID: Final = 0.1
+LOOSE: Final = 0.12
+# Below this rho nothing but rounding and slip is left: what is below is as good.
+FLOOR: Final = 0.03
+# A foot that carries is above its command by these shares of the leg's reach.  Three to six of six
+# simulated legs that walk are by 0.001 to 0.012; of a real robot that hangs, feet are by 0.0002 at
+# most, or, where a joint does not follow, by 0.01 to 0.2.
+CARRIED: Final = 0.001
+LIMP: Final = 0.03
+# A leg's foot counts as above its axis, or below, in this share of its ticks.
+SURE_SHARE: Final = 0.9
+# A servo rests when its command has not changed for this long, s.
+HOLD_S: Final = 0.36
+# Patterns of signs grow as powers of two.
+MOST_FLIPS: Final = 5
+# Errors of rows are not independent: their mean square is as sure as that of so many.
+SWINGS: Final = 30
+_NUDGE_RAD: Final = 1e-3
+_DAMPING, _MOST_DAMPING = 1e-4, 1e2
+# Ways to read a leg, and pairs of legs, whose feet are remembered.
+_PLACES, _PAIRS = 256, 8192
+
+
+class Reading(NamedTuple):
+    """How a source's angles are read: ``directions * angles[order] + offsets_rad``."""
+
+    order: tuple[int, ...]  # (J,) which of the source's values is each joint's
+    directions: tuple[int, ...]  # (J,) 1 or -1
+    offsets_rad: tuple[float, ...]  # (J,) rad
+
+    def angles(self, source: Array) -> Array:
+        """(n, J) rad of the description for (n, J) rad of the source."""
+        ordered = source[:, list(self.order)]
+        return np.asarray(ordered * np.array(self.directions) + np.array(self.offsets_rad))
+
+    def shifted(self, by_rad: Sequence[float] | Array) -> Reading:
+        """The same with zeros moved on, within half a turn."""
+        moved = zip(self.offsets_rad, by_rad, strict=True)
+        return self._replace(offsets_rad=tuple(math.remainder(o + d, math.tau) for o, d in moved))
+
+
+def on_body(leg: Leg, place: Array) -> Array:
+    """(n, 3) m in the body's frame, of places in the leg's."""
+    yaw = leg.mount.yaw_rad
+    turn = np.array(
+        [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
+    )
+    return np.asarray(place @ turn.T + np.array(leg.mount.xyz_m))
+
+
+class Walker:
+    """One leg and its motion, by any reading.
+
+    Args:
+        leg: its description, with a geometry.
+        motion: what it did.
+        grid: (n,) control ticks.
+        period_s: the control tick.
+
+    Attributes:
+        chain: its geometry.
+        plain: the reading of the description.
+        signs: readings with every choice of signs; the plain one is the first.
+        lag: ticks of a displacement.
+    """
+
+    def __init__(self, leg: Leg, motion: LegMotion, grid: Ints, period_s: float) -> None:
+        self.leg, self.motion, self.grid, self._period_s = leg, motion, grid, period_s
+        assert leg.chain is not None
+        self.chain = leg.chain
+        joints = len(leg.joints)
+        self.plain = Reading(tuple(range(joints)), (1,) * joints, (0.0,) * joints)
+        lifts = self.chain.lifts
+        free = np.arange(joints) if joints <= MOST_FLIPS else np.flatnonzero(lifts)[:MOST_FLIPS]
+        self.signs = []
+        for signs in itertools.product((1, -1), repeat=len(free)):
+            flip = np.ones(joints, dtype=np.int64)
+            flip[free] = signs
+            self.signs.append(self.plain._replace(directions=tuple(flip.tolist())))
+        self.lag = max(round(LAG_S / period_s), 1)
+        self.place = functools.lru_cache(_PLACES)(self._place)
+        self.stands = functools.lru_cache(_PLACES)(self._stands)
+
+    def _place(self, reading: Reading) -> Array:
+        """(n, 3) m, the commanded foot on the body."""
+        return on_body(self.leg, self.chain.foot(reading.angles(self.motion.desired)))
+
+    def height(self, reading: Reading) -> Array:
+        """(n,) m of it over the leg's axis."""
+        return np.asarray(self.place(reading)[:, 2] - self.leg.mount.xyz_m[2])
+
+    def _stands(self, reading: Reading, lag: int) -> Ints:
+        """(m,) rows in which the foot stands, and has for ``lag`` ticks."""
+        if self.motion.swing is not None:
+            down = ~self.motion.swing
+        else:  # by its height, the lower half of its range
+            height = self.height(reading)
+            down = height < np.quantile(height, (0.05, 0.95)).mean()
+        count = np.concatenate([[0], np.cumsum(down)])
+        n = len(down)
+        settle = round(SETTLE_S / self._period_s) + lag
+        first = np.maximum(np.arange(n) - settle, 0)
+        last = np.minimum(np.arange(n) + round(BEFORE_LIFT_S / self._period_s) + 1, n)
+        steady = count[last] - count[first] == last - first
+        steady[:settle] = False
+        steady[lag:] &= self.grid[lag:] - self.grid[:-lag] == lag
+        return np.flatnonzero(steady)
+
+    # -- alone -----------------------------------------------------------------------------------
+
+    def _upright(self, reading: Reading) -> list[float]:
+        """Shares of ticks below the axis, and of swings that rise over the stance before."""
+        height, swing = self.height(reading), self.motion.swing
+        found = [float(np.mean(height < 0.0))]
+        if swing is None:
+            return found
+        parts = np.split(height, np.flatnonzero(np.diff(swing.astype(np.int8))) + 1)
+        levels: list[float] = [statistics.median(part.tolist()) for part in parts]
+        rises = np.diff(levels)[int(swing[0]) :: 2]
+        clear = rises[np.abs(rises) > 0.004]
+        # Swings of a leg before its phase is compared with its height.
+        if len(clear) >= 4:
+            found.append(float(np.mean(clear > 0.0)))
+        return found
+
+    def sane(self, reading: Reading) -> bool:
+        """Whether a leg that walks may move so."""
+        return min(self._upright(reading)) >= SURE_SHARE
+
+    def insane(self, reading: Reading) -> bool:
+        """Whether a leg that walks cannot move so; not the opposite of :meth:`sane`."""
+        return min(self._upright(reading)) < 0.5
+
+    def within(self, reading: Reading) -> bool:
+        """Whether commands stay within the joints' limits, where there are any."""
+        limits = self.leg.limits
+        if limits is None:
+            return True
+        turned = reading.angles(self.motion.desired)
+        inside = (turned >= limits.lower_rad) & (turned <= limits.upper_rad)
+        return bool(inside.all(axis=1).mean() >= SURE_SHARE)
+
+    def upside_down(self, *, pushed: bool = False) -> bool:
+        """Whether a leg that walks moves the other way round; ``pushed``: no phase tells."""
+        shown = self._upright(self.plain)
+        by = self.motion.swing is None if pushed else len(shown) == 2
+        return by and max(shown) <= 1 - SURE_SHARE
+
+    def carries(self, reading: Reading) -> bool:
+        """Whether the foot is above its command where it stands, as the ground pushes it up."""
+        at = self.stands(reading, self.lag)
+        read = self.chain.foot(reading.angles(self.motion.measured[at]))[:, 2]
+        up = float(np.median(read - self.height(reading)[at])) if len(at) else 0.0
+        return CARRIED * self.chain.reach_m < up < LIMP * self.chain.reach_m
+
+    def up_at_rest_m(self) -> Array:
+        """By how much the foot is above its command at the end of each hold, (m,) m."""
+        desired, hold = self.motion.desired, round(HOLD_S / self._period_s)
+        still = (desired[hold:] == desired[:-hold]).all(axis=1)
+        ends = np.flatnonzero(still & np.append(~still[1:], True)) + hold
+        read, told = (self.chain.foot(of[ends])[:, 2] for of in (self.motion.measured, desired))
+        return np.asarray(read - told)
+
+
+class _Pair(NamedTuple):
+    """What becomes of the distance of two feet, in ticks in which both stand."""
+
+    weight: float
+    change: Array  # (m,) m
+    way2: Array  # (m,) m², mean of both
+    kept: Ints  # rows that are not left out as the worst
+    ratio: float  # rho²; infinite where they hardly move, or stand together in few ticks
+
+
+class Feet:
+    """Standing feet of legs, each of which is read in many ways.
+
+    Args:
+        legs: three or more, or two that stand together.
+        lag: ticks of a displacement.
+        stance: by which reading each leg stands; by the one that is asked about where absent.
+            Where the source reports the phase, all are alike.
+        place: the foot of a leg for a choice, (n, 3) m on the body; that of a reading where absent.
+    """
+
+    def __init__(
+        self,
+        legs: Sequence[Walker],
+        lag: int,
+        stance: Sequence[Reading] | None = None,
+        place: Callable[[int, Any], Array] | None = None,
+    ) -> None:
+        self.legs, self.lag = legs, lag
+        self._stance = stance
+        self._place = place or (lambda i, reading: legs[i].place(reading))
+        self._meeting = functools.lru_cache(_PAIRS)(self._meet)
+        self._pair = functools.lru_cache(_PAIRS)(self._compare)
+
+    def _stands_by(self, i: int, choice: Any) -> Any:
+        """The reading of a leg that shows where it stands."""
+        if self.legs[i].motion.swing is not None:
+            return self.legs[i].plain
+        return choice if self._stance is None else self._stance[i]
+
+    def _meet(self, i: int, j: int, a: Reading, b: Reading) -> tuple[Ints, Ints, int]:
+        """Rows of two legs in ticks in which both stand, and the number of such ticks."""
+        mine, theirs = self.legs[i].stands(a, self.lag), self.legs[j].stands(b, self.lag)
+        grids = self.legs[i].grid[mine], self.legs[j].grid[theirs]
+        _, rows, columns = np.intersect1d(*grids, return_indices=True)
+        step = max(-(-len(rows) // MOST_ROWS), 1)
+        return mine[rows[::step]], theirs[columns[::step]], len(rows)
+
+    def _compare(self, i: int, j: int, a: Any, b: Any) -> _Pair:
+        """Two legs by a choice of each."""
+        by = self._stands_by(i, a), self._stands_by(j, b)
+        rows, columns, count = self._meeting(i, j, *by)
+        p, q = self._place(i, a), self._place(j, b)
+        now, then = p[rows], p[rows - self.lag]
+        other, before = q[columns], q[columns - self.lag]
+        change = np.sqrt(_squared(now - other)) - np.sqrt(_squared(then - before))
+        way2 = (_squared(now - then) + _squared(other - before)) / 2.0
+        kept = np.argsort(np.abs(change))[: math.ceil(KEPT_SHARE * len(change))]
+        if count < LEAST_ROWS:
+            return _Pair(0.0, change, way2, kept, np.inf)
+        way = float(way2[kept].mean())
+        ratio = float(np.square(change[kept]).mean() / way) if way >= LEAST_WAY_M**2 else np.inf
+        # Legs that stand by turns meet in few ticks, those of a touch and a lift.
+        return _Pair(float(count) ** 2, change, way2, kept, ratio)
+
+    def _pairs(
+        self, chosen: Sequence[Any], among: Sequence[int] | None = None
+    ) -> list[tuple[int, int, _Pair]]:
+        legs = range(len(self.legs)) if among is None else among
+        return [
+            (i, j, self._pair(i, j, chosen[i], chosen[j]))
+            for i, j in itertools.combinations(legs, 2)
+        ]
+
+    def costs(
+        self,
+        chosen: Sequence[Any],
+        least_partners: int = 2,
+        among: Sequence[int] | None = None,
+    ) -> Array:
+        """(n,) rho² of every leg with the others; infinite where it stands with too few of them.
+
+        Args:
+            chosen: how each leg is read.
+            least_partners: others with which a leg has to stand.
+            among: legs that are compared; all where absent.
+        """
+        total, weight, partners = np.zeros((3, len(self.legs)))
+        for i, j, pair in self._pairs(chosen, among):
+            if np.isfinite(pair.ratio):
+                for k in (i, j):
+                    total[k] += pair.weight * pair.ratio
+                    weight[k] += pair.weight
+                    partners[k] += 1
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(partners >= least_partners, total / weight, np.inf)
+
+    def rigid(self, chosen: Sequence[Any]) -> bool:
+        """Whether every leg that stands keeps its distances from the others."""
+        return bool((self.costs(chosen) < RIGID**2).all())
+
+    def kept(self, readings: Sequence[Reading]) -> list[Ints]:
+        """Rows of every pair that are not left out as its worst."""
+        return [pair.kept for _, _, pair in self._pairs(readings)]
+
+    def errors(self, readings: Sequence[Reading], kept: Sequence[Ints]) -> Array:
+        """(m,) changes of distance over each pair's way, weighed: their squares add to rho²."""
+        pairs = [pair for _, _, pair in self._pairs(readings)]
+        whole = sum(pair.weight for pair in pairs)
+        parts = [
+            pair.change[rows]
+            * math.sqrt(
+                pair.weight / whole / len(rows) / max(pair.way2[rows].mean(), LEAST_WAY_M**2)
+            )
+            for pair, rows in zip(pairs, kept, strict=True)
+            if pair.weight
+        ]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _squared(vectors: Array) -> Array:
+    """(m,) squared lengths of (m, 3) vectors."""
+    return np.asarray(np.square(vectors).sum(axis=1))
+
+
+def refine(
+    feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int]]
+) -> tuple[list[Reading], float]:
+    """Find the zeros near a start for which the feet are most rigid, by Gauss-Newton.
+
+    Args:
+        feet: that stand, by one stance of each leg.
+        readings: (n,) of the legs, to start from.
+        moved: of every leg, the parameter that shifts each joint's zero, -1 for none; legs that
+            share a parameter are shifted alike.
+
+    Returns:
+        The readings, and the largest standard deviation of a parameter, rad: where the motion does
+        not show a zero, as that of feet that go to and fro in a line, it is large.
+    """
+    count = 1 + max(max(own) for own in moved)
+
+    def at(x: Array) -> list[Reading]:
+        padded = np.append(x, 0.0)
+        return [r.shifted(padded[list(own)]) for r, own in zip(readings, moved, strict=True)]
+
+    def cost(x: Array) -> float:
+        read = at(x)
+        return float(np.square(feet.errors(read, feet.kept(read))).sum())
+
+    x, damping = np.zeros(count), _DAMPING
+    for _ in range(12):
+        kept = feet.kept(at(x))
+        base = feet.errors(at(x), kept)
+        slopes = [feet.errors(at(x + nudge), kept) - base for nudge in _NUDGE_RAD * np.eye(count)]
+        jacobian = np.stack(slopes, axis=1) / _NUDGE_RAD
+        normal = jacobian.T @ jacobian
+        scale = damping * (np.trace(normal) / count + _DAMPING)
+        step = -np.linalg.solve(normal + scale * np.eye(count), jacobian.T @ base)
+        better = cost(x + step) < cost(x)
+        damping *= 0.1 if better else 10.0
+        if better:
+            x = x + step
+        if (better and np.abs(step).max() < 1e-3) or damping > _MOST_DAMPING:
+            break
+    weakest = float(np.linalg.eigvalsh(normal)[0])
+    floor = max(cost(x), FLOOR**2) / SWINGS
+    return at(x), math.sqrt(floor / weakest) if weakest > 0 else math.inf
