@@ -71,7 +71,6 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
         (("robot", "learn", "--config", "model.toml"), "^leg 'l' has no lengths_m or origins_m, "),
         (("bridge", "dynamixel", "--device", "/nowhere"), "does not exist"),
         (("bridge", "feetech", "--device", "/nowhere"), "does not exist"),
-        (("bridge", "dynamixel", "--device", "/x", "--baud", "12"), "greater than or equal to 1200"),
         (("bridge", "virtual", "--fault", "broken"), "expected one of silent"),
         (("bridge", "virtual", "--record", "x.mcap"), "needs --scenario"),
         (("bridge", "virtual", "--servos", "STS9"), "unknown servo model 'STS9'"),
@@ -95,6 +94,12 @@ def test_what_cannot_be_is_told_in_one_line(
         )
     with pytest.raises(AdaptiveContactError, match=message):
         invoke(*words)
+
+
+def test_a_rate_that_no_adapter_has_is_refused() -> None:
+    result = tried("bridge", "dynamixel", "--device", "/x", "--baud", "12")
+    assert result.exit_code == 2
+    assert "greater than or equal to 1200" in result.output
 
 
 def leg(**changes: object) -> Leg:
