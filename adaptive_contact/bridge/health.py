@@ -173,7 +173,8 @@ class Punctuality:
         # One read this far off its moment is not carried back: at 100 rad/s² a joint's own speed
         # gives where it was 5 ms ago to a quarter of an AX-12A's step, and 10 ms ago to one.
         elif abs(off_s) <= 0.005:
-            correction = -off_s * speed_rad_s
+            # In whole steps: readings stay on the encoder's grid, which checks read off them.
+            correction = step_rad * round(-off_s * speed_rad_s / step_rad)
         else:
             return None
         # A reading whose moment is not known to a position step, as the joint moves, cannot stand

@@ -115,9 +115,9 @@ def test_silent_servos_are_asked_in_turn_and_come_back() -> None:
     ("asked_ms", "answered_ms", "speed", "rad"),
     [
         (2.0, 2.5, 4.0, 0.0),
-        (5.0, 5.5, 4.0, -0.012),  # asked late: 3 ms at 4 rad/s
-        (5.0, 5.5, -4.0, 0.012),
-        (1.0, 1.5, 4.0, 0.004),
+        (5.0, 5.5, 4.0, -0.01),  # asked late: 3 ms at 4 rad/s, in whole steps of 5 mrad
+        (5.0, 5.5, -4.0, 0.01),
+        (1.0, 1.5, 4.0, 0.005),
         (5.0, 5.5, 0.5, 0.0),  # hardly moves
         (2.0, 5.5, 4.0, None),  # answered late: nobody knows when it looked
         (2.0, 3.5, 4.0, 0.0),  # by half a step
