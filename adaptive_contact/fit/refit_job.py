@@ -200,7 +200,9 @@ class _Posterior:
                 for root, own in zip(roots, self._spread, strict=True)
             ]
         )
-        model, noise = LegModel(library, fit.coefficients), prior_noise(sigma)
+        model = LegModel(library, fit.coefficients)
+        # Rows may be of one motion only: a leg is not judged more strictly for it.
+        noise = prior_noise(np.maximum(sigma, self._prior.noise.rms))
         return dataclasses.replace(self._prior, model=model, noise=noise, spread=spread)
 
     def _solved(self, sigma: Array) -> list[tuple[Array, Array]]:

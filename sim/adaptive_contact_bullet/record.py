@@ -18,9 +18,10 @@ from scipy.stats import chi2
 
 from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.wire import ContactTruth
+from adaptive_contact_bullet.drawn import shape_of
 from adaptive_contact_bullet.gait import Gait, Walker
 from adaptive_contact_bullet.plant import STEP_S, Ground, Plant, State
-from adaptive_contact_bullet.robots import SHAPES, Shape
+from adaptive_contact_bullet.robots import Shape
 from adaptive_contact_sim.arrays import LegArrays, Run, contact_at
 from adaptive_contact_sim.truth import AIR_FORCE_N, TOUCH_FORCE_N, Change, TruthTracker
 
@@ -86,7 +87,7 @@ def record(plan: Plan) -> Recorded:
 class _Recorder:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        shape = self._shape = SHAPES[plan.robot]
+        shape = self._shape = shape_of(plan.robot)
         self._rng = np.random.default_rng([plan.seed, 0xB011E7])
         fixed = len(shape.legs) == 1
         self._plant = Plant(shape, plan.ground, self._rng, robot_seed=plan.robot_seed, fixed=fixed)

@@ -5,12 +5,14 @@ Nothing of the product was tuned to these robots, servos and gaits
 four minutes of free swings; two change after a while; all hang from nothing, too.
 
 ``python -m adaptive_contact_studies.second FOLDER [SECONDS [ROBOT ...]]``; what each run gave is
-kept in FOLDER.
+kept in FOLDER.  ``drawn:40`` are forty robots that nobody chose
+(:mod:`adaptive_contact_bullet.drawn`), each from nothing.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +26,7 @@ from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Baseline
 from adaptive_contact.score.summary import AlarmFigures
-from adaptive_contact_bullet.gait import GAITS
+from adaptive_contact_bullet.drawn import drawn, gait_of, is_drawn
 from adaptive_contact_bullet.plant import Ground, Kind
 from adaptive_contact_bullet.record import Drift, Plan, Recorded, record
 from adaptive_contact_bullet.robots import SHAPES
@@ -78,7 +80,7 @@ class Trial:
     def plan(self) -> Plan:
         """What is recorded for it."""
         return Plan(
-            self.robot, GAITS[self.gait], Ground(self.ground), self.seconds, self.seed,
+            self.robot, gait_of(self.gait), Ground(self.ground), self.seconds, self.seed,
             self.seed % _FREE_SEED,
             plates=0.6 if self.robot == "arm" else 0.0,
             drifts=() if self.drift is None else ((self.drift, self.seconds / 3.0),),
@@ -144,14 +146,19 @@ def baseline(work: Work, free: Plan) -> Baseline | None:
 
 @rests_on(_ENGINE, "adaptive_contact_studies.evaluate", *LEARNER)
 def tried(work: Work, trial: Trial) -> Found | None:
-    """Try the product; None where no baseline could be fitted."""
+    """Try the product; None where the robot fell, or no baseline could be fitted."""
     known = None
     if trial.fitted_s:
         free = Trial(trial.robot, trial.gait, "none", trial.fitted_s, trial.seed + _FREE_SEED)
         known = work.one(baseline, dataclasses.replace(free.plan, plates=0.0, twins=False))
         if known is None:
             return None
-    made = work.one(recorded, trial.plan)
+    try:
+        made = work.one(recorded, trial.plan)
+    except RuntimeError:
+        if not is_drawn(trial.robot):
+            raise
+        return None
     run, robot = made.run, made.shape.description
     learners = [ContactLearner(robot, leg, known) for leg in robot.leg_ids]
     learned: dict[str, list[int]] = {leg: [] for leg in robot.leg_ids}
@@ -169,7 +176,8 @@ def tried(work: Work, trial: Trial) -> Found | None:
     span = run.t_ns[-1] - run.t_ns[0] + 1
     for outcome in outcomes:
         own, arrays = outcome.touches, run.legs[outcome.leg]
-        part = ((own.onset_ns - run.t_ns[0]) * _PARTS // span)[own.counted]
+        # A foot may touch within the last tick.
+        part = np.minimum((own.onset_ns - run.t_ns[0]) * _PARTS // span, _PARTS - 1)[own.counted]
         touches += np.bincount(part, minlength=_PARTS)
         found += np.bincount(part, own.found[own.counted], minlength=_PARTS).astype(int)
         twins = np.array(
@@ -215,6 +223,28 @@ def table(made: Sequence[tuple[Trial, Found | None]]) -> str:
     return "\n".join(head + rows + hung)
 
 
+def drawn_trials(count: int, seconds: float) -> list[Trial]:
+    """List drawn robots, each from nothing."""
+    names = [f"drawn-{number}" for number in range(count)]
+    return [
+        Trial(name, name, drawn(name).kind, seconds, number) for number, name in enumerate(names)
+    ]
+
+
+def summary(made: Sequence[tuple[Trial, Found | None]]) -> str:
+    """Write of drawn robots, in a line, how many walk and how much of theirs is found."""
+    walked = [found for trial, found in made if is_drawn(trial.robot) and found is not None]
+    seen, hits = sum(f.seen for f in walked), sum(f.seen_found for f in walked)
+    shares = np.array([f.seen_found / f.seen for f in walked if f.seen])
+    good, fair = int((shares >= 0.97).sum()), int((shares >= 0.9).sum())
+    alarms = per_hour(sum(f.alarms for f in walked), sum(f.judged for f in walked))
+    return (
+        f"{len(walked)} drawn robots walk. Of the observer's touches found: "
+        f"{found_of(hits, seen)}; of {good} robots 97 % and more, of {fair - good} 90 % and more, "
+        f"of {len(shares) - fair} less. False alarms per robot-hour: {alarms}"
+    )
+
+
 def _start(trial: Trial) -> str:
     start = f"fit of {trial.fitted_s / 60:g} min" if trial.fitted_s else "nothing"
     return start if trial.drift is None else f"{start}; {trial.drift} after a third"
@@ -223,7 +253,8 @@ def _start(trial: Trial) -> str:
 def _row(trial: Trial, found: Found | None) -> str:
     name = f"{trial.robot}, {trial.gait}, {'plates' if trial.robot == 'arm' else trial.ground}"
     if found is None:
-        return row(name, _start(trial), "no baseline could be fitted", *[""] * 6)
+        why = "it fell" if is_drawn(trial.robot) else "no baseline could be fitted"
+        return row(name, _start(trial), why, *[""] * 6)
     touches = sum(found.touches)
     pairs = zip(found.found, found.touches, strict=True)
     false = per_hour(found.alarms, found.judged)
@@ -251,15 +282,23 @@ def _hung(trial: Trial, found: Found | None) -> str:
 def main(arguments: list[str]) -> int:
     """Do what is asked for."""
     robots = arguments[2:] or list(SHAPES)
-    if not arguments or arguments[0].startswith("-") or not set(robots) <= set(SHAPES):
+    first = [int(r.removeprefix("drawn:")) for r in robots if re.fullmatch(r"drawn:\d+", r)]
+    named = [r for r in robots if not r.startswith("drawn:")]
+    if not arguments or arguments[0].startswith("-") or not set(named) <= set(SHAPES):
         known = ", ".join(SHAPES)
-        print(f"expected FOLDER [SECONDS [ROBOT ...]], robots of {known}", file=sys.stderr)
+        print(
+            f"expected FOLDER [SECONDS [ROBOT ...]], robots of {known}, drawn:40", file=sys.stderr
+        )
         return 2
     work = Work(Path(arguments[0]), 2, console=Console(stderr=True))
     seconds = float(arguments[1]) if arguments[1:] else _SECONDS
-    wanted = [trial for trial in trials(seconds) if trial.robot in robots]
-    made = work.each("trials", tried, wanted, weight=lambda trial: trial.seconds)
-    print(table(list(zip(wanted, made, strict=True))))
+    wanted = [trial for trial in trials(seconds) if trial.robot in named]
+    wanted += [trial for count in first for trial in drawn_trials(count, seconds)]
+    done = work.each("trials", tried, wanted, weight=lambda trial: trial.seconds)
+    made = list(zip(wanted, done, strict=True))
+    print(table(made))
+    if first:
+        print(f"\n{summary(made)}")
     return 0
 
 

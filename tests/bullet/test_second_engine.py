@@ -18,6 +18,7 @@ pytest.importorskip(
 )
 
 from adaptive_contact.score import contacts_of
+from adaptive_contact_bullet.drawn import drawn, gait_of
 from adaptive_contact_bullet.gait import GAITS, Inverse, Walker
 from adaptive_contact_bullet.plant import Ground, Plant
 from adaptive_contact_bullet.record import Plan, record
@@ -166,3 +167,14 @@ def test_touches_that_a_new_leg_misses_are_not_learned() -> None:
             touching += int(run.legs[leg].contact[ticks].sum())
     assert learned > 3000
     assert touching < 0.012 * learned  # 0.015 where such descents are learned
+
+
+def test_drawn_robots_are_whole_and_the_same_each_time() -> None:
+    for number in range(60):
+        name = f"drawn-{number}"
+        shape, gait, _ = drawn(name)
+        assert shape.description.leg(shape.legs[0].id).chain is not None
+        assert gait_of(name) is gait
+        assert 4 <= gait.cycle_s * (1.0 - gait.duty) / shape.period_s  # ticks of a swing
+        drawn.cache_clear()
+        assert drawn(name).shape == shape
