@@ -111,14 +111,9 @@ def run(
     sizes = QUICK_SIZES if quick else FULL_SIZES
     sizes = dataclasses.replace(sizes, leg_runs=seeds or sizes.leg_runs)
     chosen = named(names or scenarios(), sizes)
-    console = table_console(stderr=True)
-    try:
-        tree = measure(Work(out, processes, console=console), chosen, sizes)
-    except KeyboardInterrupt:
-        console.print("interrupted; the same command goes on from here")
-        # How a command ends that Ctrl-C stopped, as shells have it.
-        raise typer.Exit(130) from None
+    tree = measure(Work(out, processes, shown=True), chosen, sizes)
     write_results(tree, out / RESULTS)
+    console = table_console(stderr=True)
     for problem in tree["problems"]:
         console.print(problem, style="yellow")
     if json:

@@ -14,14 +14,13 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import pickle
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
-from rich.console import Console
+import typer
 
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.robot import Robot
@@ -199,29 +198,25 @@ def table(walks: Sequence[Walk], parts_of: Sequence[Sequence[Part]]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str]) -> int:
-    """Do what is asked for."""
-    if not arguments or arguments[0].startswith("-"):
-        print("expected FOLDER [SHARE [WALK ...]]", file=sys.stderr)
-        return 2
-    share = float(arguments[1]) if arguments[1:] else 1.0
+def main(
+    folder: Annotated[Path, typer.Argument(help="Where what was followed is kept.")],
+    share: Annotated[float, typer.Argument(help="Of the walks' times, for a try.")] = 1.0,
+    names: Annotated[list[str] | None, typer.Argument(help="Parts of names of walks.")] = None,
+) -> None:
+    """Follow the walks, or some of them, and print what was found."""
     wanted = [
         walk._replace(
             stages=tuple(stage._replace(seconds=share * stage.seconds) for stage in walk.stages)
         )
         for walk in WALKS
-        if not arguments[2:] or any(text in walk.name for text in arguments[2:])
+        if not names or any(text in walk.name for text in names)
     ]
-    work = Work(Path(arguments[0]), 2, console=Console(stderr=True))
-    seconds = [sum(stage.seconds for stage in walk.stages) for walk in wanted]
-    weights = dict(zip(wanted, seconds, strict=True))
-    made = work.each("walks", followed, wanted, weight=lambda walk: weights[walk])
+    made = Work(folder, 2, shown=True).each("walks", followed, wanted)
     print(table(wanted, [of.parts for of in made]))
-    return 0
 
 
 if __name__ == "__main__":
     # By its own name, which workers know: what is kept rests on the module's source.
     from adaptive_contact_studies import hours
 
-    sys.exit(hours.main(sys.argv[1:]))
+    typer.run(hours.main)

@@ -11,13 +11,12 @@ kept in FOLDER.
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
-from rich.console import Console
+import typer
 
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import IdentificationError
@@ -248,23 +247,21 @@ def _hung(trial: Trial, found: Found | None) -> str:
     return row(name, _start(trial), shown, str(found.valid_alarms))
 
 
-def main(arguments: list[str]) -> int:
-    """Do what is asked for."""
-    robots = arguments[2:] or list(SHAPES)
-    if not arguments or arguments[0].startswith("-") or not set(robots) <= set(SHAPES):
-        known = ", ".join(SHAPES)
-        print(f"expected FOLDER [SECONDS [ROBOT ...]], robots of {known}", file=sys.stderr)
-        return 2
-    work = Work(Path(arguments[0]), 2, console=Console(stderr=True))
-    seconds = float(arguments[1]) if arguments[1:] else _SECONDS
-    wanted = [trial for trial in trials(seconds) if trial.robot in robots]
-    made = work.each("trials", tried, wanted, weight=lambda trial: trial.seconds)
+def main(
+    folder: Annotated[Path, typer.Argument(help="Where what each run gave is kept.")],
+    seconds: Annotated[float, typer.Argument(help="Of each run.")] = _SECONDS,
+    robots: Annotated[list[str] | None, typer.Argument(help=f"{', '.join(SHAPES)}.")] = None,
+) -> None:
+    """Try the product on all robots, or on some, and print what was found."""
+    if unknown := set(robots or ()) - set(SHAPES):
+        raise typer.BadParameter(f"no robot {min(unknown)}; expected some of {', '.join(SHAPES)}")
+    wanted = [trial for trial in trials(seconds) if not robots or trial.robot in robots]
+    made = Work(folder, 2, shown=True).each("trials", tried, wanted)
     print(table(list(zip(wanted, made, strict=True))))
-    return 0
 
 
 if __name__ == "__main__":
     # By its own name, which workers know: what is kept rests on the module's source.
     from adaptive_contact_studies import second
 
-    sys.exit(second.main(sys.argv[1:]))
+    typer.run(second.main)

@@ -4,23 +4,31 @@ The state is the paper's Eq. 6, :math:`x[k] = (\theta[k], …, \theta[k-N])`, an
 Eq. 8; the sweep of λ stops when some state has no terms left.  R² is given for all states, for the
 position :math:`\theta[k+1]`, and for its first and second backward differences.  Beside it stand
 the root mean square over the noise floor and the number of terms.
+
+``DiscreteSINDy`` with ``STLSQ`` sees the rows :math:`(\Theta, X_{next})`; here it sees the triangle
+of their QR factorisation.  Column norms, ridge solutions, thresholds and the unbiased refit depend
+on the rows through :math:`\Theta^\top\Theta` and :math:`\Theta^\top X_{next}` only, so that
+supports are the same and coefficients differ by rounding.  λ is of coefficients in the units of the
+data, or, where they are *normalised*, of columns with unit Euclidean norm (``normalize_columns``):
+it then grows with the square root of the number of rows.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from pysindy.optimizers import STLSQ
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.fit import Fit, FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact_studies.paper.compression import RIDGE, PaperFit, paper_fit
 from adaptive_contact_studies.paper.data import Stream, streams_of
 from adaptive_contact_studies.paper.plan import PAPER_LEG, Plan
 from adaptive_contact_studies.paper.rows import (
@@ -47,8 +55,32 @@ OUR_LAMBDAS: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 
 _SHORT: Final = Window(past_measured=1, past_desired=1, preview=1)
 _SOURCES: Final = (
     *(*SIMULATOR, *LEARNER, "adaptive_contact_studies.paper.data"),
-    *("adaptive_contact_studies.paper.compression", "adaptive_contact_studies.paper.rows"),
+    "adaptive_contact_studies.paper.rows",
 )
+
+
+# PySINDy's default ridge term, which the paper does not mention changing.
+RIDGE: Final = 0.05
+
+
+class PaperFit(NamedTuple):
+    """A fit as the paper makes it."""
+
+    status: FitStatus  # `ok`, or `emptied` where some state has no terms left
+    coefficients: Array  # (p, states)
+
+
+def paper_fit(factor: Factor, threshold: float, *, normalised: bool = False) -> PaperFit:
+    """Fit finite rows with PySINDy's STLSQ, unscaled targets."""
+    optimizer = STLSQ(threshold=threshold, alpha=RIDGE, normalize_columns=normalised)
+    with warnings.catch_warnings():
+        # Read off the result instead: an emptied state from the support.
+        warnings.filterwarnings("ignore", message="Sparsity parameter is too big")
+        warnings.filterwarnings("ignore", message=".*did not converge")
+        optimizer.fit(*factor.system)
+    coefficients = np.asarray(optimizer.coef_, dtype=np.float64).T
+    kept = (coefficients != 0.0).any(axis=0).all()
+    return PaperFit(FitStatus.OK if kept else FitStatus.EMPTIED, coefficients)
 
 
 class Sweep(NamedTuple):

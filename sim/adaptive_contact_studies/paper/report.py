@@ -11,9 +11,12 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from adaptive_contact.files import write_file
 from adaptive_contact_studies.paper.detection import BOTH, SLOW_FAST
@@ -35,10 +38,6 @@ from adaptive_contact_studies.show.pages import (
     unwrapped,
     write_page,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 JOINTS: Final = ("coxa", "femur", "tibia")
 # Shown at about the size they are drawn at: no smaller than 9 points.
@@ -67,7 +66,6 @@ _P95_MS: Final = 40.0
 _PER_HOUR: Final = 5.0
 _HOURS: Final = 10.0
 _OVER_FLOOR: Final = 1.5
-_SPEED_UP: Final = 20.0
 
 
 def write_report(results: Mapping[str, Any], out: Path) -> None:
@@ -85,13 +83,9 @@ def write_document(results: Mapping[str, Any], document: Path) -> None:
     """Write the page, its pictures in a folder ``pictures`` beside it.
 
     Raises:
-        MissingExtraError: matplotlib or jinja2 is not installed.
         ConfigurationError: it cannot be written there.
     """
     write_page(document, markdown("page.md", results=results, headline=headline(results)))
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     with mpl.rc_context(_STYLE):
         for name, (draw, size, stage) in _DRAWINGS.items():
             if stage in results:
@@ -166,16 +160,6 @@ def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         point = next(p for p in servo["points"] if p["lambda"] == (servo["picked"] or 0.0))
         floor(
             "model of the default's library, the paper's test segments", point["test"]["over_floor"]
-        )
-    for row in results.get("compression") or ():
-        add(
-            f"refit with the factor held, {row['library']} library, "
-            f"{sum(row['kept']) / len(row['kept']):.0f} of {row['terms']} terms kept, "
-            f"{row['rows']:,} rows",
-            f"≥ {_SPEED_UP:.0f} × PySINDy's own on 5,000 segments, same support",
-            f"{row['speed_up']:.0f} ×, {'same' if row['same_support'] else 'another'} support, "
-            f"largest difference {row['difference']:.1e}",
-            kept=row["same_support"] and row["difference"] <= 1e-8 and row["speed_up"] >= _SPEED_UP,
         )
     return lines
 

@@ -9,7 +9,6 @@ from typing import Any, Final, get_args
 
 import msgspec
 
-from adaptive_contact_studies.paper.compression import compare_all
 from adaptive_contact_studies.paper.data import streams_of
 from adaptive_contact_studies.paper.detection import detection
 from adaptive_contact_studies.paper.evaluation import evaluate, jobs_of, learned, tuned
@@ -67,14 +66,12 @@ def _detection(work: Work, plan: Plan) -> dict[str, Any]:
     work.each("choosing lags, joints and thresholds on tuning streams", tuned, [plan])
     jobs = jobs_of(plan, "touch") + jobs_of(plan, "free")
     what = "every detector on every stream"
-    found = work.each(what, evaluate, jobs, lambda job: len(job.runs))
+    found = work.each(what, evaluate, jobs)
     return detection(plan, jobs, found)
 
 
 STAGES: Final[dict[str, Callable[[Work, Plan], Any]]] = {
     "dataset": _dataset,
     "identification": identification,
-    # By itself: CPU time is compared.
-    "compression": lambda work, plan: work.each("compression", compare_all, [plan])[0],
     "detection": _detection,
 }

@@ -137,7 +137,7 @@ def measure(work: Work, chosen: Iterable[Scenario], sizes: Sizes) -> Tree:
     made: dict[str, Replayed | str] = dict(
         zip(
             wanted,
-            work.each("recording and replaying", replayed, [*wanted.values()], lambda s: s.work),
+            work.each("recording and replaying", replayed, [*wanted.values()]),
             strict=True,
         )
     )
