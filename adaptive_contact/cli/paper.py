@@ -8,7 +8,6 @@ from typing import Annotated
 from adaptive_contact.cli._options import ForceOption, option, refuse_to_replace
 from adaptive_contact.cli._output import say
 from adaptive_contact.cli._sim_options import needs_studies
-from adaptive_contact.errors import ConfigurationError
 
 
 def paper(
@@ -16,9 +15,6 @@ def paper(
     quick: Annotated[bool, option("--quick", "A few minutes: fewer legs, fewer hours.")] = False,
     workers: Annotated[int, option("--workers", "Processes, 0 for one per core.", min=0)] = 0,
     seed: Annotated[int, option("--seed", "Seed of all streams.", min=0, max=90)] = 0,
-    stage: Annotated[
-        list[str] | None, option("--stage", "Only this stage; repeatable.", "NAME")
-    ] = None,
     docs: Annotated[
         Path | None, option("--docs", "Write the page and its pictures here, too.", "FILE.md")
     ] = None,
@@ -34,17 +30,13 @@ def paper(
     with needs_studies():
         from adaptive_contact_studies.paper.plan import FULL, QUICK
         from adaptive_contact_studies.paper.report import write_document, write_report
-        from adaptive_contact_studies.paper.run import STAGES, run_paper
+        from adaptive_contact_studies.paper.run import run_paper
         from adaptive_contact_studies.work import Work
     import dataclasses
     import os
 
-    unknown = [name for name in stage or () if name not in STAGES]
-    if unknown:
-        raise ConfigurationError(f"no stage '{unknown[0]}'; stages are {', '.join(STAGES)}")
     plan = dataclasses.replace(QUICK if quick else FULL, seed=seed)
-    stages = [name for name in STAGES if not stage or name in stage]
-    results = run_paper(Work(out, workers or os.cpu_count() or 1, shown=True), plan, stages)
+    results = run_paper(Work(out, workers or os.cpu_count() or 1, shown=True), plan)
     write_report(results, out)
     if docs is not None:
         write_document(results, docs)

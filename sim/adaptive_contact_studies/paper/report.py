@@ -44,9 +44,8 @@ JOINTS: Final = ("coxa", "femur", "tibia")
 _STYLE: Final[Any] = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
 _LOOKS: Final = {
     "default": ("black", "-", 2.2),
-    "servo ratio": (BLUE, "-", 1.8),
+    "frozen": (BLUE, "-", 1.8),
     "servo rule": (SKY, "--", 1.4),
-    "paper ratio": (ORANGE, "-", 1.4),
     "paper rule": (RED, "-", 1.8),
     "tracking": (PURPLE, "-", 1.4),
     "naive": (GREY, "-", 1.4),
@@ -88,14 +87,13 @@ def write_document(results: Mapping[str, Any], document: Path) -> None:
     write_page(document, markdown("page.md", results=results, headline=headline(results)))
     with mpl.rc_context(_STYLE):
         for name, (draw, size, stage) in _DRAWINGS.items():
-            if stage in results:
-                figure = Figure(size, dpi=100, layout="constrained")
-                draw(figure, results[stage])
-                picture = io.BytesIO()
-                figure.savefig(picture, format="png", metadata={"Software": None})
-                file = document.parent / "pictures" / f"paper-{name}.png"
-                file.parent.mkdir(parents=True, exist_ok=True)
-                write_file(file, picture.getvalue(), advice="give another folder with --out")
+            figure = Figure(size, dpi=100, layout="constrained")
+            draw(figure, results[stage])
+            picture = io.BytesIO()
+            figure.savefig(picture, format="png", metadata={"Software": None})
+            file = document.parent / "pictures" / f"paper-{name}.png"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_file(file, picture.getvalue(), advice="give another folder with --out")
 
 
 def markdown(template: str, **given: Any) -> str:
@@ -105,7 +103,7 @@ def markdown(template: str, **given: Any) -> str:
 
 
 def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """What was asked for and what was measured, of the stages that ran, and whether it is reached.
+    """What was asked for and what was measured, and whether it is reached.
 
     That is left open where no figure is against it, but less was measured than was asked for.
     """
@@ -118,49 +116,45 @@ def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         what, wanted = f"one-step RMS over the noise floor, {where}", f"≤ {_OVER_FLOOR} ×"
         add(what, wanted, f"{per_joint(over)} ×", kept=max(over) <= _OVER_FLOOR)
 
-    if found := results.get("detection"):
-        row = found["figures"]["default"]["rows"]["headline"]
-        alarms = found["figures"]["default"]["false_alarms"]["free"]
-        low, high = row["interval"]
-        enough = row["touches"] >= _TOUCHES
-        add(
-            "recall, hard ground, ≥ 0.2 m/s, whole workspace (slow approaches: rows of their own)",
-            f"≥ {percent(_RECALL, 0)} of ≥ {_TOUCHES:,}",
-            f"{percent(row['recall'])} of {row['touches']} "
-            f"(95 % {percent(low)} to {percent(high)})",
-            kept=(row["recall"] or 0.0) >= _RECALL,
-            enough=enough,
-        )
-        median, p95 = row["median_ms"], row["p95_ms"]
-        add(
-            "latency of those",
-            f"median ≤ {_MEDIAN_MS:.0f} ms, p95 ≤ {_P95_MS:.0f} ms",
-            f"median {number(median, 1)} ms, p95 {number(p95, 1)} ms",
-            kept=median is not None and median <= _MEDIAN_MS and p95 <= _P95_MS,
-            enough=enough,
-        )
-        low, high = alarms["interval"]
-        add(
-            "false alarms per robot-hour",
-            f"≤ {_PER_HOUR:.0f} over ≥ {_HOURS:.0f} h",
-            f"{number(alarms['per_hour'])} (95 % {number(low)} to {number(high)}) "
-            f"over {number(alarms['hours'], 1)} h",
-            kept=alarms["per_hour"] is not None and alarms["per_hour"] <= _PER_HOUR,
-            enough=alarms["hours"] >= _HOURS,
-        )
-        what = "servo law's models as fitted (the default starts from such), standing, judged ticks"
-        run, worst = found["worst_leg_run"]
-        for where, rms in (
-            ("all leg-runs pooled", found["residual_deg"]["servo"]),
-            (f"the worst leg-run ({run})", worst),
-        ):
-            floor(f"{what}, {where}", [v / math.degrees(noise_floor()) for v in rms])
-    if identified := results.get("identification"):
-        servo = identified["selection"][-1]
-        point = next(p for p in servo["points"] if p["lambda"] == (servo["picked"] or 0.0))
-        floor(
-            "model of the default's library, the paper's test segments", point["test"]["over_floor"]
-        )
+    found = results["detection"]
+    row = found["figures"]["default"]["rows"]["headline"]
+    alarms = found["figures"]["default"]["false_alarms"]["free"]
+    low, high = row["interval"]
+    enough = row["touches"] >= _TOUCHES
+    add(
+        "recall, hard ground, ≥ 0.2 m/s, whole workspace (slow approaches: rows of their own)",
+        f"≥ {percent(_RECALL, 0)} of ≥ {_TOUCHES:,}",
+        f"{percent(row['recall'])} of {row['touches']} (95 % {percent(low)} to {percent(high)})",
+        kept=(row["recall"] or 0.0) >= _RECALL,
+        enough=enough,
+    )
+    median, p95 = row["median_ms"], row["p95_ms"]
+    add(
+        "latency of those",
+        f"median ≤ {_MEDIAN_MS:.0f} ms, p95 ≤ {_P95_MS:.0f} ms",
+        f"median {number(median, 1)} ms, p95 {number(p95, 1)} ms",
+        kept=median is not None and median <= _MEDIAN_MS and p95 <= _P95_MS,
+        enough=enough,
+    )
+    low, high = alarms["interval"]
+    add(
+        "false alarms per robot-hour",
+        f"≤ {_PER_HOUR:.0f} over ≥ {_HOURS:.0f} h",
+        f"{number(alarms['per_hour'])} (95 % {number(low)} to {number(high)}) "
+        f"over {number(alarms['hours'], 1)} h",
+        kept=alarms["per_hour"] is not None and alarms["per_hour"] <= _PER_HOUR,
+        enough=alarms["hours"] >= _HOURS,
+    )
+    what = "servo law's models as fitted (the default starts from such), standing, judged ticks"
+    run, worst = found["worst_leg_run"]
+    for where, rms in (
+        ("all leg-runs pooled", found["residual_deg"]["servo"]),
+        (f"the worst leg-run ({run})", worst),
+    ):
+        floor(f"{what}, {where}", [v / math.degrees(noise_floor()) for v in rms])
+    servo = results["identification"]["selection"][-1]
+    point = next(p for p in servo["points"] if p["lambda"] == (servo["picked"] or 0.0))
+    floor("model of the default's library, the paper's test segments", point["test"]["over_floor"])
     return lines
 
 
@@ -230,7 +224,7 @@ def _curve(axes: Axes, name: str, title: str, figures: Any) -> None:
     axes.plot(x, y, style, color=colour, lw=width, label=title)
     if own["per_hour"] is not None:
         at = max(own["per_hour"], 0.5 / own["hours"]), 100 * (own["recall"] or 0.0)
-        mark, size = ("*", 15) if name == "default" else ("o", 6)
+        mark, size = ("o", 6) if points else ("*", 15)
         axes.plot([at[0]], [at[1]], mark, color=colour, ms=size, mec="white", zorder=5)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Callable, Iterable
-from typing import Any, Final, get_args
+from typing import Any, get_args
 
 import msgspec
 
@@ -18,13 +17,12 @@ from adaptive_contact_studies.training import record_all
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 
 
-def run_paper(work: Work, plan: Plan, stages: Iterable[str]) -> dict[str, Any]:
+def run_paper(work: Work, plan: Plan) -> dict[str, Any]:
     """Run the experiments.
 
     Args:
         work: how it is done, and where it is kept.
         plan: how much of everything.
-        stages: which, of :data:`STAGES`.
 
     Returns:
         A tree of figures, by stage.
@@ -32,16 +30,16 @@ def run_paper(work: Work, plan: Plan, stages: Iterable[str]) -> dict[str, Any]:
     Raises:
         SimulationDivergedError: the physics blew up.
     """
+    record_all(work, [*plan.paper_runs("train"), *plan.paper_runs("tune")])
     results: dict[str, Any] = {
         "plan": plan,
         "machine": {"cores": os.cpu_count(), "python": platform.python_version()},
         "simulator": digest(*SIMULATOR),
         "learner": digest(*LEARNER),
+        "dataset": _dataset(work, plan),
+        "identification": identification(work, plan),
+        "detection": _detection(work, plan),
     }
-    if {*stages} - {"detection"}:
-        record_all(work, [*plan.paper_runs("train"), *plan.paper_runs("tune")])
-    for stage in stages:
-        results[stage] = STAGES[stage](work, plan)
     # Arrays become lists; what is not a number, or infinite, None.
     text = msgspec.json.encode(results, enc_hook=lambda array: array.tolist())
     return dict(msgspec.json.decode(text))
@@ -68,10 +66,3 @@ def _detection(work: Work, plan: Plan) -> dict[str, Any]:
     what = "every detector on every stream"
     found = work.each(what, evaluate, jobs)
     return detection(plan, jobs, found)
-
-
-STAGES: Final[dict[str, Callable[[Work, Plan], Any]]] = {
-    "dataset": _dataset,
-    "identification": identification,
-    "detection": _detection,
-}
