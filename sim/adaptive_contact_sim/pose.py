@@ -21,7 +21,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Mask
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import Geometry
@@ -43,16 +43,6 @@ class Space:
         yaw, reach = rng.uniform(*self.yaw_rad), rng.uniform(*self.reach_m)
         height = rng.uniform(*self.height_m)
         return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
-
-    def holds(self, points_m: Array) -> Mask:
-        """(n,) which of (n, 3) m points lie in it, to the rounding of a grid."""
-        x, y, z = points_m.T
-        inside = np.ones(len(points_m), dtype=np.bool_)
-        ranges = (self.yaw_rad, self.reach_m, self.height_m)
-        values = (np.arctan2(y, x), np.hypot(x, y), z)
-        for value, (low, high) in zip(values, ranges, strict=True):
-            inside &= (value >= low - 1e-9) & (value <= high + 1e-9)
-        return inside
 
 
 # Lower and upper subspace, by name of the workspace.
