@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Ints
-from adaptive_contact.fit import Fit
 from adaptive_contact.model import Factor, LegModel, Library, Rows, Window, stack
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.servo import QUANTUM_RAD
@@ -60,12 +59,6 @@ def factor_of(library: Library, windows: Rows, target: Array) -> Factor:
     factor = Factor(library.size, target.shape[1])
     factor.add(library.evaluate(*windows[:3]), target)
     return factor
-
-
-def residual_unit(least_squares: Fit) -> tuple[float, ...]:
-    """(J,) the least-squares residual that λ is measured in, where there is one."""
-    # What a joint that never moves leaves as its residual, rad.
-    return tuple(np.maximum(least_squares.rms, 1e-9).tolist())
 
 
 def noise_floor() -> float:

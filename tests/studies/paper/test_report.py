@@ -35,7 +35,6 @@ def test_a_whole_run_is_made_again_from_what_is_kept_and_shown(
 ) -> None:
     monkeypatch.setattr(tail, "MIN_EXCEEDANCES", 5)  # no threshold to be trusted, but it is one
     monkeypatch.setattr(identification, "LAMBDAS", (0.01, 5.0))
-    monkeypatch.setattr(identification, "OUR_LAMBDAS", (0.0, 0.3))
     monkeypatch.setattr(identification, "PAPER_WINDOW", identification._SHORT)
     first, again = (run_paper(Work(tmp_path / "out"), TINY) for _ in range(2))
     assert first == again
