@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import io
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -136,7 +136,7 @@ _KINDS: Final = {".png": (960, 720, 1), ".gif": (480, 360, 4)}
 
 
 class Film:
-    """A picture or film of a run; a context manager.
+    """A picture or film of a run, painted when it is closed.
 
     Raises:
         ConfigurationError: the ending is none of those known, or the folder does not exist.
@@ -163,12 +163,6 @@ class Film:
         self._sim = sim
         self._painter = Painter(sim, self._width, self._height)
         self._moments: list[Moment] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def look(self) -> None:
         """Keep the present moment, if a frame is due."""

@@ -234,9 +234,8 @@ class PoseMotion:
         if len(self.settings.legs) == 1:
             self._trials_left = self.settings.trials_per_turn - 1
             return self._trial()
-        standing = self._stand_m
-        if not np.array_equal(self._point, standing):
-            return self._step_down()
+        if not np.array_equal(self._point, self._stand_m):
+            return self._step(self._stand_m)
         self._turn += 1
         self._trials_left = self.settings.trials_per_turn
         return self._step_up()
@@ -337,19 +336,17 @@ class PoseMotion:
         return points, self._geometry.joints(points, rest_rad=rest)
 
     def _step_up(self) -> _Plan:
-        """From standing to the lower subspace; no swing to be judged."""
+        """From standing to the lower subspace."""
         while True:
             end = self._lower.draw(self._rng)
             if self._geometry.reachable(end):
                 break
-        points = _arc(self._stand_m, end)
-        self._point = end
-        return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
+        return self._step(end)
 
-    def _step_down(self) -> _Plan:
-        """From wherever the leg is back to standing; no swing to be judged."""
-        points = _arc(self._point, self._stand_m)
-        self._point = self._stand_m
+    def _step(self, end: Array) -> _Plan:
+        """From wherever the leg is to a point; no swing to be judged."""
+        points = _arc(self._point, end)
+        self._point = end
         return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
 
 
