@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -26,28 +25,23 @@ from pysindy.optimizers import STLSQ
 from adaptive_contact.arrays import Array
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.train import learn
-from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
+from adaptive_contact.model import Factor, LibraryName, Window, leg_library
 from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_studies.paper.data import Stream, streams_of
 from adaptive_contact_studies.paper.plan import PAPER_LEG, Plan
 from adaptive_contact_studies.paper.rows import (
     PAPER_WINDOW,
-    FreeRows,
     factor_of,
     free_rows,
     noise_floor,
     over_floor,
-    pick,
     rms_deg,
 )
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
 # Log-spaced, three to a decade, and the paper's own choice.
 LAMBDAS: Final = tuple(sorted({round(10.0 ** (e / 3), 6) for e in range(-12, 7)} | {5.0}))
-# The sparsest model whose held-out error is within this of the best, for every joint, is picked.
-TOLERANCE: Final = 1.005
-FOLDS: Final = 5
 _SHORT: Final = Window(past_measured=1, past_desired=1, preview=1)
 _SOURCES: Final = (
     *(*SIMULATOR, *LEARNER, "adaptive_contact_studies.paper.data"),
@@ -100,15 +94,13 @@ def sweeps_of(plan: Plan) -> list[Sweep]:
 
 @rests_on(*_SOURCES)
 def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
-    """Fit at every λ, with errors on held-out swings of the training set and on the test set."""
+    """Fit at every λ, with errors on both sets."""
     robot = shipped_robot()
     train, test = paper_streams(work, sweep.plan)
     library = leg_library(robot, robot.leg(PAPER_LEG), "paper", sweep.window)
     rows, held = free_rows(train, library), free_rows(test, library)
     scale = 180.0 / np.pi if sweep.unit == "deg" else 1.0
-    fitted = _in_unit(rows.windows, scale)
-    position = fitted.measured[:, 0] + fitted.increment
-    folds = _fold_factors(library, FreeRows(fitted, rows.swing), position)
+    fitted = _in_unit(rows, scale)
     whole = factor_of(library, fitted, _next_state(fitted))
     points: list[dict[str, Any]] = []
     for threshold in (0.0, *LAMBDAS):
@@ -117,9 +109,8 @@ def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
             "lambda": threshold,
             "status": fit.status.value,
             "terms": [int(n) for n in np.count_nonzero(fit.coefficients, axis=0)],
-            "held_out_rms": _held_out(folds, threshold, scale, normalised=sweep.normalised),
         }
-        for name, windows in (("train", rows.windows), ("test", held.windows)):
+        for name, windows in (("train", rows), ("test", held)):
             predicted = library.evaluate(*_in_unit(windows, scale)[:3]) @ fit.coefficients / scale
             position = predicted[:, : len(library.joints)]
             point[name] = _scores(windows, position, states=predicted)
@@ -127,6 +118,7 @@ def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
         if fit.status is FitStatus.EMPTIED and threshold >= 5.0:
             break
     emptied = [p["lambda"] for p in points if p["status"] == "emptied"]
+    best = min(points, key=lambda p: max(p["test"]["over_floor"]))
     return {
         "unit": sweep.unit,
         "normalised": sweep.normalised,
@@ -134,7 +126,7 @@ def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
         "ridge": RIDGE,
         "points": points,
         "emptied_at": emptied[0] if emptied else None,
-        "picked": sparsest_of(points),
+        "best": best["lambda"],
     }
 
 
@@ -148,7 +140,7 @@ def selected(work: Work, item: tuple[Plan, LibraryName, Window]) -> dict[str, An
         shipped_robot(), streams, origin="the paper's segments", library=name, window=window
     )
     model, found = training.baseline.legs[PAPER_LEG].model, training.figures[PAPER_LEG]
-    windows = free_rows(test, model.library).windows
+    windows = free_rows(test, model.library)
     position = windows.measured[:, 0] + model.increment(*windows[:3])
     return {
         "library": name,
@@ -171,12 +163,12 @@ def identification(work: Work, plan: Plan) -> dict[str, Any]:
         (plan, "servo", Window()),
     ]
     return {
-        "rows": {"train": len(rows.swing), "test": len(held.swing)},
+        "rows": {"train": len(rows.tick), "test": len(held.tick)},
         "floor_deg": float(np.degrees(noise_floor())),
         "reading_noise_deg": rms_deg(
             np.concatenate([stream.arrays.measured - stream.arrays.angle for stream in test])
         ),
-        "naive": _scores(held.windows, held.windows.measured[:, 0], states=None),
+        "naive": _scores(held, held.measured[:, 0], states=None),
         "sweeps": work.each("sweeps of λ", swept, sweeps_of(plan)),
         "selection": work.each("our own fits", selected, ours),
     }
@@ -185,21 +177,6 @@ def identification(work: Work, plan: Plan) -> dict[str, Any]:
 def paper_streams(work: Work, plan: Plan) -> tuple[list[Stream], list[Stream]]:
     """The paper's training and test segments."""
     return streams_of(work, plan.paper_runs("train")), streams_of(work, plan.paper_runs("tune"))
-
-
-def sparsest_of(points: Iterable[dict[str, Any]]) -> float | None:
-    """The largest λ at which every joint's held-out error is near its best.
-
-    A mean over joints would let one of them pay for the others' sparsity.  The smallest λ where the
-    joints' best lie apart; None where no fit keeps all joints.
-    """
-    points = [p for p in points if p["status"] == "ok" and p["held_out_rms"] is not None]
-    if not points:
-        return None
-    errors = np.array([p["held_out_rms"] for p in points], dtype=np.float64)
-    near = (errors <= TOLERANCE * errors.min(axis=0)).all(axis=1)
-    values = [float(p["lambda"]) for p in points]
-    return max((v for v, n in zip(values, near, strict=True) if n), default=min(values))
 
 
 def _in_unit(windows: Rows, factor: float) -> Rows:
@@ -245,26 +222,3 @@ def _r2(predicted: Array, actual: Array) -> float:
     left = np.square(predicted - actual).sum()
     whole = np.square(actual - actual.mean(axis=0)).sum() if len(actual) else 0.0
     return float(1.0 - left / whole) if whole > 0.0 else float("nan")
-
-
-def _fold_factors(library: Library, rows: FreeRows, target: Array) -> list[Factor]:
-    """One factor per fold of swings, ten neighbours together."""
-    fold = rows.swing // 10 % FOLDS
-    parts = [fold == f for f in range(FOLDS)]
-    return [factor_of(library, pick(rows.windows, part), target[part]) for part in parts]
-
-
-def _held_out(
-    folds: Sequence[Factor], threshold: float, unit: float, *, normalised: bool
-) -> list[float] | None:
-    """(J,) degrees on swings a fit has not seen; None where one has no rows, or is emptied."""
-    terms, outputs = folds[0].terms, folds[0].outputs
-    squares, count = np.zeros(outputs), 0.0
-    for f, inside in enumerate(folds):
-        others = Factor.merged((o for i, o in enumerate(folds) if i != f), terms, outputs)
-        fit = paper_fit(others, threshold, normalised=normalised)
-        if fit.status is not FitStatus.OK or inside.rows <= 0:
-            return None
-        squares += np.square(inside.rms(fit.coefficients)) * inside.rows
-        count += inside.rows
-    return [float(v) for v in np.degrees(np.sqrt(squares / count) / unit)]

@@ -178,8 +178,7 @@ def _sweep(figure: Figure, data: Any) -> None:
         for axes in (above, middle, below):
             axes.axvline(5.0, color="black", lw=0.8, ls="--")
             axes.set_xlim(1e-4, 20)
-            if sweep["picked"] is not None:
-                axes.axvline(sweep["picked"], color=PURPLE, lw=1.4)
+            axes.axvline(sweep["best"], color=PURPLE, lw=1.4)
             if sweep["emptied_at"] is not None:
                 axes.axvspan(sweep["emptied_at"], 20.0, color="black", alpha=0.12, lw=0)
     for axes, label in zip(

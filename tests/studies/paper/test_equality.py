@@ -41,7 +41,7 @@ def discrete_sindy(
 
 def system(robot: Robot, stream: Stream, name: str, window: Window):
     library = leg_library(robot, robot.leg("rf"), name, window)
-    windows = free_rows([stream], library).windows
+    windows = free_rows([stream], library)
     n = len(windows.tick)
     state = windows.measured.reshape(n, -1)
     control = np.concatenate([windows.desired.reshape(n, -1), windows.preview.reshape(n, -1)], 1)
