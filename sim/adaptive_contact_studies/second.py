@@ -22,12 +22,13 @@ from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Baseline
+from adaptive_contact.score import summarise
 from adaptive_contact.score.summary import AlarmFigures
 from adaptive_contact_bullet.gait import GAITS
 from adaptive_contact_bullet.plant import Ground, Kind
 from adaptive_contact_bullet.record import Drift, Plan, Recorded, record
 from adaptive_contact_bullet.robots import SHAPES
-from adaptive_contact_studies.evaluate import feed, samples_of, score_run
+from adaptive_contact_studies.evaluate import feed, parts_of, samples_of, score_run
 from adaptive_contact_studies.show.pages import found_of, per_hour, percent, row
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.work import LEARNER, Work, rests_on
@@ -162,15 +163,11 @@ def tried(work: Work, trial: Trial) -> Found | None:
     told = feed(learners, [samples_of(run, leg) for leg in robot.leg_ids], drain)
     events = dict(zip(robot.leg_ids, told, strict=True))
     outcomes = score_run(run, robot, events)
-    touches, found = np.zeros(_PARTS, int), np.zeros(_PARTS, int)
+    whole, parts = summarise(outcomes), parts_of(run, outcomes, _PARTS)
     settled_ns = run.t_ns[0] + (trial.seconds / 3.0 + _SETTLED_S) * 1e9
-    seen = seen_found = alarms = settled = judged = count = touching = free_ticks = hung = valid = 0
-    span = run.t_ns[-1] - run.t_ns[0] + 1
+    seen = seen_found = settled = count = touching = free_ticks = hung = valid = 0
     for outcome in outcomes:
         own, arrays = outcome.touches, run.legs[outcome.leg]
-        part = ((own.onset_ns - run.t_ns[0]) * _PARTS // span)[own.counted]
-        touches += np.bincount(part, minlength=_PARTS)
-        found += np.bincount(part, own.found[own.counted], minlength=_PARTS).astype(int)
         twins = np.array(
             [o.onset_ns for o in made.observed if o.leg == outcome.leg and o.ratio > 1.0]
         )
@@ -178,9 +175,7 @@ def tried(work: Work, trial: Trial) -> Found | None:
             # Truth of a walk and of its twin tell one touch when they are no further apart.
             if counted and len(twins) and np.abs(twins - onset_ns).min() <= 30_000_000:
                 seen, seen_found = seen + 1, seen_found + int(hit)
-        alarms += len(outcome.alarms_ns)
         settled += sum(alarm_ns > settled_ns for alarm_ns in outcome.alarms_ns)
-        judged += int(outcome.swings.judged.sum() + outcome.swings.judged_after.sum())
         at = np.searchsorted(run.t_ns, learned[outcome.leg])
         count, touching = count + len(at), touching + int(arrays.contact[at].sum())
         free_ticks += int((arrays.swing & ~arrays.contact).sum())
@@ -190,8 +185,9 @@ def tried(work: Work, trial: Trial) -> Found | None:
             e.contact and e.status == "valid" and e.t_ns >= begun for e in events[outcome.leg]
         )
     return Found(
-        tuple(touches.tolist()), tuple(found.tolist()), seen, seen_found, len(made.observed),
-        alarms, settled, judged, count, touching, free_ticks, hung, valid,
+        tuple(part.counted.touches for part in parts), tuple(part.counted.found for part in parts),
+        seen, seen_found, len(made.observed), whole.false_alarms, settled, whole.judged_ticks,
+        count, touching, free_ticks, hung, valid,
     )  # fmt: skip
 
 
