@@ -6,6 +6,7 @@ import io
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.figure import Figure
 from rich import box
 from rich.table import Table
 from scipy.stats import t as student
@@ -56,8 +57,6 @@ def _half(values: Array) -> str:
 
 def picture(found: Comparison) -> bytes:
     """Draw tilt over time, and the force of touches before and after the drift; a PNG."""
-    from matplotlib.figure import Figure
-
     figure = Figure((8.0, 3.4), dpi=100, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.9, 1.0))
     for place, (name, policy) in enumerate(POLICIES.items()):

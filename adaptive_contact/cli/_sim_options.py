@@ -187,16 +187,14 @@ class RunOptions:
                 say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
-def needs_simulator(
-    what: str = "the simulator", extra: str = "sim"
-) -> AbstractContextManager[None]:
+def needs_simulator() -> AbstractContextManager[None]:
     """Wrap imports of the simulator: a missing mujoco is reported in one line."""
-    return needs(what, extra, "mujoco")
+    return needs("the simulator", "sim", "mujoco")
 
 
 def needs_studies() -> AbstractContextManager[None]:
-    """Wrap imports of the studies, likewise."""
-    return needs_simulator("a study", "studies")
+    """Wrap imports of the studies, likewise: said before hours of work, not after."""
+    return needs("a study", "studies", "mujoco", "joblib", "matplotlib", "jinja2")
 
 
 def given(**options: Any) -> dict[str, Any]:

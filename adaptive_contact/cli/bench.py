@@ -63,7 +63,7 @@ def bench(
     console = table_console(stderr=True)
     part = 0.02 if quick else 1.0
     rows: dict[str, Summary] = {}
-    work = Work(out, processes, console=console)
+    work = Work(out, processes, shown=True)
     if not speeds_only:
         runs = [run._replace(seconds=part * run.seconds) for run in HEADLINE_RUNS]
         rows = run_headline(robot, known, work, runs)

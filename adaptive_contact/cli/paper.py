@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import ForceOption, option, refuse_to_replace
+from adaptive_contact.cli._output import say
 from adaptive_contact.cli._sim_options import needs_studies
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 
 def paper(
@@ -19,9 +15,6 @@ def paper(
     quick: Annotated[bool, option("--quick", "A few minutes: fewer legs, fewer hours.")] = False,
     workers: Annotated[int, option("--workers", "Processes, 0 for one per core.", min=0)] = 0,
     seed: Annotated[int, option("--seed", "Seed of all streams.", min=0, max=90)] = 0,
-    stage: Annotated[
-        list[str] | None, option("--stage", "Only this stage; repeatable.", "NAME")
-    ] = None,
     docs: Annotated[
         Path | None, option("--docs", "Write the page and its pictures here, too.", "FILE.md")
     ] = None,
@@ -36,30 +29,15 @@ def paper(
     )
     with needs_studies():
         from adaptive_contact_studies.paper.plan import FULL, QUICK
-        from adaptive_contact_studies.paper.run import STAGES, run_paper
+        from adaptive_contact_studies.paper.report import write_document, write_report
+        from adaptive_contact_studies.paper.run import run_paper
         from adaptive_contact_studies.work import Work
-
-        for needed in ("matplotlib", "jinja2"):  # said before hours of work, not after
-            if find_spec(needed) is None:
-                raise MissingExtraError("the report", "studies")
     import dataclasses
     import os
 
-    from adaptive_contact_studies.paper.report import write_document, write_report
-
-    unknown = [name for name in stage or () if name not in STAGES]
-    if unknown:
-        raise ConfigurationError(f"no stage '{unknown[0]}'; stages are {', '.join(STAGES)}")
     plan = dataclasses.replace(QUICK if quick else FULL, seed=seed)
-    stages = [name for name in STAGES if not stage or name in stage]
-    console = table_console()
-    try:
-        work = Work(out, workers or os.cpu_count() or 1, console=console)
-        results = run_paper(work, plan, stages)
-    except KeyboardInterrupt:
-        console.print("\ninterrupted; the same command goes on from here")
-        raise typer.Exit(130) from None
+    results = run_paper(Work(out, workers or os.cpu_count() or 1, shown=True), plan)
     write_report(results, out)
     if docs is not None:
         write_document(results, docs)
-    console.print(f"wrote {docs or out / 'paper.md'} and {out / 'results.json'}")
+    say(f"wrote {docs or out / 'paper.md'} and {out / 'results.json'}")

@@ -22,6 +22,7 @@ from adaptive_contact.cli._options import (
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import write_file
 
 app = typer.Typer(
     help="Drifts, contacts and faults, replayed through the learner and simpler ones.",
@@ -98,7 +99,7 @@ def run(
     with needs_studies():
         from adaptive_contact_studies.scenarios.registry import named, scenarios
         from adaptive_contact_studies.scenarios.report import table
-        from adaptive_contact_studies.scenarios.results import measure, write_results
+        from adaptive_contact_studies.scenarios.results import measure
         from adaptive_contact_studies.scenarios.runs import FULL_SIZES, QUICK_SIZES
         from adaptive_contact_studies.work import Work
 
@@ -111,21 +112,14 @@ def run(
     sizes = QUICK_SIZES if quick else FULL_SIZES
     sizes = dataclasses.replace(sizes, leg_runs=seeds or sizes.leg_runs)
     chosen = named(names or scenarios(), sizes)
-    console = table_console(stderr=True)
-    try:
-        tree = measure(Work(out, processes, console=console), chosen, sizes)
-    except KeyboardInterrupt:
-        console.print("interrupted; the same command goes on from here")
-        # How a command ends that Ctrl-C stopped, as shells have it.
-        raise typer.Exit(130) from None
-    write_results(tree, out / RESULTS)
-    for problem in tree["problems"]:
-        console.print(problem, style="yellow")
+    tree = measure(Work(out, processes, shown=True), chosen, sizes)
+    text = jsonlib.dumps(tree, indent=1, allow_nan=False) + "\n"
+    write_file(out / RESULTS, text, advice="give another folder with --out")
     if json:
         say_json(jsonlib.dumps(tree, indent=2))
     else:
         print_markdown(table(tree))
-    console.print(f"figures in {out / RESULTS}")
+    say(f"figures in {out / RESULTS}", err=True)
 
 
 @app.command()

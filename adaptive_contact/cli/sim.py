@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json as jsonlib
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -25,7 +24,7 @@ from adaptive_contact.cli._sim_options import (
     needs_simulator,
     needs_studies,
 )
-from adaptive_contact.errors import ConfigurationError, LinkError, needs
+from adaptive_contact.errors import ConfigurationError, LinkError
 from adaptive_contact.files import write_file
 from adaptive_contact.wire import SIM_DRIFT, Drift, DriftReply, Rejected, decode, encode
 
@@ -54,7 +53,7 @@ def baseline(
 
     description = simulated_robot(robot).description
     with threadpool_limits(1):
-        work = Work(None, processes, console=table_console(stderr=True))
+        work = Work(None, processes, shown=True)
         training = learn_shipped(robot, work, progress=lambda line: say(line, err=True))
     save_baseline(training.baseline, out)
     print_training(training, description, json=json, equations=equations)
@@ -201,9 +200,6 @@ def compare(
         from adaptive_contact_sim import WalkSettings, parse_drift, simulated_robot
         from adaptive_contact_studies import blind
         from adaptive_contact_studies.work import Work
-    if picture is not None:  # said before minutes of work, not after
-        with needs("--picture", "studies", "matplotlib"):
-            import_module("matplotlib")
 
     base, motion = RunOptions(scenario=scenario, robot=robot).base(WalkSettings, gait)
     settings = base.settings
@@ -226,13 +222,8 @@ def compare(
             f"a drift begins at {begins_s:g} s of walks of {seconds:g} s; expected 2 s and more on "
             "either side of it"
         )
-    console = table_console(stderr=True)
-    try:
-        work = Work(out, processes, console)
-        found = blind.compare(work, settings, seconds, range(seed, seed + seeds))
-    except KeyboardInterrupt:
-        console.print("interrupted; the same command goes on from here")
-        raise typer.Exit(130) from None
+    work = Work(out, processes, shown=True)
+    found = blind.compare(work, settings, seconds, range(seed, seed + seeds))
     if picture is not None:
         write_file(picture, shown.picture(found), advice="give another --picture")
     if json:

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, get_args
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift, DriftKind, DriftShape
 from adaptive_contact_sim.elements import HEXAPOD, Layout
@@ -94,11 +94,6 @@ class _Course:
         self._before = before[self.joints]
         self._walk = _walk(drift) if drift.shape == "walk" else None
 
-    def release(self, joints: Ints) -> None:
-        """Give up joints that another drift takes."""
-        keep = ~np.isin(self.joints, joints)
-        self.joints, self._before = self.joints[keep], self._before[keep]
-
     def over(self, t_s: float) -> bool:
         """Whether its value will not change any more."""
         return self._drift.shape == "step" or t_s - self._start_s >= self._drift.duration_s
@@ -137,7 +132,8 @@ class DriftSchedule:
         }
         self._pending: list[Injection] = []
         self.begun: list[Injection] = []  # in order of time
-        self._courses: list[_Course] = []
+        self._courses: list[_Course] = []  # likewise: where two hold a joint, the later one counts
+        self._moving = False
         for injection in injections:
             self.add(injection)
 
@@ -154,7 +150,7 @@ class DriftSchedule:
 
     def due(self, t_s: float) -> bool:
         """Whether something begins or changes at this time."""
-        return bool(self._courses) or bool(self._pending and self._pending[0].at_s <= t_s)
+        return self._moving or bool(self._pending and self._pending[0].at_s <= t_s)
 
     def values(self, t_s: float) -> dict[str, Array]:
         """Move on to a time, which never goes back.
@@ -162,19 +158,14 @@ class DriftSchedule:
         Returns:
             Per kind, (L, J) values now in force.
         """
-        self._advance(t_s)
         while self._pending and self._pending[0].at_s <= t_s:
             injection = self._pending.pop(0)
             self.begun.append(injection)
-            # What was under way there goes on to this moment, and ends.
+            # What is under way there goes on to this moment, and ends.
             self._advance(injection.at_s)
-            course = _Course(injection, self._values[injection.drift.kind], self._layout)
-            for other in self._courses:
-                if other.kind == course.kind:
-                    other.release(course.joints)
-            self._courses = [c for c in self._courses if c.joints.size]
-            self._courses.append(course)
-            self._advance(t_s)
+            before = self._values[injection.drift.kind]
+            self._courses.append(_Course(injection, before, self._layout))
+        self._advance(t_s)
         return {
             name: value.reshape(len(self._layout.legs), -1) for name, value in self._values.items()
         }
@@ -192,7 +183,7 @@ class DriftSchedule:
     def _advance(self, t_s: float) -> None:
         for course in self._courses:
             self._values[course.kind][course.joints] = course.at(t_s)
-        self._courses = [c for c in self._courses if not c.over(t_s)]
+        self._moving = not all(course.over(t_s) for course in self._courses)
 
 
 def _walk(drift: Drift) -> Array:

@@ -87,48 +87,33 @@ class Elements:
         """Look up every element the simulator uses.
 
         Raises:
-            ConfigurationError: the model file lacks one, or orders the servos otherwise.
+            KeyError: the model file lacks one.
+            ConfigurationError: it orders the servos otherwise.
         """
         legs, parts = layout.legs, layout.parts
         servos = [f"{leg}_{joint}" for leg, joint in layout.servos]
-        joints = [_id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in servos]
+        of_legs = [f"{leg}_{part}" for leg in legs for part in parts]
+        joints = [model.joint(name) for name in servos]
+        geoms = [model.geom(name).id for name in of_legs]
         geom_leg = np.full(model.ngeom, -1, dtype=np.intp)
-        geom_part = np.full(model.ngeom, -1, dtype=np.intp)
-        for i, leg in enumerate(legs):
-            for k, part in enumerate(parts):
-                geom = _id(model, mujoco.mjtObj.mjOBJ_GEOM, f"{leg}_{part}")
-                geom_leg[geom], geom_part[geom] = i, k
-        body = _id(model, mujoco.mjtObj.mjOBJ_BODY, "body")
+        geom_part = geom_leg.copy()
+        geom_leg[geoms] = np.repeat(np.arange(len(legs)), len(parts))
+        geom_part[geoms] = np.tile(np.arange(len(parts)), len(legs))
+        body = model.body("body").id
         return cls(
             layout=layout,
-            qpos=_run(int(model.jnt_qposadr[joint]) for joint in joints),
-            dof=_run(int(model.jnt_dofadr[joint]) for joint in joints),
-            ctrl=_run(_id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name) for name in servos),
-            touch=_run(
-                int(model.sensor_adr[_id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{leg}_{part}_touch")])
-                for leg in legs
-                for part in parts
-            ),
+            qpos=_run(int(joint.qposadr[0]) for joint in joints),
+            dof=_run(int(joint.dofadr[0]) for joint in joints),
+            ctrl=_run(model.actuator(name).id for name in servos),
+            touch=_run(int(model.sensor(f"{name}_touch").adr[0]) for name in of_legs),
             body=body,
             floats=bool(model.body_dofnum[body]),
-            foot_sites=np.array(
-                [_id(model, mujoco.mjtObj.mjOBJ_SITE, f"{leg}_foot") for leg in legs]
-            ),
-            payloads=np.array(
-                [_id(model, mujoco.mjtObj.mjOBJ_BODY, f"{leg}_payload") for leg in legs]
-            ),
+            foot_sites=np.array([model.site(f"{leg}_foot").id for leg in legs]),
+            payloads=np.array([model.body(f"{leg}_payload").id for leg in legs]),
             geom_leg=geom_leg,
             geom_part=geom_part,
             leg_geoms=tuple(np.flatnonzero(geom_leg == i) for i in range(len(legs))),
         )
-
-
-def _id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
-    index = int(mujoco.mj_name2id(model, kind, name))
-    if index < 0:
-        what = kind.name.removeprefix("mjOBJ_").lower()
-        raise ConfigurationError(f"the robot model has no {what} '{name}'; add it to the MJCF file")
-    return index
 
 
 def _run(addresses: Iterable[int]) -> slice:

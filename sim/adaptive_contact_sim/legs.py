@@ -16,15 +16,13 @@ Reference:
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from adaptive_contact.arrays import Array, Mask
-from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot, foot, inverse, shipped_robot
-from adaptive_contact_sim.elements import JOINTS, LEGS
+from adaptive_contact_sim.elements import LEGS
 
 # How near to the rim of its reach a foot is ever sent, m.
 _REACH_MARGIN_M = 0.002
@@ -33,12 +31,8 @@ _STEP_RAD: Final = 0.4
 _EXACT_M: Final = 1e-6
 
 
-class Geometry(ABC):
-    """What a controller knows of its legs: where they sit on the body, and how they reach."""
-
-    outer_foot_m: float  # neutral feet from the body's centre, as turning moves them
-    standing_m: Array  # (3,) m, the first leg's foot at rest in its frame
-    middle_rad: Array  # (J,) rad, the first leg's posture at rest
+class _Mounted:
+    """Where legs sit on the body, and what a controller asks of them besides their reach."""
 
     def __init__(self, robot: Robot) -> None:
         # (L, 3) m, where the legs' first joints are in the body's frame
@@ -49,30 +43,6 @@ class Geometry(ABC):
         self.rotations[:, 1, 0] = np.sin(yaw)
         self.rotations[:, 0, 1] = -np.sin(yaw)
         self.rotations[:, 2, 2] = 1.0
-
-    @abstractmethod
-    def neutral(self, reach_m: float, height_m: float) -> Array:
-        """(L, 3) m in the legs' frames: feet so far out, the body so high over them."""
-
-    @abstractmethod
-    def reachable(self, points_m: Array) -> Mask:
-        """Return which foot points (..., 3) m in the leg's frame lie within reach and limits."""
-
-    @abstractmethod
-    def joints(
-        self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
-    ) -> Array:
-        """(..., J) rad within limits, the nearest to foot points (..., 3) m in the legs' frames.
-
-        Args:
-            points_m: one per leg, or any number where all legs are alike.
-            near_rad: a posture not far from it, where one is known: it saves time.
-            rest_rad: what joints beyond three follow instead of the posture at rest.
-        """
-
-    @abstractmethod
-    def feet(self, joints_rad: Array) -> Array:
-        """Foot points (..., 3) m in the legs' frames for joint angles (..., J) rad."""
 
     def to_leg(self, points_m: Array) -> Array:
         """From the body's frame to the legs': (L, 3) m, one point per leg."""
@@ -85,29 +55,18 @@ class Geometry(ABC):
         return np.asarray(turned + self.mounts_m)
 
 
-class LegGeometry(Geometry):
+class LegGeometry(_Mounted):
     """Geometry of the hexapod's six equal legs.
 
     Args:
         robot: its description, the shipped hexapod's by default.
-
-    Raises:
-        ConfigurationError: the description does not fit the simulated robot.
     """
 
     def __init__(self, robot: Robot | None = None) -> None:
         robot = robot or shipped_robot()
-        if robot.leg_ids != LEGS:
-            raise ConfigurationError(
-                f"robot '{robot.name}' has legs {', '.join(robot.leg_ids)}; the simulated robot "
-                f"has {', '.join(LEGS)}"
-            )
-        first = robot.leg(LEGS[0])
-        if first.lengths_m is None or first.limits is None or first.joints != JOINTS:
-            raise ConfigurationError(
-                f"robot '{robot.name}' lacks lengths_m or limits, or its joints are not "
-                f"{', '.join(JOINTS)}; give them for the simulator"
-            )
+        first = robot.legs[0]
+        assert first.lengths_m is not None
+        assert first.limits is not None
         super().__init__(robot)
         self.lengths_m = first.lengths_m  # coxa, femur, tibia
         _, l1, l2 = first.lengths_m
@@ -156,26 +115,18 @@ class LegGeometry(Geometry):
         return foot(joints_rad, self.lengths_m, ("yaw", "pitch", "pitch"))
 
 
-class ChainLegs(Geometry):
+class ChainLegs(_Mounted):
     """Geometry of legs that are any chains, each its own.
 
     Args:
         robot: their description, with a chain and limits of every leg.
         rest_rad: (L, J) a posture in the middle of what they do: it chooses between the solutions
             of a knee, and of joints beyond three.
-
-    Raises:
-        ConfigurationError: a leg lacks its geometry or its limits.
     """
 
     def __init__(self, robot: Robot, rest_rad: Array) -> None:
         chains = [leg.chain for leg in robot.legs if leg.chain is not None]
         limits = [leg.limits for leg in robot.legs if leg.limits is not None]
-        if len(chains) < len(robot.legs) or len(limits) < len(robot.legs):
-            raise ConfigurationError(
-                f"robot '{robot.name}' lacks geometry or limits of a leg; give them for the "
-                "simulator"
-            )
         super().__init__(robot)
         self.rest_rad = np.asarray(rest_rad, dtype=np.float64)
         self.lower_rad = np.array([limit.lower_rad for limit in limits])
@@ -203,7 +154,13 @@ class ChainLegs(Geometry):
     def joints(
         self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
     ) -> Array:
-        """Joint angles for foot points, as near as a posture within the limits comes."""
+        """(..., J) rad for foot points (..., 3) m, as near as a posture within the limits comes.
+
+        Args:
+            points_m: one per leg, or any number where all legs are alike.
+            near_rad: a posture not far from it, where one is known: it saves time.
+            rest_rad: what joints beyond three follow instead of the posture at rest.
+        """
         rest = self.rest_rad if rest_rad is None else rest_rad
         shape = np.broadcast_shapes(points_m.shape[:-1], rest.shape[:-1])
         start = rest if near_rad is None else near_rad
@@ -243,6 +200,10 @@ class ChainLegs(Geometry):
             place = place + np.matmul(turn, self._origins[..., i, :, None])[..., 0]
         arms = place[..., None, :] - np.stack(places, axis=-2)
         return place, np.swapaxes(np.cross(np.stack(axes, axis=-2), arms), -1, -2)
+
+
+# What a controller knows of its legs: where they sit on the body, and how they reach.
+Geometry: TypeAlias = LegGeometry | ChainLegs
 
 
 def _rotation(axis: Array, angle: Array) -> Array:

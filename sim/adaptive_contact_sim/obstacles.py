@@ -83,12 +83,10 @@ class ObstacleCourse:
         self.standing: str | None = None
         self.surface: Literal["hard", "soft"] = "hard"
 
-    def assign(self, leg: int | None) -> None:
+    def assign(self, leg: int) -> None:
         """Let obstacles collide with this leg only; a leg's own never do otherwise."""
-        if self.owner is not None:
-            return
-        elements = self._plant.elements
-        expose(self._plant.model, elements, None if leg is None else elements.layout.legs[leg])
+        if self.owner is None:
+            expose(self._plant.model, self._plant.elements, leg)
 
     def wanted(self) -> bool:
         """Draw whether the next descent meets an obstacle."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import io
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -52,8 +52,6 @@ class Moment(NamedTuple):
 
 Pixels = NDArray[np.uint8]
 
-_EGL: Final = "run: apt install libegl1 libgl1-mesa-dri"
-
 
 class Painter:
     """The engine's own renderer, offscreen on EGL, for moments of a simulation that has looks.
@@ -70,22 +68,20 @@ class Painter:
         self._data = mujoco.MjData(model)
         self._body = sim.plant.elements.body
         # Everything that can go wrong here is the machine's OpenGL: a missing library shows as
-        # ImportError or AttributeError, a missing device as RuntimeError or an EGLError.
+        # ImportError, AttributeError or OSError, a missing device as RuntimeError or an EGLError.
+        wrong: list[type[Exception]] = [ImportError, AttributeError, OSError, RuntimeError]
         try:
             from mujoco.egl import GLContext
 
-            gl_error: type[Exception] = importlib.import_module("OpenGL.error").Error
-        except (ImportError, AttributeError, OSError) as error:
-            raise ConfigurationError(
-                f"--render: EGL cannot be loaded ({_line(error)}); {_EGL}"
-            ) from error
-        try:
+            wrong += [importlib.import_module("OpenGL.error").Error, mujoco.FatalError]
             self._context: Any = GLContext(width, height)
             self._context.make_current()
             self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
-        except (ImportError, AttributeError, RuntimeError, gl_error, mujoco.FatalError) as error:
+        except tuple(wrong) as error:
+            reason = " ".join(str(error).split())[:120] or type(error).__name__
             raise ConfigurationError(
-                f"--render: EGL does not work here ({_line(error)}); {_EGL}"
+                f"--render: EGL does not work here ({reason}); "
+                "run: apt install libegl1 libgl1-mesa-dri"
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
         self._scene = mujoco.MjvScene(model, maxgeom=4000)
@@ -135,16 +131,12 @@ class Painter:
         self._context.free()
 
 
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:120] or type(error).__name__
-
-
 # File kind -> width, height, control ticks per frame.
 _KINDS: Final = {".png": (960, 720, 1), ".gif": (480, 360, 4)}
 
 
 class Film:
-    """A picture or film of a run; a context manager.
+    """A picture or film of a run, painted when it is closed.
 
     Raises:
         ConfigurationError: the ending is none of those known, or the folder does not exist.
@@ -171,12 +163,6 @@ class Film:
         self._sim = sim
         self._painter = Painter(sim, self._width, self._height)
         self._moments: list[Moment] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def look(self) -> None:
         """Keep the present moment, if a frame is due."""

@@ -21,7 +21,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Mask
+from adaptive_contact.arrays import Array
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import Geometry
@@ -43,16 +43,6 @@ class Space:
         yaw, reach = rng.uniform(*self.yaw_rad), rng.uniform(*self.reach_m)
         height = rng.uniform(*self.height_m)
         return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
-
-    def holds(self, points_m: Array) -> Mask:
-        """(n,) which of (n, 3) m points lie in it, to the rounding of a grid."""
-        x, y, z = points_m.T
-        inside = np.ones(len(points_m), dtype=np.bool_)
-        ranges = (self.yaw_rad, self.reach_m, self.height_m)
-        values = (np.arctan2(y, x), np.hypot(x, y), z)
-        for value, (low, high) in zip(values, ranges, strict=True):
-            inside &= (value >= low - 1e-9) & (value <= high + 1e-9)
-        return inside
 
 
 # Lower and upper subspace, by name of the workspace.
@@ -244,9 +234,8 @@ class PoseMotion:
         if len(self.settings.legs) == 1:
             self._trials_left = self.settings.trials_per_turn - 1
             return self._trial()
-        standing = self._stand_m
-        if not np.array_equal(self._point, standing):
-            return self._step_down()
+        if not np.array_equal(self._point, self._stand_m):
+            return self._step(self._stand_m)
         self._turn += 1
         self._trials_left = self.settings.trials_per_turn
         return self._step_up()
@@ -347,19 +336,17 @@ class PoseMotion:
         return points, self._geometry.joints(points, rest_rad=rest)
 
     def _step_up(self) -> _Plan:
-        """From standing to the lower subspace; no swing to be judged."""
+        """From standing to the lower subspace."""
         while True:
             end = self._lower.draw(self._rng)
             if self._geometry.reachable(end):
                 break
-        points = _arc(self._stand_m, end)
-        self._point = end
-        return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
+        return self._step(end)
 
-    def _step_down(self) -> _Plan:
-        """From wherever the leg is back to standing; no swing to be judged."""
-        points = _arc(self._point, self._stand_m)
-        self._point = self._stand_m
+    def _step(self, end: Array) -> _Plan:
+        """From wherever the leg is to a point; no swing to be judged."""
+        points = _arc(self._point, end)
+        self._point = end
         return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
 
 

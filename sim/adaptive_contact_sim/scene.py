@@ -15,7 +15,6 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
 from adaptive_contact_sim.terrain import HARD_SOLREF, Terrain, soft_contact
 
@@ -38,14 +37,8 @@ PARKED_M: Final = (0.0, 0.0, -3.0)
 
 
 def robot_xml(name: str = "hexapod") -> str:
-    """A robot's MJCF text, as shipped in ``adaptive_contact_models``.
-
-    Raises:
-        ConfigurationError: it is not there.
-    """
+    """A robot's MJCF text, as shipped in ``adaptive_contact_models``."""
     file = resources.files("adaptive_contact_models").joinpath(name, f"{name}.xml")
-    if not file.is_file():
-        raise ConfigurationError(f"the model of robot '{name}' is missing; install it again")
     return file.read_text(encoding="utf-8")
 
 
@@ -103,11 +96,10 @@ def build(
     return model
 
 
-def expose(model: mujoco.MjModel, elements: Elements, leg: str | None) -> None:
-    """Let the common set of obstacles collide with one leg only, or with none."""
-    for i, name in enumerate(elements.layout.legs):
-        bits = _GROUND_BIT | (_OBSTACLE_BIT if name == leg else 0)
-        model.geom_contype[elements.leg_geoms[i]] = bits
+def expose(model: mujoco.MjModel, elements: Elements, leg: int) -> None:
+    """Let the common set of obstacles collide with one leg only."""
+    for i, geoms in enumerate(elements.leg_geoms):
+        model.geom_contype[geoms] = _GROUND_BIT | (_OBSTACLE_BIT if i == leg else 0)
 
 
 def set_surface(

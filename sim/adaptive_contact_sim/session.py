@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
@@ -88,7 +88,7 @@ def run(
         if render is not None:
             from adaptive_contact_sim.picture import Film
 
-            film = stack.enter_context(Film(render, sim))
+            film = stack.enter_context(closing(Film(render, sim)))
             looks.append(lambda _: film.look())
 
         def on_tick(tick: Tick) -> None:

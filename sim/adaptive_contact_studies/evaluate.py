@@ -17,9 +17,11 @@ from adaptive_contact.score import (
     Events,
     LegOutcome,
     LegStream,
+    Summary,
     find_swings,
     lift_by_height,
     match,
+    summarise,
 )
 from adaptive_contact.wire import ContactEvent, ServoSample
 from adaptive_contact_sim.arrays import Run
@@ -119,3 +121,12 @@ def leg_stream(run: Run, leg: str, robot: Robot) -> LegStream:
 def score_run(run: Run, robot: Robot, events: dict[str, list[ContactEvent]]) -> list[LegOutcome]:
     """Judge every leg's events against the run's truth."""
     return [match(leg_stream(run, leg, robot), Events.of(e)) for leg, e in events.items()]
+
+
+def parts_of(run: Run, outcomes: Sequence[LegOutcome], count: int) -> list[Summary]:
+    """Figures of so many equal parts of a run, by when swings begin."""
+    edges = np.linspace(run.t_ns[0], run.t_ns[-1] + 1, count + 1).astype(np.int64).tolist()
+    return [
+        summarise([outcome.between(begin, end) for outcome in outcomes])
+        for begin, end in itertools.pairwise(edges)
+    ]

@@ -14,18 +14,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import pickle
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import msgspec
-import numpy as np
-from rich.console import Console
+import typer
 
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.robot import Robot
-from adaptive_contact.wire import ContactEvent
 from adaptive_contact_bullet.gait import GAITS
 from adaptive_contact_bullet.plant import Ground
 from adaptive_contact_bullet.record import Plan, record
@@ -33,7 +30,7 @@ from adaptive_contact_bullet.robots import SHAPES
 from adaptive_contact_sim import SimulationSettings, record_arrays, simulated_robot
 from adaptive_contact_sim.arrays import Run
 from adaptive_contact_sim.scenario import parse_drift
-from adaptive_contact_studies.evaluate import feed, samples_of, score_run
+from adaptive_contact_studies.evaluate import feed, parts_of, samples_of, score_run
 from adaptive_contact_studies.show.pages import row
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 
@@ -161,22 +158,12 @@ def followed(work: Work, walk: Walk) -> Followed:
         for leg, own in zip(robot.leg_ids, told, strict=True)
     }
     after_ns += int(run.t_ns[-1] - run.t_ns[0]) + _PAUSE_NS
-    return Followed(learners, (*parts, *_parts(run, robot, events, sizes)), after_ns)
-
-
-def _parts(
-    run: Run, robot: Robot, events: dict[str, list[ContactEvent]], sizes: Sequence[int]
-) -> list[Part]:
-    """Count what was found and what was false, in as many parts as there are sizes."""
-    edges = np.linspace(run.t_ns[0], run.t_ns[-1], len(sizes) + 1)
-    touches, found, alarms = (np.zeros(len(sizes), dtype=int) for _ in range(3))
-    for outcome in score_run(run, robot, events):
-        own = outcome.touches
-        touches += np.histogram(own.onset_ns[own.counted], edges)[0]
-        found += np.histogram(own.onset_ns[own.counted & own.found], edges)[0]
-        alarms += np.histogram(outcome.alarms_ns, edges)[0]
-    rows = zip(touches.tolist(), found.tolist(), alarms.tolist(), sizes, strict=True)
-    return [Part(*of) for of in rows]
+    summaries = parts_of(run, score_run(run, robot, events), count)
+    made = [
+        Part(one.counted.touches, one.counted.found, one.false_alarms, size)
+        for one, size in zip(summaries, sizes, strict=True)
+    ]
+    return Followed(learners, (*parts, *made), after_ns)
 
 
 def table(walks: Sequence[Walk], parts_of: Sequence[Sequence[Part]]) -> str:
@@ -199,29 +186,25 @@ def table(walks: Sequence[Walk], parts_of: Sequence[Sequence[Part]]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str]) -> int:
-    """Do what is asked for."""
-    if not arguments or arguments[0].startswith("-"):
-        print("expected FOLDER [SHARE [WALK ...]]", file=sys.stderr)
-        return 2
-    share = float(arguments[1]) if arguments[1:] else 1.0
+def main(
+    folder: Annotated[Path, typer.Argument(help="Where what was followed is kept.")],
+    share: Annotated[float, typer.Argument(help="Of the walks' times, for a try.")] = 1.0,
+    names: Annotated[list[str] | None, typer.Argument(help="Parts of names of walks.")] = None,
+) -> None:
+    """Follow the walks, or some of them, and print what was found."""
     wanted = [
         walk._replace(
             stages=tuple(stage._replace(seconds=share * stage.seconds) for stage in walk.stages)
         )
         for walk in WALKS
-        if not arguments[2:] or any(text in walk.name for text in arguments[2:])
+        if not names or any(text in walk.name for text in names)
     ]
-    work = Work(Path(arguments[0]), 2, console=Console(stderr=True))
-    seconds = [sum(stage.seconds for stage in walk.stages) for walk in wanted]
-    weights = dict(zip(wanted, seconds, strict=True))
-    made = work.each("walks", followed, wanted, weight=lambda walk: weights[walk])
+    made = Work(folder, 2, shown=True).each("walks", followed, wanted)
     print(table(wanted, [of.parts for of in made]))
-    return 0
 
 
 if __name__ == "__main__":
     # By its own name, which workers know: what is kept rests on the module's source.
     from adaptive_contact_studies import hours
 
-    sys.exit(hours.main(sys.argv[1:]))
+    typer.run(hours.main)

@@ -5,32 +5,31 @@ Nothing of the product was tuned to these robots, servos and gaits
 four minutes of free swings; two change after a while; all hang from nothing, too.
 
 ``python -m adaptive_contact_studies.second FOLDER [SECONDS [ROBOT ...]]``; what each run gave is
-kept in FOLDER.  ``drawn:40`` are forty robots that nobody chose
-(:mod:`adaptive_contact_bullet.drawn`), each from nothing.
+kept in FOLDER.  ``--drawn 40`` tries forty robots that nobody chose
+(:mod:`adaptive_contact_bullet.drawn`), each from nothing, instead.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
-from rich.console import Console
+import typer
 
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Baseline
+from adaptive_contact.score import summarise
 from adaptive_contact.score.summary import AlarmFigures
 from adaptive_contact_bullet.drawn import drawn, gait_of, is_drawn
 from adaptive_contact_bullet.plant import Ground, Kind
 from adaptive_contact_bullet.record import Drift, Plan, Recorded, record
 from adaptive_contact_bullet.robots import SHAPES
-from adaptive_contact_studies.evaluate import feed, samples_of, score_run
+from adaptive_contact_studies.evaluate import feed, parts_of, samples_of, score_run
 from adaptive_contact_studies.show.pages import found_of, per_hour, percent, row
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.work import LEARNER, Work, rests_on
@@ -170,16 +169,11 @@ def tried(work: Work, trial: Trial) -> Found | None:
     told = feed(learners, [samples_of(run, leg) for leg in robot.leg_ids], drain)
     events = dict(zip(robot.leg_ids, told, strict=True))
     outcomes = score_run(run, robot, events)
-    touches, found = np.zeros(_PARTS, int), np.zeros(_PARTS, int)
+    whole, parts = summarise(outcomes), parts_of(run, outcomes, _PARTS)
     settled_ns = run.t_ns[0] + (trial.seconds / 3.0 + _SETTLED_S) * 1e9
-    seen = seen_found = alarms = settled = judged = count = touching = free_ticks = hung = valid = 0
-    span = run.t_ns[-1] - run.t_ns[0] + 1
+    seen = seen_found = settled = count = touching = free_ticks = hung = valid = 0
     for outcome in outcomes:
         own, arrays = outcome.touches, run.legs[outcome.leg]
-        # A foot may touch within the last tick.
-        part = np.minimum((own.onset_ns - run.t_ns[0]) * _PARTS // span, _PARTS - 1)[own.counted]
-        touches += np.bincount(part, minlength=_PARTS)
-        found += np.bincount(part, own.found[own.counted], minlength=_PARTS).astype(int)
         twins = np.array(
             [o.onset_ns for o in made.observed if o.leg == outcome.leg and o.ratio > 1.0]
         )
@@ -187,9 +181,7 @@ def tried(work: Work, trial: Trial) -> Found | None:
             # Truth of a walk and of its twin tell one touch when they are no further apart.
             if counted and len(twins) and np.abs(twins - onset_ns).min() <= 30_000_000:
                 seen, seen_found = seen + 1, seen_found + int(hit)
-        alarms += len(outcome.alarms_ns)
         settled += sum(alarm_ns > settled_ns for alarm_ns in outcome.alarms_ns)
-        judged += int(outcome.swings.judged.sum() + outcome.swings.judged_after.sum())
         at = np.searchsorted(run.t_ns, learned[outcome.leg])
         count, touching = count + len(at), touching + int(arrays.contact[at].sum())
         free_ticks += int((arrays.swing & ~arrays.contact).sum())
@@ -199,8 +191,9 @@ def tried(work: Work, trial: Trial) -> Found | None:
             e.contact and e.status == "valid" and e.t_ns >= begun for e in events[outcome.leg]
         )
     return Found(
-        tuple(touches.tolist()), tuple(found.tolist()), seen, seen_found, len(made.observed),
-        alarms, settled, judged, count, touching, free_ticks, hung, valid,
+        tuple(part.counted.touches for part in parts), tuple(part.counted.found for part in parts),
+        seen, seen_found, len(made.observed), whole.false_alarms, settled, whole.judged_ticks,
+        count, touching, free_ticks, hung, valid,
     )  # fmt: skip
 
 
@@ -231,7 +224,7 @@ def drawn_trials(count: int, seconds: float) -> list[Trial]:
     ]
 
 
-def summary(made: Sequence[tuple[Trial, Found | None]]) -> str:
+def _in_a_line(made: Sequence[tuple[Trial, Found | None]]) -> str:
     """Write of drawn robots, in a line, how many walk and how much of theirs is found."""
     walked = [found for trial, found in made if is_drawn(trial.robot) and found is not None]
     seen, hits = sum(f.seen for f in walked), sum(f.seen_found for f in walked)
@@ -279,31 +272,29 @@ def _hung(trial: Trial, found: Found | None) -> str:
     return row(name, _start(trial), shown, str(found.valid_alarms))
 
 
-def main(arguments: list[str]) -> int:
-    """Do what is asked for."""
-    robots = arguments[2:] or list(SHAPES)
-    first = [int(r.removeprefix("drawn:")) for r in robots if re.fullmatch(r"drawn:\d+", r)]
-    named = [r for r in robots if not r.startswith("drawn:")]
-    if not arguments or arguments[0].startswith("-") or not set(named) <= set(SHAPES):
-        known = ", ".join(SHAPES)
-        print(
-            f"expected FOLDER [SECONDS [ROBOT ...]], robots of {known}, drawn:40", file=sys.stderr
-        )
-        return 2
-    work = Work(Path(arguments[0]), 2, console=Console(stderr=True))
-    seconds = float(arguments[1]) if arguments[1:] else _SECONDS
+def main(
+    folder: Annotated[Path, typer.Argument(help="Where what each run gave is kept.")],
+    seconds: Annotated[float, typer.Argument(help="Of each run.")] = _SECONDS,
+    robots: Annotated[list[str] | None, typer.Argument(help=f"{', '.join(SHAPES)}.")] = None,
+    count: Annotated[
+        int, typer.Option("--drawn", help="So many drawn robots, in place of the others.")
+    ] = 0,
+) -> None:
+    """Try the product on all robots, or on some, and print what was found."""
+    if unknown := set(robots or ()) - set(SHAPES):
+        raise typer.BadParameter(f"no robot {min(unknown)}; expected some of {', '.join(SHAPES)}")
+    named = robots or ([] if count else list(SHAPES))
     wanted = [trial for trial in trials(seconds) if trial.robot in named]
-    wanted += [trial for count in first for trial in drawn_trials(count, seconds)]
-    done = work.each("trials", tried, wanted, weight=lambda trial: trial.seconds)
+    wanted += drawn_trials(count, seconds)
+    done = Work(folder, 2, shown=True).each("trials", tried, wanted)
     made = list(zip(wanted, done, strict=True))
     print(table(made))
-    if first:
-        print(f"\n{summary(made)}")
-    return 0
+    if count:
+        print(f"\n{_in_a_line(made)}")
 
 
 if __name__ == "__main__":
     # By its own name, which workers know: what is kept rests on the module's source.
     from adaptive_contact_studies import second
 
-    sys.exit(second.main(sys.argv[1:]))
+    typer.run(second.main)

@@ -12,9 +12,10 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
+import typer
 
 from adaptive_contact.arrays import Array, Mask
 from adaptive_contact.core.bank import LegGroup
@@ -218,21 +219,19 @@ def table(legs: Sequence[Leg], hung: Sequence[Leg]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str]) -> int:
-    """Do what is asked for."""
-    if arguments and not arguments[0].replace(".", "", 1).isdigit():
-        print(f"expected [SECONDS [WALK ...]], found {arguments[0]}", file=sys.stderr)
-        return 2
-    seconds = float(arguments[0]) if arguments else 60.0
-    wanted = [walk for walk in (*_WALKS, *_HUNG) if not arguments[1:] or walk in arguments[1:]]
+def main(
+    seconds: Annotated[float, typer.Argument(help="Of each walk.")] = 60.0,
+    names: Annotated[list[str] | None, typer.Argument(help="Walks, as the table has them.")] = None,
+) -> None:
+    """Judge all walks, or some, and print what was found."""
+    wanted = [walk for walk in (*_WALKS, *_HUNG) if not names or walk in names]
     legs: list[Leg] = []
     for seed, walk in enumerate(wanted, start=21):
         legs += played(walk, seconds, seed)
         print(walk, file=sys.stderr)
     hung = [leg for leg in legs if leg.walk in _HUNG]
     print(table([leg for leg in legs if leg.walk not in _HUNG], hung))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    typer.run(main)

@@ -103,7 +103,7 @@ def recorded(_: Work, spec: PlannedRun) -> Run:
 
 def record_all(work: Work, runs: Sequence[PlannedRun]) -> list[Run]:
     """Record runs, several at a time."""
-    return work.each("recording", recorded, runs, lambda spec: spec.seconds)
+    return work.each("recording", recorded, runs)
 
 
 def learn_shipped(

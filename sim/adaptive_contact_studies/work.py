@@ -8,13 +8,12 @@ numbers; a result of other sources is never shown.
 from __future__ import annotations
 
 import ast
-import contextlib
 import functools
 import hashlib
-import time
+import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,11 +21,8 @@ from typing import Any, Final, TypeVar
 
 import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
-from adaptive_contact.durations import duration
 from adaptive_contact.errors import ConfigurationError
 
 T = TypeVar("T")
@@ -82,7 +78,7 @@ class Work:
 
     folder: Path | None = None  # results lie in its folder ``cache``; None keeps none
     processes: int = 1
-    console: Console | None = None  # where progress goes
+    shown: bool = False  # whether its progress is printed, on stderr
 
     def __post_init__(self) -> None:
         if self.folder is not None:
@@ -98,95 +94,49 @@ class Work:
 
         Its items have texts that say all of them (``repr``).
         """
-        kept: Callable[..., R] = self._kept
+        folder = None if self.folder is None else self.folder.resolve() / "cache"
+        kept: Callable[..., R] = joblib.Memory(folder, verbose=0).cache(
+            _do, ignore=["work", "do", "item"]
+        )
         return kept(self, do, item, _key(do, item))
 
-    @property
-    def _kept(self) -> Any:
-        folder = None if self.folder is None else self.folder.resolve() / "cache"
-        return joblib.Memory(folder, verbose=0).cache(_do, ignore=["work", "do", "item"])
-
-    def each(
-        self,
-        what: str,
-        do: Callable[[Work, T], R],
-        items: Sequence[T],
-        weight: Callable[[T], float] = lambda _: 1.0,
-    ) -> list[R]:
+    def each(self, what: str, do: Callable[[Work, T], R], items: Sequence[T]) -> list[R]:
         """Do :meth:`one` of all items, several at a time; results in the order of the items.
 
         Args:
             what: is done, for people.
             do: a function of a module.
             items: what to do it on.
-            weight: of an item, for the progress.
 
         Raises:
             ConfigurationError: a process ended, or the sources changed meanwhile.
         """
-        found: dict[int, R] = {}
-        here, kept = replace(self, console=None), self._kept
-        jobs = []
-        for number, item in enumerate(items):
-            key = _key(do, item)
-            if kept.check_call_in_cache(here, do, item, key):
-                found[number] = here.one(do, item)
-            else:
-                jobs.append(joblib.delayed(_numbered)(here, do, number, item, key))
-        total = sum(weight(item) for number, item in enumerate(items) if number not in found)
-        workers = max(1, min(self.processes, len(jobs)))
+        if self.shown:
+            print(f"{what}: {len(items)}", file=sys.stderr)
+        jobs = [joblib.delayed(_checked)(Work(self.folder), do, i, _key(do, i)) for i in items]
         try:
             # Those of a process that was killed end what they are at, and then go.  One that has
             # gone as there was nothing to do is started again, which needs no word.
             with (
                 warnings.catch_warnings(action="ignore", category=UserWarning),
                 joblib.parallel_config("loky", idle_worker_timeout=20),
-                self._progress(what, total) as advance,
             ):
-                made = joblib.Parallel(workers, return_as="generator_unordered", batch_size=1)
-                for number, result in made(jobs):
-                    found[number] = result
-                    advance(weight(items[number]))
+                workers = joblib.Parallel(
+                    max(1, min(self.processes, len(items))),
+                    verbose=10 if self.shown else 0,
+                    batch_size=1,
+                    pre_dispatch="all",  # so that it knows how much is left
+                )
+                return list(workers(jobs))
         except TerminatedWorkerError as error:
             raise ConfigurationError(
                 "a process ended that was at work (out of memory?); run the same command again to "
                 "go on, with fewer processes"
             ) from error
-        return [found[number] for number in range(len(items))]
-
-    @contextlib.contextmanager
-    def _progress(self, what: str, total: float) -> Iterator[Callable[[float], None]]:
-        """Show how far some work is: a bar on a terminal, now and then a line elsewhere."""
-        console = self.console or Console(quiet=True)
-        start = last = time.monotonic()
-        done = 0.0
-        bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-            transient=True,
-        )
-        with bar:
-            task = bar.add_task(what, total=total)
-
-            def advance(amount: float) -> None:
-                nonlocal done, last
-                done += amount
-                bar.update(task, advance=amount)
-                now = time.monotonic()
-                # Between two lines of progress where there is no terminal.
-                if bar.disable and now - last > 20.0:
-                    last, passed_s = now, now - start
-                    left = duration(passed_s * (total / done - 1.0))
-                    share = f"{100 * done / total:.0f} % in {duration(passed_s)}"
-                    console.print(f"{what}: {share}, about {left} to go", highlight=False)
-
-            yield advance
-        console.print(f"{what}: {time.monotonic() - start:.0f} s", highlight=False)
+        except KeyboardInterrupt:
+            if self.shown:
+                print("interrupted; the same command goes on from here", file=sys.stderr)
+            raise
 
 
 def _key(do: Callable[..., Any], item: object) -> str:
@@ -200,9 +150,7 @@ def _do(work: Work, do: Callable[[Work, T], R], item: T, key: str) -> R:
         return do(work, item)
 
 
-def _numbered(
-    work: Work, do: Callable[[Work, T], R], number: int, item: T, key: str
-) -> tuple[int, R]:
+def _checked(work: Work, do: Callable[[Work, T], R], item: T, key: str) -> R:
     """In a worker: one item of many.
 
     Raises:
@@ -213,4 +161,4 @@ def _numbered(
             "the source of adaptive-contact was changed while the run was going on; start the same "
             "command again"
         )
-    return number, work.one(do, item)
+    return work.one(do, item)

@@ -166,7 +166,6 @@ def test_a_drift_may_be_written_in_short(text: str, at_s: float, fields: dict[st
         ("", "expected mass"),
         ("frictoin:value=4", "did you mean 'friction'"),
         ("friction", "give a number"),
-        ("friction:", "give a number"),
         ("friction:value", "not KEY=VALUE"),
         ("friction:value=", "not KEY=VALUE"),
         ("friction:valeu=4", "did you mean 'value'"),
@@ -197,7 +196,7 @@ def test_errors_are_one_line_that_helps(text: str, words: str) -> None:
         ({"value": 2.0}, "kind"),
         ({"kind": "friction", "value": "4"}, "Expected `float`"),
         ({"kind": "friction", "value": 4.0, "at": 3}, "did you mean 'at_s'"),
-        ({"kind": "friction", "value": 4.0, "at_s": "3"}, "expected seconds"),
+        ({"kind": "friction", "value": 4.0, "at_s": "3"}, "Expected `float`, got `str`"),
         ({"kind": 3, "value": 4.0}, "kind"),
     ],
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptive_contact_studies.family import __main__ as command
 from adaptive_contact_studies.family import prior
 from adaptive_contact_studies.family import trials as tried
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
@@ -72,11 +71,3 @@ def test_a_leg_is_tried_without_a_baseline_and_with_one(monkeypatch: pytest.Monk
     (leg,) = trials(Work(None), (KIND,), runs=1)
     assert leg.kind == KIND
     assert leg.known.touches == leg.without.touches
-
-
-@pytest.mark.parametrize("given", [[], ["learn"], ["try"], ["try", "a", "b"]])
-def test_the_command_says_what_it_expects(
-    given: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert command.main(given) == 2
-    assert "expected `learn FILE` or `try FOLDER`" in capsys.readouterr().err

@@ -6,32 +6,31 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
+from typing import Annotated
 
-from rich.console import Console
+import typer
 
 from adaptive_contact_studies.family.prior import learn_family, save_family
 from adaptive_contact_studies.family.trials import table, trials
 from adaptive_contact_studies.work import Work
 
+app = typer.Typer()
 
-def main(arguments: list[str]) -> int:
-    """Do what is asked for."""
-    console = Console(stderr=True)
-    match arguments:
-        case ["learn", file, *folder]:
-            family = learn_family(Work(Path(*folder or ["out/prior"]), 2, console=console))
-            save_family(family, Path(file))
-            print(f"{file}: {family.origin}")
-        case ["try", folder]:
-            print(table(trials(Work(Path(folder), 2, console=console))))
-        case _:
-            found = " ".join(arguments) or "nothing"
-            print(f"{found}: expected `learn FILE` or `try FOLDER`", file=sys.stderr)
-            return 2
-    return 0
+
+@app.command()
+def learn(file: Path, folder: Annotated[Path, typer.Argument()] = Path("out/prior")) -> None:
+    """Learn the family into a file."""
+    family = learn_family(Work(folder, 2, shown=True))
+    save_family(family, file)
+    print(f"{file}: {family.origin}")
+
+
+@app.command("try")
+def try_(folder: Path) -> None:
+    """Try it on legs of which nothing is known."""
+    print(table(trials(Work(folder, 2, shown=True))))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    app()

@@ -25,6 +25,7 @@ from adaptive_contact_studies.paper.evaluation import (
     AIM,
     DEFAULT,
     FACTORS,
+    PLAYED,
     Evaluated,
     Job,
 )
@@ -32,9 +33,10 @@ from adaptive_contact_studies.paper.plan import Plan
 
 Tree = dict[str, Any]
 
-TITLES: Final = {DEFAULT: "default: servo law, likelihood ratio, online"} | {
-    name: detector.title for name, detector in DETECTORS.items()
-}
+TITLES: Final = {
+    DEFAULT: "default: servo law, likelihood ratio, online",
+    "frozen": "the same, never updated",
+} | {name: detector.title for name, detector in DETECTORS.items()}
 # Names of the rows that divide the score's own headline row.
 SLOW_FAST: Final = "fast touches in slow approaches"
 BOTH: Final = "headline and fast touches in slow approaches"
@@ -52,8 +54,8 @@ class Quiet(NamedTuple):
 
     def count(self, name: str, at: int = AIM) -> int:
         """A detector's alarms at a factor; -1 where they are not counted."""
-        if name == DEFAULT:
-            return sum(int(np.count_nonzero(stream.events.contact)) for stream in self.streams)
+        if name in PLAYED:
+            return sum(int(np.count_nonzero(one.events[name].contact)) for one in self.streams)
         # A threshold too low to be counted on one stream is too low on all.
         counts = [int(stream.alarms[name][at]) for stream in self.streams]
         return -1 if min(counts) < 0 else sum(counts)
@@ -109,7 +111,7 @@ def _figures(name: str, touched: Sequence[Evaluated], quiet: Quiet) -> Tree:
             "touch": rate_of(summary.false_alarms, summary.judged_ticks),
         },
         "roc": []
-        if name == DEFAULT
+        if name in PLAYED
         else _curve(name, [one for one in touched if not one.slow], quiet),
     }
 

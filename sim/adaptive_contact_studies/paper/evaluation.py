@@ -3,8 +3,8 @@
 Of free streams only counts are kept: alarms at every swept threshold, judged ticks, residuals.  Of
 streams with contacts every score is kept, as the sweep has to be matched against the truth.
 
-The default detector learns from training and tuning streams, as its own cross-validation keeps them
-apart.  What it reports as a contact it does not learn, so that no threshold of it can be swept.
+The product learns from training and tuning streams, as its own cross-validation keeps them apart.
+What it reports as a contact it does not learn, so that no threshold of it can be swept.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.core.learn.mode import LearnerMode
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.model import Baseline, LegModel, LibraryName, Window
@@ -41,6 +42,8 @@ from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, rests_on
 FACTORS: Final = np.geomspace(1e-3, 10.0, 61)
 AIM: Final = 45  # where the factor is 1
 DEFAULT: Final = "default"
+# The product is played: as it learns, and as its baseline is.
+PLAYED: Final = {DEFAULT: LearnerMode.FULL, "frozen": LearnerMode.FROZEN}
 _SOURCES: Final = (
     *(*SIMULATOR, *LEARNER, "adaptive_contact_studies.paper.data"),
     *("adaptive_contact_studies.paper.detectors", "adaptive_contact_studies.paper.rows"),
@@ -71,7 +74,7 @@ class Evaluated:
     truth: LegStream  # as the score takes it
     swing: Ints  # (n,) number of the swing
     descending: Mask  # (n,) the command in force is past the lift
-    events: Events  # of the default
+    events: dict[str, Events]  # of what is played
     # by compared detector: alarms at every factor of free streams, -1 where it is absurdly low;
     # (n,) statistic over the threshold of streams with contacts
     alarms: dict[str, Ints]
@@ -86,10 +89,10 @@ class Evaluated:
 
     def outcome(self, name: str, factor: float = 1.0) -> LegOutcome:
         """A detector's events against the truth, of a stream with contacts."""
-        events = self.events
-        if name != DEFAULT:
-            scores = self.scores[name]
-            events = alarms(self.truth.t_ns, scores, self.swing, factor, self.descending)
+        if name in PLAYED:
+            return match(self.truth, self.events[name])
+        scores = self.scores[name]
+        events = alarms(self.truth.t_ns, scores, self.swing, factor, self.descending)
         return match(self.truth, events)
 
 
@@ -120,7 +123,7 @@ def learned(work: Work, item: tuple[Plan, int]) -> Learned:
 
 @rests_on(*_SOURCES)
 def tuned(work: Work, plan: Plan) -> Bench:
-    """Choose lag, noise, tails and joints on tuning streams."""
+    """Choose lag, tails and joints on tuning streams."""
     robot = shipped_robot()
     streams = streams_of(work, plan.runs("tune"))
     evidence = [_evidence(work, plan, robot, stream) for stream in streams]
@@ -145,16 +148,22 @@ def evaluate(work: Work, job: Job) -> list[Evaluated]:
     """Evaluate the streams of a job."""
     robot, bench = shipped_robot(), work.one(tuned, job.plan)
     streams = streams_of(work, job.runs)
-    learners = [
-        ContactLearner(robot, s.leg, _learned_of(work, job.plan, s).baseline) for s in streams
-    ]
-    played = feed(learners, [samples_of(s.run, s.leg) for s in streams])
+    samples = [samples_of(s.run, s.leg) for s in streams]
+    baselines = [_learned_of(work, job.plan, s).baseline for s in streams]
+    played: list[dict[str, Events]] = [{} for _ in streams]
+    for name, mode in PLAYED.items():
+        learners = [
+            ContactLearner(robot, s.leg, known, mode=mode)
+            for s, known in zip(streams, baselines, strict=True)
+        ]
+        for of_stream, told in zip(played, feed(learners, samples), strict=True):
+            of_stream[name] = Events.of(told)
     quiet = job.role != "touch"
     found = []
     for stream, events in zip(streams, played, strict=True):
         own = _evidence(work, job.plan, robot, stream)
         scores = {name: bench.score(name, own) for name in DETECTORS}
-        residuals = {name: own.predictions[name].residual[own.free] for name in MODELS}
+        residuals = {name: own.residuals[name][own.free] for name in MODELS}
         known = {name: r[np.isfinite(r).all(axis=1)] for name, r in residuals.items()}
         found.append(
             Evaluated(
@@ -163,7 +172,7 @@ def evaluate(work: Work, job: Job) -> list[Evaluated]:
                 truth=leg_stream(stream.run, stream.leg, robot),
                 swing=own.swing_of_tick,
                 descending=own.descending,
-                events=Events.of(events),
+                events=events,
                 alarms={n: _sweep(own, score) for n, score in scores.items()} if quiet else {},
                 scores={} if quiet else scores,
                 squares={name: np.square(r).sum(axis=0) for name, r in known.items()},

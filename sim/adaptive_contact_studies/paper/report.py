@@ -11,9 +11,12 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from adaptive_contact.files import write_file
 from adaptive_contact_studies.paper.detection import BOTH, SLOW_FAST
@@ -36,18 +39,13 @@ from adaptive_contact_studies.show.pages import (
     write_page,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 JOINTS: Final = ("coxa", "femur", "tibia")
 # Shown at about the size they are drawn at: no smaller than 9 points.
 _STYLE: Final[Any] = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
 _LOOKS: Final = {
     "default": ("black", "-", 2.2),
-    "servo ratio": (BLUE, "-", 1.8),
+    "frozen": (BLUE, "-", 1.8),
     "servo rule": (SKY, "--", 1.4),
-    "paper ratio": (ORANGE, "-", 1.4),
     "paper rule": (RED, "-", 1.8),
     "tracking": (PURPLE, "-", 1.4),
     "naive": (GREY, "-", 1.4),
@@ -67,7 +65,6 @@ _P95_MS: Final = 40.0
 _PER_HOUR: Final = 5.0
 _HOURS: Final = 10.0
 _OVER_FLOOR: Final = 1.5
-_SPEED_UP: Final = 20.0
 
 
 def write_report(results: Mapping[str, Any], out: Path) -> None:
@@ -85,23 +82,18 @@ def write_document(results: Mapping[str, Any], document: Path) -> None:
     """Write the page, its pictures in a folder ``pictures`` beside it.
 
     Raises:
-        MissingExtraError: matplotlib or jinja2 is not installed.
         ConfigurationError: it cannot be written there.
     """
     write_page(document, markdown("page.md", results=results, headline=headline(results)))
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     with mpl.rc_context(_STYLE):
         for name, (draw, size, stage) in _DRAWINGS.items():
-            if stage in results:
-                figure = Figure(size, dpi=100, layout="constrained")
-                draw(figure, results[stage])
-                picture = io.BytesIO()
-                figure.savefig(picture, format="png", metadata={"Software": None})
-                file = document.parent / "pictures" / f"paper-{name}.png"
-                file.parent.mkdir(parents=True, exist_ok=True)
-                write_file(file, picture.getvalue(), advice="give another folder with --out")
+            figure = Figure(size, dpi=100, layout="constrained")
+            draw(figure, results[stage])
+            picture = io.BytesIO()
+            figure.savefig(picture, format="png", metadata={"Software": None})
+            file = document.parent / "pictures" / f"paper-{name}.png"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_file(file, picture.getvalue(), advice="give another folder with --out")
 
 
 def markdown(template: str, **given: Any) -> str:
@@ -111,7 +103,7 @@ def markdown(template: str, **given: Any) -> str:
 
 
 def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """What was asked for and what was measured, of the stages that ran, and whether it is reached.
+    """What was asked for and what was measured, and whether it is reached.
 
     That is left open where no figure is against it, but less was measured than was asked for.
     """
@@ -124,59 +116,44 @@ def headline(results: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         what, wanted = f"one-step RMS over the noise floor, {where}", f"≤ {_OVER_FLOOR} ×"
         add(what, wanted, f"{per_joint(over)} ×", kept=max(over) <= _OVER_FLOOR)
 
-    if found := results.get("detection"):
-        row = found["figures"]["default"]["rows"]["headline"]
-        alarms = found["figures"]["default"]["false_alarms"]["free"]
-        low, high = row["interval"]
-        enough = row["touches"] >= _TOUCHES
-        add(
-            "recall, hard ground, ≥ 0.2 m/s, whole workspace (slow approaches: rows of their own)",
-            f"≥ {percent(_RECALL, 0)} of ≥ {_TOUCHES:,}",
-            f"{percent(row['recall'])} of {row['touches']} "
-            f"(95 % {percent(low)} to {percent(high)})",
-            kept=(row["recall"] or 0.0) >= _RECALL,
-            enough=enough,
-        )
-        median, p95 = row["median_ms"], row["p95_ms"]
-        add(
-            "latency of those",
-            f"median ≤ {_MEDIAN_MS:.0f} ms, p95 ≤ {_P95_MS:.0f} ms",
-            f"median {number(median, 1)} ms, p95 {number(p95, 1)} ms",
-            kept=median is not None and median <= _MEDIAN_MS and p95 <= _P95_MS,
-            enough=enough,
-        )
-        low, high = alarms["interval"]
-        add(
-            "false alarms per robot-hour",
-            f"≤ {_PER_HOUR:.0f} over ≥ {_HOURS:.0f} h",
-            f"{number(alarms['per_hour'])} (95 % {number(low)} to {number(high)}) "
-            f"over {number(alarms['hours'], 1)} h",
-            kept=alarms["per_hour"] is not None and alarms["per_hour"] <= _PER_HOUR,
-            enough=alarms["hours"] >= _HOURS,
-        )
-        what = "servo law's models as fitted (the default starts from such), standing, judged ticks"
-        run, worst = found["worst_leg_run"]
-        for where, rms in (
-            ("all leg-runs pooled", found["residual_deg"]["servo"]),
-            (f"the worst leg-run ({run})", worst),
-        ):
-            floor(f"{what}, {where}", [v / math.degrees(noise_floor()) for v in rms])
-    if identified := results.get("identification"):
-        servo = identified["selection"][-1]
-        point = next(p for p in servo["points"] if p["lambda"] == (servo["picked"] or 0.0))
-        floor(
-            "model of the default's library, the paper's test segments", point["test"]["over_floor"]
-        )
-    for row in results.get("compression") or ():
-        add(
-            f"refit with the factor held, {row['library']} library, "
-            f"{sum(row['kept']) / len(row['kept']):.0f} of {row['terms']} terms kept, "
-            f"{row['rows']:,} rows",
-            f"≥ {_SPEED_UP:.0f} × PySINDy's own on 5,000 segments, same support",
-            f"{row['speed_up']:.0f} ×, {'same' if row['same_support'] else 'another'} support, "
-            f"largest difference {row['difference']:.1e}",
-            kept=row["same_support"] and row["difference"] <= 1e-8 and row["speed_up"] >= _SPEED_UP,
-        )
+    found = results["detection"]
+    row = found["figures"]["default"]["rows"]["headline"]
+    alarms = found["figures"]["default"]["false_alarms"]["free"]
+    low, high = row["interval"]
+    enough = row["touches"] >= _TOUCHES
+    add(
+        "recall, hard ground, ≥ 0.2 m/s, whole workspace (slow approaches: rows of their own)",
+        f"≥ {percent(_RECALL, 0)} of ≥ {_TOUCHES:,}",
+        f"{percent(row['recall'])} of {row['touches']} (95 % {percent(low)} to {percent(high)})",
+        kept=(row["recall"] or 0.0) >= _RECALL,
+        enough=enough,
+    )
+    median, p95 = row["median_ms"], row["p95_ms"]
+    add(
+        "latency of those",
+        f"median ≤ {_MEDIAN_MS:.0f} ms, p95 ≤ {_P95_MS:.0f} ms",
+        f"median {number(median, 1)} ms, p95 {number(p95, 1)} ms",
+        kept=median is not None and median <= _MEDIAN_MS and p95 <= _P95_MS,
+        enough=enough,
+    )
+    low, high = alarms["interval"]
+    add(
+        "false alarms per robot-hour",
+        f"≤ {_PER_HOUR:.0f} over ≥ {_HOURS:.0f} h",
+        f"{number(alarms['per_hour'])} (95 % {number(low)} to {number(high)}) "
+        f"over {number(alarms['hours'], 1)} h",
+        kept=alarms["per_hour"] is not None and alarms["per_hour"] <= _PER_HOUR,
+        enough=alarms["hours"] >= _HOURS,
+    )
+    what = "servo law's models as fitted (the default starts from such), standing, judged ticks"
+    run, worst = found["worst_leg_run"]
+    for where, rms in (
+        ("all leg-runs pooled", found["residual_deg"]["servo"]),
+        (f"the worst leg-run ({run})", worst),
+    ):
+        floor(f"{what}, {where}", [v / math.degrees(noise_floor()) for v in rms])
+    ours = results["identification"]["selection"][-1]["test"]["over_floor"]
+    floor("model of the default's library, the paper's test segments", ours)
     return lines
 
 
@@ -201,8 +178,7 @@ def _sweep(figure: Figure, data: Any) -> None:
         for axes in (above, middle, below):
             axes.axvline(5.0, color="black", lw=0.8, ls="--")
             axes.set_xlim(1e-4, 20)
-            if sweep["picked"] is not None:
-                axes.axvline(sweep["picked"], color=PURPLE, lw=1.4)
+            axes.axvline(sweep["best"], color=PURPLE, lw=1.4)
             if sweep["emptied_at"] is not None:
                 axes.axvspan(sweep["emptied_at"], 20.0, color="black", alpha=0.12, lw=0)
     for axes, label in zip(
@@ -246,7 +222,7 @@ def _curve(axes: Axes, name: str, title: str, figures: Any) -> None:
     axes.plot(x, y, style, color=colour, lw=width, label=title)
     if own["per_hour"] is not None:
         at = max(own["per_hour"], 0.5 / own["hours"]), 100 * (own["recall"] or 0.0)
-        mark, size = ("*", 15) if name == "default" else ("o", 6)
+        mark, size = ("o", 6) if points else ("*", 15)
         axes.plot([at[0]], [at[1]], mark, color=colour, ms=size, mec="white", zorder=5)
 
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from adaptive_contact.arrays import Array, Ints
-from adaptive_contact.fit import Fit
+from adaptive_contact.arrays import Array
 from adaptive_contact.model import Factor, LegModel, Library, Rows, Window, stack
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.servo import QUANTUM_RAD
@@ -20,31 +18,16 @@ from adaptive_contact_studies.paper.data import Stream
 PAPER_WINDOW: Final = Window(past_measured=2, past_desired=2, preview=1)
 
 
-class FreeRows(NamedTuple):
-    """Windows of free swing ticks."""
-
-    windows: Rows  # (n, ...) the windows with what came next
-    swing: Ints  # (n,) number of the swing each lies in, for folds
-
-
-def free_rows(streams: Sequence[Stream], library: Library) -> FreeRows:
+def free_rows(streams: Sequence[Stream], library: Library) -> Rows:
     """Windows of a leg's streams, one after the other, whose tick and next one are free swing."""
-    windows, numbers, swings = [], [], 0
+    windows = []
     for stream in streams:
         leg = stream.arrays
         cut = stack(leg.measured, leg.desired, library.window)
         use = leg.swing & stream.stretch.free
-        rows = np.flatnonzero(use[cut.tick] & use[cut.tick + 1])
-        number = swings + np.cumsum(np.diff(leg.swing.astype(int), prepend=0) == 1)
-        windows.append(pick(cut, rows))
-        numbers.append(number[cut.tick[rows]])
-        swings = int(number[-1])
-    return FreeRows(Rows(*map(np.concatenate, zip(*windows, strict=True))), np.concatenate(numbers))
-
-
-def pick(windows: Rows, which: NDArray[Any]) -> Rows:
-    """Some of the windows, by indices or a mask."""
-    return Rows(*(part[which] for part in windows))
+        rows = use[cut.tick] & use[cut.tick + 1]
+        windows.append([part[rows] for part in cut])
+    return Rows(*map(np.concatenate, zip(*windows, strict=True)))
 
 
 def predictions(model: LegModel, measured: Array, desired: Array) -> Array:
@@ -60,12 +43,6 @@ def factor_of(library: Library, windows: Rows, target: Array) -> Factor:
     factor = Factor(library.size, target.shape[1])
     factor.add(library.evaluate(*windows[:3]), target)
     return factor
-
-
-def residual_unit(least_squares: Fit) -> tuple[float, ...]:
-    """(J,) the least-squares residual that λ is measured in, where there is one."""
-    # What a joint that never moves leaves as its residual, rad.
-    return tuple(np.maximum(least_squares.rms, 1e-9).tolist())
 
 
 def noise_floor() -> float:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Callable, Iterable
-from typing import Any, Final, get_args
+from typing import Any, get_args
 
 import msgspec
 
-from adaptive_contact_studies.paper.compression import compare_all
 from adaptive_contact_studies.paper.data import streams_of
 from adaptive_contact_studies.paper.detection import detection
 from adaptive_contact_studies.paper.evaluation import evaluate, jobs_of, learned, tuned
@@ -19,13 +17,12 @@ from adaptive_contact_studies.training import record_all
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
 
 
-def run_paper(work: Work, plan: Plan, stages: Iterable[str]) -> dict[str, Any]:
+def run_paper(work: Work, plan: Plan) -> dict[str, Any]:
     """Run the experiments.
 
     Args:
         work: how it is done, and where it is kept.
         plan: how much of everything.
-        stages: which, of :data:`STAGES`.
 
     Returns:
         A tree of figures, by stage.
@@ -33,16 +30,16 @@ def run_paper(work: Work, plan: Plan, stages: Iterable[str]) -> dict[str, Any]:
     Raises:
         SimulationDivergedError: the physics blew up.
     """
+    record_all(work, [*plan.paper_runs("train"), *plan.paper_runs("tune")])
     results: dict[str, Any] = {
         "plan": plan,
         "machine": {"cores": os.cpu_count(), "python": platform.python_version()},
         "simulator": digest(*SIMULATOR),
         "learner": digest(*LEARNER),
+        "dataset": _dataset(work, plan),
+        "identification": identification(work, plan),
+        "detection": _detection(work, plan),
     }
-    if {*stages} - {"detection"}:
-        record_all(work, [*plan.paper_runs("train"), *plan.paper_runs("tune")])
-    for stage in stages:
-        results[stage] = STAGES[stage](work, plan)
     # Arrays become lists; what is not a number, or infinite, None.
     text = msgspec.json.encode(results, enc_hook=lambda array: array.tolist())
     return dict(msgspec.json.decode(text))
@@ -67,14 +64,5 @@ def _detection(work: Work, plan: Plan) -> dict[str, Any]:
     work.each("choosing lags, joints and thresholds on tuning streams", tuned, [plan])
     jobs = jobs_of(plan, "touch") + jobs_of(plan, "free")
     what = "every detector on every stream"
-    found = work.each(what, evaluate, jobs, lambda job: len(job.runs))
+    found = work.each(what, evaluate, jobs)
     return detection(plan, jobs, found)
-
-
-STAGES: Final[dict[str, Callable[[Work, Plan], Any]]] = {
-    "dataset": _dataset,
-    "identification": identification,
-    # By itself: CPU time is compared.
-    "compression": lambda work, plan: work.each("compression", compare_all, [plan])[0],
-    "detection": _detection,
-}

@@ -29,12 +29,6 @@ def rate(summary: Tree) -> str:
     return number(summary["per_robot_hour"], _digits(summary["per_robot_hour"]))
 
 
-def leg_runs(tree: Tree) -> str:
-    """Such as ``20``, or ``19 of 20; 1 diverged``: what is behind the figures of a scenario."""
-    there, asked = tree["leg_runs"], tree["leg_runs_asked"]
-    return str(there) if there == asked else f"{there} of {asked}; {asked - there} diverged"
-
-
 def table(results: Tree) -> str:
     """Markdown of the full learner's figures, and of the goals that it misses."""
     return render("adaptation-table.md", _FILTERS, results=results, missed=_goals(results)[1])
@@ -123,7 +117,6 @@ def _swings(recovery: Tree) -> str:
 
 _FILTERS: Final[dict[str, Callable[..., Any]]] = {
     "alarm_rate": _alarms,
-    "leg_runs": leg_runs,
     "link": _link,
     "plain": plain_number,
     "rate": rate,

@@ -1,4 +1,4 @@
-"""What the full learner is held to, and the results file: figures and goals of each scenario."""
+"""What the full learner is held to: figures and goals of each scenario."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.files import write_file
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score.summary import AlarmFigures
 from adaptive_contact_studies.scenarios.judge import figures, judge_scenario
 from adaptive_contact_studies.scenarios.registry import scenarios
-from adaptive_contact_studies.scenarios.replay import HEXAPOD, Replayed, replayed
+from adaptive_contact_studies.scenarios.replay import HEXAPOD, replayed
 from adaptive_contact_studies.scenarios.runs import Sizes
 from adaptive_contact_studies.scenarios.spec import ReplaySpec, Scenario
 from adaptive_contact_studies.work import LEARNER, SIMULATOR, Work, digest
@@ -24,8 +23,6 @@ Tree = dict[str, Any]
 
 RECALL_POINTS: Final = 1.0
 ALARMS_PER_HOUR: Final = 5.0
-# What has to agree for figures to stand in one table.
-_BELONGS: Final = ("sizes", "learner", "simulator")
 
 
 class Goal(NamedTuple):
@@ -128,59 +125,29 @@ def measure(work: Work, chosen: Iterable[Scenario], sizes: Sizes) -> Tree:
         Figures and goals of each, as a tree.
 
     Raises:
-        ConfigurationError: no recording of one came about.
+        SimulationDivergedError: the physics of a recording blew up.
     """
     chosen = list(chosen)
     wanted: dict[str, ReplaySpec] = {}
     for scenario in chosen:
         wanted |= {repr(spec): spec for spec in (*scenario.replays, *scenario.references)}
-    made: dict[str, Replayed | str] = dict(
-        zip(
-            wanted,
-            work.each("recording and replaying", replayed, [*wanted.values()], lambda s: s.work),
-            strict=True,
-        )
-    )
+    found = work.each("recording and replaying", replayed, [*wanted.values()])
+    made = dict(zip(wanted, found, strict=True))
     table = {}
     for scenario in chosen:
         runs, twins = (
             [made[repr(spec)] for spec in specs]
             for specs in (scenario.replays, scenario.references)
         )
-        judgement = judge_scenario(scenario, runs, twins)
-        if not judgement.recordings:
-            why = next(run for run in (*runs, *twins) if isinstance(run, str))
-            raise ConfigurationError(f"no leg-run of {scenario.name} came about: {why}")
-        tree = figures(judgement)
+        tree = figures(judge_scenario(scenario, runs, twins))
         table[scenario.name] = tree | {"goals": [goal.tree for goal in goals(scenario, tree)]}
     return {
         "sizes": asdict(sizes),
         "learner": digest(*LEARNER),
         "simulator": digest(*SIMULATOR),
-        "problems": sorted({run for run in made.values() if isinstance(run, str)}),
         "pooled": pooled(table),
         "scenarios": table,
     }
-
-
-def write_results(new: Tree, path: Path) -> Tree:
-    """Write figures, with those of other scenarios that the file has of the same learner and size.
-
-    Raises:
-        ConfigurationError: it cannot be written there.
-    """
-    try:
-        old = read_results(path)
-    except ConfigurationError:
-        old = {}
-    if all(old.get(name) == new[name] for name in _BELONGS):
-        both = old["scenarios"] | new["scenarios"]
-        table = {name: both[name] for name in scenarios() if name in both}
-        problems = sorted({*old["problems"], *new["problems"]})
-        new = new | {"problems": problems, "pooled": pooled(table), "scenarios": table}
-    text = json.dumps(new, indent=1, allow_nan=False) + "\n"
-    write_file(path, text, advice="give another folder with --out")
-    return new
 
 
 def read_results(path: Path) -> Tree:
@@ -191,7 +158,7 @@ def read_results(path: Path) -> Tree:
     """
     try:
         tree: Tree = json.loads(path.read_text(encoding="utf-8"))
-        if {*_BELONGS, "problems", "pooled", "scenarios"} <= tree.keys():
+        if {"sizes", "learner", "simulator", "pooled", "scenarios"} <= tree.keys():
             return tree
         error: object = "another version"
     except (OSError, ValueError, AttributeError) as problem:

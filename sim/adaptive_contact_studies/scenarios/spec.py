@@ -95,13 +95,6 @@ class ReplaySpec:
     baseline: BaselineChoice = "shipped"  # what the learners start from
     variants: tuple[Variant, ...] = ALL_VARIANTS  # replayed side by side
 
-    @property
-    def work(self) -> float:
-        """How long it takes, roughly: simulated seconds, and those that learners go through."""
-        learners = len(self.variants) * len(self.recording.legs)
-        # A learner's second against a simulated one.
-        return self.recording.seconds * (1.0 + 0.06 * learners)
-
 
 @dataclass(frozen=True)
 class Scenario:

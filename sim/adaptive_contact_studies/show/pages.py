@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from adaptive_contact.errors import ConfigurationError, needs
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import cannot_write, write_file
 from adaptive_contact.score.summary import AlarmFigures, clopper_pearson
 
@@ -68,12 +70,7 @@ def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **give
         template: its file, such as ``adaptation.md``.
         filters: functions that it may use besides jinja's own and those of this module.
         given: its values.
-
-    Raises:
-        MissingExtraError: jinja2 is not installed.
     """
-    with needs("a page", "studies"):
-        from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).with_name("templates")),
         undefined=StrictUndefined,

@@ -12,8 +12,8 @@ from pysindy.feature_library.base import BaseFeatureLibrary
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Window, leg_library
 from adaptive_contact.robot import Robot
-from adaptive_contact_studies.paper.compression import paper_fit
 from adaptive_contact_studies.paper.data import Stream
+from adaptive_contact_studies.paper.identification import paper_fit
 from adaptive_contact_studies.paper.rows import PAPER_WINDOW, factor_of, free_rows
 
 # N, N', M of the study, and a smaller one.  The larger has singular values below 1e-6 of the
@@ -41,7 +41,7 @@ def discrete_sindy(
 
 def system(robot: Robot, stream: Stream, name: str, window: Window):
     library = leg_library(robot, robot.leg("rf"), name, window)
-    windows = free_rows([stream], library).windows
+    windows = free_rows([stream], library)
     n = len(windows.tick)
     state = windows.measured.reshape(n, -1)
     control = np.concatenate([windows.desired.reshape(n, -1), windows.preview.reshape(n, -1)], 1)

@@ -8,16 +8,12 @@ import re
 from pathlib import Path
 
 import pytest
-import typer
-from typer.testing import CliRunner
 
-from adaptive_contact.cli.paper import paper
-from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model import tail
 from adaptive_contact_studies.paper import identification
 from adaptive_contact_studies.paper.plan import QUICK
 from adaptive_contact_studies.paper.report import write_document, write_report
-from adaptive_contact_studies.paper.run import STAGES, run_paper
+from adaptive_contact_studies.paper.run import run_paper
 from adaptive_contact_studies.work import Work
 
 TINY = dataclasses.replace(
@@ -32,14 +28,6 @@ TINY = dataclasses.replace(
 )
 
 
-def test_an_unknown_stage_is_one_line(tmp_path: Path) -> None:
-    app = typer.Typer()
-    app.command()(paper)
-    result = CliRunner().invoke(app, ["--out", str(tmp_path), "--stage", "nonsense"])
-    assert isinstance(result.exception, ConfigurationError)
-    assert "identification" in str(result.exception)
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_whole_run_is_made_again_from_what_is_kept_and_shown(
@@ -47,11 +35,9 @@ def test_a_whole_run_is_made_again_from_what_is_kept_and_shown(
 ) -> None:
     monkeypatch.setattr(tail, "MIN_EXCEEDANCES", 5)  # no threshold to be trusted, but it is one
     monkeypatch.setattr(identification, "LAMBDAS", (0.01, 5.0))
-    monkeypatch.setattr(identification, "OUR_LAMBDAS", (0.0, 0.3))
     monkeypatch.setattr(identification, "PAPER_WINDOW", identification._SHORT)
-    first, again = (run_paper(Work(tmp_path / "out"), TINY, STAGES) for _ in range(2))
+    first, again = (run_paper(Work(tmp_path / "out"), TINY) for _ in range(2))
     assert first == again
-    assert set(STAGES) <= set(first)
     figures = first["detection"]["figures"]
     assert figures["default"]["rows"]["headline"]["touches"] > 5
     write_report(first, tmp_path / "out")
