@@ -58,12 +58,6 @@ def test_honest_legs_are_not_doubted_and_a_run_goes_on(
     assert "| all |" in capsys.readouterr().out
 
 
-def test_doubted_legs_fail_the_run(tmp_path: Path) -> None:
-    doubted = {"run": 0, "hours": {"leg5": 1.0}, "doubted": ["leg5, seed 1: x"] * 2, "noted": []}
-    (tmp_path / "legs.jsonl").write_text(json.dumps(doubted) + "\n")
-    assert honest.main([str(tmp_path), "--hours", "0.5"]) == 1
-
-
 # -- Loops that slip, in walks; more sources by ``python -m field.sources``
 
 SECONDS = 45.0  # the first seconds, in which nothing is known of a source, are a share of it

@@ -17,7 +17,20 @@ import pytest
 
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.wire import Message, ServoSample, decode, servo_key
+from adaptive_contact.service.sample_queue import Batch
+from adaptive_contact.service.server import Service
+from adaptive_contact.status import SERVICE_STATUS
+from adaptive_contact.wire import (
+    MSGPACK,
+    LearnerStatus,
+    Message,
+    ServoSample,
+    decode,
+    encode,
+    learner_key,
+    servo_key,
+)
+from adaptive_contact.wire.received import Received
 from programs import Program, tried
 from waiting import until
 
@@ -39,13 +52,17 @@ joints = ["coxa", "femur", "tibia"]
 
 
 class Inbox:
-    """A sink that can be waited on."""
+    """A sink that can be waited on; of a kind of messages it keeps them decoded."""
 
-    def __init__(self) -> None:
+    def __init__(self, kind: type[Message] | None = None) -> None:
         self.items: list[Any] = []
+        self._kind = kind
 
     def __call__(self, *item: Any) -> None:
-        self.items.append(item[0] if len(item) == 1 else item)
+        one = item[0] if len(item) == 1 else item
+        if self._kind is not None:
+            one = decode(one.payload, self._kind, one.encoding)
+        self.items.append(one)
 
     def subscribe(self, link: Link, key: str, *, history: bool = False) -> Inbox:
         link.subscribe(key, self, history=history)
@@ -60,18 +77,6 @@ class Inbox:
             timeout_s,
         )
         return list(self.items)
-
-
-class MessageInbox(Inbox):
-    """Keeps decoded messages of one kind."""
-
-    def __init__(self, kind: type[Message]) -> None:
-        super().__init__()
-        self._kind = kind
-
-    def __call__(self, *item: Any) -> None:
-        received = item[0]
-        super().__call__(decode(received.payload, self._kind, received.encoding))
 
 
 class Served(Program):
@@ -115,9 +120,58 @@ def join() -> Iterator[Callable[..., Link]]:
         assert link.close()
 
 
+class Lockstep:
+    """A service in this process with a fake learner, and a client of it; driven by hand."""
+
+    def __init__(self, link: Link, client: Link, fake: ModuleType, robot: Robot, **of: Any) -> None:
+        self.bank = fake.FakeBank(robot)
+        self.service = Service(link, self.bank, robot, baseline=None, now_ns=0, **of)
+        self.client = client
+        self.now_ns = 0
+
+    def settle(self) -> None:
+        """A round trip: what the client has declared is known to the service after it."""
+        self.client.query(SERVICE_STATUS)
+
+    def statuses(self, inbox: Any, leg: str = "rf") -> Any:
+        """What the client gets of a leg's status from now on."""
+        got = inbox(LearnerStatus).subscribe(self.client, learner_key(leg))
+        self.settle()
+        return got
+
+    def work(self, now_ns: int, /, **samples: ServoSample | bytes) -> None:
+        payloads = {
+            leg: sent if isinstance(sent, bytes) else encode(sent) for leg, sent in samples.items()
+        }
+        raws = {
+            leg: Received(servo_key(leg), payload, MSGPACK, now_ns, None)
+            for leg, payload in payloads.items()
+        }
+        self.service.work(Batch(samples=raws), now_ns)
+        self.service.finish()
+        self.service.look(now_ns)
+
+    def hear(self, *samples: ServoSample) -> None:
+        """One sample of leg rf per control tick."""
+        for sample in samples:
+            self.now_ns += 20_000_000
+            self.work(self.now_ns, rf=sample)
+
+    def idle(self, ticks: int) -> None:
+        """Control ticks without a sample."""
+        for _ in range(ticks):
+            self.now_ns += 20_000_000
+            self.work(self.now_ns)
+
+
+@pytest.fixture
+def lockstep(join: Callable[..., Link], fake: ModuleType, robot: Robot) -> Callable[..., Lockstep]:
+    return lambda link, **of: Lockstep(link, join(link.endpoints[0]), fake, robot, **of)
+
+
 @pytest.fixture
 def inbox() -> Callable[..., Inbox]:
-    return lambda kind=None: Inbox() if kind is None else MessageInbox(kind)
+    return Inbox
 
 
 @pytest.fixture
