@@ -73,8 +73,8 @@ SECONDS = 45.0  # the first seconds, in which nothing is known of a source, are 
 )
 def test_a_loop_that_is_late_finds_its_touches(loop: str, seed: int) -> None:
     """Where delays add up it is 6 to 8 % slower in the mean, and in some moments by more."""
-    played = s.late_loop(*s.walk_of(seed, SECONDS), s.LOOPS[loop])
-    total = s.play(played, shipped_robot()).total
+    sent = s.late_loop(*s.walk_of(seed, SECONDS), *s.LOOPS[loop])
+    total = s.play(sent, shipped_robot()).total
     assert total.counted.touches > 90
     assert total.counted.recall >= 0.95
     assert total.false_alarms <= 3
