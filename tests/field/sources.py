@@ -198,7 +198,7 @@ def late_loop(
         tick = loop.tick()
         t_ns = settings.epoch_ns + at * round(STEP_S * 1e9)
         for leg, sample in tick.samples.items():
-            body = msgspec.structs.asdict(sample) | {"t_ns": t_ns}
+            body = msgspec.to_builtins(sample) | {"t_ns": t_ns}
             made.append(m.Sent(servo_key(leg), t_ns, body))
         for leg, truth in tick.truth:
             made.append(m.Sent(truth_key(leg), t_ns, msgspec.to_builtins(truth)))
@@ -220,7 +220,7 @@ def play(sent: list[m.Sent], robot: Robot, right: list[m.Sent] | None = None) ->
     for given, at in zip(sent, right, strict=True):
         if given.is_sample:
             off_ns = at.body["t_ns"] - given.body["t_ns"]
-            for one in bank.update({given.leg: ServoSample(**given.body)}):
+            for one in bank.update({given.leg: msgspec.convert(given.body, ServoSample)}):
                 found.append(
                     msgspec.structs.replace(
                         one, t_ns=one.t_ns + off_ns, onset_ns=one.onset_ns + off_ns
