@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import itertools
 import re
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
@@ -34,8 +32,8 @@ from adaptive_contact.wire.received import Received
 from programs import Program, tried
 from waiting import until
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # the helpers beside the tests
+sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
+import fake_service
 
 ROBOT = """
 [robot]
@@ -85,19 +83,9 @@ class Served(Program):
     def __init__(self, *words: object, log: Path, wait: bool) -> None:
         self.log = log
         with log.open("w") as stderr:
-            super().__init__(HERE / "fake_service.py", "--save-often", *words, stderr=stderr)
+            super().__init__(fake_service.__file__, "--save-often", *words, stderr=stderr)
         self.ready = self.wait_line("").string if wait else ""
         self.endpoint = self.ready.partition("listening on ")[2].partition(";")[0]
-
-
-@pytest.fixture(scope="session")
-def fake() -> ModuleType:
-    return importlib.import_module("fake_service")
-
-
-@pytest.fixture(scope="session")
-def rig() -> ModuleType:
-    return importlib.import_module("rig")
 
 
 @pytest.fixture
@@ -123,8 +111,8 @@ def join() -> Iterator[Callable[..., Link]]:
 class Lockstep:
     """A service in this process with a fake learner, and a client of it; driven by hand."""
 
-    def __init__(self, link: Link, client: Link, fake: ModuleType, robot: Robot, **of: Any) -> None:
-        self.bank = fake.FakeBank(robot)
+    def __init__(self, link: Link, client: Link, robot: Robot, **of: Any) -> None:
+        self.bank = fake_service.FakeBank(robot)
         self.service = Service(link, self.bank, robot, baseline=None, now_ns=0, **of)
         self.client = client
         self.now_ns = 0
@@ -165,8 +153,8 @@ class Lockstep:
 
 
 @pytest.fixture
-def lockstep(join: Callable[..., Link], fake: ModuleType, robot: Robot) -> Callable[..., Lockstep]:
-    return lambda link, **of: Lockstep(link, join(link.endpoints[0]), fake, robot, **of)
+def lockstep(join: Callable[..., Link], robot: Robot) -> Callable[..., Lockstep]:
+    return lambda link, **of: Lockstep(link, join(link.endpoints[0]), robot, **of)
 
 
 @pytest.fixture
@@ -268,7 +256,7 @@ class Users(NamedTuple):
 @pytest.fixture
 def users(tmp_path: Path) -> Users:
     """As docs/security.md has them; the stranger has mistyped the robot's password."""
-    text = (HERE.parents[1] / "docs/security.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
     service, robot = re.findall(r"```json5\n(.*?)```", text, re.DOTALL)[:2]
     (names,) = re.findall(r"```text\n(.*?)```", text, re.DOTALL)
     (tmp_path / "users").write_text(names)

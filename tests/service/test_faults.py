@@ -10,11 +10,11 @@ import os
 import re
 import time
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+import rig
 from programs import ROUTER, Program
 from waiting import free_address
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.e2e
 RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0"))
 
 
-def test_a_killed_router_comes_back(serve: Any, program: Any, rig: ModuleType) -> None:
+def test_a_killed_router_comes_back(serve: Any, program: Any) -> None:
     endpoint = f"tcp/{free_address()}"
 
     def start() -> Program:
@@ -60,7 +60,7 @@ def test_a_killed_router_comes_back(serve: Any, program: Any, rig: ModuleType) -
     assert "router is back" in log
 
 
-def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleType) -> None:
+def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any) -> None:
     served = serve()
     wire = rig.Wire(served.endpoint)
     near, far = rig.Robot50(served.endpoint, ("lf",)), rig.Robot50(wire.endpoint, ("rf",))
@@ -87,9 +87,7 @@ def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleTy
     assert served.stop() == 0
 
 
-def test_a_service_restarted_under_a_running_robot(
-    serve: Any, rig: ModuleType, tmp_path: Path
-) -> None:
+def test_a_service_restarted_under_a_running_robot(serve: Any, tmp_path: Path) -> None:
     endpoint = f"tcp/{free_address()}"
     arguments = ("--listen", endpoint, "--state", str(tmp_path / "kept"))
     first = serve(*arguments)

@@ -12,12 +12,12 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 import zenoh
 
+import rig
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.link import (
     Finding,
@@ -197,7 +197,7 @@ def test_a_bad_zenoh_configuration_gets_one_line(
 
 
 @pytest.mark.e2e
-def test_sessions_are_limited_and_what_is_full_is_told(serve: Any, rig: ModuleType) -> None:
+def test_sessions_are_limited_and_what_is_full_is_told(serve: Any) -> None:
     served = serve("--max-sessions", "4")
     robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
     with rig.closing(listener, robot):

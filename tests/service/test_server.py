@@ -6,10 +6,10 @@ import itertools
 import math
 import threading
 from collections.abc import Callable, Mapping
-from types import ModuleType
 from typing import Any
 from unittest import mock
 
+import fake_service as fake
 import msgspec
 import pytest
 from structlog.testing import capture_logs
@@ -148,7 +148,7 @@ BAD: dict[str, Callable[[Sample], bytes]] = {
 
 
 def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
-    step: Any, inbox: Any, fake: ModuleType, robot: Robot, sample: Sample
+    step: Any, inbox: Any, robot: Robot, sample: Sample
 ) -> None:
     bank, client = step.bank, step.client
     events = inbox(ContactEvent).subscribe(client, contact_key("extra"), history=True)
@@ -199,7 +199,7 @@ def test_a_learner_that_is_being_made_holds_up_no_event(
 
 
 def test_described_legs_only(
-    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
+    router: Link, join: Callable[..., Link], inbox: Any, robot: Robot,
     sample: Sample,
 ) -> None:  # fmt: skip
     bank = fake.FakeBank(robot)
@@ -222,7 +222,7 @@ def test_wildcards_are_counted_for_the_service(step: Any, inbox: Any) -> None:
 
 
 def test_a_complaint_that_comes_or_goes_is_published_at_once(
-    router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot, inbox: Any
+    router: Link, join: Callable[..., Link], robot: Robot, inbox: Any
 ) -> None:
     """Not a second later: who reads "state is saved again" in the log looks at `watch` next."""
     facts = StateFacts(folder="kept", restored=[], refused=[], saved=0, failed=0, error=None)
@@ -280,7 +280,7 @@ def test_an_event_does_not_wait_for_learning(
 
 
 def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
-    router: Link, fake: ModuleType, sample: Sample, monkeypatch: pytest.MonkeyPatch
+    router: Link, sample: Sample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Eight legs, forty ticks waiting: statuses, saves and the watchdog do not wait for all."""
     legs = [f"l{n}" for n in range(fake.MAX_LEGS)]
@@ -316,7 +316,7 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
 
 
 def test_garbage_is_collected_after_a_tick(
-    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
+    router: Link, join: Callable[..., Link], inbox: Any, robot: Robot,
     sample: Callable[..., ServoSample],
 ) -> None:  # fmt: skip
     pauses = inbox()
