@@ -178,11 +178,6 @@ def opened() -> Iterator[Callable[[Rig], Bus]]:
         yield open_
 
 
-@pytest.fixture
-def catcher() -> type[Catcher]:
-    return Catcher
-
-
 class Running:
     """A loop on a thread."""
 
@@ -244,12 +239,12 @@ def ended() -> Iterator[Callable[[Any], Any]]:
 
 
 @pytest.fixture
-def run(rig: Callable, catcher: Callable, ended: Callable) -> Callable[..., Running]:
+def run(rig: Callable, ended: Callable) -> Callable[..., Running]:
 
     def start(mode: str, ticks: int = 0, **kind: Any) -> Running:
         """A loop that has run for some ticks."""
         made = rig(**kind)
-        running: Running = ended(Running(made, mode, catcher(len(made.plans[0].legs))))
+        running: Running = ended(Running(made, mode, Catcher(len(made.plans[0].legs))))
         running.catcher.wait(lambda c: len(c.ticks) >= ticks)
         return running
 
