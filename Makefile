@@ -110,7 +110,7 @@ same-faults: env  ## faults of one line that golden recordings must notice, plan
 
 bench: env  ## the design's figures and speeds, in out/bench (half an hour or so)
 	$(BIN)/python -m adaptive_contact bench --out out/bench
-	$(BIN)/python tests/service/bench_echo.py --assert
+	PYTHONPATH=tests $(BIN)/python tests/service/bench_echo.py --assert
 
 scenarios: env  ## every drift through every learner; docs/adaptation.md (one to three hours, resumable)
 	$(BIN)/python -m pytest $(TOGETHER) tests/studies

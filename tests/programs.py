@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import signal
 import subprocess
@@ -11,7 +10,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 from click.testing import Result
@@ -21,7 +19,6 @@ from typer.testing import CliRunner
 from adaptive_contact.cli import main as cli
 
 END_S: Final = 60.0
-_PAGE: Final = os.sysconf("SC_PAGE_SIZE")
 
 # A router that listens where it is told, or at a free port, which it says.
 ROUTER: Final = """
@@ -143,20 +140,3 @@ def succeeded(*words: object) -> Result:
 def invoke(*words: object) -> str:
     """What a command of ours that succeeds says, on both streams."""
     return succeeded(*words).output
-
-
-def resident_mb(pid: int) -> float:
-    """Resident memory of a process; NaN of one that is just ending."""
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE / 1e6
-    except (OSError, IndexError):
-        return float("nan")
-
-
-def children_of(pid: int) -> list[int]:
-    """Processes that a process has started, and theirs."""
-    found: list[int] = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(OSError):  # the thread is just ending
-            found += map(int, task.read_text().split())
-    return found + [one for child in found for one in children_of(child)]

@@ -35,7 +35,6 @@ from adaptive_contact.wire.received import Received
 from programs import Program
 from waiting import Every, until
 
-PERIOD_S = 0.02
 HALF = 10  # ticks of contact, ticks without
 S = 1_000_000_000
 
@@ -85,7 +84,7 @@ def touches(seq: int) -> bool:
     return seq % (2 * HALF) >= HALF
 
 
-class Robot50(threading.Thread):
+class Robot50(Every):
     """Publishes legs at 50 Hz until closed, whatever happens to the network."""
 
     def __init__(
@@ -94,81 +93,47 @@ class Robot50(threading.Thread):
         legs: tuple[str, ...] = ("rf",),
         *,
         run: int | None = None,
-        epoch_ns: int = S,
-        first: int = 0,
         zenoh_config: Path | None = None,
         touch: Callable[[int], bool] = touches,
     ) -> None:
-        super().__init__(daemon=True)
         self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
         self.touch = touch
         self.publishers = {leg: self.link.publisher(servo_key(leg)) for leg in legs}
-        self.seq = first
+        self.seq = 0
         self.run_id = run
-        self.epoch_ns = epoch_ns
-        self.stop = threading.Event()
         self.sent_at: dict[int, float] = {}
-        self.start()
+        super().__init__(0.02, self._tick)
 
-    def run(self) -> None:
-        due = time.monotonic()
-        while not self.stop.is_set():
-            seq = self.seq
-            off = 0.5 if self.touch(seq) else 0.0
-            sample = ServoSample(
-                t_ns=self.epoch_ns + seq * 20_000_000,
-                seq=seq,
-                measured=[off, 0.1, 0.2],
-                desired=[0.0, 0.1, 0.2],
-                run=self.run_id,
-            )
-            self.sent_at[seq] = time.monotonic()
-            for publisher in self.publishers.values():
-                publisher.put(sample)
-            self.seq += 1
-            due += PERIOD_S
-            self.stop.wait(max(0.0, due - time.monotonic()))
-
-    def close(self) -> None:
-        self.stop.set()
-        self.join(5)
-        self.link.close()
-
-
-class Pour(Every):
-    """Publishes 2,000 samples a second of a leg, an event each, until closed."""
-
-    def __init__(
-        self, endpoint: str, leg: str, *, zenoh_config: Path | None = None, run: int | None = None
-    ) -> None:
-        self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
-        self.publisher = self.link.publisher(servo_key(leg))
-        self.seqs = itertools.count(1)
-        self.run_id = run
-        super().__init__(0.01, self.pour)
-
-    def pour(self) -> None:
-        for seq in itertools.islice(self.seqs, 20):
-            self.publisher.put(
-                ServoSample(
-                    t_ns=seq * 20_000_000,
-                    seq=seq,
-                    measured=[0.5 * (seq % 2), 0.1, 0.2],
-                    desired=[0.0, 0.1, 0.2],
-                    run=self.run_id,
-                )
-            )
+    def _tick(self) -> None:
+        off = 0.5 if self.touch(self.seq) else 0.0
+        sample = ServoSample(
+            t_ns=S + self.seq * 20_000_000,
+            seq=self.seq,
+            measured=[off, 0.1, 0.2],
+            desired=[0.0, 0.1, 0.2],
+            run=self.run_id,
+        )
+        self.sent_at[self.seq] = time.monotonic()
+        for publisher in self.publishers.values():
+            publisher.put(sample)
+        self.seq += 1
 
     def close(self) -> None:
         super().close()
         self.link.close()
 
 
-class Bulk(Pour):
+class Bulk(Every):
     """Publishes 3 MB/s of what is no sample, until closed."""
 
-    def pour(self) -> None:
-        self.publisher.put_raw(bytes(30_000), MSGPACK)
+    def __init__(self, endpoint: str, leg: str, *, zenoh_config: Path | None = None) -> None:
+        self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
+        self.publisher = self.link.publisher(servo_key(leg))
+        super().__init__(0.01, lambda: self.publisher.put_raw(bytes(30_000), MSGPACK))
+
+    def close(self) -> None:
+        super().close()
+        self.link.close()
 
 
 def uncounted(before: LearnerStatus, after: LearnerStatus) -> int:
@@ -274,20 +239,21 @@ def closing(*things: Any) -> Iterator[None]:
         yield
 
 
-def watched(link: Link, line: str = "", timeout_s: float = 20.0, *, without: str = "") -> str:
-    """What `watch` shows, once it has every status, shows a line and no longer another one."""
+def watched(link: Link, line: str = "", timeout_s: float = 20.0) -> str:
+    """What `watch` shows, once it has every status, and shows a line."""
     feed = Feed(link)
-    until = time.monotonic() + timeout_s
     shown = ""
-    while True:
+
+    def found() -> bool:
+        nonlocal shown
         view = feed.view(time.monotonic_ns())
-        if view.service is not None and all(leg.status is not None for leg in view.legs):
-            text = io.StringIO()
-            Console(file=text, width=240).print(table(view))
-            # The lines over the table as they are, not as they are folded to its width.
-            shown = f"{headline(view).plain}\n{text.getvalue()}"
-            if line in shown and not (without and without in shown):
-                return shown
-        missing = f"'{line}'" + (f" without '{without}'" if without else "")
-        assert time.monotonic() < until, f"{missing} is not in {shown or 'nothing'}"
-        time.sleep(0.05)
+        if view.service is None or any(leg.status is None for leg in view.legs):
+            return False
+        text = io.StringIO()
+        Console(file=text, width=240).print(table(view))
+        # The lines over the table as they are, not as they are folded to its width.
+        shown = f"{headline(view).plain}\n{text.getvalue()}"
+        return line in shown
+
+    until(found, lambda: f"'{line}' is not in {shown or 'nothing'}", timeout_s)
+    return shown

@@ -38,7 +38,7 @@ def free_address() -> str:
 
 
 class Every(threading.Thread):
-    """Calls something once in a period, until it is closed."""
+    """Calls something at once and then once in a period, on its schedule, until it is closed."""
 
     def __init__(self, period_s: float, call: Callable[[], object]) -> None:
         super().__init__(daemon=True)
@@ -48,8 +48,10 @@ class Every(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        while not self._over.wait(self._period_s):
+        due_s = time.monotonic()
+        while not self._over.wait(max(0.0, due_s - time.monotonic())):
             self._call()
+            due_s += self._period_s
 
     def close(self) -> None:
         self._over.set()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import sys
 import threading
 import time
@@ -21,7 +20,7 @@ from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.bridge.transport import Mailbox
-from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.robot import Robot
 from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, ServoSample, encode
 from adaptive_contact_sim.virtual import (
     FaultSchedule,
@@ -34,6 +33,7 @@ from adaptive_contact_sim.virtual import (
 sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
 import os
 
+import described
 from anybus import serve
 from described import Serve
 from kinematic import KinematicBackend
@@ -54,26 +54,25 @@ def _few_ids(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(handshake, "BEYOND", 2)
 
 
+Check = Callable[[Any], Any]
+
+
 @dataclasses.dataclass
 class Rig:
-    """A robot on virtual ports, served by a thread."""
+    """A robot on a virtual port, served by a thread."""
 
     robot: Robot
     plans: tuple[PortPlan, ...]
     backend: KinematicBackend
     faults: FaultSchedule
-    ports: tuple[VirtualPort, ...]
+    port: VirtualPort
 
     def fault(self, *texts: str) -> None:
         """Put these faults in force, from now on, and no others."""
         self.faults.specs = tuple(parse_fault(text) for text in texts)
 
     def servo(self, servo: int) -> VirtualServo:
-        return next(s for port in self.ports for s in port.servos if s.id == servo)
-
-    @property
-    def requests(self) -> int:
-        return sum(port.requests for port in self.ports)
+        return next(s for s in self.port.servos if s.id == servo)
 
 
 class Catcher:
@@ -101,33 +100,10 @@ class Catcher:
             timeout_s,
         )
 
-
-def robot_text(
-    directory: Path,
-    *,
-    legs: int = 2,
-    joints: int = 3,
-    model: str | list[str] = "AX-12A",
-    protocol: int | str = 1,
-    ports: int = 1,
-    timeout_ms: int = 10,
-    extra: str = "",
-) -> str:
-    lines = ['[robot]\nname = "rig"\nperiod_s = 0.02\nquantum_rad = 0.00511\n']
-    for p in range(ports):
-        lines.append(
-            f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {json.dumps(protocol)}\n'
-            f"timeout_ms = {timeout_ms}\n{extra}\n"
-        )
-    for i in range(legs):
-        ids = [i * joints + j + 1 for j in range(joints)]
-        names = [f"j{j}" for j in range(joints)]
-        lines.append(
-            f'[[leg]]\nid = "l{i}"\njoints = {names}\n'
-            f'servos = {{ ids = {ids}, model = {json.dumps(model)}, port = "p{i % ports}" }}\n'
-            f"limits = {{ lower_rad = {[-1.0] * joints}, upper_rad = {[1.0] * joints} }}\n"
-        )
-    return "\n".join(lines)
+    def go_on(self, ticks: int, feed: Callable[[Check], Check] = lambda true: true) -> None:
+        """Wait for so many ticks more."""
+        before = len(self.ticks)
+        self.wait(feed(lambda _: len(self.ticks) >= before + ticks))
 
 
 @pytest.fixture
@@ -151,37 +127,39 @@ def served() -> Iterator[Callable[[VirtualServer], None]]:
 def rig(tmp_path: Path, served: Callable[[VirtualServer], None]) -> Callable[..., Rig]:
     """Makes rigs."""
 
-    def make(noise_steps: float = 0.0, wire_time: bool = False, seed: int = 7, **shape: Any) -> Rig:
-        robot = parse_robot(robot_text(tmp_path, **shape), source="rig")
+    def make(
+        model: str | list[str],
+        protocol: int | str,
+        *,
+        legs: int = 2,
+        noise_steps: float = 0.0,
+        wire_time: bool = False,
+        seed: int = 7,
+        **port: object,
+    ) -> Rig:
+        device = tmp_path / "p0"
+        ids = [(range(3 * i + 1, 3 * i + 4), model) for i in range(legs)]
+        port = {"protocol": protocol, "timeout_ms": 10, **port}
+        robot = described.robot(device, *ids, name="p0", limit_rad=1.0, **port)
         plans = plan_ports(robot)
-        joints = [(plan, joint) for plan in plans for joint in plan.joints]
-        backend = KinematicBackend(len(joints))
+        backend = KinematicBackend(3 * legs)
         rng = np.random.default_rng(seed)
         faults = FaultSchedule([], rng)
-        index = {joint.servo: i for i, (_, joint) in enumerate(joints)}
-        ports = tuple(
-            VirtualPort(
-                plan.name,
-                Path(plan.port.device),
-                [
-                    VirtualServo(
-                        joint.servo,
-                        models_named(joint.model.name)[0],
-                        backend,
-                        index[joint.servo],
-                        rng,
-                        noise_steps=noise_steps,
-                        baud=plan.port.baud,
-                    )
-                    for joint in plan.joints
-                ],
-                faults,
-                wire_time=wire_time,
+        servos = [
+            VirtualServo(
+                joint.servo,
+                models_named(joint.model.name)[0],
+                backend,
+                joint.servo - 1,
+                rng,
+                noise_steps=noise_steps,
+                baud=plans[0].port.baud,
             )
-            for plan in plans
-        )
-        served(VirtualServer(ports, backend))
-        return Rig(robot, plans, backend, faults, ports)
+            for joint in plans[0].joints
+        ]
+        made = VirtualPort("p0", device, servos, faults, wire_time=wire_time)
+        served(VirtualServer([made], backend))
+        return Rig(robot, plans, backend, faults, made)
 
     return make
 
@@ -198,14 +176,6 @@ def opened() -> Iterator[Callable[[Rig], Bus]]:
             return bus
 
         yield open_
-
-
-@pytest.fixture
-def catcher() -> type[Catcher]:
-    return Catcher
-
-
-Check = Callable[[Any], Any]
 
 
 class Running:
@@ -269,12 +239,12 @@ def ended() -> Iterator[Callable[[Any], Any]]:
 
 
 @pytest.fixture
-def run(rig: Callable, catcher: Callable, ended: Callable) -> Callable[..., Running]:
+def run(rig: Callable, ended: Callable) -> Callable[..., Running]:
 
     def start(mode: str, ticks: int = 0, **kind: Any) -> Running:
         """A loop that has run for some ticks."""
         made = rig(**kind)
-        running: Running = ended(Running(made, mode, catcher(len(made.plans[0].legs))))
+        running: Running = ended(Running(made, mode, Catcher(len(made.plans[0].legs))))
         running.catcher.wait(lambda c: len(c.ticks) >= ticks)
         return running
 

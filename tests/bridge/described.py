@@ -29,18 +29,27 @@ def init(device: Path, *words: str) -> tuple[str, Robot]:
     return said, load_robot(out)
 
 
-def robot(device: Path, *legs: tuple[Sequence[int], object], **port: object) -> Robot:
+def robot(
+    device: Path,
+    *legs: tuple[Sequence[int], object],
+    name: str = "main",
+    limit_rad: float | None = None,
+    **port: object,
+) -> Robot:
     """A description of legs with these ids and models; its bus waits, as this computer is busy."""
     port = {"timeout_ms": 30, **port}
-    settings = "".join(f"{name} = {_toml(value)}\n" for name, value in port.items())
+    settings = "".join(f"{key} = {_toml(value)}\n" for key, value in port.items())
     text = (
         '[robot]\nname = "t"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
-        f'[port.main]\ndevice = "{device}"\n{settings}'
+        f'[port.{name}]\ndevice = "{device}"\n{settings}'
     )
     for i, (ids, model) in enumerate(legs):
         joints = [f"j{j}" for j in range(len(ids))]
         text += f'[[leg]]\nid = "l{i}"\njoints = {_toml(joints)}\n[leg.servos]\n'
         text += f"ids = {list(ids)}\nmodel = {_toml(model)}\n"
+        if limit_rad is not None:
+            ends = [[end] * len(ids) for end in (-limit_rad, limit_rad)]
+            text += f"[leg.limits]\nlower_rad = {ends[0]}\nupper_rad = {ends[1]}\n"
     return parse_robot(text, source="t")
 
 

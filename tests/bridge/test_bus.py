@@ -17,7 +17,7 @@ from adaptive_contact.bridge.tables import Block
 from adaptive_contact.errors import BusError
 from adaptive_contact_sim.virtual import VirtualServo
 
-FAST = {**XL, "extra": "fast = true"}
+FAST = {**XL, "fast": True}
 
 
 @pytest.mark.parametrize("kind", [XL, FAST])
@@ -26,7 +26,7 @@ def test_data_that_look_like_a_header_are_read(
     rig: Callable, opened: Callable, kind: dict, alone: bool
 ) -> None:
     r = rig(**kind)
-    for servo in r.ports[0].servos:
+    for servo in r.port.servos:
         servo.store("profile_velocity", 2**32 - 1)
         servo.store("goal_position", -3)  # FF FF FF FF FD FF FF FF
     bus, servos = opened(r), [1] if alone else [1, 2, 3, 4, 5, 6]
@@ -148,7 +148,7 @@ def test_two_servos_of_one_id_that_answer_one_after_the_other_are_seen(
     r = rig(**AX, wire_time=True)
     slow = VirtualServo(3, r.servo(3).model, r.backend, 3, np.random.default_rng(1))
     slow.store("return_delay", 250)
-    r.ports[0].servos = (*r.ports[0].servos, slow)
+    r.port.servos = (*r.port.servos, slow)
     bus = opened(r)
     bus.port.timeout_ms = 25.0
     pongs = [bus.ping(3) for _ in range(5)]
@@ -173,9 +173,9 @@ def test_an_sdk_without_fast_reads_does_all_the_rest(
     bus, joints = opened(r), r.plans[0].joints
     readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
     assert [reading.fault for reading in readings.values()] == [None] * len(joints)
-    asked = r.requests
+    asked = r.port.requests
     bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
-    assert r.requests == asked + 1  # one sync read
+    assert r.port.requests == asked + 1  # one sync read
     fast = Bus("p0", msgspec.structs.replace(r.plans[0].port, fast=True))
     with pytest.raises(BusError, match=r"fast needs dynamixel-sdk 3\.8 or newer; update it, or"):
         fast.open()

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import psutil
 import pytest
 
 from adaptive_contact.model import shipped_baseline
@@ -28,7 +29,7 @@ from adaptive_contact.wire import (
     decode,
     leg_of_key,
 )
-from programs import Program, children_of
+from programs import Program
 from scoring import messages, play
 from waiting import until
 
@@ -39,8 +40,8 @@ slow = pytest.mark.slow
 
 def workers(bridge: Program) -> list[int]:
     """Processes that a bridge has spawned, the ports'."""
-    words = {pid: Path(f"/proc/{pid}/cmdline") for pid in children_of(bridge.process.pid)}
-    return sorted(pid for pid, path in words.items() if b"spawn_main" in path.read_bytes())
+    children = psutil.Process(bridge.process.pid).children(recursive=True)
+    return sorted(one.pid for one in children if "spawn_main" in " ".join(one.cmdline()))
 
 
 def ready(program: Program) -> Program:

@@ -54,7 +54,7 @@ def test_the_sts_series_is_asked_in_common(rig: Callable, kind: dict, questions:
     readings = bus.read([joint.servo for joint in plan.joints], plan.joints[0].model.watched)
     bus.close()
     assert [reading.fault for reading in readings.values()] == [None] * 6
-    assert r.requests == questions
+    assert r.port.requests == questions
 
 
 @pytest.mark.parametrize("kind", [STS, SCS])

@@ -31,7 +31,7 @@ def test_two_of_one_id_that_answer_at_the_same_moment(
 ) -> None:
     """Alike to the last bit in what a ping and the model number tell; not in what they measure."""
     r = rig(**kind)
-    port, one = r.ports[0], r.servo(1)
+    port, one = r.port, r.servo(1)
     r.backend.place(4, 0.7)
     port.servos = (
         *port.servos,
@@ -75,7 +75,7 @@ def test_a_servo_that_has_shut_itself_down(
 @pytest.mark.parametrize("kind", [AX, XL, STS, SCS])
 def test_nothing_is_written_unless_asked_for(rig: Callable, kind: dict) -> None:
     r = rig(**kind)
-    servos = r.ports[0].servos
+    servos = r.port.servos
     for servo in servos:
         servo.store("return_delay", 250)
     findings = check_ports(r.plans, full=False)
@@ -200,7 +200,7 @@ def test_a_head_is_ignored_where_the_port_says_so(bus: Serve) -> None:
 
 def test_an_unexpected_servo_whose_answer_comes_late_is_told(rig: Any) -> None:
     r = rig(model="AX-12A", protocol=1, legs=1)
-    r.ports[0].servos += (any_servo(20, "AX-12A", r.backend, 0),)
+    r.port.servos += (any_servo(20, "AX-12A", r.backend, 0),)
     r.fault("late:id=20,ms=60")
     [line] = check_ports(r.plans).errors
     assert "unexpected servo 20 (AX-12A)" in line

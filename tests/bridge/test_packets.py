@@ -5,20 +5,10 @@ Examples marked P1 are of the ROBOTIS e-manual "DYNAMIXEL Protocol 1.0", P2 of "
 
 from __future__ import annotations
 
-import contextlib
-import os
-import pty
-import threading
-import tty
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.packets import (
     BROADCAST_ID,
     Codec,
@@ -30,8 +20,6 @@ from adaptive_contact.bridge.packets import (
     stuff,
     unstuff,
 )
-from adaptive_contact.bridge.tables import Block, Register
-from adaptive_contact.robot import Port
 
 I = Instruction
 ALL = BROADCAST_ID
@@ -110,9 +98,6 @@ def test_status_packets_are_those_of_the_documents(
     assert codec.status(servo, error, bytes.fromhex(data)) == bytes.fromhex(packet)
 
 
-Asked = Callable[..., tuple[str, Any]]
-
-
 def test_fast_sync_read_is_answered_as_in_the_document() -> None:
     # P2, "Fast Sync Read": ids 3, 7, 4 at 166, 2079, 1023; CRCs of ids 3 and 7 as printed.
     answers = [Status(i, 0, p.to_bytes(4, "little")) for i, p in ((3, 166), (7, 2079), (4, 1023))]
@@ -123,13 +108,6 @@ def test_fast_sync_read_is_answered_as_in_the_document() -> None:
     assert packet[: len(printed)] == printed
     [frame] = Codec(2).parse(bytearray(packet))
     assert split_fast_sync(frame.parameters, 4) == answers
-
-
-def test_a_header_inside_is_stuffed() -> None:
-    packet = Codec(2).instruction(1, I.WRITE, bytes.fromhex("74 00 FF FF FD 00"))
-    assert packet[5] == 0x0A  # one byte longer than what was asked for
-    assert bytes.fromhex("FF FF FD FD 00") in packet
-    assert Codec(2).parse(bytearray(packet))[0].parameters == bytes.fromhex("7400FFFFFD00")
 
 
 @pytest.mark.parametrize("codec", [Codec(1), Codec(2)])
@@ -194,89 +172,3 @@ def test_noise_never_raises_and_is_not_kept(codec: Codec, noise: bytes) -> None:
 def test_too_long_a_packet_is_refused(codec: Codec) -> None:
     with pytest.raises(ValueError, match="do not fit"):
         codec.instruction(1, I.WRITE, bytes(1100))
-
-
-@pytest.fixture
-def asked(tmp_path: Path) -> Iterator[Asked]:
-    """What is sent for what is done on a bus, whose far end gives an answer."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    (tmp_path / "p").symlink_to(os.ttyname(slave))
-
-    def ask(answer: str, does: Callable[[Bus], object], **port: object) -> tuple[str, object]:
-        def serve() -> None:
-            sent.append(os.read(master, 1000))
-            os.write(master, bytes.fromhex(answer))
-
-        sent: list[bytes] = []
-        far = threading.Thread(target=serve, daemon=True)
-        far.start()
-        with contextlib.closing(
-            Bus("p", Port(device=str(tmp_path / "p"), timeout_ms=2000, **port))
-        ) as bus:
-            bus.open()
-            found = does(bus)
-            far.join(10.0)
-        return sent[0].hex(" ").upper(), found
-
-    yield ask
-    os.close(slave)
-    os.close(master)
-
-
-P1_SYNC = (
-    "FF FF FE 18 83 1E 04 00 10 00 50 01 01 20 02 60 03 02 30 00 70 01 03 20 02 80 03 12",
-    {0: "10 00 50 01", 1: "20 02 60 03", 2: "30 00 70 01", 3: "20 02 80 03"},
-)
-P2_SYNC = (
-    "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87",
-    {1: "96 00 00 00", 2: "AA 00 00 00"},
-)
-
-
-@pytest.mark.parametrize(
-    ("protocol", "address", "example"), [(1, 0x1E, P1_SYNC), (2, 0x74, P2_SYNC)]
-)
-def test_the_bridge_writes_to_all_as_in_the_documents(
-    asked: Asked, protocol: int, address: int, example: tuple[str, dict[int, str]]
-) -> None:
-    packet, rows = example
-    values = {i: int.from_bytes(bytes.fromhex(row), "little") for i, row in rows.items()}
-    write = asked("", lambda bus: bus.put_all(Register(address, 4), values), protocol=protocol)
-    assert write == (packet, True)
-
-
-FAST_ANSWERS = [Status(i, 0, p.to_bytes(4, "little")) for i, p in ((3, 166), (7, 2079), (4, 1023))]
-READS: dict[str, Any] = {
-    "an AX": (
-        {"protocol": 1}, Block(0x2B, 1), {1: 32},
-        "FF FF 01 04 02 2B 01 CC", "FF FF 01 03 00 20 DB",
-    ),
-    "Xs together": (
-        {"protocol": 2}, Block(0x84, 4), {1: 166, 2: 2079},
-        "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA",
-        "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0 "
-        "FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE",
-    ),
-    "Xs fast": (
-        {"protocol": 2, "fast": True}, Block(0x84, 4), {3: 166, 7: 2079, 4: 1023},
-        "FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2",
-        fast_sync_status(FAST_ANSWERS).hex(),
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("port", "block", "values", "request_", "answer"), READS.values(), ids=READS
-)
-def test_the_bridge_reads_as_in_the_documents(
-    asked: Asked,
-    port: dict[str, object],
-    block: Block,
-    values: dict[int, int],
-    request_: str,
-    answer: str,
-) -> None:
-    packet, found = asked(answer, lambda bus: bus.read(list(values), block), **port)
-    assert packet == request_
-    assert {i: int.from_bytes(found[i].data, "little") for i in values} == values

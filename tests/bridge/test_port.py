@@ -84,7 +84,7 @@ def test_an_open_port_is_closed_to_others(
 
     def closed_to_others() -> bool:
         try:
-            other = os.open(r.ports[0].path, os.O_RDWR | os.O_NOCTTY)
+            other = os.open(r.port.path, os.O_RDWR | os.O_NOCTTY)
         except OSError as error:
             return error.errno == errno.EBUSY
         flag = bytearray(4)  # the superuser gets in

@@ -52,7 +52,7 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
     result = tried("robot", "learn", *words, input="n\n")
     assert result.exit_code == 1
     assert "around 0.0, 0.5, -1.0 rad" in result.output
-    assert all(s.writes == 0 for s in r.ports[0].servos)
+    assert all(s.writes == 0 for s in r.port.servos)
 
 
 @pytest.mark.parametrize(

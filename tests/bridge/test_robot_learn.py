@@ -196,8 +196,8 @@ def test_what_cannot_be_is_told_before_any_work(
     robot: Any, words: tuple[str, ...], message: str
 ) -> None:
     config = () if words[0] == "init" else ("--config", "robot.toml")
-    before = robot.requests
+    before = robot.port.requests
     result = tried("robot", *words, *config)
     assert isinstance(result.exception, AdaptiveContactError), result.output
     assert message in str(result.exception)
-    assert robot.requests == before
+    assert robot.port.requests == before

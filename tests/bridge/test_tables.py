@@ -93,14 +93,14 @@ def test_init_reads_the_slope_off_the_servos(
 ) -> None:
     r = rig(model=model, protocol=protocol)
     if model == "AX-12A":
-        for servo in r.ports[0].servos:
+        for servo in r.port.servos:
             servo.store("lower_slope", 64)
             servo.store("upper_slope", 64)
         slope = 0.328
     found = find_servos("p0", str(tmp_path / "p0"))
     robot = parse_robot(write_robot(group([found], 3)), source="written")
     assert robot.servo.slope_rad == slope
-    assert all(servo.writes == 0 for servo in r.ports[0].servos)
+    assert all(servo.writes == 0 for servo in r.port.servos)
 
 
 def test_legs_of_other_servos_have_a_quantum_of_their_own(rig: Callable, tmp_path: Path) -> None:

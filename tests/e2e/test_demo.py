@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from adaptive_contact.service.recording import read_recording
@@ -18,15 +19,6 @@ from adaptive_contact.service.recording import read_recording
 pytestmark = pytest.mark.e2e
 
 WAIT_S = 180.0  # the first start of an installation compiles, which takes long beside other work
-
-
-def gone(pid: int) -> bool:
-    """Whether a process has ended, and its parent has taken note."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return True
-    return False
 
 
 def test_it_writes_what_it_shows(start: Callable[..., Any], tmp_path: Path) -> None:
@@ -42,7 +34,7 @@ def test_it_writes_what_it_shows(start: Callable[..., Any], tmp_path: Path) -> N
         int(line.split("process ")[1].split(",")[0]) for line in demo.lines if "process " in line
     ]
     assert len(pids) == 2, "service and simulator"
-    assert all(gone(pid) for pid in pids)
+    assert not any(psutil.pid_exists(pid) for pid in pids)
     out = tmp_path / "here" / "demo"
     assert {path.name for path in out.iterdir()} == {"demo.mcap", "report.html", "summary.json"}
 
@@ -85,8 +77,8 @@ def test_stopped_it_ends_everything_it_started(start: Callable[..., Any], number
     demo = start("demo", "--seconds", "60", "--out", "out")
     service, simulator = _processes(demo)
     assert demo.stop(number) == 130
-    assert gone(service)
-    assert gone(simulator)
+    assert not psutil.pid_exists(service)
+    assert not psutil.pid_exists(simulator)
     assert demo.lines[-1] == "adaptive-contact: stopped; nothing was judged"
 
 
@@ -99,8 +91,8 @@ def test_the_failure_of_a_process_is_one_line(
     demo.wait_line(r"^ +0 of", WAIT_S)
     os.kill(service if which == "the service" else simulator, signal.SIGKILL)
     assert demo.wait(WAIT_S) == 2
-    assert gone(service)
-    assert gone(simulator)
+    assert not psutil.pid_exists(service)
+    assert not psutil.pid_exists(simulator)
     assert demo.lines[-1].startswith(f"adaptive-contact: {which} ended too early (exit code -9)")
     assert not any("Traceback" in line for line in demo.lines)
     assert not (tmp_path / "out" / "report.html").exists()

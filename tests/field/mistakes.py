@@ -108,11 +108,13 @@ def angles(change: Callable[[Angles], Angles], *names: str) -> Mistake:
 # -- times -----------------------------------------------------------------------------------------
 
 
-def _stamped(late_periods: Callable[[Sent, np.random.Generator], float]) -> Mistake:
-    """Stamps off by so many periods; readings and numbers are right."""
+def stamped(late_periods: Callable[[np.random.Generator, int], float]) -> Mistake:
+    """Stamps off by so many periods, all legs' of a tick alike; readings and numbers are right."""
 
-    def changed(sent: Sent, rng: np.random.Generator, newest: dict[str, int]) -> Sent:
-        t_ns = sent.body["t_ns"] + round(late_periods(sent, rng) * PERIOD_NS)
+    def changed(sent: Sent, _: np.random.Generator, newest: dict[str, int]) -> Sent:
+        tick = sent.body["seq"]
+        late = late_periods(np.random.default_rng([1, tick]), tick)
+        t_ns = sent.body["t_ns"] + round(late * PERIOD_NS)
         newest[sent.key] = t_ns = max(newest.get(sent.key, 0) + 1, t_ns)
         return sent.but(t_ns=t_ns)
 
@@ -125,23 +127,18 @@ _TURNS: Final = (0.0, -0.45, 0.25, 0.5, -0.3)
 
 def jitter(periods: float) -> Mistake:
     """Stamps off by so many periods, one standard deviation."""
-    return _stamped(lambda sent, rng: float(rng.normal(0.0, periods)))
+    return stamped(lambda rng, _: rng.normal(0.0, periods))
 
 
 white_jitter = jitter(0.25)
-turns_jitter = _stamped(lambda sent, rng: _TURNS[sent.body["seq"] % len(_TURNS)])
+turns_jitter = stamped(lambda _, tick: _TURNS[tick % len(_TURNS)])
 float_seconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] / 1e9))
 milliseconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] // 1_000_000))
 
 
 def bursts(ticks: int) -> Mistake:
     """So many ticks arrive together, and are stamped on arrival."""
-
-    def late(sent: Sent, _: np.random.Generator) -> float:
-        k = sent.body["seq"] % ticks
-        return ticks - 1 - k + 0.015 * k
-
-    return _stamped(late)
+    return stamped(lambda _, tick: ticks - 1 - 0.985 * (tick % ticks))
 
 
 def slower(factor: float) -> Mistake:
@@ -177,15 +174,18 @@ def doubled(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
 # -- readings --------------------------------------------------------------------------------------
 
 
+def misread(share: float, change: Callable[[float, np.random.Generator], float]) -> Mistake:
+    """A share of readings, each by itself, that are something else."""
+    return each_sample(
+        lambda sent, rng: sent.but(
+            measured=[change(x, rng) if rng.random() < share else x for x in sent.body["measured"]]
+        )
+    )
+
+
 def raw_zeros(share: float = 0.005, value: float = math.radians(-150.0)) -> Mistake:
     """Failed reads that leave raw step 0 behind."""
-
-    def changed(sent: Sent, rng: np.random.Generator) -> Sent:
-        return sent.but(
-            measured=[value if rng.random() < share else x for x in sent.body["measured"]]
-        )
-
-    return each_sample(changed)
+    return misread(share, lambda *_: value)
 
 
 def encoder_seam(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:

@@ -295,6 +295,25 @@ def test_without_models_feet_that_stand_tell_ids(walk: list[m.Sent]) -> None:
             assert f"the samples are those of leg '{owner}'" in line
 
 
+def test_no_ids_are_told_without_mounts_nor_of_legs_that_hang_or_move_as_they_like(
+    walk: list[m.Sent],
+) -> None:
+    samples = of_legs(m.last(walk, 20.0))
+    swapped = {SWAPS["neighbours"].get(leg, leg): rows for leg, rows in samples.items()}
+    bare = tuple(msgspec.structs.replace(leg, mount=Mount()) for leg in ROBOT.legs)
+    assert judge_recorded_ids(msgspec.structs.replace(ROBOT, legs=bare), swapped) == {}
+    hung, wild = dict[str, list[ServoSample]](), dict[str, list[ServoSample]]()
+    for number, (leg, rows) in enumerate(swapped.items()):
+        steps = np.random.default_rng(number).normal(0.0, 0.01, (len(rows), 3))
+        own = np.cumsum(steps, axis=0).tolist()
+        hung[leg] = [msgspec.structs.replace(s, measured=s.desired) for s in rows]
+        wild[leg] = [
+            msgspec.structs.replace(s, measured=at, desired=at)
+            for s, at in zip(rows, own, strict=True)
+        ]
+    assert judge_recorded_ids(ROBOT, hung) == judge_recorded_ids(ROBOT, wild) == {}
+
+
 def yaw_turned(messages: list[m.Sent]) -> list[m.Sent]:
     flip, rng = m.angles(lambda row: [-row[0], *row[1:]]), np.random.default_rng(1)
     front = ("lf", "rf")

@@ -151,12 +151,13 @@ def test_what_no_sample_holds_goes_out_as_it_is(wire: Wire) -> None:
 @pytest.mark.parametrize("speed", [1.0, 2.0])
 def test_timing_is_kept(wire: Wire, speed: float) -> None:
     records = [record("rf", k) for k in range(21)]  # 0.4 s
-    player = WirePlayer(wire.player, speed)
+    player = WirePlayer(wire.player, speed, keep_run=True)
     started = time.monotonic()
     player.play(records, threading.Event())
     elapsed = time.monotonic() - started
     assert 0.4 / speed <= elapsed < 0.4 / speed + 10.0
     heard = wire.wait_for(21)
+    assert [r.payload for r in heard] == [r.payload for r in records]
     gaps = np.diff([r.arrival_ns for r in heard]) / 1e6
     assert abs(np.median(gaps) - 20 / speed) < 5
 

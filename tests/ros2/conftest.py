@@ -1,13 +1,8 @@
-"""A robot of two legs whose names in ROS 2 are known, and messages of its joints."""
+"""A robot of two legs whose names in ROS 2 are known."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
-
-from adaptive_contact.robot import Robot, parse_robot
-from ros_messages import Messages
 
 LEGS = """
 [[leg]]
@@ -27,16 +22,6 @@ JOINTS = [f"{leg}_{joint}" for leg in ("lf", "rf") for joint in "cft"]
 
 def text_of(ros2: str) -> str:
     return f'[robot]\nname = "mini"\nperiod_s = 0.02\nquantum_rad = 0.005\n[ros2]\n{ros2}\n{LEGS}'
-
-
-@pytest.fixture
-def robot_with() -> Callable[[str], Robot]:
-    return lambda ros2: parse_robot(text_of(ros2), source="test")
-
-
-@pytest.fixture
-def messages() -> type[Messages]:
-    return Messages
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types, typestore
 from adaptive_contact.wire import ContactTruth, ServoSample
+from ros_messages import Messages
 
 from .conftest import LEGS, text_of
 
@@ -67,13 +68,13 @@ class Rig:
 
 
 @pytest.fixture
-def rig(robot_with):
-    return lambda text=STATE: Rig(robot_with(text))
+def rig():
+    return lambda text=STATE: Rig(parse_robot(text_of(text), source="test"))
 
 
 @pytest.fixture
-def made(messages):
-    return messages()
+def made():
+    return Messages()
 
 
 def state(rig: Rig, made: Any, joints: list[str], seq: int | None, **origin: Any) -> dict[str, Any]:
@@ -83,9 +84,9 @@ def state(rig: Rig, made: Any, joints: list[str], seq: int | None, **origin: Any
 
 
 @pytest.mark.parametrize("kind", ["jazzy", "2023", "humble", "old"])
-def test_feedback_is_measured_and_reference_desired(rig, messages, joints, kind) -> None:
+def test_feedback_is_measured_and_reference_desired(rig, joints, kind) -> None:
     names = joints[::-1]  # the order of the message is its own
-    got = state(rig(), messages(kind), names, 7, stamp=5 * 10**9)
+    got = state(rig(), Messages(kind), names, 7, stamp=5 * 10**9)
     assert set(got) == {"lf", "rf"}
     rf: ServoSample = got["rf"]
     assert rf.measured == pytest.approx([0.2, 0.1, 0.0])

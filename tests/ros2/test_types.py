@@ -11,6 +11,7 @@ from adaptive_contact.ros2.types import (
     Types,
     typestore,
 )
+from ros_messages import Messages
 
 # From C sources that rosidl_generator_c wrote (Iron and Kilted).
 GENERATED = {
@@ -27,8 +28,8 @@ def test_hashes_are_rosidls(name: str) -> None:
 
 
 @pytest.mark.parametrize("state", ["jazzy", "2023", "humble", "old"])
-def test_each_definition_is_read_by_its_hash(state, messages, joints) -> None:
-    made = messages(state)
+def test_each_definition_is_read_by_its_hash(state, joints) -> None:
+    made = Messages(state)
     sent = made.state(joints, [0.1] * 6, [0.2] * 6)
     hash_ = made.store.hash_rihs01(RosType.CONTROLLER_STATE)
     read = Types().decode(RosType.CONTROLLER_STATE, hash_, made.cdr(sent))
@@ -39,8 +40,8 @@ def test_each_definition_is_read_by_its_hash(state, messages, joints) -> None:
 
 
 @pytest.mark.parametrize("state", ["humble", "old"])
-def test_without_hashes_the_layout_decides(state, messages, joints) -> None:
-    made = messages(state)
+def test_without_hashes_the_layout_decides(state, joints) -> None:
+    made = Messages(state)
     sent = made.state(joints, [0.1] * 6, [0.2] * 6)
     read = Types("humble").decode(RosType.CONTROLLER_STATE, NO_HASH, made.cdr(sent))
     assert read.feedback.positions[5] == 0.1
@@ -58,8 +59,8 @@ def test_an_unknown_hash_is_named() -> None:
         Types().decode(RosType.JOINT_STATE, "RIHS01_" + 64 * "0", b"")
 
 
-def test_every_cut_is_refused_and_other_damage_is_or_is_read(messages, joints) -> None:
-    made = messages()
+def test_every_cut_is_refused_and_other_damage_is_or_is_read(joints) -> None:
+    made = Messages()
     whole = made.cdr(made.state(joints, [0.1] * 6, [0.2] * 6))
     hash_ = made.store.hash_rihs01(RosType.CONTROLLER_STATE)
     types, rng, refused = Types(), np.random.default_rng(3), 0

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-import struct
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
-# Names of fields, by kind of message.
-Fields = dict[str, set[str]]
+# Kinds of messages, and names of their fields after them.
+Fields = set[str]
 # Differences that are shown of a recording.
 MOST_SHOWN: Final = 12
 # Maps of a snapshot whose keys are data, such as the reasons that occurred.
@@ -100,48 +101,57 @@ def compare(
         ignore: fields that may differ, such as ``status.note``.
     """
     found = Comparison(events=(len(before["events"]), len(after["events"])))
-    fields = fields or (known_fields([before]), known_fields([after]))
-    of = _Pairs(found, fields, tolerance, ignore)
-    if before.get("fault") != after.get("fault"):
-        of.differ("fault", "", math.inf, "fault", before.get("fault"), after.get("fault"))
-    _compare_events(of, before["events"], after["events"])
-    looks = [{(n, leg): rest for n, leg, *rest in side["looks"]} for side in (before, after)]
-    for at in dict.fromkeys([*looks[0], *looks[1]]):
-        number, leg = at
-        one, other = looks[0].get(at), looks[1].get(at)
-        if one is None or other is None:  # a revision that faulted has no more of them
-            continue
-        of.values("status", leg, number, one[0], other[0])
-        if one[1] != other[1]:
-            of.differ("confirmed", leg, number, "confirmed", one[1], other[1])
-    judged = [{(n, leg): of for n, leg, of in side["judged"]} for side in (before, after)]
-    for number, leg in judged[0].keys() & judged[1].keys():
-        of.values("judged", leg, number, *(side[number, leg] for side in judged))
-    for leg in before["end"].keys() & after["end"].keys():
-        one, other = before["end"][leg], after["end"][leg]
-        of.values("report", leg, math.inf, one["report"], other["report"])
-        formats = [_formats(side["snapshot"]) for side in (one, other)]
-        if formats[0] == formats[1]:
-            of.values("snapshot", leg, math.inf, one["snapshot"], other["snapshot"])
-        else:
-            found.notes.add(
-                f"snapshots have formats {formats[0] or 'none'} and {formats[1] or 'none'}: "
-                "not compared"
+    known = fields or (known_fields([before]), known_fields([after]))
+    trees = (_trees(before), _trees(after))
+    for number, leg, kind, contact in dict.fromkeys([*trees[0], *trees[1]]):
+        one, other = (side.get((number, leg, kind, contact), _ABSENT) for side in trees)
+        if kind == "snapshot" and _formats(one) != _formats(other):
+            found.notes.add("snapshots have other formats: not compared")
+        elif one is not _ABSENT and other is not _ABSENT:
+            for path, *values in _unlike(dict(flat(one, kind)), dict(flat(other, kind))):
+                lacking = [value is _ABSENT for value in values]
+                here, there = known[::-1] if lacking[0] else known
+                new = any(lacking) and _new_field(path, here, there)
+                off = _off(*values)
+                found.largest = max(found.largest, 0.0 if math.isinf(off) else off)
+                if new:
+                    found.notes.add(f"{'-+'[lacking[0]]} {new}")
+                elif off > tolerance or not tolerance:
+                    of = Difference(number, leg, path, *map(_short, values))
+                    found.differences += [] if {kind, path} & ignore else [of]
+        elif kind == "event":  # of all else, a revision that faulted has no more
+            scores = (None if side is _ABSENT else side["score"] for side in (one, other))
+            found.flips += 1
+            found.differences.append(
+                Difference(number, leg, f"decision.contact {contact}, score", *scores)
             )
     return found
 
 
+def _trees(outcome: dict[str, Any]) -> dict[tuple[float, str, str, bool], Any]:
+    """What was said at which round of which leg, by kind; of decisions, by whether it touches."""
+    trees: dict[tuple[float, str, str, bool], Any] = {
+        (math.inf, "", "fault", False): outcome.get("fault"),
+        **{(n, leg, "event", event["contact"]): event for n, leg, event in outcome["events"]},
+        **{(n, leg, "judged", False): of for n, leg, of in outcome["judged"]},
+    }
+    for number, leg, status, confirmed in outcome["looks"]:
+        trees[number, leg, "status", False] = status
+        trees[number, leg, "confirmed", False] = confirmed
+    for leg, end in outcome["end"].items():
+        trees |= {(math.inf, leg, kind, False): of for kind, of in end.items()}
+    return trees
+
+
 def known_fields(outcomes: Iterable[dict[str, Any]]) -> Fields:
-    """Fields of a revision's messages and snapshots, over all its outcomes, by kind."""
-    fields: Fields = {}
+    """Fields of a revision's messages and snapshots, over all its outcomes, after their kind."""
+    fields: Fields = set()
     for outcome in outcomes:
         for kind, names in outcome["fields"].items():
-            fields.setdefault(kind, set()).update(names)
+            fields |= {kind, *(f"{kind}.{name}" for name in names)}
         for end in outcome["end"].values():
             for path, _ in flat(end["snapshot"]):
-                names = _names(path)
-                stems = (".".join(names[:depth]) for depth in range(1, len(names) + 1))
-                fields.setdefault("snapshot", set()).update(stems)
+                fields.update(_stems(f"snapshot.{path}"))
     return fields
 
 
@@ -164,113 +174,50 @@ def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-class _Pairs:
-    """Pairs of values of two revisions, compared into one comparison."""
-
-    def __init__(
-        self,
-        found: Comparison,
-        fields: tuple[Fields, Fields],
-        tolerance: float,
-        ignore: frozenset[str],
-    ) -> None:
-        self.found = found
-        self._fields = fields
-        self._tolerance = tolerance
-        self._ignore = ignore
-
-    def values(self, kind: str, leg: str, number: float, before: Any, after: Any) -> None:
-        """Compare two trees."""
-        sides = (dict(flat(before)), dict(flat(after)))
-        for path in dict.fromkeys([*sides[0], *sides[1]]):
-            present = [path in side for side in sides]
-            if not all(present) and self._is_new(kind, path, present[1]):
-                continue
-            one, other = (side.get(path, _ABSENT) for side in sides)
-            size = _off(one, other)
-            if size is not None and not math.isinf(size):
-                self.found.largest = max(self.found.largest, size)
-            if _equal(one, other):
-                continue
-            if self._tolerance and size is not None and size <= self._tolerance:
-                continue
-            self.differ(kind, leg, number, path, _short(one), _short(other))
-
-    def differ(
-        self, kind: str, leg: str, number: float, path: str, before: Any, after: Any
-    ) -> None:
-        """Note a difference, unless its field may differ."""
-        if not {kind, f"{kind}.{path}"} & self._ignore:
-            of = Difference(number, leg, f"{kind}.{path}", before, after)
-            self.found.differences.append(of)
-
-    def _is_new(self, kind: str, path: str, in_second: bool) -> bool:
-        """Whether a value that one side lacks is of a field that its revision does not have."""
-        here, there = (self._fields[side].get(kind) for side in (in_second, not in_second))
-        names = _names(path)
-        if here is None or there is None or _DATA_MAPS & set(names):
-            return False
-        for depth in range(1, len(names) + 1):
-            stem = ".".join(names[:depth])
-            if stem in here and stem not in there:
-                self.found.notes.add(f"{'+' if in_second else '-'} {kind}.{stem}")
-                return True
-        return False
+def _unlike(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Values that are not the same bit by bit; a NaN equals itself, 1 is not 1.0."""
+    for path in dict.fromkeys([*one, *other]):
+        values = one.get(path, _ABSENT), other.get(path, _ABSENT)
+        bits = [
+            (value.shape, value.tobytes())
+            if isinstance(value, np.ndarray)
+            else msgspec.msgpack.encode(value)
+            for value in values
+        ]
+        if bits[0] != bits[1]:
+            yield path, *values
 
 
-def _compare_events(of: _Pairs, before: list[Any], after: list[Any]) -> None:
-    sides: list[dict[tuple[int, str, bool], Any]] = []
-    for events in (before, after):
-        sides.append({(n, leg, e["contact"]): e for n, leg, e in events})
-    for at in sorted({*sides[0], *sides[1]}):
-        number, leg, contact = at
-        one, other = sides[0].get(at), sides[1].get(at)
-        if one is not None and other is not None:
-            of.values("event", leg, number, one, other)
-            continue
-        scores = (None if side is None else side["score"] for side in (one, other))
-        of.found.flips += 1
-        of.differ("decision", leg, number, f"contact {contact}, score", *scores)
-
-
-def _formats(snapshot: Any) -> str:
-    return ", ".join(f"{v}" for p, v in flat(snapshot) if p.split(".")[-1] == "format")
-
-
-def _names(path: str) -> list[str]:
-    """Names of a path without its numbers."""
-    plain = "".join(part.split("]")[-1] for part in path.split("["))
-    return plain.split(".")
-
-
-def _equal(one: Any, other: Any) -> bool:
-    """Bit by bit; a NaN equals itself, 1 is not 1.0."""
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return one.shape == other.shape and one.tobytes() == other.tobytes()
-    if type(one) is not type(other):
-        return False
-    if isinstance(one, float):
-        return struct.pack("<d", one) == struct.pack("<d", other)
-    return bool(one == other)
-
-
-def _off(one: Any, other: Any) -> float | None:
-    """How far two numbers with a fraction are apart; None for all else."""
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        if one.shape != other.shape:
-            return None
-        if not one.size:
-            return 0.0
-        with np.errstate(invalid="ignore"):
-            apart = np.abs(one - other) / np.maximum(1.0, np.maximum(abs(one), abs(other)))
-        alike = (one == other) | (np.isnan(one) & np.isnan(other))
-        return float(np.nan_to_num(np.where(alike, 0.0, apart), nan=math.inf).max())
-    if not (isinstance(one, float) and isinstance(other, float)):
+def _new_field(path: str, here: Fields, there: Fields) -> str | None:
+    """The field of a value that one revision does not have at all."""
+    stems = _stems(path)
+    if not {stems[0]} <= here & there or _DATA_MAPS & set(stems[-1].split(".")):
         return None
-    if one == other or (math.isnan(one) and math.isnan(other)):
-        return 0.0
-    apart_by = abs(one - other) / max(1.0, abs(one), abs(other))
-    return math.inf if math.isnan(apart_by) else apart_by
+    return next((stem for stem in stems if stem in here and stem not in there), None)
+
+
+def _formats(snapshot: Any) -> list[Any]:
+    return [value for path, value in flat(snapshot) if path.split(".")[-1] == "format"]
+
+
+def _stems(path: str) -> list[str]:
+    """A path without its numbers, and all that it goes through."""
+    names = re.sub(r"\[\d+\]", "", path).split(".")
+    return [".".join(names[:depth]) for depth in range(1, len(names) + 1)]
+
+
+def _off(one: Any, other: Any) -> float:
+    """How far two numbers with a fraction are apart, or arrays; infinite for all else."""
+    if isinstance(one, float) and isinstance(other, float) and math.isfinite(one - other):
+        return abs(one - other) / max(1.0, abs(one), abs(other))
+    numbers = type(one) is type(other) and isinstance(one, np.ndarray | float)
+    if not numbers or np.shape(one) != np.shape(other):
+        return math.inf
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(one - other) / np.maximum(1.0, np.maximum(abs(one), abs(other)))
+    apart = np.where(np.isnan(apart), math.inf, apart)
+    alike = (one == other) | (np.isnan(one) & np.isnan(other))
+    return float(np.where(alike, 0.0, apart).max(initial=0.0))
 
 
 def _short(value: Any) -> Any:

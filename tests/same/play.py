@@ -12,19 +12,13 @@ from __future__ import annotations
 import math
 import sys
 import tempfile
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 import adaptive_contact
-from adaptive_contact import ContactLearner, ServoSample, load_baseline, load_robot
-
-if (Path(adaptive_contact.__file__).parent / "core").exists():
-    from adaptive_contact import LearnerBank
-else:  # a revision from before the learners had a room of their own
-    LearnerBank = import_module("adaptive_contact.bank").LearnerBank
+from adaptive_contact import ContactLearner, LearnerBank, ServoSample, load_baseline, load_robot
 
 
 class Learners:

@@ -1,6 +1,6 @@
 """Sample in -> event out through the service, against a bare Zenoh echo; a script, not a test.
 
-    python tests/service/bench_echo.py [--assert]
+    PYTHONPATH=tests python tests/service/bench_echo.py [--assert]
 
 Three processes: this one publishes six legs at 50 Hz and times the answers; the other is first
 an echo (a router whose callback puts the payload back), then the whole service with its own
@@ -20,19 +20,20 @@ where the ratio is above 2, or there are too few events to tell.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 
 from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.wire import ContactEvent, ServoSample, contact_key, decode, servo_key
+from adaptive_contact.wire.received import Received
+from programs import Program
 
 MOST = 2.0
 WALK_EVENTS_PER_S = 6.5
@@ -41,7 +42,6 @@ BLOCKS = 8
 MADE_UP_S = 10.0
 DRAWS = 2000
 
-HERE = Path(__file__).parent
 LEGS = ("lf", "lm", "lr", "rf", "rm", "rr")
 Tick = dict[str, ServoSample]
 # Round trips in ms, by the second of their samples.
@@ -82,16 +82,18 @@ def echo() -> None:
 
 def made_up(seconds: float) -> list[Tick]:
     """Samples at each of which the made-up learner changes its mind."""
-    ticks = []
-    for seq in range(int(seconds * 50)):
-        sample = ServoSample(
-            t_ns=seq * 20_000_000,
-            seq=seq,
-            measured=[0.5 * (seq % 2 == 0), 0.1, 0.2],
-            desired=[0.0, 0.1, 0.2],
+    return [
+        dict.fromkeys(
+            LEGS,
+            ServoSample(
+                t_ns=seq * 20_000_000,
+                seq=seq,
+                measured=[0.5 * (seq % 2 == 0), 0.1, 0.2],
+                desired=[0.0, 0.1, 0.2],
+            ),
         )
-        ticks.append(dict.fromkeys(LEGS, sample))
-    return ticks
+        for seq in range(int(seconds * 50))
+    ]
 
 
 def walked(seconds: float) -> list[Tick]:
@@ -104,133 +106,89 @@ def walked(seconds: float) -> list[Tick]:
     return [dict(tick.samples) for tick in Simulation(settings).run(seconds)]
 
 
-def measure(endpoint: str, ticks: list[Tick], answers: int | None) -> Trips:
-    """Round trips, every leg in the same tick as a robot's bus gives them."""
+def measure(command: Sequence[str], ticks: list[Tick]) -> Trips:
+    """Round trips, ms, to a process and back; every leg in the same tick as a robot's bus."""
     sent: dict[tuple[str, int], int] = {}
     trips: Trips = {}
-    heard = 0
-    done = threading.Event()
 
-    def sink(received) -> None:  # type: ignore[no-untyped-def]
+    def sink(received: Received) -> None:
         leg = received.key.split("/")[2]
         message = decode(received.payload, ContactEvent, received.encoding)
         if not isinstance(message, ContactEvent):
             message = decode(received.payload, ServoSample, received.encoding)
         took_ms = (received.arrival_ns - sent[leg, message.seq]) / 1e6
-        nonlocal heard
         trips.setdefault(message.seq // 50, []).append(took_ms)
-        heard += 1
-        if heard == answers:
-            done.set()
 
-    with Link.open(client_settings([endpoint])) as link:
-        link.subscribe(contact_key("*"), sink)
-        publishers = {leg: link.publisher(servo_key(leg)) for leg in LEGS}
-        time.sleep(0.5)  # a benchmark may: the declarations travel
-        due = time.monotonic()
-        for tick in ticks:
-            for leg, sample in tick.items():
-                sent[leg, sample.seq] = time.monotonic_ns()
-                publishers[leg].put(sample)
-            due += 0.02
-            time.sleep(max(0.0, due - time.monotonic()))
-        done.wait(1.0)
+    with closing(Program(*command, stdin=subprocess.PIPE)) as process:
+        endpoint = process.wait_line(r"listening on ([^;]+);", 600.0)[1]
+        with Link.open(client_settings([endpoint])) as link:
+            link.subscribe(contact_key("*"), sink)
+            publishers = {leg: link.publisher(servo_key(leg)) for leg in LEGS}
+            time.sleep(0.5)  # a benchmark may: the declarations travel
+            due = time.monotonic()
+            for tick in ticks:
+                for leg, sample in tick.items():
+                    sent[leg, sample.seq] = time.monotonic_ns()
+                    publishers[leg].put(sample)
+                due += 0.02
+                time.sleep(max(0.0, due - time.monotonic()))
+            time.sleep(1.0)  # the last answers
     return trips
 
 
 def flat(blocks: list[Trips]) -> list[float]:
-    """All round trips of some blocks, the fastest first."""
-    return sorted(trip for block in blocks for second in block.values() for trip in second)
+    """All round trips of some blocks."""
+    return [trip for block in blocks for second in block.values() for trip in second]
 
 
-def p99(trips: list[float]) -> float:
-    return trips[int(len(trips) * 0.99)]
+def drawn(blocks: list[Trips], rng: np.random.Generator) -> float:
+    """The p99 of seconds that are drawn anew within each block."""
+    chosen = [rng.choice(list(block), len(block)) for block in blocks]
+    pairs = zip(blocks, chosen, strict=True)
+    return float(np.percentile([ms for block, at in pairs for s in at for ms in block[s]], 99))
 
 
-def interval(
-    own: list[Trips], echoed: list[Trips], rng: np.random.Generator
-) -> tuple[float, float]:
-    """95 % interval of the ratio of two p99, from seconds drawn anew within each block."""
-
-    def drawn(blocks: list[Trips]) -> float:
-        found: list[float] = []
-        for block in blocks:
-            seconds = list(block.values())
-            for at in rng.integers(len(seconds), size=len(seconds)):
-                found += seconds[at]
-        return p99(sorted(found))
-
-    own, echoed = [b for b in own if b], [b for b in echoed if b]
-    ratios = [drawn(own) / drawn(echoed) for _ in range(DRAWS)]
-    low, high = np.quantile(ratios, [0.025, 0.975])
-    return float(low), float(high)
-
-
-@contextlib.contextmanager
-def running(*command: str) -> Iterator[str]:
-    """A process, ended at the end; gives its first line."""
-    with subprocess.Popen(
-        [sys.executable, *command], stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            yield process.stdout.readline()
-        finally:
-            process.terminate()
+def row(name: str, blocks: list[Trips]) -> float:
+    """Print the figures of round trips; their p99."""
+    found = np.percentile(flat(blocks), [50, 95, 99, 100])
+    figures = "p50 {:.2f}  p95 {:.2f}  p99 {:.2f}  max {:.2f} ms".format(*found)
+    print(f"{name:40s} n {len(flat(blocks)):6d}  {figures}", flush=True)
+    return float(found[2])
 
 
 def main(rng: np.random.Generator) -> bool:
     """Measure; True where the service is as fast as it must be."""
-    with tempfile.TemporaryDirectory() as folder:
+    walk = walked(EVENTS / WALK_EVENTS_PER_S)
+    length = -(-len(walk) // BLOCKS)
+    # The echo of a block has as many answers as it takes for its own p99 to stand still.
+    every = made_up(max(MADE_UP_S, length / 50 / 2))
+    echoed: list[Trips] = []
+    own: list[Trips] = []
+    with tempfile.TemporaryDirectory() as folder, closing(Program("-c", REFIT)):
         config = Path(folder) / "robot.toml"
         legs = "".join(f'[[leg]]\nid = "{leg}"\njoints = ["a", "b", "c"]\n' for leg in LEGS)
         config.write_text(f'[robot]\nname = "b"\nperiod_s = 0.02\nquantum_rad = 0.005\n{legs}')
-        listen = ("--listen", "tcp/127.0.0.1:0", "--log-level", "warning")
-        state = ("--state", str(Path(folder) / "state"))
-        fake = (str(HERE / "fake_service.py"), *listen, "--config", str(config), *state)
-        real = ("-m", "adaptive_contact", "serve", *listen, *state)
-        echoes = (__file__, "--echo")
-        ticks = walked(EVENTS / WALK_EVENTS_PER_S)
-        length = -(-len(ticks) // BLOCKS)
-        walk = [ticks[begin : begin + length] for begin in range(0, len(ticks), length)]
-        # The echo of a block has as many answers as it takes for its own p99 to stand still.
-        every = made_up(max(MADE_UP_S, len(walk[0]) / 50 / 2))
-
-        def trips(command: tuple[str, ...], ticks: list[Tick], answers: int | None) -> Trips:
-            with running(*command) as line:
-                endpoint = line.split("listening on ")[1].split(";")[0]
-                return measure(endpoint, ticks, answers)
-
-        def row(name: str, blocks: list[Trips]) -> float:
-            found = flat(blocks)
-            n = len(found)
-            print(
-                f"{name:40s} n {n:6d}  p50 {found[n // 2]:.2f}  p95 {found[int(n * 0.95)]:.2f}  "
-                f"p99 {p99(found):.2f}  max {found[-1]:.2f} ms",
-                flush=True,
-            )
-            return p99(found)
-
-        count = len(every) * len(LEGS)
-        echoed: list[Trips] = []
-        own: list[Trips] = []
-        with running("-c", REFIT):
-            for number, block in enumerate(walk):
-                if number % 2:  # who goes first changes, too
-                    own.append(trips(real, block, None))
-                echoed.append(trips(echoes, every, count))
-                if number % 2 == 0:
-                    own.append(trips(real, block, None))
-            echo_ms = row("echo", echoed)
-            own_ms = row("service, its own learners", own)
-            row("service, a learner that costs nothing", [trips(fake, every, count)])
-    low, high = interval(own, echoed, rng)
-    heard, ratio = len(flat(own)), own_ms / echo_ms
+        words = ("--listen", "tcp/127.0.0.1:0", "--log-level", "warning", "--state", folder)
+        fake = (str(Path(__file__).with_name("fake_service.py")), *words, "--config", str(config))
+        turns = [
+            lambda block: own.append(measure(("-m", "adaptive_contact", "serve", *words), block)),
+            lambda _: echoed.append(measure((__file__, "--echo"), every)),
+        ]
+        for begin in range(0, len(walk), length):
+            turns.reverse()  # who goes first changes, too
+            for turn in turns:
+                turn(walk[begin : begin + length])
+        ratio = 1.0 / row("echo", echoed)
+        ratio *= row("service, its own learners", own)
+        row("service, a learner that costs nothing", [measure(fake, every)])
+    own, echoed = [b for b in own if b], [b for b in echoed if b]
+    ratios = [drawn(own, rng) / drawn(echoed, rng) for _ in range(DRAWS)]
+    low, high = np.quantile(ratios, [0.025, 0.975])
+    heard = len(flat(own))
     print(
         f"p99 of the service over that of the echo: {ratio:.2f}, 95 % interval {low:.2f} to "
-        f"{high:.2f}, at most {MOST:g}"
+        f"{high:.2f}, at most {MOST:g}; {heard} events, expected {EVENTS}"
     )
-    if heard < EVENTS:
-        print(f"{heard} events of its own learners are too few, expected {EVENTS}")
     return ratio <= MOST and heard >= EVENTS
 
 

@@ -3,26 +3,37 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import itertools
 import re
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
 
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.wire import Message, ServoSample, decode, servo_key
+from adaptive_contact.service.sample_queue import Batch
+from adaptive_contact.service.server import Service
+from adaptive_contact.status import SERVICE_STATUS
+from adaptive_contact.wire import (
+    MSGPACK,
+    LearnerStatus,
+    Message,
+    ServoSample,
+    decode,
+    encode,
+    learner_key,
+    servo_key,
+)
+from adaptive_contact.wire.received import Received
 from programs import Program, tried
 from waiting import until
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # the helpers beside the tests
+sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
+import fake_service
 
 ROBOT = """
 [robot]
@@ -39,13 +50,17 @@ joints = ["coxa", "femur", "tibia"]
 
 
 class Inbox:
-    """A sink that can be waited on."""
+    """A sink that can be waited on; of a kind of messages it keeps them decoded."""
 
-    def __init__(self) -> None:
+    def __init__(self, kind: type[Message] | None = None) -> None:
         self.items: list[Any] = []
+        self._kind = kind
 
     def __call__(self, *item: Any) -> None:
-        self.items.append(item[0] if len(item) == 1 else item)
+        one = item[0] if len(item) == 1 else item
+        if self._kind is not None:
+            one = decode(one.payload, self._kind, one.encoding)
+        self.items.append(one)
 
     def subscribe(self, link: Link, key: str, *, history: bool = False) -> Inbox:
         link.subscribe(key, self, history=history)
@@ -62,37 +77,15 @@ class Inbox:
         return list(self.items)
 
 
-class MessageInbox(Inbox):
-    """Keeps decoded messages of one kind."""
-
-    def __init__(self, kind: type[Message]) -> None:
-        super().__init__()
-        self._kind = kind
-
-    def __call__(self, *item: Any) -> None:
-        received = item[0]
-        super().__call__(decode(received.payload, self._kind, received.encoding))
-
-
 class Served(Program):
     """A service with the fake learner in a process of its own."""
 
     def __init__(self, *words: object, log: Path, wait: bool) -> None:
         self.log = log
         with log.open("w") as stderr:
-            super().__init__(HERE / "fake_service.py", "--save-often", *words, stderr=stderr)
+            super().__init__(fake_service.__file__, "--save-often", *words, stderr=stderr)
         self.ready = self.wait_line("").string if wait else ""
         self.endpoint = self.ready.partition("listening on ")[2].partition(";")[0]
-
-
-@pytest.fixture(scope="session")
-def fake() -> ModuleType:
-    return importlib.import_module("fake_service")
-
-
-@pytest.fixture(scope="session")
-def rig() -> ModuleType:
-    return importlib.import_module("rig")
 
 
 @pytest.fixture
@@ -115,9 +108,58 @@ def join() -> Iterator[Callable[..., Link]]:
         assert link.close()
 
 
+class Lockstep:
+    """A service in this process with a fake learner, and a client of it; driven by hand."""
+
+    def __init__(self, link: Link, client: Link, robot: Robot, **of: Any) -> None:
+        self.bank = fake_service.FakeBank(robot)
+        self.service = Service(link, self.bank, robot, baseline=None, now_ns=0, **of)
+        self.client = client
+        self.now_ns = 0
+
+    def settle(self) -> None:
+        """A round trip: what the client has declared is known to the service after it."""
+        self.client.query(SERVICE_STATUS)
+
+    def statuses(self, inbox: Any, leg: str = "rf") -> Any:
+        """What the client gets of a leg's status from now on."""
+        got = inbox(LearnerStatus).subscribe(self.client, learner_key(leg))
+        self.settle()
+        return got
+
+    def work(self, now_ns: int, /, **samples: ServoSample | bytes) -> None:
+        payloads = {
+            leg: sent if isinstance(sent, bytes) else encode(sent) for leg, sent in samples.items()
+        }
+        raws = {
+            leg: Received(servo_key(leg), payload, MSGPACK, now_ns, None)
+            for leg, payload in payloads.items()
+        }
+        self.service.work(Batch(samples=raws), now_ns)
+        self.service.finish()
+        self.service.look(now_ns)
+
+    def hear(self, *samples: ServoSample) -> None:
+        """One sample of leg rf per control tick."""
+        for sample in samples:
+            self.now_ns += 20_000_000
+            self.work(self.now_ns, rf=sample)
+
+    def idle(self, ticks: int) -> None:
+        """Control ticks without a sample."""
+        for _ in range(ticks):
+            self.now_ns += 20_000_000
+            self.work(self.now_ns)
+
+
+@pytest.fixture
+def lockstep(join: Callable[..., Link], robot: Robot) -> Callable[..., Lockstep]:
+    return lambda link, **of: Lockstep(link, join(link.endpoints[0]), robot, **of)
+
+
 @pytest.fixture
 def inbox() -> Callable[..., Inbox]:
-    return lambda kind=None: Inbox() if kind is None else MessageInbox(kind)
+    return Inbox
 
 
 @pytest.fixture
@@ -214,7 +256,7 @@ class Users(NamedTuple):
 @pytest.fixture
 def users(tmp_path: Path) -> Users:
     """As docs/security.md has them; the stranger has mistyped the robot's password."""
-    text = (HERE.parents[1] / "docs/security.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
     service, robot = re.findall(r"```json5\n(.*?)```", text, re.DOTALL)[:2]
     (names,) = re.findall(r"```text\n(.*?)```", text, re.DOTALL)
     (tmp_path / "users").write_text(names)

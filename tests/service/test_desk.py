@@ -12,7 +12,6 @@ import re
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import msgspec
@@ -21,108 +20,57 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.link import Link, router_settings
-from adaptive_contact.service.sample_queue import Batch
-from adaptive_contact.service.server import Service
 from adaptive_contact.service.state import StateStore
 from adaptive_contact.service.state.keeper import StateKeeper
-from adaptive_contact.status import SERVICE_STATUS
 from adaptive_contact.wire import (
-    MSGPACK,
-    LearnerStatus,
     ServoSample,
-    encode,
-    learner_key,
-    servo_key,
 )
-from adaptive_contact.wire.received import Received
 
 S = 1_000_000_000
 TICK = 20_000_000
 Sample = Callable[..., ServoSample]
 
 
-class Life:
-    """A service from its start to its end, and what it says of leg rf."""
-
-    def __init__(self, link: Link, fake: ModuleType, robot: Robot, folder: Path) -> None:
-        bank = fake.FakeBank(robot)
-        keeper = StateKeeper(StateStore.open(folder, robot.name), robot.name, lambda _: "s")
-        self.service = Service(link, bank, robot, baseline=None, now_ns=0, keeper=keeper)
-        self.learner = bank.learner("rf")
-        self.now_ns = 0
-        self.endpoint = link.endpoints[0]
-
-    def hear(self, *samples: ServoSample) -> None:
-        """One sample per control tick."""
-        for sample in samples:
-            self.now_ns += TICK
-            raw = Received(servo_key("rf"), encode(sample), MSGPACK, self.now_ns, None)
-            self.service.work(Batch(samples={"rf": raw}), self.now_ns)
-            self.service.look(self.now_ns)
-
-    def idle(self, ticks: int) -> None:
-        """Control ticks without a sample."""
-        for _ in range(ticks):
-            self.now_ns += TICK
-            self.service.look(self.now_ns)
-
-    def end(self) -> None:
-        """As a service ends that is asked to: everything is saved."""
-        stop = threading.Event()
-        stop.set()
-        self.service.run(stop)
-
-
-Live = Callable[[], contextlib.AbstractContextManager[Life]]
+Live = Callable[[], Any]
 
 
 @pytest.fixture
-def live(fake: ModuleType, robot: Robot, tmp_path: Path) -> Live:
+def live(lockstep: Callable[..., Any], robot: Robot, tmp_path: Path) -> Live:
     """Lives of one robot's service, one after the other; each has its own router."""
 
     @contextlib.contextmanager
-    def begin() -> Iterator[Life]:
+    def begin() -> Iterator[Any]:
+        store = StateStore.open(tmp_path / "kept", robot.name)
         with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
-            life = Life(link, fake, robot, tmp_path / "kept")
+            life = lockstep(link, keeper=StateKeeper(store, robot.name, lambda _: "s"))
             yield life
-            life.end()
-
-    return begin
-
-
-@pytest.fixture
-def statuses(join: Callable[..., Link], inbox: Any) -> Callable[[Life], Any]:
-    """What a client gets of leg rf's status from now on."""
-
-    def begin(life: Life) -> Any:
-        client = join(life.endpoint)
-        got = inbox(LearnerStatus).subscribe(client, learner_key("rf"))
-        client.query(SERVICE_STATUS)  # a round trip: the subscription is known after it
-        return got
+            stop = threading.Event()
+            stop.set()
+            life.service.run(stop)  # as a service ends that is asked to: everything is saved
 
     return begin
 
 
 def test_losses_over_a_restart_count_from_the_last_sample_that_was_used(
-    live: Live, statuses: Any, sample: Sample
+    live: Live, inbox: Any, sample: Sample
 ) -> None:
     with live() as first:
         first.hear(*(sample(seq) for seq in range(1, 1001)), sample(3))
-        assert first.learner.rejects == {"time_backwards": 1}
+        assert first.bank.learner("rf").rejects == {"time_backwards": 1}
     with live() as second:
-        got = statuses(second)
+        got = second.statuses(inbox)
         second.hear(*(sample(seq) for seq in range(1011, 1015)))
         second.idle(60)
         assert got.wait(1)[-1].missed == 10
 
 
 def test_a_status_after_a_restart_has_the_gap_or_says_that_it_lacks_it(
-    live: Live, statuses: Any, sample: Sample
+    live: Live, inbox: Any, sample: Sample
 ) -> None:
     with live() as first:
         first.hear(*(sample(seq) for seq in range(1, 11)))
     with live() as second:
-        got = statuses(second)
+        got = second.statuses(inbox)
         second.idle(60)
         assert "`missed` lacks" in got.wait(1)[-1].note
         second.hear(sample(211), sample(212))  # one sample could be another writer's
@@ -133,20 +81,18 @@ def test_a_status_after_a_restart_has_the_gap_or_says_that_it_lacks_it(
 
 
 @pytest.fixture
-def followed(
-    live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
-) -> Iterator[tuple[Life, Any, Any]]:
+def followed(live: Live, inbox: Any, sample: Sample) -> Iterator[tuple[Any, Any, Any]]:
     """A service that has heard ten samples, the leg's tokens, and its statuses."""
     with live() as life:
-        tokens, got = inbox(), statuses(life)
-        join(life.endpoint).watch_tokens("robot/leg/*", tokens)
+        tokens, got = inbox(), life.statuses(inbox)
+        life.client.watch_tokens("robot/leg/*", tokens)
         life.hear(*(sample(seq) for seq in range(1, 11)))
         tokens.wait(1)
         yield life, tokens, got
 
 
 def test_a_leg_whose_servos_do_not_answer_is_silent(
-    followed: tuple[Life, Any, Any], sample: Sample
+    followed: tuple[Any, Any, Any], sample: Sample
 ) -> None:
     """Its samples go on, as a bridge sends them that has lost the bus."""
     life, tokens, got = followed
@@ -169,7 +115,7 @@ def test_a_leg_whose_servos_do_not_answer_is_silent(
 
 
 def test_a_leg_whose_samples_are_all_refused_is_silent(
-    followed: tuple[Life, Any, Any], sample: Sample
+    followed: tuple[Any, Any, Any], sample: Sample
 ) -> None:
     life, tokens, got = followed
     life.hear(*(sample(seq, measured=[math.nan, 0.0, 0.0]) for seq in range(11, 240)))
@@ -185,15 +131,15 @@ def test_a_leg_whose_samples_are_all_refused_is_silent(
 
 
 def test_a_leg_that_never_sent_a_usable_sample_says_why(
-    live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
+    live: Live, inbox: Any, sample: Sample
 ) -> None:
     with live() as life:
-        got = statuses(life)
+        got = life.statuses(inbox)
         life.hear(*(sample(seq, measured=[0.1]) for seq in range(110)))
         found = got.wait(lambda items: " after 2." in str(items[-1].note))[-1]
         assert found.status == "silent"
         assert re.fullmatch(r"no usable sample yet, after 2\.\d s: wrong_joints", found.note)
-        assert "robot/leg/rf" not in join(life.endpoint).alive("robot/leg/*")
+        assert "robot/leg/rf" not in life.client.alive("robot/leg/*")
 
 
 @pytest.mark.parametrize(
@@ -215,20 +161,21 @@ def test_every_refusal_of_a_stream_is_logged_once_in_ten_seconds(
         for seq in range(5, 5 + 600):  # 24 s, a good sample after each bad one
             good = sample(seq, run=2)
             life.hear(msgspec.structs.replace(good, **change), good)
-        assert life.learner.rejects == {reason: 600}
+        assert life.bank.learner("rf").rejects == {reason: 600}
         lines = [line for line in logs if line["log_level"] == "warning"]
+    assert [line["leg"] for line in logs if line["event"] == "source restarted"] == ["rf"]
     assert [(line["event"], line["leg"], line["reason"], line["times"]) for line in lines] == [
         ("payload refused", "rf", reason, times) for times in (1, 250, 250)
     ]
 
 
 def test_a_leg_that_cannot_say_how_it_is_begins_anew_and_says_that(
-    live: Live, statuses: Any, sample: Sample
+    live: Live, inbox: Any, sample: Sample
 ) -> None:
     """A fault outside of its ticks, too, is that leg's own; the log has its stack."""
     with live() as life, capture_logs() as logs:
-        got = statuses(life)
-        life.learner.fault = ZeroDivisionError("in its status")
+        got = life.statuses(inbox)
+        life.bank.learner("rf").fault = ZeroDivisionError("in its status")
         life.hear(*(sample(seq) for seq in range(1, 100)))
         found = got.wait(lambda items: items[-1].status == "valid")[-1]
         assert found.note == "begun anew: in its status"

@@ -13,6 +13,7 @@ import msgspec
 import pytest
 import zenoh
 
+import rig
 from adaptive_contact import wire
 from adaptive_contact.status import LegFacts, ServiceStatus, StateFacts
 from adaptive_contact.wire import (
@@ -73,7 +74,7 @@ def contacts_class() -> Any:
 @pytest.mark.e2e
 @pytest.mark.parametrize("options", [(), ("--json",)], ids=["msgpack", "json"])
 def test_the_safe_subscriber_acts_on_no_old_contact_and_on_none_without_a_service(
-    serve: Any, rig: Any, options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+    serve: Any, options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     class_ = contacts_class()
     served = serve(*options)

@@ -6,17 +6,16 @@ what a person sees of the fault: in LearnerStatus, in ``watch``, or in the log.
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 import time
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-from programs import ROUTER, Program, resident_mb
+import rig
+from programs import ROUTER, Program
 from waiting import free_address
 
 pytestmark = pytest.mark.e2e
@@ -26,7 +25,7 @@ pytestmark = pytest.mark.e2e
 RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0"))
 
 
-def test_a_killed_router_comes_back(serve: Any, program: Any, rig: ModuleType) -> None:
+def test_a_killed_router_comes_back(serve: Any, program: Any) -> None:
     endpoint = f"tcp/{free_address()}"
 
     def start() -> Program:
@@ -61,7 +60,7 @@ def test_a_killed_router_comes_back(serve: Any, program: Any, rig: ModuleType) -
     assert "router is back" in log
 
 
-def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleType) -> None:
+def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any) -> None:
     served = serve()
     wire = rig.Wire(served.endpoint)
     near, far = rig.Robot50(served.endpoint, ("lf",)), rig.Robot50(wire.endpoint, ("rf",))
@@ -88,9 +87,7 @@ def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleTy
     assert served.stop() == 0
 
 
-def test_a_service_restarted_under_a_running_robot(
-    serve: Any, rig: ModuleType, tmp_path: Path
-) -> None:
+def test_a_service_restarted_under_a_running_robot(serve: Any, tmp_path: Path) -> None:
     endpoint = f"tcp/{free_address()}"
     arguments = ("--listen", endpoint, "--state", str(tmp_path / "kept"))
     first = serve(*arguments)
@@ -109,56 +106,3 @@ def test_a_service_restarted_under_a_running_robot(
         assert str(status.missed) in rig.watched(listener.link).split()
     assert second.stop() == 0
     assert re.search(r"state restored .*leg=rf model_version=3", second.log.read_text())
-
-
-@pytest.mark.parametrize(
-    ("run", "epoch_ns", "reason"),
-    [
-        (None, 10**9, "time_backwards"),  # years back, and counted from 0 again
-        (9, 10**9, None),  # `run` says so at once
-    ],
-)
-def test_a_source_restarted(
-    serve: Any, rig: ModuleType, run: int | None, epoch_ns: int, reason: str | None
-) -> None:
-    served = serve()
-    listener = rig.Listener(served.endpoint)
-    first = rig.Robot50(served.endpoint, run=run, epoch_ns=10**18, first=5000)
-    with rig.closing(listener, first):
-        listener.steady(first, "rf", 2)
-    listener = rig.Listener(served.endpoint)
-    second = rig.Robot50(served.endpoint, run=None if run is None else run + 1, epoch_ns=epoch_ns)
-    with rig.closing(listener, second):
-        began = time.monotonic()
-        assert listener.wait_event("rf", second, after=began) - began < RECOVERY_S
-        listener.steady(second, "rf")
-        # Without `run` the service cannot know at once: it counts what it does not believe yet.
-        status = listener.statuses["rf"]
-        assert status.rejects == ({} if reason is None else {reason: 9})
-        assert (status.restarts, status.missed) == (1, 0)
-        watched = rig.watched(listener.link)
-        assert "0, 1 restart" in watched
-        assert reason is None or f"{reason} 9" in watched
-    assert served.stop() == 0
-    assert re.search(r"source restarted .*leg=rf", served.log.read_text())
-
-
-def test_a_flood_is_bounded_and_counted(serve: Any, rig: ModuleType) -> None:
-    served = serve()
-    robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
-    flooder = rig.Robot50(served.endpoint, ("lf",), run=1)
-    with rig.closing(listener, flooder, robot):
-        listener.steady(robot, "rf", 2)
-        before = resident_mb(served.process.pid)
-        began = len(listener.of("rf"))
-        with rig.closing(rig.Pour(served.endpoint, "lf", run=2)):
-            listener.wait(lambda me: len(me.of("rf")) >= began + 15)
-        ended = time.monotonic()
-        after = resident_mb(served.process.pid)
-        assert after - before < 30.0
-        seqs = [event.seq for event in listener.of("rf")[1:]]
-        assert [b - a for a, b in itertools.pairwise(seqs)] == [rig.HALF] * (len(seqs) - 1)
-        # The flooded leg has its own robot back within two seconds.
-        assert listener.wait_event("lf", flooder, after=ended) - ended < RECOVERY_S
-        assert listener.statuses["lf"].rejects.get("other_publisher", 0) > 0
-    assert served.stop() == 0

@@ -15,10 +15,11 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
+
+import rig
 
 pytestmark = pytest.mark.e2e
 
@@ -85,7 +86,6 @@ def delays_since(robot: Any, listener: Any, leg: str, since: float) -> list[floa
 def test_subscribers_that_hang_hold_up_nobody(
     serve: Any,
     program: Any,
-    rig: ModuleType,
     users: Any,
     behind: str,
     links: int,
@@ -128,7 +128,7 @@ def test_subscribers_that_hang_hold_up_nobody(
 
 @pytest.mark.parametrize("links", LINKS)
 def test_links_that_are_cut_without_a_word_hold_up_nobody(
-    serve: Any, program: Any, rig: ModuleType, namespace: Namespace, links: int
+    serve: Any, program: Any, namespace: Namespace, links: int
 ) -> None:
     served = serve("--listen", "127.0.0.1:0", "--listen", f"{SOURCE}:0", "--insecure")
     near, inside = served.endpoint.split(", ")

@@ -12,18 +12,17 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 import zenoh
 
+import rig
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.link import (
     Finding,
     Link,
     NoRouterError,
-    Request,
     client_settings,
     router_settings,
 )
@@ -106,23 +105,6 @@ def test_namespaces_keep_robots_apart(router: Link, join: Join, inbox: Any) -> N
     assert [decode(got.payload, ContactTruth).t_ns for got in two.wait(1)] == [2]
 
 
-def test_queries_are_answered_refused_or_left_alone(router: Link, join: Join) -> None:
-    def answer(request: Request) -> None:
-        if request.payload:
-            request.refuse("not today")
-        elif request.covers(KEY):
-            request.reply(truth(5), KEY)
-            request.close()
-
-    router.queryable("robot/leg/*/truth", answer)
-    client = join(router.endpoints[0])
-    (reply,) = client.query("robot/leg/*/truth")
-    assert decode(reply.payload, ContactTruth) == truth(5)
-    (refusal,) = client.query(KEY, truth(1))
-    assert refusal.error == "not today"
-    assert client.query("robot/leg/rf/nothing") == []
-
-
 def test_a_query_with_megabytes_is_refused_before_it_is_kept(router: Link) -> None:
     seen = []
     router.queryable(KEY, seen.append)
@@ -130,24 +112,6 @@ def test_a_query_with_megabytes_is_refused_before_it_is_kept(router: Link) -> No
         (reply,) = session.get(KEY, payload=bytes(4_000_000), timeout=5.0)
     assert reply.err.payload.to_string() == "4000000 bytes, at most 262144"
     assert not seen
-
-
-def test_tokens_live_as_long_as_they_are_held(router: Link, join: Join, inbox: Any) -> None:
-    client = join(router.endpoints[0])
-    token = router.token("robot/leg/rf")
-    seen = inbox()
-    client.watch_tokens("robot/**", seen)
-    assert seen.wait(1) == [("robot/leg/rf", True)]
-    # A get may overtake the declaration on a busy machine: ask until it is answered.
-    assert any(client.alive("robot/**") == {"robot/leg/rf"} for _ in range(20))
-    token.close()
-    # Its history and its declaration may both have told of it before it went.
-    alive = ("robot/leg/rf", True)
-    told = seen.wait(2)
-    while told[-1] == alive:
-        told = seen.wait(len(told) + 1)
-    assert told[-1] == ("robot/leg/rf", False)
-    assert set(told[:-1]) == {alive}
 
 
 def test_a_callback_that_raises_is_counted_and_goes_on(
@@ -233,7 +197,7 @@ def test_a_bad_zenoh_configuration_gets_one_line(
 
 
 @pytest.mark.e2e
-def test_sessions_are_limited_and_what_is_full_is_told(serve: Any, rig: ModuleType) -> None:
+def test_sessions_are_limited_and_what_is_full_is_told(serve: Any) -> None:
     served = serve("--max-sessions", "4")
     robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
     with rig.closing(listener, robot):

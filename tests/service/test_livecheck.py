@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -239,14 +238,6 @@ def test_over_zenoh_with_a_picture(run_live: Callable, tmp_path: Path) -> None:
     assert "as the motion says, leg lf lm lr rf rm rr" in result.output
     assert "nothing looks wrong" in result.output
     assert "front (x)" in (tmp_path / "legs.svg").read_text()
-
-
-def test_over_zenoh_a_wrong_sign_ends_with_1_and_json_says_which(run_live: Callable) -> None:
-    result = run_live(turned(walk(), lambda q: q * [1, -1, -1]), "--json")
-    assert result.exit_code == 1
-    found = json.loads(result.stdout)
-    assert found["findings"][0][4] == "signs"
-    assert "directions = [1, -1, -1]" in found["findings"][0][2]
 
 
 def test_errors_are_one_line() -> None:

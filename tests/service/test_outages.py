@@ -21,6 +21,7 @@ from test_foxglove_live import Client
 from test_ros2_gateway import open_router
 from test_ros2_gateway import port as port  # a fixture
 
+import rig
 from adaptive_contact.ros2 import rmw
 from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
@@ -156,7 +157,7 @@ def quietly(over: threading.Event, read: Callable[..., None], *args: Any) -> Non
 @pytest.mark.e2e
 @pytest.mark.timeout(240)
 def test_no_form_shows_a_contact_for_longer_than_is_known(
-    serve: Any, program: Any, rig: Any, port: int, tmp_path: Path
+    serve: Any, program: Any, port: int, tmp_path: Path
 ) -> None:
     """Causes, one after the other; after each, what is known is shown again."""
     config = tmp_path / "robot.toml"  # of the service, too

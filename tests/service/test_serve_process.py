@@ -11,11 +11,11 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+import rig
 from adaptive_contact.cli import _compiling
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.link import Link, router_settings
@@ -53,9 +53,7 @@ def test_it_says_when_it_is_ready_and_ends_cleanly_and_soon(
 
 
 @pytest.mark.e2e
-def test_a_router_that_joins_another_says_only_what_it_knows(
-    serve: Any, join: Join, rig: ModuleType
-) -> None:
+def test_a_router_that_joins_another_says_only_what_it_knows(serve: Any, join: Join) -> None:
     address = f"tcp/{free_address()}"
     served = serve("--listen", "127.0.0.1:0", "--connect", address)
     assert f" and joining {address}; robot mini" in served.ready

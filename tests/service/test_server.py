@@ -6,10 +6,10 @@ import itertools
 import math
 import threading
 from collections.abc import Callable, Mapping
-from types import ModuleType
 from typing import Any
 from unittest import mock
 
+import fake_service as fake
 import msgspec
 import pytest
 from structlog.testing import capture_logs
@@ -26,7 +26,6 @@ from adaptive_contact.wire import (
     MAX_SAMPLE_BYTES,
     MSGPACK,
     ContactEvent,
-    LearnerStatus,
     LegState,
     ModelReport,
     Reject,
@@ -34,7 +33,6 @@ from adaptive_contact.wire import (
     contact_key,
     decode,
     encode,
-    learner_key,
     model_key,
     servo_key,
 )
@@ -47,43 +45,12 @@ MS = 1_000_000
 Sample = Callable[..., ServoSample]
 
 
-class Lockstep:
-    """A service and a client of it, driven by hand."""
-
-    def __init__(self, router: Link, client: Link, fake: ModuleType, robot: Robot) -> None:
-        self.bank = fake.FakeBank(robot)
-        self.service = Service(router, self.bank, robot, baseline=None, now_ns=0)
-        self.client = client
-
-    def settle(self) -> None:
-        """A round trip: what the client has declared is known to the service after it."""
-        self.client.query(SERVICE_STATUS)
-
-    def work(self, now_ns: int, /, **samples: ServoSample | bytes) -> None:
-        payloads = {
-            leg: sent if isinstance(sent, bytes) else encode(sent) for leg, sent in samples.items()
-        }
-        raws = {
-            leg: Received(servo_key(leg), payload, MSGPACK, now_ns, None)
-            for leg, payload in payloads.items()
-        }
-        self.service.work(Batch(samples=raws), now_ns)
-        self.service.finish()
-        self.service.look(now_ns)
-
-
 @pytest.fixture
-def step(router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot) -> Lockstep:
-    return Lockstep(router, join(router.endpoints[0]), fake, robot)
+def step(router: Link, lockstep: Callable[..., Any]) -> Any:
+    return lockstep(router)
 
 
-def statuses(step: Lockstep, inbox: Any, leg: str) -> Any:
-    got = inbox(LearnerStatus).subscribe(step.client, learner_key(leg))
-    step.settle()
-    return got
-
-
-def test_contacts_and_releases_come_out(step: Lockstep, inbox: Any, sample: Sample) -> None:
+def test_contacts_and_releases_come_out(step: Any, inbox: Any, sample: Sample) -> None:
     got = inbox(ContactEvent).subscribe(step.client, ALL_CONTACT, history=True)
     step.settle()
     step.work(1, lf=sample(1), rf=sample(1))
@@ -101,7 +68,7 @@ def test_contacts_and_releases_come_out(step: Lockstep, inbox: Any, sample: Samp
 
 
 def test_states_are_published_while_somebody_subscribes(
-    step: Lockstep, inbox: Any, sample: Sample
+    step: Any, inbox: Any, sample: Sample
 ) -> None:
     step.work(1, lf=sample(1))
     got = inbox(LegState)
@@ -122,10 +89,8 @@ def test_states_are_published_while_somebody_subscribes(
     assert len(got.items) == 3
 
 
-def test_statuses_once_a_second_and_at_each_change(
-    step: Lockstep, inbox: Any, sample: Sample
-) -> None:
-    got = statuses(step, inbox, "lf")
+def test_statuses_once_a_second_and_at_each_change(step: Any, inbox: Any, sample: Sample) -> None:
+    got = step.statuses(inbox, "lf")
     for tick in range(171):  # 3.4 s
         if tick == 60:
             step.bank.learner("lf").word = "adapting"
@@ -135,17 +100,15 @@ def test_statuses_once_a_second_and_at_each_change(
     assert all(status.leg == "lf" for status in found)
 
 
-def test_a_leg_that_never_spoke_is_silent_from_the_start(step: Lockstep, inbox: Any) -> None:
-    got = statuses(step, inbox, "rf")
+def test_a_leg_that_never_spoke_is_silent_from_the_start(step: Any, inbox: Any) -> None:
+    got = step.statuses(inbox, "rf")
     step.work(1200 * MS)
     (status,) = got.wait(1)
     assert (status.status, status.note) == ("silent", "no sample yet, after 1.2 s")
 
 
-def test_bad_payloads_are_counted_by_reason_and_seen(
-    step: Lockstep, inbox: Any, sample: Sample
-) -> None:
-    got = statuses(step, inbox, "lf")
+def test_bad_payloads_are_counted_by_reason_and_seen(step: Any, inbox: Any, sample: Sample) -> None:
+    got = step.statuses(inbox, "lf")
     whole = encode(sample(1))
     nan = sample(2, measured=[float("nan"), 0.0, 0.0])
     for n, payload in enumerate([b"\xc1", whole[:-3], b"\x80", encode(nan), b'{"v":1}', whole]):
@@ -162,7 +125,7 @@ def test_bad_payloads_are_counted_by_reason_and_seen(
     assert "payload refused: missing_field" in status.note
 
 
-def test_dropped_samples_are_counted_for_their_leg(step: Lockstep, sample: Sample) -> None:
+def test_dropped_samples_are_counted_for_their_leg(step: Any, sample: Sample) -> None:
     round_: Batch[Any] = Batch(samples={})
     round_.overflow.update(lf=3, nobody=2)
     with capture_logs() as logs:
@@ -185,7 +148,7 @@ BAD: dict[str, Callable[[Sample], bytes]] = {
 
 
 def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
-    step: Lockstep, inbox: Any, fake: ModuleType, robot: Robot, sample: Sample
+    step: Any, inbox: Any, robot: Robot, sample: Sample
 ) -> None:
     bank, client = step.bank, step.client
     events = inbox(ContactEvent).subscribe(client, contact_key("extra"), history=True)
@@ -211,7 +174,7 @@ def test_a_leg_is_made_by_a_good_sample_alone_and_too_many_are_refused(
 
 
 def test_a_learner_that_is_being_made_holds_up_no_event(
-    step: Lockstep, inbox: Any, sample: Sample, monkeypatch: pytest.MonkeyPatch
+    step: Any, inbox: Any, sample: Sample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Who invents legs costs those that are described nothing."""
     making, go_on, make = threading.Event(), threading.Event(), step.bank.make
@@ -236,7 +199,7 @@ def test_a_learner_that_is_being_made_holds_up_no_event(
 
 
 def test_described_legs_only(
-    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
+    router: Link, join: Callable[..., Link], inbox: Any, robot: Robot,
     sample: Sample,
 ) -> None:  # fmt: skip
     bank = fake.FakeBank(robot)
@@ -251,7 +214,7 @@ def test_described_legs_only(
     assert service.status(0).samples == len(robot.leg_ids)
 
 
-def test_wildcards_are_counted_for_the_service(step: Lockstep, inbox: Any) -> None:
+def test_wildcards_are_counted_for_the_service(step: Any, inbox: Any) -> None:
     got = inbox(ServiceStatus).subscribe(step.client, SERVICE_STATUS, history=True)
     step.service.work(Batch(strangers=4, stranger="robot/leg/*/servo"), 1)
     step.service.look(2 * S)
@@ -259,7 +222,7 @@ def test_wildcards_are_counted_for_the_service(step: Lockstep, inbox: Any) -> No
 
 
 def test_a_complaint_that_comes_or_goes_is_published_at_once(
-    router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot, inbox: Any
+    router: Link, join: Callable[..., Link], robot: Robot, inbox: Any
 ) -> None:
     """Not a second later: who reads "state is saved again" in the log looks at `watch` next."""
     facts = StateFacts(folder="kept", restored=[], refused=[], saved=0, failed=0, error=None)
@@ -278,7 +241,7 @@ def test_a_complaint_that_comes_or_goes_is_published_at_once(
     assert notes == [(None, 0.0), ("state: disk full", 0.2), (None, 0.4), (None, 1.4)]
 
 
-def test_models_are_told_when_asked(step: Lockstep) -> None:
+def test_models_are_told_when_asked(step: Any) -> None:
     bank, client = step.bank, step.client
     with at_work(step.service):
         replies = client.query(model_key("*"))
@@ -297,7 +260,7 @@ def test_models_are_told_when_asked(step: Lockstep) -> None:
 
 
 def test_an_event_does_not_wait_for_learning(
-    step: Lockstep, inbox: Any, sample: Sample, monkeypatch: pytest.MonkeyPatch
+    step: Any, inbox: Any, sample: Sample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     heard, learned = threading.Event(), threading.Event()
 
@@ -317,7 +280,7 @@ def test_an_event_does_not_wait_for_learning(
 
 
 def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
-    router: Link, fake: ModuleType, sample: Sample, monkeypatch: pytest.MonkeyPatch
+    router: Link, sample: Sample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Eight legs, forty ticks waiting: statuses, saves and the watchdog do not wait for all."""
     legs = [f"l{n}" for n in range(fake.MAX_LEGS)]
@@ -353,7 +316,7 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
 
 
 def test_garbage_is_collected_after_a_tick(
-    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
+    router: Link, join: Callable[..., Link], inbox: Any, robot: Robot,
     sample: Callable[..., ServoSample],
 ) -> None:  # fmt: skip
     pauses = inbox()

@@ -192,6 +192,7 @@ def test_truth_judges_events(event_ms: float, seen: int, false_alarms: int) -> N
     watch.event(event(event_ms), 2 * S)
     watch.truth("rf", truth(1500, False), 2 * S)
     assert row(watch, 2 * S + 100 * MS).seen == 0, "not judged before truth had time to arrive"
+    assert row(watch, 2 * S + 400 * MS).touches == seen, "an event may still come"
     leg = row(watch, 3 * S)
     assert (leg.touches, leg.seen, leg.false_alarms) == (1, seen, false_alarms)
     assert leg.latency_ms == (event_ms - 1000 if seen else None)
@@ -241,20 +242,6 @@ def test_touches_while_the_service_compiles_are_not_missed() -> None:
     assert (leg.leg, leg.touches, leg.seen) == ("rf", 1, 0), (
         "after the first with a service that judges"
     )
-
-
-def test_a_touch_whose_event_may_still_come_is_not_missed() -> None:
-    """A table printed 0.1 s after a touch shows no miss that is none."""
-    watch = after_one_swing()
-    watch.truth("rf", truth(500, False), 1 * S)
-    watch.truth("rf", truth(1000, True), 2 * S)
-    assert row(watch, 2 * S + 400 * MS).touches == 0
-    watch.event(event(1110), 2 * S + 200 * MS)
-    assert row(watch, 3 * S).touches == row(watch, 3 * S).seen == 1
-    watch.truth("rf", truth(1500, False), 4 * S)
-    watch.truth("rf", truth(2000, True), 4 * S)
-    leg = row(watch, 5 * S)
-    assert (leg.touches, leg.seen) == (2, 1), "by then it is missed"
 
 
 @pytest.mark.e2e
@@ -342,6 +329,7 @@ def test_the_table_says_what_matters() -> None:
         status(
             rejects={"malformed": 3, "not_finite": 9},
             note="something odd",
+            restarts=1,
             drift=DriftLevel(level=1.7),
             contact=True,
         ),
@@ -359,6 +347,7 @@ def test_the_table_says_what_matters() -> None:
         "v4",
         "not_finite 9, malformed 3",
         "something odd",
+        "0, 1 restart",
     ):
         assert part in text, f"{part!r} not in\n{text}"
 

@@ -7,10 +7,10 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 from unittest import mock
 
+import fake_service as fake
 import pytest
 from structlog.testing import capture_logs
 
@@ -226,7 +226,7 @@ def test_what_waits_at_the_end_is_counted_as_lost_and_not_sent_after_all() -> No
 
 
 def test_what_is_held_up_now_is_told(
-    router: Link, fake: ModuleType, robot: Robot, monkeypatch: pytest.MonkeyPatch
+    router: Link, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocked_ns = [0]
     monkeypatch.setattr(EventPublisher, "busy_ns", lambda _box, now_ns: blocked_ns[0])
@@ -246,7 +246,6 @@ def test_a_learner_that_hangs_is_seen_by_everyone(
     router: Link,
     join: Callable[..., Link],
     inbox: Any,
-    fake: ModuleType,
     robot: Robot,
     sample: Callable[..., ServoSample],
     monkeypatch: pytest.MonkeyPatch,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shutil
 import signal
 import sys
@@ -33,15 +32,14 @@ def soak(
     out.mkdir(parents=True, exist_ok=True)
     take = conduct(plan)
     typer.echo(take.simulator)
-    verdict = judge(take, plan, shipped_robot())
-    found = dataclasses.asdict(verdict)
+    found, failures = judge(take, plan, shipped_robot())
     text = msgspec.json.format(msgspec.json.encode(found), indent=2)
     write_file(out / "soak.json", text + b"\n")
     del found["resident"]  # in the file alone: a row for every two seconds
     typer.echo(msgspec.json.format(msgspec.json.encode(found), indent=1))
-    for line in verdict.failures:
+    for line in failures:
         typer.echo(f"NOT WELL: {line}")
-    if verdict.failures:
+    if failures:
         raise typer.Exit(1)
 
 

@@ -9,28 +9,13 @@ own second came here at the soonest, by the same wall clock.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 # An honest event takes some ms; a busy machine's scheduler some tens.
-LATE_NS: Final = 250_000_000
+LATE_S: Final = 0.25
 _NS: Final = 1_000_000_000
-
-
-class Arrivals(NamedTuple):
-    """How events arrived, those near a fault left out.
-
-    Attributes:
-        events: judged.
-        late: later than 0.25 s.
-        p99_s, slowest_s: after their samples, None without events.
-    """
-
-    events: int
-    late: int
-    p99_s: float | None
-    slowest_s: float | None
 
 
 class SourceClock:
@@ -65,24 +50,20 @@ def judge_arrivals(
     arrived: Iterable[tuple[int, int]],
     clock: SourceClock,
     windows: Sequence[tuple[int, int]],
-) -> Arrivals:
-    """Time the events.
+) -> dict[str, float]:
+    """Time the events: how many, how many came later than 0.25 s, the slowest, s.
 
     Args:
         arrived: of each event, wall clock of its arrival and the time of its sample, ns.
         clock: of the source.
         windows: begin and end, ns of the samples' clock, in which events may be late.
     """
-    took = np.array(
+    took_s = np.array(
         [
-            at_ns - t_ns - clock.lag_ns(t_ns)
+            (at_ns - t_ns - clock.lag_ns(t_ns)) / _NS
             for at_ns, t_ns in arrived
             if not any(begin <= t_ns <= end for begin, end in windows)
-        ],
-        dtype=np.int64,
+        ]
     )
-    if not len(took):
-        return Arrivals(0, 0, None, None)
-    p99_ns, slowest_ns = np.quantile(took, 0.99), took.max()
-    late = int(np.sum(took > LATE_NS))
-    return Arrivals(len(took), late, float(p99_ns) / _NS, float(slowest_ns) / _NS)
+    slowest = {f"p{p}_s": float(np.percentile(took_s, p)) for p in (99, 100) if len(took_s)}
+    return {"events": len(took_s), "late": int(np.sum(took_s > LATE_S)), **slowest}

@@ -8,14 +8,15 @@ which no fault can touch.
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
+
+import psutil
 
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings
@@ -25,12 +26,13 @@ from adaptive_contact.wire import (
     ALL_LEARNER,
     ContactEvent,
     LearnerStatus,
+    Message,
     ServoSample,
     decode,
     servo_key,
 )
 from adaptive_contact.wire.received import Received
-from programs import ROUTER, Program, children_of, resident_mb
+from programs import ROUTER, Program
 
 from .memory import Resident
 
@@ -45,11 +47,9 @@ _DEAD_S: Final = 10.0
 # A refit under way ends before its process sees that nobody waits for it; the longest is a minute.
 _ORPHAN_S: Final = 90.0
 _NS: Final = 1_000_000_000
-_TYPES: Final = {"servo": ServoSample, "contact": ContactEvent, "learner": LearnerStatus}
 
 
-@dataclass(frozen=True)
-class Broken:
+class Broken(NamedTuple):
     """One fault, wall clock ns: from the kill to the moment its cause was gone."""
 
     kind: FaultKind
@@ -57,7 +57,6 @@ class Broken:
     to_ns: int
 
 
-@dataclass
 class Heard:
     """What came over the wire, with the wall clock of its arrival, ns.
 
@@ -67,15 +66,37 @@ class Heard:
         unreadable: payloads that are not what their key says.
     """
 
-    events: list[tuple[int, ContactEvent]] = field(default_factory=list)
-    statuses: list[tuple[int, LearnerStatus]] = field(default_factory=list)
-    services: list[tuple[int, ServiceStatus]] = field(default_factory=list)
-    lags_ns: dict[int, int] = field(default_factory=dict)
-    unreadable: int = 0
+    def __init__(self, link: Link) -> None:
+        self.events = list[tuple[int, ContactEvent]]()
+        self.statuses = list[tuple[int, LearnerStatus]]()
+        self.services = list[tuple[int, ServiceStatus]]()
+        self.lags_ns: dict[int, int] = {}
+        self.unreadable = list[object]()
+        take = self._taking
+        link.subscribe(ALL_CONTACT, take(ContactEvent, self.events.append), history=True)
+        link.subscribe(ALL_LEARNER, take(LearnerStatus, self.statuses.append))
+        link.subscribe(SERVICE_STATUS, take(ServiceStatus, self.services.append), history=True)
+        # All legs of a tick are sent together: one tells when the source sent them.
+        link.subscribe(servo_key(shipped_robot().leg_ids[0]), take(ServoSample, self._lag))
+
+    def _taking(self, kind: type[Message], keep: Callable[[Any], None]) -> Callable[..., None]:
+        def take(received: Received) -> None:
+            now_ns = time.time_ns() - (time.monotonic_ns() - received.arrival_ns)
+            message = decode(received.payload, kind, received.encoding)
+            if isinstance(message, kind):
+                keep((now_ns, message))
+            else:
+                self.unreadable.append(message)
+
+        return take
+
+    def _lag(self, sent: tuple[int, ServoSample]) -> None:
+        now_ns, sample = sent
+        second, lag_ns = sample.t_ns // _NS, now_ns - sample.t_ns
+        self.lags_ns[second] = min(lag_ns, self.lags_ns.get(second, lag_ns))
 
 
-@dataclass(frozen=True)
-class Take:
+class Take(NamedTuple):
     """What a run left.
 
     ``left_behind`` are child processes of a killed service that did not end by themselves.
@@ -83,8 +104,8 @@ class Take:
 
     recording: Path
     heard: Heard
-    broken: tuple[Broken, ...]
-    resident: tuple[Resident, ...]
+    broken: list[Broken]
+    resident: list[Resident]
     simulator: str
     left_behind: int
 
@@ -115,22 +136,18 @@ def conduct(plan: SoakPlan) -> Take:
             time.sleep(_LOOK_S)
             run.look()
         left_behind = run.bury(_ORPHAN_S)
-        broken, resident = tuple(run.broken), tuple(run.resident)
-        return Take(recording, run.heard, broken, resident, walk.lines[-1], left_behind)
+        return Take(recording, run.heard, run.broken, run.resident, walk.lines[-1], left_behind)
 
 
 class _Run:
     """Router and service as they live and die, and what is heard meanwhile."""
 
     def __init__(self, plan: SoakPlan, stack: ExitStack) -> None:
-        self.heard = Heard()
         self.broken: list[Broken] = []
         self.resident: list[Resident] = []
         self._plan = plan
         self._dead: list[Program] = []
-        self._orphans: dict[int, str] = {}  # their children, and when they were born
-        self._waiting: deque[Received] = deque()
-        self._memory_s = 0.0
+        self._orphans: list[psutil.Process] = []
         self._router = Program("-c", ROUTER, "tcp/127.0.0.1:0")
         stack.callback(lambda: self._router.close())
         self.endpoint = self._router.wait_line("^tcp/").string
@@ -139,24 +156,18 @@ class _Run:
         stack.callback(self.bury, 0.0)
         self.service.wait_line("connected to ", _START_S)
         link = stack.enter_context(Link.open(client_settings([self.endpoint], wait=False)))
-        link.subscribe(ALL_CONTACT, self._waiting.append, history=True)
-        link.subscribe(ALL_LEARNER, self._waiting.append)
-        link.subscribe(SERVICE_STATUS, self._waiting.append, history=True)
-        # All legs of a tick are sent together: one tells when the source sent them.
-        link.subscribe(servo_key(shipped_robot().leg_ids[0]), self._waiting.append)
+        self.heard = Heard(link)
 
     def look(self) -> None:
-        """Take in what has come, and see that all is alive."""
-        for _ in range(len(self._waiting)):
-            self._take(self._waiting.popleft())
+        """See that all is alive, and how much memory it takes now and then."""
         for one in (self.service, self._router):
             assert one.process.poll() is None, one.lines[-5:]
-        now_s = time.monotonic()
-        if now_s - self._memory_s >= _MEMORY_EVERY_S:
-            self._memory_s = now_s
-            after_s = now_s - self._service_began_s
-            mb = resident_mb(self.service.process.pid)
-            self.resident.append(Resident(len(self._dead), after_s, mb))
+        after_s = time.monotonic() - self._service_began_s
+        life = len(self._dead)
+        last = self.resident[-1] if self.resident else Resident(-1, 0.0, 0.0)
+        if last.life != life or after_s - last.after_s >= _MEMORY_EVERY_S:
+            rss = psutil.Process(self.service.process.pid).memory_info().rss
+            self.resident.append(Resident(life, after_s, rss / 1e6))
 
     def do(self, fault: Fault) -> None:
         """Break something, and start it again."""
@@ -169,7 +180,7 @@ class _Run:
             self._router.wait_line("^tcp/")
         else:
             dead = self.service.process
-            self._orphans |= {pid: born(pid) for pid in children_of(dead.pid)}
+            self._orphans += psutil.Process(dead.pid).children(recursive=True)
             dead.kill()  # as a crash would: nothing is saved, nobody is told
             dead.wait(_DEAD_S)
             self._dead.append(self.service)
@@ -179,14 +190,10 @@ class _Run:
 
     def bury(self, patience_s: float) -> int:
         """End the children of killed services that have not ended by themselves; how many."""
-        until_s = time.monotonic() + patience_s
-        living = [pid for pid, at in self._orphans.items() if at and born(pid) == at]
-        while living and time.monotonic() < until_s:
-            time.sleep(_LOOK_S)
-            living = [pid for pid in living if born(pid) == self._orphans[pid]]
-        for pid in living:
-            with contextlib.suppress(OSError):  # it has just ended
-                os.kill(pid, signal.SIGKILL)
+        _, living = psutil.wait_procs(self._orphans, patience_s)
+        for one in living:
+            with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended
+                one.kill()
         for one in self._dead:  # its output stays open as long as its children do
             one.close()
         return len(living)
@@ -197,24 +204,6 @@ class _Run:
         state = self._plan.out / "state"
         return Program(*words, "--state", state, "--log-level", "warning")
 
-    def _take(self, received: Received) -> None:
-        now_ns = time.time_ns() - (time.monotonic_ns() - received.arrival_ns)
-        kind = received.key.rsplit("/", 1)[-1]
-        type_ = ServiceStatus if received.key == SERVICE_STATUS else _TYPES[kind]
-        heard = self.heard
-        match decode(received.payload, type_, received.encoding):
-            case ServoSample() as sample:
-                second, lag_ns = sample.t_ns // _NS, now_ns - sample.t_ns
-                heard.lags_ns[second] = min(lag_ns, heard.lags_ns.get(second, lag_ns))
-            case ServiceStatus() as service:
-                heard.services.append((now_ns, service))
-            case ContactEvent() as event:
-                heard.events.append((now_ns, event))
-            case LearnerStatus() as status:
-                heard.statuses.append((now_ns, status))
-            case _:
-                heard.unreadable += 1
-
 
 def _walk(plan: SoakPlan, endpoint: str, recording: Path) -> tuple[str, ...]:
     drifts = [text for drift in plan.drifts for text in ("--drift", drift.option)]
@@ -224,15 +213,6 @@ def _walk(plan: SoakPlan, endpoint: str, recording: Path) -> tuple[str, ...]:
         *("--seconds", f"{plan.seconds:g}", "--seed", str(plan.seed), *drifts),
         *("--record", str(recording), "--connect", endpoint),
     )
-
-
-def born(pid: int) -> str:
-    """When a process started, as the kernel tells it; empty where there is none that runs."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return ""
-    return "" if fields[0] == "Z" else fields[19]
 
 
 # -- What happens when, in a soak of any length

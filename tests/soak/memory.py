@@ -47,8 +47,7 @@ def grown(resident: Sequence[Resident], warm_up_s: float) -> list[Grown]:
     """Growth of each life after the warm-up, for those long enough to have one."""
     found = []
     for life in range(max((one.life for one in resident), default=-1) + 1):
-        # False for NaN, too.
-        rows = [(one.after_s, one.mb) for one in resident if one.life == life and one.mb > 0.0]
+        rows = [(one.after_s, one.mb) for one in resident if one.life == life]
         mb = [mb for after_s, mb in rows if after_s >= warm_up_s]
         if len(mb) >= _FEWEST:
             edge = max(2, int(_EDGE * len(mb)))

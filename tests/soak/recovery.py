@@ -5,7 +5,8 @@ An event that comes after the fault is no recovery by itself: it has to be true.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -50,7 +51,6 @@ def right_events(
 
 def recovery_of(
     fault: Broken,
-    legs: Sequence[str],
     right: Mapping[str, Sequence[tuple[int, ContactEvent]]],
     outcomes: Sequence[LegOutcome],
     clock: SourceClock,
@@ -60,33 +60,21 @@ def recovery_of(
     A leg that had nothing to report for two seconds has until the first touch of a whole swing, of
     those that count.
     """
-    last_s, late = 0.0, []
-    by_leg = {one.leg: one for one in outcomes}
-    for leg in legs:
-        first_ns = first_right_ns(fault, right.get(leg, ()), clock)
-        took_s = float("inf") if first_ns is None else (first_ns - fault.to_ns) / _NS
-        last_s = max(last_s, took_s)
-        limit_ns = fault.to_ns + int(RECOVERY_S * _NS)
-        if leg in by_leg:
-            limit_ns = max(limit_ns, heard_by_ns(by_leg[leg], fault, clock))
-        if first_ns is None or first_ns > limit_ns:
+    last_s, late, to_ns = 0.0, [], clock.of_wall(fault.to_ns)
+    touched_ns = {one.leg: heard_by_ns(one, to_ns, clock) for one in outcomes}
+    for leg, events in right.items():
+        heard = (at for at, event in events if at > fault.to_ns and event.t_ns > to_ns)
+        first_ns = next(heard, math.inf)
+        last_s = max(last_s, (first_ns - fault.to_ns) / _NS)
+        if first_ns > max(fault.to_ns + RECOVERY_S * _NS, touched_ns.get(leg, 0)):
             late.append(leg)
     return last_s, late
 
 
-def first_right_ns(
-    fault: Broken, right: Iterable[tuple[int, ContactEvent]], clock: SourceClock
-) -> int | None:
-    """When a leg's first right event after a fault was heard, ns of the wall; None if never."""
-    to_ns = clock.of_wall(fault.to_ns)
-    heard = (at for at, event in right if at > fault.to_ns and event.t_ns > to_ns)
-    return next(heard, None)
-
-
-def heard_by_ns(outcome: LegOutcome, fault: Broken, clock: SourceClock) -> int:
+def heard_by_ns(outcome: LegOutcome, to_ns: int, clock: SourceClock) -> int:
     """By when the first touch that counts of a swing after a fault had to be heard; 0 for none."""
     touches = outcome.touches
-    begun = outcome.swings.start_ns[touches.swing] > clock.of_wall(fault.to_ns)
+    begun = outcome.swings.start_ns[touches.swing] > to_ns
     which = np.flatnonzero(begun & touches.counted)
     if not len(which):
         return 0

@@ -6,7 +6,6 @@ missed must together be the ticks that the source has gone through, whoever was 
 
 from __future__ import annotations
 
-import dataclasses
 from collections import Counter
 from typing import Any, Final
 
@@ -22,12 +21,11 @@ from .accounts import (
     state_of,
     uncounted,
 )
-from .arrival import Arrivals, SourceClock, judge_arrivals
+from .arrival import SourceClock, judge_arrivals
 from .conduct import SoakPlan, Take
-from .memory import Grown, Resident, grown
+from .memory import grown
 from .recovery import recovery_of, right_events
 from .sections import (
-    Section,
     judge_releases,
     judge_sections,
     spans_between,
@@ -54,62 +52,6 @@ RAMP_SHARE: Final = 0.05
 _NS: Final = 1_000_000_000
 
 
-@dataclasses.dataclass(frozen=True)
-class Verdict:
-    """What a soak came to.
-
-    Attributes:
-        inconsistent: events that no sample bears out, or that came twice.
-        settled: outside the windows and ramps.
-        errors: what, leg and time of each error outside the windows, s of the walk.
-        arrivals: how long events took to get here, those near a fault left out.
-        source_behind_s: how far the simulator fell behind the wall clock.
-        sections: the same from each window to the next, those of ramps told apart.
-        samples: that the source sent, all legs.
-        missed_samples: counted as lost.
-        uncounted: lost and not counted, or counted and not lost; the worst leg.
-        rejects: refused samples by reason, all legs.
-        outage_s: from the begin of each fault to the end of its cause.
-        recovery_s: from there until every leg's first right event was heard here; infinite where
-            one never was.
-        late_legs: those for whom that was later than 2 s and than their first whole swing.
-        memory_mb: of each life of the service.
-        resident: what it is computed from.
-        left_behind: child processes that a killed service left for good.
-        forgotten_s: per kill of the service, what it had learned and not saved, of the worst leg.
-        refits: promoted, refused, rolled back.
-        events, events_lost: heard here; lost by the service because a subscriber hung.
-        state: saves and failures of all lives, legs restored and states refused at the restart.
-        p99_ms: arrival of the deciding sample to its event being sent, at the end.
-        failures: lines on what is not as it should be.
-    """
-
-    minutes: float
-    inconsistent: int
-    settled: Section
-    errors: list[tuple[str, str, float]]
-    arrivals: Arrivals
-    source_behind_s: float
-    sections: list[Section]
-    samples: int
-    missed_samples: int
-    uncounted: int
-    rejects: dict[str, int]
-    outage_s: list[float]
-    recovery_s: list[float]
-    late_legs: list[list[str]]
-    memory_mb: list[Grown]
-    resident: tuple[Resident, ...]
-    left_behind: int
-    forgotten_s: list[float]
-    refits: dict[str, int]
-    events: int
-    events_lost: int
-    state: dict[str, Any]
-    p99_ms: float | None
-    failures: list[str]
-
-
 def heard_of(events: Events, first_ns: int) -> Events:
     """A leg's events without the release that a service owes it with its first sample.
 
@@ -119,8 +61,12 @@ def heard_of(events: Events, first_ns: int) -> Events:
     return Events._make(column[own] for column in events)
 
 
-def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
-    """Judge a run."""
+def judge(take: Take, plan: SoakPlan, robot: Robot) -> tuple[dict[str, Any], list[str]]:
+    """Judge a run.
+
+    Returns:
+        What it came to, as `soak.json` has it, and a line on each thing that is not well.
+    """
     gathered = Gatherer(robot)
     seq_of: dict[str, dict[int, int]] = {leg: {} for leg in robot.leg_ids}
     for record in read_recording(take.recording):
@@ -152,62 +98,63 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
     ]
     errors += [("wrong release", one.leg, one.t_ns[one.wrong]) for one in releases]
     right = right_events(take, outcomes, {leg: one.truth for leg, one in streams.items()})
-    back = [recovery_of(fault, robot.leg_ids, right, outcomes, clock) for fault in take.broken]
+    back = [recovery_of(fault, right, outcomes, clock) for fault in take.broken]
     shaken = [(one.begin_ns, one.end_ns) for one in windows_of(faults, (), epoch_ns)]
 
     newest = {status.leg: status for _, status in take.heard.statuses}
     services = last_words([status for _, status in take.heard.services])
-    rejects = sum((Counter(status.rejects) for status in newest.values()), Counter[str]())
-    refits = {
-        name: sum(getattr(status.refits, name) for status in newest.values())
-        for name in ("promoted", "refused", "rolled_back")
-    }
     latency = services[-1].event_latency if services else None
-    judged = Verdict(
-        minutes=plan.minutes,
-        inconsistent=inconsistent(take, seq_of) + take.heard.unreadable,
-        settled=summed([one for one in sections if not one.ramp]),
-        errors=[
+    kills = [fault for fault in take.broken if fault.kind == "service"]
+    found: dict[str, Any] = {
+        "minutes": plan.minutes,
+        # Events that no sample bears out, or that came twice.
+        "inconsistent": inconsistent(take, seq_of) + len(take.heard.unreadable),
+        "settled": summed([one for one in sections if not one.ramp]),
+        "errors": [
             (what, leg, round((int(at_ns) - epoch_ns) / _NS, 2))
             for what, leg, times_ns in errors
             for at_ns in times_ns
             if not any(window.begin_ns <= at_ns <= window.end_ns for window in windows)
         ],
-        arrivals=judge_arrivals(
+        "arrivals": judge_arrivals(
             ((at_ns, event.t_ns) for at_ns, event in take.heard.events), clock, shaken
         ),
-        source_behind_s=clock.behind_s,
-        sections=sections,
-        samples=sum(map(len, seq_of.values())),
-        missed_samples=sum(status.missed for status in newest.values()),
-        uncounted=max(uncounted(leg, seq_of[leg], take) for leg in robot.leg_ids),
-        rejects=dict(rejects),
-        outage_s=[(fault.to_ns - fault.from_ns) / _NS for fault in take.broken],
-        recovery_s=[recovery_s for recovery_s, _ in back],
-        late_legs=[late for _, late in back],
-        memory_mb=grown(take.resident, plan.warm_up_s),
-        resident=take.resident,
-        left_behind=take.left_behind,
-        forgotten_s=[
+        "source_behind_s": clock.behind_s,
+        "sections": sections,
+        "samples": sum(map(len, seq_of.values())),
+        "missed_samples": sum(status.missed for status in newest.values()),
+        # Lost and not counted, or counted and not lost; the worst leg.
+        "uncounted": max(uncounted(leg, seq_of[leg], take) for leg in robot.leg_ids),
+        "rejects": sum((Counter(status.rejects) for status in newest.values()), Counter[str]()),
+        "outage_s": [(fault.to_ns - fault.from_ns) / _NS for fault in take.broken],
+        # Until every leg's first right event was heard here, and who was late.
+        "recovery": back,
+        "memory": grown(take.resident, plan.warm_up_s),
+        "resident": take.resident,
+        "left_behind": take.left_behind,
+        # What a kill of the service cost, of the worst leg.
+        "forgotten_s": [
             max(forgotten_s(leg, seq_of[leg], take, fault, robot) for leg in robot.leg_ids)
-            for fault in take.broken
-            if fault.kind == "service"
+            for fault in kills
         ],
-        refits=refits,
-        events=len(take.heard.events),
-        events_lost=sum(one.events_lost for one in services),
-        state=state_of(services),
-        p99_ms=None if latency is None else latency.p99,
-        failures=[],
-    )
-    return dataclasses.replace(judged, failures=failures_of(judged, robot, plan))
+        "refits": {
+            name: sum(getattr(status.refits, name) for status in newest.values())
+            for name in ("promoted", "refused", "rolled_back")
+        },
+        "events": len(take.heard.events),
+        "events_lost": sum(one.events_lost for one in services),
+        "state": state_of(services),
+        "p99_ms": None if latency is None else latency.p99,
+    }
+    return found, failures_of(found, robot, plan)
 
 
-def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
+def failures_of(found: dict[str, Any], robot: Robot, plan: SoakPlan) -> list[str]:
     """A line on each thing that is not as it should be."""
-    promoted, refused = (found.refits.get(name, 0) for name in ("promoted", "refused"))
+    promoted, refused = (found["refits"][name] for name in ("promoted", "refused"))
+    memory = found["memory"]
     lives = 1 + sum(fault.kind == "service" for fault in plan.faults)
-    settled, arrivals, state = found.settled, found.arrivals, found.state
+    settled, arrivals, state = found["settled"], found["arrivals"], found["state"]
     wrong = [
         (not settled.touches, "not one touch was judged"),
         (settled.false_alarms, f"{settled.false_alarms} false alarms outside the windows"),
@@ -220,12 +167,12 @@ def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
             f"{settled.missed} of {settled.touches} touches missed",
         ),
         (
-            len(found.memory_mb) != lives,
-            f"memory is known of {len(found.memory_mb)} lives of the service, of {lives}",
+            len(memory) != lives,
+            f"memory is known of {len(memory)} lives of the service, of {lives}",
         ),
         (
-            found.left_behind,
-            f"{found.left_behind} child processes outlived the service that was killed",
+            found["left_behind"],
+            f"{found['left_behind']} child processes outlived the service that was killed",
         ),
         (not state.get("saved"), "no state was saved"),
         (state.get("failed"), f"{state.get('failed')} states could not be saved"),
@@ -234,19 +181,19 @@ def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
             "not every leg was restored after the restart",
         ),
         (
-            found.inconsistent,
-            f"{found.inconsistent} events that no sample bears out, or twice",
+            found["inconsistent"],
+            f"{found['inconsistent']} events that no sample bears out, or twice",
         ),
-        (found.uncounted, f"{found.uncounted} samples lost without being counted"),
-        (found.events_lost, f"{found.events_lost} events lost"),
-        (not arrivals.events, "not one event was timed"),
+        (found["uncounted"], f"{found['uncounted']} samples lost without being counted"),
+        (found["events_lost"], f"{found['events_lost']} events lost"),
+        (not arrivals["events"], "not one event was timed"),
         (
-            arrivals.late > max(FORGIVEN, LATE_SHARE * arrivals.events),
-            f"{arrivals.late} of {arrivals.events} events came more than 0.25 s late",
+            arrivals["late"] > max(FORGIVEN, LATE_SHARE * arrivals["events"]),
+            f"{arrivals['late']} of {arrivals['events']} events came more than 0.25 s late",
         ),
         (
-            len(found.recovery_s) != len(plan.faults),
-            f"{len(found.recovery_s)} faults came about, of {len(plan.faults)} planned",
+            len(found["recovery"]) != len(plan.faults),
+            f"{len(found['recovery'])} faults came about, of {len(plan.faults)} planned",
         ),
         (not promoted + refused, "no refit came to an end, be it promoted or refused"),
         (
@@ -259,14 +206,14 @@ def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
                 lost_s > FORGETS_S,
                 f"a kill of the service cost {lost_s:.1f} s of what it had learned",
             )
-            for lost_s in found.forgotten_s
+            for lost_s in found["forgotten_s"]
         ),
         *(
             (late, f"a fault took {recovery_s:.2f} s to recover from: {' '.join(late)}")
-            for recovery_s, late in zip(found.recovery_s, found.late_legs, strict=True)
+            for recovery_s, late in found["recovery"]
         ),
     ]
-    for one in found.sections:
+    for one in found["sections"]:
         allowed = max(FORGIVEN, (RAMP_SHARE if one.ramp else MISSED_SHARE) * one.touches)
         where = f"{one.touches} touches {'during' if one.ramp else 'after'} {one.after}"
         wrong += [
@@ -280,7 +227,7 @@ def failures_of(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
                 f"{one.wrong_releases} releases of loaded legs to {where}",
             ),
         ]
-    for life, one in enumerate(found.memory_mb, start=1):
+    for life, one in enumerate(memory, start=1):
         slope = one.slope_mb_min
         wrong += [
             # Also where it is no number.
