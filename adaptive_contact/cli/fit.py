@@ -49,19 +49,55 @@ def fit(
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""
     opt.check_output(out, "--out", [*recordings, config], force=force)
+    robot = opt.recorded_robot(config, recordings)
+    gathered = gather(recordings, robot, refuse=not anyway)
+    origin = f"adaptive-contact fit {' '.join(path.name for path in recordings)}"
+    fit_gathered(
+        gathered, robot, out, origin, free=free, anyway=anyway, json=json, equations=equations
+    )
+    say(f"baseline written to {out}", err=True)
+
+
+def fit_gathered(
+    gathered: Gathered,
+    robot: Robot,
+    out: Path,
+    origin: str,
+    *,
+    free: bool,
+    bridge: bool = False,
+    anyway: bool,
+    json: bool,
+    equations: bool,
+) -> None:
+    """Fit what was gathered, say how good it is, and write the baseline.
+
+    Args:
+        gathered: samples and truth, by leg.
+        robot: its description.
+        out: file of the baseline.
+        origin: one line on where the samples come from.
+        free: swings without truth touched nothing.
+        bridge: see :func:`check_conventions`.
+        anyway: write it even if it seems useless.
+        json: print JSON.
+        equations: print them, too.
+
+    Raises:
+        TooLittleDataError: there is too little to learn from.
+        IdentificationError: it cannot be learned from.
+    """
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.fit.train import learn
 
-    robot = opt.recorded_robot(config, recordings)
-    gathered = gather(recordings, robot, refuse=not anyway)
-    check_conventions(robot, gathered, refuse=not anyway)
+    check_conventions(robot, gathered, bridge=bridge, refuse=not anyway)
     streams = {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples}
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
         training = learn(
             robot,
             streams,
-            origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
+            origin=origin,
             progress=lambda leg: say(f"fitting leg {leg}", err=True),
         )
         worth = try_out(robot, streams, training)
@@ -83,7 +119,6 @@ def fit(
             "they are cautious, and soft contacts will be missed; record more swings"
         )
     keep_training(training, robot, out, anyway=anyway, json=json, equations=equations, worth=worth)
-    say(f"baseline written to {out}", err=True)
 
 
 def try_out(
