@@ -90,6 +90,8 @@ def fit_gathered(
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.fit.train import learn
+    from adaptive_contact.fit.verdict import unusable, verdict
+    from adaptive_contact.model.model_file import save_baseline
 
     check_conventions(robot, gathered, bridge=bridge, refuse=not anyway)
     streams = {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples}
@@ -118,7 +120,16 @@ def fit_gathered(
             f"the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
             "they are cautious, and soft contacts will be missed; record more swings"
         )
-    keep_training(training, robot, out, anyway=anyway, json=json, equations=equations, worth=worth)
+    why = unusable(robot, training)
+    if why is not None:
+        say_note(why)
+        if not anyway:
+            say_note("no baseline was written; --anyway writes it all the same")
+            raise typer.Exit(1)
+    save_baseline(training.baseline, out)
+    print_training(training, robot, json=json, equations=equations, worth=worth)
+    for line in verdict(robot, training, worth):
+        say(line, err=json)
 
 
 def try_out(
@@ -333,42 +344,6 @@ def check_conventions(
             "robot.toml (above); nothing is learned from them: correct robot.toml and run this "
             "again, or give --anyway"
         )
-
-
-def keep_training(
-    training: Training,
-    robot: Robot,
-    out: Path,
-    *,
-    anyway: bool,
-    json: bool,
-    equations: bool,
-    worth: Mapping[str, Worth] | None = None,
-) -> None:
-    """Write what was learned, and show how good it is; end with code 1 where it is no model.
-
-    Args:
-        training: what was learned.
-        robot: its description.
-        out: the file.
-        anyway: write it all the same.
-        json: print it as JSON.
-        equations: print them, too.
-        worth: what is found on swings that were held out, by leg.
-    """
-    from adaptive_contact.fit.verdict import refusals, verdict
-    from adaptive_contact.model.model_file import save_baseline
-
-    refused = refusals(robot, training)
-    for line in refused:
-        say_note(line)
-    if refused and not anyway:
-        say_note("no baseline was written; --anyway writes it all the same")
-        raise typer.Exit(1)
-    save_baseline(training.baseline, out)
-    print_training(training, robot, json=json, equations=equations, worth=worth)
-    for line in verdict(robot, training, worth):
-        say(line, err=json)
 
 
 def print_training(

@@ -1,11 +1,11 @@
-"""Judges what was learned: how good every leg's fit is, and which results are no models of a leg.
+"""Judges what was learned: how good every leg's fit is, and whether it is a model at all.
 
 Behind ``fit`` and ``robot learn``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Final, Protocol
 
 import numpy as np
@@ -18,10 +18,6 @@ from adaptive_contact.robot import Robot
 # own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
 _NOISE_STEPS: Final = 0.82
 _GOOD, _FAIR = 2.5, 4.0
-# Four steps of an AX-12A, the coarsest servo known here: with coarser ones a touch hides in a step.
-_COARSEST_RAD: Final = 0.02
-# Joints of one line that are shown; the others are counted.
-_SHOWN: Final = 3
 
 
 class Tried(Protocol):
@@ -70,66 +66,17 @@ def verdict(
     return lines
 
 
-def refusals(robot: Robot, training: Training) -> list[str]:
-    """List why what was learned is of no use, one line a cause; empty where it is usable."""
-    coarse = [leg for leg in training.figures if robot.quantum(leg) > _COARSEST_RAD]
-    if coarse:
-        return [
-            f"quantum_rad of {', '.join(coarse)} is over {_COARSEST_RAD} rad, four steps of an "
-            "AX-12A: write the step of the servo's readings in rad (4096 steps a turn: 0.00153)"
-        ]
-    endless = _endless_swings(robot, training)
-    if endless:
-        return [
-            f"swings of {', '.join(endless)} ticks: no leg swings for seconds; publish phase = "
-            "stance from the planned touch-down on, or leave phase out"
-        ]
-    return [*_residuals(robot, training), *_thresholds(robot, training)]
-
-
-def _endless_swings(robot: Robot, training: Training) -> list[str]:
-    """Legs and mean lengths of swings that are too long to be any."""
-    # No leg swings for so long: swings of the shipped gaits and trials take 20 to 60 ticks.
-    most = max(200, 2.0 / robot.period_s)
-    lengths = {
-        leg: (figures.rows + figures.outliers) / max(figures.swings, 1)
-        for leg, figures in training.figures.items()
-    }
-    return [f"leg {leg} {length:.0f}" for leg, length in lengths.items() if length > most]
-
-
-def _residuals(robot: Robot, training: Training) -> Iterator[str]:
-    small = [
-        f"{leg} {joint} {error:.1g}"
-        for leg, figures in training.figures.items()
-        if robot.knows_step(leg)
-        for joint, error, moved in zip(
-            robot.leg(leg).joints, figures.held_out_rms, figures.naive_rms, strict=True
-        )
-        # Rounding alone errs by 0.29 steps; a joint that moves and errs by less is not read in such
-        # steps.
-        if moved > robot.quantum(leg) and error < 0.25 * robot.quantum(leg)
-    ]
-    if small:
-        more = f" and {len(small) - _SHOWN} more" if len(small) > _SHOWN else ""
-        yield (
-            f"models err by less than position steps allow ({', '.join(small[:_SHOWN])} rad"
-            f"{more}): measured is made of commands, or quantum_rad is wrong; publish positions "
-            "that were read, in the steps of robot.toml"
-        )
-
-
-def _thresholds(robot: Robot, training: Training) -> Iterator[str]:
-    if not training.figures:
-        return
+def unusable(robot: Robot, training: Training) -> str | None:
+    """Say in one line why what was learned is of no use; None where it is usable."""
     # One score in a thousand of free ticks is above the chi-square quantile of so many joints, 16.3
     # of three.  Thresholds are for far rarer ones: 35 and more of good recordings, below 0.2 where
     # readings are copies of commands or a swing never ends.
     least = float(free_quantile(1e-3))
     lowest = float(training.baseline.thresholds(robot.detector.false_alarms_per_hour).min())
-    if not lowest >= least:
-        yield (
-            f"thresholds are as low as {lowest:.2g}, expected {least:.1f} and more: residuals do "
-            "not vary as those of free swings do; publish positions that were read, and phase = "
-            "swing only while the foot is off the ground"
-        )
+    if lowest >= least:
+        return None
+    return (
+        f"thresholds are as low as {lowest:.2g}, expected {least:.1f} and more: residuals do "
+        "not vary as those of free swings do; publish positions that were read, and phase = "
+        "swing only while the foot is off the ground"
+    )
