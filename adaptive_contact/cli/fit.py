@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
-from rich.table import Table
 
 from adaptive_contact.checks.findings import REFUSED_FOR, SPOILS, Finding, of_legs
 from adaptive_contact.cli import _options as opt
@@ -20,7 +19,7 @@ from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, l
 
 if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
-    from adaptive_contact.fit.train import LegFigures, Stretch, Training
+    from adaptive_contact.fit.train import Stretch, Training
     from adaptive_contact.service.worth import Worth
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
@@ -113,7 +112,11 @@ def fit_gathered(
                 "record free swings, or with truth, to learn from all of them"
             )
         if not known.determined:
-            say_note(undetermined(leg_id, known))
+            say_note(
+                f"leg '{leg_id}': its motions are too few, or too alike, to determine all terms; "
+                "what is known of any leg stands in for the rest: record more motions, at every "
+                "speed that the leg will have"
+            )
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
         say_note(
@@ -147,20 +150,6 @@ def try_out(
     except IdentificationError:
         return {}
     return worth(robot, first.baseline, {leg: part for leg, (_, part) in parts.items()})
-
-
-def undetermined(leg: str, known: LegFigures) -> str:
-    """Say that a recording does not determine all terms, and what that means."""
-    line = (
-        f"leg '{leg}': its motions are too few, or too alike, to determine all terms; what is "
-        "known of any leg stands in for the rest"
-    )
-    if known.lone:
-        line += (
-            f"; {known.lone} ticks move as no other motion does, and are judged by ten times the "
-            "noise and more instead of raising the thresholds of all"
-        )
-    return line + ": record more motions, at every speed that the leg will have"
 
 
 class Gathered(dict[str, "LegGatherer"]):
@@ -354,9 +343,7 @@ def print_training(
     equations: bool,
     worth: Mapping[str, Worth] | None = None,
 ) -> None:
-    """Show how well every leg was learned, after its equations where they are wanted."""
-    import numpy as np
-
+    """Show the thresholds, after every leg's equations where they are wanted; or all as JSON."""
     thresholds = training.baseline.thresholds(robot.detector.false_alarms_per_hour)
     if json:
         text = {
@@ -376,21 +363,6 @@ def print_training(
         for line in entry.model.equations():
             console.print("  " + line, soft_wrap=True)
         console.print()
-    table = Table(title="Held-out one-step error, degrees (per joint)")
-    for column in ("leg", "swings", "free ticks", "outliers", "λ", "terms", "RMS", "no motion"):
-        table.add_column(column, justify="left" if column == "leg" else "right")
-    for leg, known in training.figures.items():
-        table.add_row(
-            leg,
-            str(known.swings),
-            str(known.rows),
-            str(known.outliers),
-            f"{known.threshold:g}",
-            f"{'/'.join(map(str, known.terms))} of {known.library_size}",
-            " ".join(f"{x:.3f}" for x in np.degrees(known.held_out_rms)),
-            " ".join(f"{x:.2f}" for x in np.degrees(known.naive_rms)),
-        )
-    console.print(table)
     aim = robot.detector.false_alarms_per_hour
     console.print(
         f"thresholds for {aim:g} false alarm(s) per robot-hour, windows of 1, 2, 3 ticks: "

@@ -323,7 +323,7 @@ class Urdf:
         return ", ".join(tips[:_LISTED] or ["none"]) + more
 
     def _above(self, link: str) -> list[_Joint]:
-        above = []
+        above: list[_Joint] = []
         while link in self._parents and len(above) <= _LONGEST_PATH:
             above.append(self._parents[link])
             link = self._parents[link].parent
