@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
@@ -48,10 +46,3 @@ def unless_stopped(stop: threading.Event) -> Iterator[None]:
     except LinkError:
         if not stop.is_set():
             raise
-
-
-def leave(*, closed: bool) -> None:
-    """End where another program hangs on to the session: the interpreter's own exit would wait."""
-    if not closed:
-        sys.stdout.flush()
-        os._exit(0)

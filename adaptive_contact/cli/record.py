@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli._link import leave, open_link
+from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note
 from adaptive_contact.errors import ConfigurationError
@@ -85,7 +85,7 @@ def record(
     link = open_link(settings, stop)
     if link is None:
         return
-    try:
+    with link:
         started_s = time.monotonic()
         live = sys.stderr.isatty()
         with contextlib.ExitStack() as stack:
@@ -100,13 +100,10 @@ def record(
             recorder.run(
                 stop, seconds, (lambda: _progress(recorder.counts, started_s)) if live else None
             )
-    finally:
-        closed = link.close()
     if live:
         overwrite("")
     files = writer.paths if isinstance(writer, SplitWriter) else [file]
     _report(files, key, recorder.counts, time.monotonic() - started_s)
-    leave(closed=closed)
 
 
 def _kinds(counts: collections.Counter[str]) -> str:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
 import sys
 import time
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -19,7 +17,7 @@ from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_note
 from adaptive_contact.core.learn.mode import WhenAmbiguous
-from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.priority import cores, take_priority
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, shown
@@ -169,8 +167,7 @@ def serve(
             service.run(stop)
         finally:
             refitter.close()
-            if not link.close():
-                _leave(sys.exception())
+            link.close()
 
 
 @contextlib.contextmanager
@@ -190,19 +187,6 @@ def _refitting() -> Iterator[subprocess.Popen[bytes] | None]:
     finally:
         if process is not None:
             end_process(process)
-
-
-def _leave(fault: BaseException | None) -> None:
-    """End where a subscriber hangs on to the session: the interpreter's own exit would wait."""
-    expected = isinstance(fault, AdaptiveContactError)
-    try:
-        if expected:
-            say_note(fault)
-        elif fault is not None:
-            traceback.print_exception(fault)
-        sys.stdout.flush()
-    finally:  # also where nothing can be written any more
-        os._exit(0 if fault is None else 2 if expected else 1)
 
 
 def keeper_of(
