@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,7 +15,7 @@ from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_note
 from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.priority import cores, take_priority
+from adaptive_contact.priority import take_priority
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, shown
 
@@ -97,96 +94,76 @@ def serve(
 
     if no_state and state is not None:
         raise ConfigurationError("--state and --no-state contradict each other; give one of them")
-    with _refitting() as process:
-        from threadpoolctl import threadpool_limits
+    from threadpoolctl import threadpool_limits
 
-        from adaptive_contact.core.bank import LearnerBank
-        from adaptive_contact.service.link import router_settings
-        from adaptive_contact.service.logs import LogThrottle, configure_logs
-        from adaptive_contact.service.refits import ProcessRefitter
-        from adaptive_contact.service.server import Service, Sweeper
-        from adaptive_contact.service.transport import configure
+    from adaptive_contact.core.bank import LearnerBank
+    from adaptive_contact.service.link import router_settings
+    from adaptive_contact.service.logs import LogThrottle, configure_logs
+    from adaptive_contact.service.refits import ProcessRefitter
+    from adaptive_contact.service.server import Service, Sweeper
+    from adaptive_contact.service.transport import configure
 
-        configure_logs(log_level, json=log_json)
-        settings = router_settings(
-            listen or (),
-            network.connect or (),
-            namespace=network.namespace,
-            json=json,
-            zenoh_config=network.zenoh_config,
-            insecure=insecure,
-            max_sessions=max_sessions,
-        )
-        # Python hands its lock on every 5 ms while a thread computes; a callback or the outbox
-        # would wait as long for the worker.  At half a millisecond the hand-over costs nothing that
-        # can be measured.
-        sys.setswitchinterval(0.0005)
-        threadpool_limits(1)  # matrices this small only wait for each other in threads
-        # Before Zenoh makes its threads: an event passes through them.
-        # In real-time priority, behind a bridge on the same computer: a reading missed is lost.
-        refused = take_priority(below=5) if realtime else None
-        if refused is not None:
-            say_note(refused)
-        robot = opt.described_robot(config)
-        learned, origin = opt.learned_of(robot, config, baseline)
-        configure(settings)  # what is wrong shows before a minute of compiling
-        slow = first_start()
-        if slow is None:
-            compile_tick(stop)
-        refitter = ProcessRefitter(process=process)
-        bank = LearnerBank(
-            robot,
-            learned,
-            refitter=refitter,
-            on_fault=LogThrottle(60.0).fault,
-            when_ambiguous=when_ambiguous,
-        )
-        link = open_link(settings, stop)
-        if link is None:
-            return
-        try:
-            if slow is not None:
-                compile_in_view(slow, link, robot, origin, stop)
-            if stop.is_set():
-                return
-            keeper = None if no_state else keeper_of(state, robot, learned, network.namespace)
-            sweeper = Sweeper()
-            service = Service(
-                link,
-                bank,
-                robot,
-                baseline=origin,
-                now_ns=time.monotonic_ns(),
-                keeper=keeper,
-                sweeper=sweeper,
-                described_only=described_only,
-            )
-            sweeper.start(time.monotonic_ns())
-            say(_ready_line(link, robot, origin))
-            refitter.start()
-            service.run(stop)
-        finally:
-            refitter.close()
-            link.close()
-
-
-@contextlib.contextmanager
-def _refitting() -> Iterator[subprocess.Popen[bytes] | None]:
-    """Run the process that refits, which loads what it needs while the service does.
-
-    None where there is one core: there it would only make the service late, and starts after it.
-    """
-    from adaptive_contact.service.refit_process import end_process, start_process
-
-    process = None
-    if cores() > 1:
-        with contextlib.suppress(OSError):  # no room for it now; the first job tries again
-            process = start_process()
+    configure_logs(log_level, json=log_json)
+    settings = router_settings(
+        listen or (),
+        network.connect or (),
+        namespace=network.namespace,
+        json=json,
+        zenoh_config=network.zenoh_config,
+        insecure=insecure,
+        max_sessions=max_sessions,
+    )
+    # Python hands its lock on every 5 ms while a thread computes; a callback or the outbox
+    # would wait as long for the worker.  At half a millisecond the hand-over costs nothing that
+    # can be measured.
+    sys.setswitchinterval(0.0005)
+    threadpool_limits(1)  # matrices this small only wait for each other in threads
+    # Before Zenoh makes its threads: an event passes through them.
+    # In real-time priority, behind a bridge on the same computer: a reading missed is lost.
+    refused = take_priority(below=5) if realtime else None
+    if refused is not None:
+        say_note(refused)
+    robot = opt.described_robot(config)
+    learned, origin = opt.learned_of(robot, config, baseline)
+    configure(settings)  # what is wrong shows before a minute of compiling
+    slow = first_start()
+    if slow is None:
+        compile_tick(stop)
+    refitter = ProcessRefitter()
+    bank = LearnerBank(
+        robot,
+        learned,
+        refitter=refitter,
+        on_fault=LogThrottle(60.0).fault,
+        when_ambiguous=when_ambiguous,
+    )
+    link = open_link(settings, stop)
+    if link is None:
+        return
     try:
-        yield process
+        if slow is not None:
+            compile_in_view(slow, link, robot, origin, stop)
+        if stop.is_set():
+            return
+        keeper = None if no_state else keeper_of(state, robot, learned, network.namespace)
+        sweeper = Sweeper()
+        service = Service(
+            link,
+            bank,
+            robot,
+            baseline=origin,
+            now_ns=time.monotonic_ns(),
+            keeper=keeper,
+            sweeper=sweeper,
+            described_only=described_only,
+        )
+        sweeper.start(time.monotonic_ns())
+        say(_ready_line(link, robot, origin))
+        refitter.start()
+        service.run(stop)
     finally:
-        if process is not None:
-            end_process(process)
+        refitter.close()
+        link.close()
 
 
 def keeper_of(
