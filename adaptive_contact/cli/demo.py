@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import subprocess
 import sys
 import threading
@@ -174,7 +175,16 @@ class _Demo:
             about = {"robot": self._walker.description.name}
             writer = stack.enter_context(RecordingWriter(self._recording, about))
             recorder = Recorder(link, writer, "robot/**")
-            walk = (*self._walk(), "--connect", endpoint)
+            drifts = [
+                ("--drift", f"{kind}:leg={self._leg},value={value:g}@{self._drift_s}s")
+                for kind, value in _DRIFTS
+            ]
+            walk = (
+                *("sim", "walk", "--robot", name, "--terrain", "rough", "--stop-on", "truth"),
+                *("--seconds", f"{self._seconds:g}", "--seed", str(self._seed)),
+                *itertools.chain(*drifts),
+                *("--connect", endpoint),
+            )
             simulator = stack.enter_context(_Child("the simulator", walk))
             simulator.first_line()
             say(f"simulator   process {simulator.pid}, seed {self._seed}")
@@ -194,8 +204,14 @@ class _Demo:
                     next_s += 5.0
                     legs = feed.view(time.monotonic_ns()).legs
                     found_of = (f"{leg.leg} {leg.seen or 0}/{leg.touches or 0}" for leg in legs)
-                    say("  ".join((self._words(walked_s), *found_of)))
+                    when = "since" if walked_s >= self._drift_s else "at"
+                    said = (
+                        f"{walked_s:4.0f} of {self._seconds:.0f} s   leg {self._leg}: "
+                        f"{_DRIFT_WORDS} {when} {self._drift_s:.0f} s"
+                    )
+                    say("  ".join((said, *found_of)))
 
+            look()
             recorder.run(over, on_progress=look)
             if self._stop.is_set():
                 raise AdaptiveContactError("stopped")
@@ -241,23 +257,6 @@ class _Demo:
         write_plot(self._report, traces, "\n".join(lines), mark_s=self._drift_s)
         for line in (*lines, f"wrote {self._report}, {_MADE[1]} and {_MADE[0]}"):
             say(line)
-
-    def _walk(self) -> tuple[str, ...]:
-        drifts = (
-            f"{kind}:leg={self._leg},value={value:g}@{self._drift_s}s" for kind, value in _DRIFTS
-        )
-        return (
-            *("sim", "walk", "--robot", self._walker.name, "--terrain", "rough"),
-            *("--stop-on", "truth", "--seconds", f"{self._seconds:g}", "--seed", str(self._seed)),
-            *(word for drift in drifts for word in ("--drift", drift)),
-        )
-
-    def _words(self, walked_s: float) -> str:
-        drifted = "since" if walked_s >= self._drift_s else "at"
-        return (
-            f"{walked_s:4.0f} of {self._seconds:.0f} s   leg {self._leg}: {_DRIFT_WORDS} "
-            f"{drifted} {self._drift_s:.0f} s"
-        )
 
     def _score(self, robot: Robot, events: Any = None, **within: float) -> Score:
         from adaptive_contact.score import score_messages

@@ -88,8 +88,8 @@ def fit_gathered(
     """
     from threadpoolctl import threadpool_limits
 
+    from adaptive_contact.cli._verdict import unusable, verdict
     from adaptive_contact.fit.train import learn
-    from adaptive_contact.fit.verdict import unusable, verdict
     from adaptive_contact.model.model_file import save_baseline
 
     check_conventions(robot, gathered, bridge=bridge, refuse=not anyway)

@@ -62,7 +62,6 @@ class LegGatherer:
 
     Attributes:
         rejects: samples that were not used, by reason.
-        missed: samples lost.
         off_rate: samples that came at another rate than the robot's, not used.
     """
 
@@ -78,11 +77,6 @@ class LegGatherer:
         self._rate = RateWatch(self._period_ns)
         self._runs: list[_Run] = []
         self._changes: list[_Received] = []
-
-    @property
-    def missed(self) -> int:
-        """Samples lost, from gaps in ``seq``."""
-        return self._guard.missed
 
     @property
     def samples(self) -> int:

@@ -132,7 +132,11 @@ class Urdf:
         return [link for link in ends if any(j.kind in _TURNING for j in self._above(link))]
 
     def legs(
-        self, feet: Mapping[str, str], *, base: str | None = None, tips_m: Sequence[Vector] = ()
+        self,
+        feet: Mapping[str, str],
+        *,
+        base: str | None = None,
+        tips_m: Sequence[Sequence[float]] = (),
     ) -> UrdfLegs:
         """Read off legs.
 
@@ -351,7 +355,9 @@ class Urdf:
 
     # -- a leg -------------------------------------------------------------------------------------
 
-    def _leg(self, leg: str, path: Sequence[_Joint], foot: str, body: str, tip_m: Vector) -> Leg:
+    def _leg(
+        self, leg: str, path: Sequence[_Joint], foot: str, body: str, tip_m: Sequence[float]
+    ) -> Leg:
         turn, place = np.eye(3), np.zeros(3)
         joints: list[_Joint] = []
         axes: list[Array] = []

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from adaptive_contact.cli._verdict import unusable
 from adaptive_contact.cli.fit import check_conventions, gather
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, RecordingError
 from adaptive_contact.fit.train import Training, learn
-from adaptive_contact.fit.verdict import unusable
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import shipped_robot

@@ -6,7 +6,7 @@ Behind ``fit`` and ``robot learn``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,23 +14,17 @@ from adaptive_contact.fit.train import Training
 from adaptive_contact.model.glr import free_quantile
 from adaptive_contact.robot import Robot
 
+if TYPE_CHECKING:
+    from adaptive_contact.service.worth import Worth
+
 # A model is good where it errs little more than readings do; half a step of noise and the step's
 # own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
 _NOISE_STEPS: Final = 0.82
 _GOOD, _FAIR = 2.5, 4.0
 
 
-class Tried(Protocol):
-    """What a detector reported on swings that were held out; its text says it."""
-
-    @property
-    def good(self) -> bool:
-        """Whether touches are found, and nothing else is reported."""
-        ...
-
-
 def verdict(
-    robot: Robot, training: Training, tried: Mapping[str, Tried] | None = None
+    robot: Robot, training: Training, tried: Mapping[str, Worth] | None = None
 ) -> list[str]:
     """Describe in words how well every leg was learned, and what to do about it.
 
