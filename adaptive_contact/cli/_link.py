@@ -1,4 +1,4 @@
-"""Opens and closes the link of a command that runs until Ctrl-C."""
+"""Opens the link of a command that runs until Ctrl-C, and gives the command priority."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from adaptive_contact.cli._output import say_waiting
+from adaptive_contact.cli._output import say_note, say_waiting
 from adaptive_contact.errors import LinkError
+from adaptive_contact.priority import take_priority
 from adaptive_contact.service.settings import Finding, LinkSettings
 
 if TYPE_CHECKING:
@@ -46,3 +47,15 @@ def unless_stopped(stop: threading.Event) -> Iterator[None]:
     except LinkError:
         if not stop.is_set():
             raise
+
+
+def take_realtime(wanted: bool, below: int = 0) -> None:
+    """Run before all ordinary processes where that is wanted; say why where it is not allowed.
+
+    Args:
+        wanted: by ``--realtime``.
+        below: by how much to stand back behind others that call this.
+    """
+    refused = take_priority(below) if wanted else None
+    if refused is not None:
+        say_note(refused)

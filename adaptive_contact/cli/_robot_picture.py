@@ -61,12 +61,8 @@ _FRONT: Final = _View("from the front: its y to the right, z up", (0.0, 1.0, 0.0
 _ABOVE: Final = _View("from above: front (x) up, left (y) left", (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
 
 
-class _Turn(NamedTuple):
-    """Describes how one joint turns in a view."""
-
-    joint: int
-    zero_rad: float  # where its link points at 0, from the right
-    way: int  # 1 or -1, in which its angle grows
+# A joint, where its link points at 0, rad from the right, and 1 or -1, the way its angle grows.
+_Turn = tuple[int, float, int]
 
 
 def write_picture(robot: Robot, angles: Mapping[str, Sequence[float]], path: Path) -> None:
@@ -140,8 +136,8 @@ def _panel(
         for j, (begin, end) in enumerate(itertools.pairwise(at)):
             solid = 'class="link" stroke-width="6" stroke-linecap="round"'
             parts.append(_line(begin, end, _colour(j), solid))
-        for turn in turns:
-            parts += _turning(at[turn.joint], at[turn.joint + 1], turn)
+        for j, zero_rad, way in turns:
+            parts += _turning(at[j], at[j + 1], zero_rad, way, _colour(j))
         parts += [_dot(place, _INK) for place in at[:-1]]
         parts += [_dot(at[-1], "#e74c3c"), _text(at[-1] + (8, 14), leg.id, _INK)]
     return parts
@@ -166,22 +162,21 @@ def _flat(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_
         far = np.hypot(*beyond.T) > _LEAST_LINK * leg.chain.reach_m
         if far.any():
             x, y = beyond[int(np.argmax(far))]
-            turns.append(_Turn(j, float(np.arctan2(y, x)), 1 if towards[j] > 0 else -1))
+            turns.append((j, float(np.arctan2(y, x)), 1 if towards[j] > 0 else -1))
     return points @ plane.T + body @ leg.mount.xyz_m, turns
 
 
-def _turning(joint: Array, tip: Array, turn: _Turn) -> list[str]:
+def _turning(joint: Array, tip: Array, zero_rad: float, way: int, colour: str) -> list[str]:
     """Draw where a joint's link is at 0, and which way its angle grows."""
-    colour = _colour(turn.joint)
     # The arrow around a joint: at half of its link, within these, px; it goes so far, rad.
     radius = float(np.clip(np.hypot(*(tip - joint)) / 2, 16.0, 40.0))
-    zero = np.array([np.cos(turn.zero_rad), -np.sin(turn.zero_rad)])
-    end_rad = turn.zero_rad + turn.way * 0.9
+    zero = np.array([np.cos(zero_rad), -np.sin(zero_rad)])
+    end_rad = zero_rad + way * 0.9
     end = np.array([np.cos(end_rad), -np.sin(end_rad)])
     (x0, y0), (x1, y1) = joint + radius * zero, joint + radius * end
     return [
         _line(joint, joint + (radius + 22) * zero, colour, 'stroke-dasharray="4 3"'),
-        f'<path d="M {x0:.1f} {y0:.1f} A {radius:.1f} {radius:.1f} 0 0 {int(turn.way < 0)} '
+        f'<path d="M {x0:.1f} {y0:.1f} A {radius:.1f} {radius:.1f} 0 0 {int(way < 0)} '
         f'{x1:.1f} {y1:.1f}" fill="none" stroke="{colour}" marker-end="url(#head)"/>',
         _text(joint + (radius + 13) * end + (-4, 4), "+", colour),
     ]

@@ -15,12 +15,11 @@ import typer
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import BaudOption, DeviceOption, described_in, plans_of, shake_hands
-from adaptive_contact.cli._link import unless_stopped
+from adaptive_contact.cli._link import take_realtime, unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import needs
-from adaptive_contact.priority import take_priority
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
@@ -65,9 +64,7 @@ def ros2(
     settings = network.client(json=json)
     ros_settings = opt.Network(ros_connect, None, ros_zenoh_config).client()
 
-    refused = take_priority() if realtime else None
-    if refused is not None:
-        _say_ros(refused)
+    take_realtime(realtime)
     with (
         unless_stopped(stop),
         Link.open(
@@ -284,10 +281,7 @@ def virtual(
         from adaptive_contact_sim.virtual.assembly import with_servos
         from adaptive_contact_sim.virtual.session import run
     robot = opt.described_robot(config)
-    if realtime:
-        refused = take_priority()
-        if refused is not None:
-            say(f"adaptive-contact bridge virtual: {refused}", err=True)
+    take_realtime(realtime)
     run(
         robot if servos is None else with_servos(robot, servos),
         directory,

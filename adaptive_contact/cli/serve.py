@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from adaptive_contact import __version__
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_in_view, compile_tick, first_start
-from adaptive_contact.cli._link import open_link
+from adaptive_contact.cli._link import open_link, take_realtime
 from adaptive_contact.cli._options import option
-from adaptive_contact.cli._output import make_stdout_optional, say, say_note
+from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.priority import take_priority
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, shown
 
@@ -120,9 +119,7 @@ def serve(
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     # Before Zenoh makes its threads: an event passes through them.
     # In real-time priority, behind a bridge on the same computer: a reading missed is lost.
-    refused = take_priority(below=5) if realtime else None
-    if refused is not None:
-        say_note(refused)
+    take_realtime(realtime, below=5)
     robot = opt.described_robot(config)
     learned, origin = opt.learned_of(robot, config, baseline)
     configure(settings)  # what is wrong shows before a minute of compiling

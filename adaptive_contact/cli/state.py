@@ -174,16 +174,14 @@ def _row(stored: Stored) -> dict[str, Any]:
     if isinstance(record, Refused):
         empty = dict.fromkeys(("robot", "leg", "library", "settings", "model_version", "age_s"))
         return row | empty | {"refused": record.why}
-    known = {
-        name: getattr(record.identity, name) for name in ("robot", "leg", "library", "settings")
-    }
     refused = stored.path.suffix == ".refused"
-    return (
-        row
-        | known
-        | {
-            "model_version": record.model_version,
-            "age_s": max(0.0, (time.time_ns() - record.saved_ns) / 1e9),
-            "refused": "refused by the service; the log says why" if refused else None,
-        }
-    )
+    return {
+        **row,
+        "robot": record.identity.robot,
+        "leg": record.identity.leg,
+        "library": record.identity.library,
+        "settings": record.identity.settings,
+        "model_version": record.model_version,
+        "age_s": max(0.0, (time.time_ns() - record.saved_ns) / 1e9),
+        "refused": "refused by the service; the log says why" if refused else None,
+    }

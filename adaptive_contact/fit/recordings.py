@@ -273,16 +273,12 @@ def _between_slips(reads: list[ServoSample], period_ns: int) -> Iterator[list[Se
     for k in range(1, len(reads)):
         if stamps[k] - stamps[k - 1] < slip_ns:
             continue
-        before, after = (statistics.median(part) for part in _around(stamps, k))
+        before = statistics.median(stamps[max(k - SLIP_TICKS, 0) : k])
+        after = statistics.median(stamps[k : k + SLIP_TICKS])
         if after - before >= slip_ns:
             yield reads[first:k]
             first = k
     yield reads[first:]
-
-
-def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
-    """Some values before the k-th, and as many from it on."""
-    return values[max(k - SLIP_TICKS, 0) : k], values[k : k + SLIP_TICKS]
 
 
 class _Received(NamedTuple):

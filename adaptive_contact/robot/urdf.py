@@ -124,13 +124,6 @@ class Urdf:
         self._joints = [self._joint(joint) for joint in root.iterfind("joint")]
         self._parents = self._tree()
 
-    @property
-    def tips(self) -> list[str]:
-        """Return the links that carry no other, and that joints move."""
-        carrying = {joint.parent for joint in self._joints}
-        ends = [link for link in self.links if link not in carrying]
-        return [link for link in ends if any(j.kind in _TURNING for j in self._above(link))]
-
     def legs(
         self,
         feet: Mapping[str, str],
@@ -321,8 +314,11 @@ class Urdf:
         return path
 
     def last_links(self) -> str:
-        """Describe the links that carry no other, for the operator."""
-        tips = sorted(self.tips, key=lambda link: not _FOOT.search(link))
+        """Describe the links that carry no other and that joints move, for the operator."""
+        carrying = {joint.parent for joint in self._joints}
+        ends = [link for link in self.links if link not in carrying]
+        moved = [link for link in ends if any(j.kind in _TURNING for j in self._above(link))]
+        tips = sorted(moved, key=lambda link: not _FOOT.search(link))
         more = f" and {len(tips) - _LISTED} more" if len(tips) > _LISTED else ""
         return ", ".join(tips[:_LISTED] or ["none"]) + more
 
