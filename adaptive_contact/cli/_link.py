@@ -8,6 +8,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+import typer
+
 from adaptive_contact.cli._output import say_note, say_waiting
 from adaptive_contact.errors import LinkError
 from adaptive_contact.priority import take_priority
@@ -23,11 +25,12 @@ def open_link(
     *,
     on_wait: Callable[[Finding], None] = say_waiting,
     patience_s: float = math.inf,
-) -> Link | None:
-    """Join a router, or listen as one; None where ``stop`` was set while there was none to join.
+) -> Link:
+    """Join a router, or listen as one.
 
     Raises:
         LinkError: it cannot be.
+        typer.Exit: ``stop`` was set while there was none to join.
     """
     from adaptive_contact.service.link import Link
 
@@ -35,7 +38,7 @@ def open_link(
         return Link.open(settings, on_wait=on_wait, stop=stop, patience_s=patience_s)
     except LinkError:
         if stop.is_set():
-            return None
+            raise typer.Exit from None
         raise
 
 

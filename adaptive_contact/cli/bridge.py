@@ -15,9 +15,9 @@ import typer
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import BaudOption, DeviceOption, described_in, plans_of, shake_hands
-from adaptive_contact.cli._link import take_realtime, unless_stopped
+from adaptive_contact.cli._link import open_link, take_realtime, unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
+from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import needs
 
@@ -103,30 +103,28 @@ def foxglove(
     make_stdout_optional()
     stop = opt.stoppable()
     from adaptive_contact.service.foxglove_live import FoxgloveServer
-    from adaptive_contact.service.link import Link
 
     settings = network.client()
-    with unless_stopped(stop):
-        with (
-            Link.open(settings, on_wait=say_waiting, stop=stop) as link,
-            FoxgloveServer(link, host, port) as server,
-        ):
+    with (
+        open_link(settings, stop) as link,
+        FoxgloveServer(link, host, port) as server,
+    ):
+        say(
+            f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
+            f"(Open connection), or {server.app_url}; stop with Ctrl-C"
+        )
+        if host not in ("127.0.0.1", "localhost", "::1"):
             say(
-                f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
-                f"(Open connection), or {server.app_url}; stop with Ctrl-C"
-            )
-            if host not in ("127.0.0.1", "localhost", "::1"):
-                say(
-                    "adaptive-contact bridge foxglove: everybody who can reach this address sees "
-                    "everything; where others listen, leave --host out and use ssh -L",
-                    err=True,
-                )
-            server.run(stop)
-        for (key, why), count in server.left_out.most_common(8):
-            say(
-                f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
+                "adaptive-contact bridge foxglove: everybody who can reach this address sees "
+                "everything; where others listen, leave --host out and use ssh -L",
                 err=True,
             )
+        server.run(stop)
+    for (key, why), count in server.left_out.most_common(8):
+        say(
+            f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
+            err=True,
+        )
 
 
 def _say_ros(line: str) -> None:

@@ -82,10 +82,7 @@ def record(
         robot = load_robot(config)
         about["robot"], scene = robot.name, Scene(robot)
     settings = network.client()
-    link = open_link(settings, stop)
-    if link is None:
-        return
-    with link:
+    with open_link(settings, stop) as link:
         started_s = time.monotonic()
         live = sys.stderr.isatty()
         with contextlib.ExitStack() as stack:

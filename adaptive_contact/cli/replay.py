@@ -236,10 +236,7 @@ def _to_wire(
     from adaptive_contact.service.replay import WirePlayer
 
     stop = opt.stoppable()
-    link = open_link(settings, stop)
-    if link is None:
-        return
-    with link:
+    with open_link(settings, stop) as link:
         # Milliseconds since 1970: a later replay is a newer start.
         run = time.time_ns() // 1_000_000
         player = WirePlayer(link, speed, everything=everything, keep_run=keep_run, run=run)

@@ -135,8 +135,6 @@ def serve(
         when_ambiguous=when_ambiguous,
     )
     link = open_link(settings, stop)
-    if link is None:
-        return
     try:
         if slow is not None:
             compile_in_view(slow, link, robot, origin, stop)

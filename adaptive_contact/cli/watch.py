@@ -61,13 +61,13 @@ def watch(
 
     # A script that looks once is not to stand still where there is no router.
     patience_s = wait if once else math.inf
-    link = open_link(settings, stop, patience_s=patience_s)
-    if link is None:
-        return
     # A table in a terminal is drawn again and again; lines are printed when they are due.
     drawn = not once and not json and sys.stdout.isatty()
     console = table_console(pipe_width=160)
-    with link, Live(console=console, auto_refresh=False) if drawn else nullcontext() as live:
+    with (
+        open_link(settings, stop, patience_s=patience_s) as link,
+        Live(console=console, auto_refresh=False) if drawn else nullcontext() as live,
+    ):
         feed, due_s = Feed(link, states=True), time.monotonic() + seconds
         while not stop.wait(min(_REFRESH_S, seconds)):
             view = feed.view(time.monotonic_ns())
