@@ -41,10 +41,3 @@ def yield_priority(nice: int) -> None:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with contextlib.suppress(OSError, AttributeError):
         os.nice(nice)
-
-
-def cores() -> int:
-    """Return how many processors this process may run on, at least 1."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -111,7 +111,7 @@ REFUSED_FOR: Final[dict[str, frozenset[Reject]]] = {
 # Causes that spoil every tick: no model of the leg can be learned from such a recording.  Other
 # causes spoil known ticks, which are left out.
 SPOILS: Final = frozenset(
-    {"units", "echo", "twins", "frozen", "order", "backwards", "far"} | {"quantum", "held"}
+    {"units", "echo", "twins", "frozen", "order", "backwards", "far"} | {"quantum", "held", "phase"}
 )
 
 

@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
-from adaptive_contact.checks.conventions.feet import LOOSE, Feet, Walker, on_body
+from adaptive_contact.checks.conventions.feet import LOOSE, Feet, Walker
 from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.checks.watch import Watch
 from adaptive_contact.core.detect.layout import KEPT
@@ -219,7 +219,7 @@ def _seated(legs: Sequence[Walker]) -> Feet:
         at = legs[i if turned else seat]
         yaws = turned & (np.array(at.leg.joint_axes) == "yaw")
         desired = legs[i].motion.desired * np.where(yaws, -1.0, 1.0)
-        return on_body(at.leg, at.chain.foot(desired))
+        return at.leg.on_body(at.chain.foot(desired))
 
     return Feet(legs, legs[0].lag, [leg.plain for leg in legs], place)
 

@@ -16,7 +16,6 @@ import msgspec
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.checks.conventions.feet import on_body
 from adaptive_contact.checks.conventions.judge import judge_motion
 from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.checks.findings import Fault, Finding, Level, entries
@@ -248,7 +247,7 @@ class _LegCheck:
         if leg.chain is None:
             return view
         place = leg.chain.foot(newest.measured)
-        body = on_body(leg, place)
+        body = leg.on_body(place)
         known = leg.mount != Mount()
         commanded = leg.chain.foot(newest.desired)[2]
         return msgspec.structs.replace(
@@ -287,7 +286,7 @@ def _moved(leg: Leg, before: Array, now: Array) -> str:
     )
     if leg.chain is None:
         return f"{leg.id}: {joints}"
-    was, came = (on_body(leg, leg.chain.foot(q)) for q in (before, now))
+    was, came = (leg.on_body(leg.chain.foot(q)) for q in (before, now))
     ahead, left, up = came - was
     ways = ((up, "up", "down"), (ahead, "forward", "back"), (left, "left", "right"))
     most = max(abs(way) for way, *_ in ways)
@@ -302,7 +301,7 @@ def _moved(leg: Leg, before: Array, now: Array) -> str:
 def _flatness(resting: Mapping[Leg, Array]) -> Flatness | None:
     """Measure how far the feet are from a plane; None if too few legs with mounts rest."""
     placed = {
-        leg.id: on_body(leg, leg.chain.foot(q))
+        leg.id: leg.on_body(leg.chain.foot(q))
         for leg, q in resting.items()
         if leg.chain is not None and leg.mount != Mount()
     }

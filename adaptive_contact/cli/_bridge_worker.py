@@ -10,11 +10,10 @@ from typing import Any, Literal
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.transport import Mailbox
-from adaptive_contact.cli._link import unless_stopped
+from adaptive_contact.cli._link import take_realtime, unless_stopped
 from adaptive_contact.cli._output import protect_output, say
 from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.errors import AdaptiveContactError
-from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, LinkSettings
 from adaptive_contact.service.settings import Finding
 from adaptive_contact.wire import (
@@ -71,7 +70,7 @@ def work(
     on_signals(lambda *_: stop.set())
     # Before Zenoh makes its threads: a publication waits for their locks, and would otherwise
     # wait for as long as an ordinary thread that holds one is not let run.
-    refused = take_priority() if realtime else None
+    take_realtime(realtime)
 
     def waits(finding: Finding) -> None:
         _say(f"port {plan.name}: {finding.line}; trying on")
@@ -81,8 +80,6 @@ def work(
             outlet, mailbox = ZenohOutlet(link, plan), Mailbox()
             if mode == "drive":
                 listen(link, plan, mailbox)
-            if refused is not None:
-                outlet.say(f"port {plan.name}: {refused}")
             PortLoop(plan, mode, outlet, mailbox, run, phase=phase).run(stop)
     except AdaptiveContactError as error:
         _say(str(error))

@@ -63,7 +63,7 @@ def first_start() -> str | None:
     if not compiles() or is_cached():
         return None
     kept = "once" if cache_folder() else "at each start, as no folder could be had to keep it in"
-    how_long = f"{_about(compiling_s())} of one core, longer beside other work"
+    how_long = f"about {max(compiling_s(), 1.0):.0f} s of one core, longer beside other work"
     return f"compiling the arithmetic of a tick for this computer, {kept}: {how_long}"
 
 
@@ -102,12 +102,6 @@ def compile_in_view(
             wait([compiled], 1.0)
     samples.close()
     compiled.result()
-
-
-def _about(seconds: float) -> str:
-    """Round a time that is estimated."""
-    step = 1 if seconds < 10.0 else 5 if seconds < 60.0 else 30
-    return f"about {max(round(seconds / step) * step, 1)} s"
 
 
 def _children_s() -> float:

@@ -1,17 +1,18 @@
-"""Opens and closes the link of a command that runs until Ctrl-C."""
+"""Opens the link of a command that runs until Ctrl-C, and gives the command priority."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-import os
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from adaptive_contact.cli._output import say_waiting
+import typer
+
+from adaptive_contact.cli._output import say_note, say_waiting
 from adaptive_contact.errors import LinkError
+from adaptive_contact.priority import take_priority
 from adaptive_contact.service.settings import Finding, LinkSettings
 
 if TYPE_CHECKING:
@@ -24,11 +25,12 @@ def open_link(
     *,
     on_wait: Callable[[Finding], None] = say_waiting,
     patience_s: float = math.inf,
-) -> Link | None:
-    """Join a router, or listen as one; None where ``stop`` was set while there was none to join.
+) -> Link:
+    """Join a router, or listen as one.
 
     Raises:
         LinkError: it cannot be.
+        typer.Exit: ``stop`` was set while there was none to join.
     """
     from adaptive_contact.service.link import Link
 
@@ -36,7 +38,7 @@ def open_link(
         return Link.open(settings, on_wait=on_wait, stop=stop, patience_s=patience_s)
     except LinkError:
         if stop.is_set():
-            return None
+            raise typer.Exit from None
         raise
 
 
@@ -50,8 +52,13 @@ def unless_stopped(stop: threading.Event) -> Iterator[None]:
             raise
 
 
-def leave(*, closed: bool) -> None:
-    """End where another program hangs on to the session: the interpreter's own exit would wait."""
-    if not closed:
-        sys.stdout.flush()
-        os._exit(0)
+def take_realtime(wanted: bool, below: int = 0) -> None:
+    """Run before all ordinary processes where that is wanted; say why where it is not allowed.
+
+    Args:
+        wanted: by ``--realtime``.
+        below: by how much to stand back behind others that call this.
+    """
+    refused = take_priority(below) if wanted else None
+    if refused is not None:
+        say_note(refused)

@@ -17,7 +17,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
 from adaptive_contact.robot.description import MAX_JOINTS
-from adaptive_contact.robot.kinematics import Vector
 from adaptive_contact.robot.load import recorded_as
 from adaptive_contact.robot.urdf import UrdfLegs, read_urdf
 from adaptive_contact.robot.write import write_robot
@@ -217,17 +216,12 @@ def _joint_names(text: str | None) -> int | tuple[str, ...]:
     return names
 
 
-def _points(text: str) -> list[Vector]:
-    points = [floats(part) for part in text.split("/")]
-    if not all(len(point) == 3 and max(map(abs, point)) <= 5.0 for point in points):
-        raise ConfigurationError(f"--tip {text}: expected X,Y,Z in m, such as 0,0,-0.1")
-    return [(x, y, z) for x, y, z in points]
-
-
 def _read_urdf(wishes: Wishes, path: Path, feet: Mapping[str, str]) -> UrdfLegs:
     if wishes.joints is not None:
         raise ConfigurationError("--joints and --urdf both give the joints; leave --joints out")
-    tips = [] if wishes.tip is None else _points(wishes.tip)
+    tips = [floats(part) for part in (wishes.tip or "").split("/") if wishes.tip]
+    if not all(len(point) == 3 and max(map(abs, point)) <= 5.0 for point in tips):
+        raise ConfigurationError(f"--tip {wishes.tip}: expected X,Y,Z in m, such as 0,0,-0.1")
     return read_urdf(path).legs(feet, base=wishes.base, tips_m=tips)
 
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from adaptive_contact.bridge.training import Script
-    from adaptive_contact.fit.recordings import LegGatherer
-    from adaptive_contact.fit.train import Stretch, Training
 
 # Not every free tick can be used: some are too early in a stretch to have a past.
 _MORE: Final = 1.15
@@ -92,12 +90,7 @@ def learn(
         of_bus={"--device": device, "--drive": drive, "--pose": pose, "--realtime": realtime},
         of_wire=network.given,
     )
-    from adaptive_contact.cli.fit import (
-        check_conventions,
-        check_streams,
-        gather,
-        keep_training,
-    )
+    from adaptive_contact.cli.fit import fit_gathered, gather
 
     read = [*(more or []), config]
     opt.check_output(out, "--out", read, force=force)
@@ -110,7 +103,7 @@ def learn(
                 f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; "
                 "measure its links and fill them in"
             )
-    gathered = gather(more or [], robot, refuse=not anyway)
+    gather(more or [], robot, refuse=not anyway)  # what is wrong in them is said first
     if live:
         from adaptive_contact.cli._robot_check import collect_live
 
@@ -140,33 +133,37 @@ def learn(
     # A busy computer reads fewer ticks than it was asked for: what is short is read on.
     left_s, next_s = 3.0 * seconds, seconds
     while True:
-        samples = source(seconds=next_s)
-        left_s -= next_s
-        for name, rows in samples.items():
+        for name, rows in source(seconds=next_s).items():
             everything.setdefault(name, []).extend(rows)
-            for sample in rows:
-                gathered[name].take_sample(sample)
+        left_s -= next_s
         keep(everything, kept, robot)
-        check_streams(robot, samples, {}, gathered.limits, refuse=not anyway)
-        check_conventions(robot, gathered, bridge=not live, refuse=not anyway)
-        say_note("fitting the legs' models to what was read")
+        gathered = gather([*(more or []), kept], robot, refuse=not anyway)
         try:
-            training = fit_samples(robot, gathered, f"adaptive-contact robot learn ({out.name})")
+            fit_gathered(
+                gathered,
+                robot,
+                out,
+                f"adaptive-contact robot learn ({out.name})",
+                free=True,
+                bridge=not live,
+                anyway=anyway,
+                json=json,
+                equations=equations,
+            )
             break
         except TooLittleDataError as error:
             read_s = robot.period_s * max(one.samples for one in gathered.values())
-            next_s = math.ceil(read_s * (error.needed / max(error.have, 1) - 1.0))
+            next_s = math.ceil(read_s * (_MORE * error.needed / max(error.have, 1) - 1.0))
             if 0 < next_s <= left_s and not stop.is_set():
                 say_note(f"{error}: going on for {next_s} s")
                 continue
             again = " ".join(f"--more {path}" for path in [*(more or []), kept])
             raise TooLittleDataError(
-                f"{error}; what was recorded is in {kept}: run this again with {again} to add to "
-                "it",
+                f"{error}, for {next_s} s at this pace; what was recorded is in {kept}: run this "
+                f"again with {again} to add to it",
                 error.have,
                 error.needed,
             ) from error
-    keep_training(training, robot, out, anyway=anyway, json=json, equations=equations)
     say(f"baseline written to {out}, the recording to {kept}", err=True)
 
 
@@ -266,54 +263,3 @@ def keep(samples: Mapping[str, Sequence[ServoSample]], path: Path, robot: Robot)
     with RecordingWriter(path, about, Scene(robot)) as file:
         for t_ns, leg, row in sorted(rows, key=lambda item: item[:2]):
             file.write_message(servo_key(leg), row, t_ns)
-
-
-def fit_samples(robot: Robot, gathered: Mapping[str, LegGatherer], origin: str) -> Training:
-    """Learn every leg from what was gathered, all of it free.
-
-    Raises:
-        TooLittleDataError: there is too little to learn from; what is missing, leg by leg.
-        IdentificationError: it cannot be learned from.
-    """
-    from threadpoolctl import threadpool_limits
-
-    from adaptive_contact.fit import train
-
-    streams = {
-        leg: [
-            stretch
-            for stretch in gatherer.stretches(free=True)
-            # Lost ticks cut a stream to pieces; what is shorter than a swing teaches nothing.
-            if _free(stretch) > 12
-        ]
-        for leg, gatherer in gathered.items()
-        if gatherer.samples
-    }
-    if not any(streams.values()):
-        raise TooLittleDataError(
-            "no leg was swung; swing them in free air while this runs, or let --drive do it", 0, 1
-        )
-    try:
-        with threadpool_limits(1):  # matrices this small only wait for each other in threads
-            return train.learn(robot, streams, origin=origin)
-    except TooLittleDataError as error:
-        factor = _MORE * error.needed / max(error.have, 1)
-        have, lines = 0, []
-        for leg, gatherer in gathered.items():
-            ticks = sum(map(_free, streams.get(leg, ())))
-            have += ticks
-            more_s = math.ceil(gatherer.samples * robot.period_s * (factor - 1.0))
-            lines.append(
-                f"leg {leg} {ticks} of {math.ceil(ticks * factor)} free ticks, {more_s} s more at "
-                "this pace"
-                if ticks
-                else f"leg {leg} was not swung"
-            )
-        listed = "; ".join(lines)
-        raise TooLittleDataError(
-            f"too little to learn from: {listed}", have, round(have * factor)
-        ) from error
-
-
-def _free(stretch: Stretch) -> int:
-    return int((stretch.swing & stretch.free & stretch.sound).sum())

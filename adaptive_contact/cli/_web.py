@@ -115,8 +115,6 @@ def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bo
             )
 
         link = open_link(link_settings, stop, on_wait=waiting)
-        if link is None:
-            return
         stack.callback(link.close)
         page.follow(link)
         stack.callback(page.close)  # before the link that it asks

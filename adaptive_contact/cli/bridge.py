@@ -15,12 +15,11 @@ import typer
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import BaudOption, DeviceOption, described_in, plans_of, shake_hands
-from adaptive_contact.cli._link import unless_stopped
+from adaptive_contact.cli._link import open_link, take_realtime, unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
+from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import needs
-from adaptive_contact.priority import take_priority
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
@@ -65,9 +64,7 @@ def ros2(
     settings = network.client(json=json)
     ros_settings = opt.Network(ros_connect, None, ros_zenoh_config).client()
 
-    refused = take_priority() if realtime else None
-    if refused is not None:
-        _say_ros(refused)
+    take_realtime(realtime)
     with (
         unless_stopped(stop),
         Link.open(
@@ -106,30 +103,28 @@ def foxglove(
     make_stdout_optional()
     stop = opt.stoppable()
     from adaptive_contact.service.foxglove_live import FoxgloveServer
-    from adaptive_contact.service.link import Link
 
     settings = network.client()
-    with unless_stopped(stop):
-        with (
-            Link.open(settings, on_wait=say_waiting, stop=stop) as link,
-            FoxgloveServer(link, host, port) as server,
-        ):
+    with (
+        open_link(settings, stop) as link,
+        FoxgloveServer(link, host, port) as server,
+    ):
+        say(
+            f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
+            f"(Open connection), or {server.app_url}; stop with Ctrl-C"
+        )
+        if host not in ("127.0.0.1", "localhost", "::1"):
             say(
-                f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
-                f"(Open connection), or {server.app_url}; stop with Ctrl-C"
-            )
-            if host not in ("127.0.0.1", "localhost", "::1"):
-                say(
-                    "adaptive-contact bridge foxglove: everybody who can reach this address sees "
-                    "everything; where others listen, leave --host out and use ssh -L",
-                    err=True,
-                )
-            server.run(stop)
-        for (key, why), count in server.left_out.most_common(8):
-            say(
-                f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
+                "adaptive-contact bridge foxglove: everybody who can reach this address sees "
+                "everything; where others listen, leave --host out and use ssh -L",
                 err=True,
             )
+        server.run(stop)
+    for (key, why), count in server.left_out.most_common(8):
+        say(
+            f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
+            err=True,
+        )
 
 
 def _say_ros(line: str) -> None:
@@ -284,10 +279,7 @@ def virtual(
         from adaptive_contact_sim.virtual.assembly import with_servos
         from adaptive_contact_sim.virtual.session import run
     robot = opt.described_robot(config)
-    if realtime:
-        refused = take_priority()
-        if refused is not None:
-            say(f"adaptive-contact bridge virtual: {refused}", err=True)
+    take_realtime(realtime)
     run(
         robot if servos is None else with_servos(robot, servos),
         directory,

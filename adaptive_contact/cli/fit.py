@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
-from rich.table import Table
 
 from adaptive_contact.checks.findings import REFUSED_FOR, SPOILS, Finding, of_legs
 from adaptive_contact.cli import _options as opt
@@ -20,7 +19,7 @@ from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, l
 
 if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
-    from adaptive_contact.fit.train import LegFigures, Stretch, Training
+    from adaptive_contact.fit.train import Stretch, Training
     from adaptive_contact.service.worth import Worth
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
@@ -49,19 +48,57 @@ def fit(
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""
     opt.check_output(out, "--out", [*recordings, config], force=force)
-    from threadpoolctl import threadpool_limits
-
-    from adaptive_contact.fit.train import learn
-
     robot = opt.recorded_robot(config, recordings)
     gathered = gather(recordings, robot, refuse=not anyway)
-    check_conventions(robot, gathered, refuse=not anyway)
+    origin = f"adaptive-contact fit {' '.join(path.name for path in recordings)}"
+    fit_gathered(
+        gathered, robot, out, origin, free=free, anyway=anyway, json=json, equations=equations
+    )
+    say(f"baseline written to {out}", err=True)
+
+
+def fit_gathered(
+    gathered: Gathered,
+    robot: Robot,
+    out: Path,
+    origin: str,
+    *,
+    free: bool,
+    bridge: bool = False,
+    anyway: bool,
+    json: bool,
+    equations: bool,
+) -> None:
+    """Fit what was gathered, say how good it is, and write the baseline.
+
+    Args:
+        gathered: samples and truth, by leg.
+        robot: its description.
+        out: file of the baseline.
+        origin: one line on where the samples come from.
+        free: swings without truth touched nothing.
+        bridge: see :func:`check_conventions`.
+        anyway: write it even if it seems useless.
+        json: print JSON.
+        equations: print them, too.
+
+    Raises:
+        TooLittleDataError: there is too little to learn from.
+        IdentificationError: it cannot be learned from.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from adaptive_contact.cli._verdict import unusable, verdict
+    from adaptive_contact.fit.train import learn
+    from adaptive_contact.model.model_file import save_baseline
+
+    check_conventions(robot, gathered, bridge=bridge, refuse=not anyway)
     streams = {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples}
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
         training = learn(
             robot,
             streams,
-            origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
+            origin=origin,
             progress=lambda leg: say(f"fitting leg {leg}", err=True),
         )
         worth = try_out(robot, streams, training)
@@ -75,15 +112,27 @@ def fit(
                 "record free swings, or with truth, to learn from all of them"
             )
         if not known.determined:
-            say_note(undetermined(leg_id, known))
+            say_note(
+                f"leg '{leg_id}': its motions are too few, or too alike, to determine all terms; "
+                "what is known of any leg stands in for the rest: record more motions, at every "
+                "speed that the leg will have"
+            )
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
         say_note(
             f"the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
             "they are cautious, and soft contacts will be missed; record more swings"
         )
-    keep_training(training, robot, out, anyway=anyway, json=json, equations=equations, worth=worth)
-    say(f"baseline written to {out}", err=True)
+    why = unusable(robot, training)
+    if why is not None:
+        say_note(why)
+        if not anyway:
+            say_note("no baseline was written; --anyway writes it all the same")
+            raise typer.Exit(1)
+    save_baseline(training.baseline, out)
+    print_training(training, robot, json=json, equations=equations, worth=worth)
+    for line in verdict(robot, training, worth):
+        say(line, err=json)
 
 
 def try_out(
@@ -101,20 +150,6 @@ def try_out(
     except IdentificationError:
         return {}
     return worth(robot, first.baseline, {leg: part for leg, (_, part) in parts.items()})
-
-
-def undetermined(leg: str, known: LegFigures) -> str:
-    """Say that a recording does not determine all terms, and what that means."""
-    line = (
-        f"leg '{leg}': its motions are too few, or too alike, to determine all terms; what is "
-        "known of any leg stands in for the rest"
-    )
-    if known.lone:
-        line += (
-            f"; {known.lone} ticks move as no other motion does, and are judged by ten times the "
-            "noise and more instead of raising the thresholds of all"
-        )
-    return line + ": record more motions, at every speed that the leg will have"
 
 
 class Gathered(dict[str, "LegGatherer"]):
@@ -300,42 +335,6 @@ def check_conventions(
         )
 
 
-def keep_training(
-    training: Training,
-    robot: Robot,
-    out: Path,
-    *,
-    anyway: bool,
-    json: bool,
-    equations: bool,
-    worth: Mapping[str, Worth] | None = None,
-) -> None:
-    """Write what was learned, and show how good it is; end with code 1 where it is no model.
-
-    Args:
-        training: what was learned.
-        robot: its description.
-        out: the file.
-        anyway: write it all the same.
-        json: print it as JSON.
-        equations: print them, too.
-        worth: what is found on swings that were held out, by leg.
-    """
-    from adaptive_contact.fit.verdict import refusals, verdict
-    from adaptive_contact.model.model_file import save_baseline
-
-    refused = refusals(robot, training)
-    for line in refused:
-        say_note(line)
-    if refused and not anyway:
-        say_note("no baseline was written; --anyway writes it all the same")
-        raise typer.Exit(1)
-    save_baseline(training.baseline, out)
-    print_training(training, robot, json=json, equations=equations, worth=worth)
-    for line in verdict(robot, training, worth):
-        say(line, err=json)
-
-
 def print_training(
     training: Training,
     robot: Robot,
@@ -344,9 +343,7 @@ def print_training(
     equations: bool,
     worth: Mapping[str, Worth] | None = None,
 ) -> None:
-    """Show how well every leg was learned, after its equations where they are wanted."""
-    import numpy as np
-
+    """Show the thresholds, after every leg's equations where they are wanted; or all as JSON."""
     thresholds = training.baseline.thresholds(robot.detector.false_alarms_per_hour)
     if json:
         text = {
@@ -366,21 +363,6 @@ def print_training(
         for line in entry.model.equations():
             console.print("  " + line, soft_wrap=True)
         console.print()
-    table = Table(title="Held-out one-step error, degrees (per joint)")
-    for column in ("leg", "swings", "free ticks", "outliers", "λ", "terms", "RMS", "no motion"):
-        table.add_column(column, justify="left" if column == "leg" else "right")
-    for leg, known in training.figures.items():
-        table.add_row(
-            leg,
-            str(known.swings),
-            str(known.rows),
-            str(known.outliers),
-            f"{known.threshold:g}",
-            f"{'/'.join(map(str, known.terms))} of {known.library_size}",
-            " ".join(f"{x:.3f}" for x in np.degrees(known.held_out_rms)),
-            " ".join(f"{x:.2f}" for x in np.degrees(known.naive_rms)),
-        )
-    console.print(table)
     aim = robot.detector.false_alarms_per_hour
     console.print(
         f"thresholds for {aim:g} false alarm(s) per robot-hour, windows of 1, 2, 3 ticks: "

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.cli import _options as opt
-from adaptive_contact.cli._link import leave, open_link
+from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note
 from adaptive_contact.errors import ConfigurationError
@@ -82,10 +82,7 @@ def record(
         robot = load_robot(config)
         about["robot"], scene = robot.name, Scene(robot)
     settings = network.client()
-    link = open_link(settings, stop)
-    if link is None:
-        return
-    try:
+    with open_link(settings, stop) as link:
         started_s = time.monotonic()
         live = sys.stderr.isatty()
         with contextlib.ExitStack() as stack:
@@ -100,13 +97,10 @@ def record(
             recorder.run(
                 stop, seconds, (lambda: _progress(recorder.counts, started_s)) if live else None
             )
-    finally:
-        closed = link.close()
     if live:
         overwrite("")
     files = writer.paths if isinstance(writer, SplitWriter) else [file]
     _report(files, key, recorder.counts, time.monotonic() - started_s)
-    leave(closed=closed)
 
 
 def _kinds(counts: collections.Counter[str]) -> str:

@@ -15,7 +15,7 @@ import typer
 from adaptive_contact.checks.findings import Fault, explained
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
-from adaptive_contact.cli._link import leave, open_link
+from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.core.learn.mode import WhenAmbiguous
@@ -236,10 +236,7 @@ def _to_wire(
     from adaptive_contact.service.replay import WirePlayer
 
     stop = opt.stoppable()
-    link = open_link(settings, stop)
-    if link is None:
-        return
-    try:
+    with open_link(settings, stop) as link:
         # Milliseconds since 1970: a later replay is a newer start.
         run = time.time_ns() // 1_000_000
         player = WirePlayer(link, speed, everything=everything, keep_run=keep_run, run=run)
@@ -247,8 +244,6 @@ def _to_wire(
         robots = OneRobot(recording)
         player.play(robots, stop)
         elapsed_s = time.perf_counter() - started_s
-    finally:
-        closed = link.close()
     if speed is None:
         say_note(
             "a service drops samples that come faster than it can judge them (`overflow` in "
@@ -268,7 +263,6 @@ def _to_wire(
         raise RecordingError(
             f"{recording.path}: nothing to publish, there is no servo sample and no truth in it"
         )
-    leave(closed=closed)
 
 
 def _warn(recording: Recording, counts: Counts) -> None:

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import subprocess
 import sys
 import time
-import traceback
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from adaptive_contact import __version__
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_in_view, compile_tick, first_start
-from adaptive_contact.cli._link import open_link
+from adaptive_contact.cli._link import open_link, take_realtime
 from adaptive_contact.cli._options import option
-from adaptive_contact.cli._output import make_stdout_optional, say, say_note
+from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.core.learn.mode import WhenAmbiguous
-from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
-from adaptive_contact.priority import cores, take_priority
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, shown
 
@@ -99,110 +93,72 @@ def serve(
 
     if no_state and state is not None:
         raise ConfigurationError("--state and --no-state contradict each other; give one of them")
-    with _refitting() as process:
-        from threadpoolctl import threadpool_limits
+    from threadpoolctl import threadpool_limits
 
-        from adaptive_contact.core.bank import LearnerBank
-        from adaptive_contact.service.link import router_settings
-        from adaptive_contact.service.logs import LogThrottle, configure_logs
-        from adaptive_contact.service.refits import ProcessRefitter
-        from adaptive_contact.service.server import Service, Sweeper
-        from adaptive_contact.service.transport import configure
+    from adaptive_contact.core.bank import LearnerBank
+    from adaptive_contact.service.link import router_settings
+    from adaptive_contact.service.logs import LogThrottle, configure_logs
+    from adaptive_contact.service.refits import ProcessRefitter
+    from adaptive_contact.service.server import Service, Sweeper
+    from adaptive_contact.service.transport import configure
 
-        configure_logs(log_level, json=log_json)
-        settings = router_settings(
-            listen or (),
-            network.connect or (),
-            namespace=network.namespace,
-            json=json,
-            zenoh_config=network.zenoh_config,
-            insecure=insecure,
-            max_sessions=max_sessions,
-        )
-        # Python hands its lock on every 5 ms while a thread computes; a callback or the outbox
-        # would wait as long for the worker.  At half a millisecond the hand-over costs nothing that
-        # can be measured.
-        sys.setswitchinterval(0.0005)
-        threadpool_limits(1)  # matrices this small only wait for each other in threads
-        # Before Zenoh makes its threads: an event passes through them.
-        # In real-time priority, behind a bridge on the same computer: a reading missed is lost.
-        refused = take_priority(below=5) if realtime else None
-        if refused is not None:
-            say_note(refused)
-        robot = opt.described_robot(config)
-        learned, origin = opt.learned_of(robot, config, baseline)
-        configure(settings)  # what is wrong shows before a minute of compiling
-        slow = first_start()
-        if slow is None:
-            compile_tick(stop)
-        refitter = ProcessRefitter(process=process)
-        bank = LearnerBank(
-            robot,
-            learned,
-            refitter=refitter,
-            on_fault=LogThrottle(60.0).fault,
-            when_ambiguous=when_ambiguous,
-        )
-        link = open_link(settings, stop)
-        if link is None:
+    configure_logs(log_level, json=log_json)
+    settings = router_settings(
+        listen or (),
+        network.connect or (),
+        namespace=network.namespace,
+        json=json,
+        zenoh_config=network.zenoh_config,
+        insecure=insecure,
+        max_sessions=max_sessions,
+    )
+    # Python hands its lock on every 5 ms while a thread computes; a callback or the outbox
+    # would wait as long for the worker.  At half a millisecond the hand-over costs nothing that
+    # can be measured.
+    sys.setswitchinterval(0.0005)
+    threadpool_limits(1)  # matrices this small only wait for each other in threads
+    # Before Zenoh makes its threads: an event passes through them.
+    # In real-time priority, behind a bridge on the same computer: a reading missed is lost.
+    take_realtime(realtime, below=5)
+    robot = opt.described_robot(config)
+    learned, origin = opt.learned_of(robot, config, baseline)
+    configure(settings)  # what is wrong shows before a minute of compiling
+    slow = first_start()
+    if slow is None:
+        compile_tick(stop)
+    refitter = ProcessRefitter()
+    bank = LearnerBank(
+        robot,
+        learned,
+        refitter=refitter,
+        on_fault=LogThrottle(60.0).fault,
+        when_ambiguous=when_ambiguous,
+    )
+    link = open_link(settings, stop)
+    try:
+        if slow is not None:
+            compile_in_view(slow, link, robot, origin, stop)
+        if stop.is_set():
             return
-        try:
-            if slow is not None:
-                compile_in_view(slow, link, robot, origin, stop)
-            if stop.is_set():
-                return
-            keeper = None if no_state else keeper_of(state, robot, learned, network.namespace)
-            sweeper = Sweeper()
-            service = Service(
-                link,
-                bank,
-                robot,
-                baseline=origin,
-                now_ns=time.monotonic_ns(),
-                keeper=keeper,
-                sweeper=sweeper,
-                described_only=described_only,
-            )
-            sweeper.start(time.monotonic_ns())
-            say(_ready_line(link, robot, origin))
-            refitter.start()
-            service.run(stop)
-        finally:
-            refitter.close()
-            if not link.close():
-                _leave(sys.exception())
-
-
-@contextlib.contextmanager
-def _refitting() -> Iterator[subprocess.Popen[bytes] | None]:
-    """Run the process that refits, which loads what it needs while the service does.
-
-    None where there is one core: there it would only make the service late, and starts after it.
-    """
-    from adaptive_contact.service.refit_process import end_process, start_process
-
-    process = None
-    if cores() > 1:
-        with contextlib.suppress(OSError):  # no room for it now; the first job tries again
-            process = start_process()
-    try:
-        yield process
+        keeper = None if no_state else keeper_of(state, robot, learned, network.namespace)
+        sweeper = Sweeper()
+        service = Service(
+            link,
+            bank,
+            robot,
+            baseline=origin,
+            now_ns=time.monotonic_ns(),
+            keeper=keeper,
+            sweeper=sweeper,
+            described_only=described_only,
+        )
+        sweeper.start(time.monotonic_ns())
+        say(_ready_line(link, robot, origin))
+        refitter.start()
+        service.run(stop)
     finally:
-        if process is not None:
-            end_process(process)
-
-
-def _leave(fault: BaseException | None) -> None:
-    """End where a subscriber hangs on to the session: the interpreter's own exit would wait."""
-    expected = isinstance(fault, AdaptiveContactError)
-    try:
-        if expected:
-            say_note(fault)
-        elif fault is not None:
-            traceback.print_exception(fault)
-        sys.stdout.flush()
-    finally:  # also where nothing can be written any more
-        os._exit(0 if fault is None else 2 if expected else 1)
+        refitter.close()
+        link.close()
 
 
 def keeper_of(

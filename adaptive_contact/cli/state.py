@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich import box
 from rich.table import Table
-from rich.text import Text
 
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import (
@@ -44,43 +42,34 @@ def show(
     json: JsonOption = False,
 ) -> None:
     """List what is kept: of which robot and leg, how old, and whether it is sound."""
-    found = _found(state, robot, leg)
+    rows = [_row(stored) for stored in _found(state, robot, leg)]
     if json:
-        say_json([_row(stored) for stored in found], indent=2)
+        say_json(rows, indent=2)
         return
-    if not found:
+    if not rows:
         say(f"no state in {shown_path(_folder(state))}")
         return
 
-    console = table_console(pipe_width=160)
-    for folder in sorted({stored.path.parent for stored in found}):
-        here = [stored for stored in found if stored.path.parent == folder]
-        rows = [_row(stored) for stored in here]
-        robots = sorted({row["robot"] for row in rows} - {None})
-        say(f"{', '.join(robots) or 'no sound state of a robot'}, in {shown_path(folder)}")
-        console.print(_table(here, rows))
-        for stored, row in zip(here, rows, strict=True):
-            if row["refused"] is not None:
-                say(f"{shown_path(Path(stored.path.name))}: {row['refused']}")
-
-
-def _table(found: Sequence[Stored], rows: Sequence[dict[str, Any]]) -> Table:
-    """Format the files of one robot; their names hold leg, library of terms and settings."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("leg", "model", "age", "size", "state"):
+    for name in ("robot", "leg", "model", "age", "size", "state"):
         table.add_column(name, no_wrap=True)
-    table.add_column("file", overflow="fold")
-    for stored, row in zip(found, rows, strict=True):
+    table.add_column("file", overflow="fold")  # its name holds library of terms and settings
+    for row in rows:
         known = row["age_s"] is not None
         table.add_row(
-            Text(printable(row["leg"]) if known else "-"),
+            printable(row["robot"]) if known else "-",
+            printable(row["leg"]) if known else "-",
             str(row["model_version"]) if known else "-",
             duration(row["age_s"]) if known else "-",
             f"{row['bytes'] / 1000:.0f} kB",
             "sound" if row["refused"] is None else "refused",
-            Text(printable(shown_path(Path(stored.path.name)))),
+            printable(Path(row["file"]).name),
         )
-    return table
+    say(f"in {shown_path(_folder(state))}")
+    table_console(pipe_width=160).print(table)
+    for row in rows:
+        if row["refused"] is not None:
+            say(f"{Path(row['file']).name}: {row['refused']}")
 
 
 @app.command()
@@ -185,16 +174,14 @@ def _row(stored: Stored) -> dict[str, Any]:
     if isinstance(record, Refused):
         empty = dict.fromkeys(("robot", "leg", "library", "settings", "model_version", "age_s"))
         return row | empty | {"refused": record.why}
-    known = {
-        name: getattr(record.identity, name) for name in ("robot", "leg", "library", "settings")
-    }
     refused = stored.path.suffix == ".refused"
-    return (
-        row
-        | known
-        | {
-            "model_version": record.model_version,
-            "age_s": max(0.0, (time.time_ns() - record.saved_ns) / 1e9),
-            "refused": "refused by the service; the log says why" if refused else None,
-        }
-    )
+    return {
+        **row,
+        "robot": record.identity.robot,
+        "leg": record.identity.leg,
+        "library": record.identity.library,
+        "settings": record.identity.settings,
+        "model_version": record.model_version,
+        "age_s": max(0.0, (time.time_ns() - record.saved_ns) / 1e9),
+        "refused": "refused by the service; the log says why" if refused else None,
+    }

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-import threading
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Final
+from contextlib import nullcontext
+from typing import Annotated, Final
 
-from rich.console import Group
 from rich.live import Live
 
 from adaptive_contact.cli import _options as opt
@@ -19,11 +17,6 @@ from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._web import WEB_PANEL, Page, serve_page
 from adaptive_contact.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    from adaptive_contact.service.watch import View
-
-    Look = Callable[[], View]
 
 _REFRESH_S: Final = 0.15  # a leg that is not known shows as such within 0.7 s
 
@@ -64,56 +57,27 @@ def watch(
         return
     stop = opt.stoppable()
     from adaptive_contact.service.watch import Feed
+    from adaptive_contact.service.watch_table import table
 
     # A script that looks once is not to stand still where there is no router.
     patience_s = wait if once else math.inf
-    link = open_link(settings, stop, patience_s=patience_s)
-    if link is None:
-        return
-    with link:
-        feed = Feed(link, states=True)
-
-        def look() -> View:
-            return feed.view(time.monotonic_ns())
-
-        if not once and not json and sys.stdout.isatty():
-            _live(look, stop)
-            return
-        while not _look_for(seconds, look, stop):
-            _print(look(), json)
-            if once:
-                break
-
-
-def _look_for(seconds: float, look: Look, stop: threading.Event) -> bool:
-    """Take in what arrives until the next output is due; True if stopped before."""
-    until = time.monotonic() + seconds
-    while (left := until - time.monotonic()) > 0:
-        if stop.wait(min(left, _REFRESH_S)):
-            return True
-        look()
-    return False
-
-
-def _live(look: Look, stop: threading.Event) -> None:
-
-    from adaptive_contact.service.watch_table import table
-
-    console = table_console()
-
-    def drawn() -> Group:  # the terminal may change its size
-        return table(look(), console.width)
-
-    with Live(drawn(), console=console, auto_refresh=False) as live:
-        while not stop.wait(_REFRESH_S):
-            live.update(drawn(), refresh=True)
-
-
-def _print(view: View, json: bool) -> None:
-    if json:
-        say_json(view)
-        return
-    from adaptive_contact.service.watch_table import table
-
+    # A table in a terminal is drawn again and again; lines are printed when they are due.
+    drawn = not once and not json and sys.stdout.isatty()
     console = table_console(pipe_width=160)
-    console.print(table(view, console.width))
+    with (
+        open_link(settings, stop, patience_s=patience_s) as link,
+        Live(console=console, auto_refresh=False) if drawn else nullcontext() as live,
+    ):
+        feed, due_s = Feed(link, states=True), time.monotonic() + seconds
+        while not stop.wait(min(_REFRESH_S, seconds)):
+            view = feed.view(time.monotonic_ns())
+            if live is not None:
+                live.update(table(view, console.width), refresh=True)
+            elif time.monotonic() >= due_s:
+                due_s += seconds
+                if json:
+                    say_json(view)
+                else:
+                    console.print(table(view, console.width))
+                if once:
+                    break

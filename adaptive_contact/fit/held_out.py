@@ -148,7 +148,6 @@ class Sweep:
     # (n, J) held out, at the λ that was chosen, over √(1 + h), h the leverage on the other folds
     residual: Array
     certain: Array  # (n, J) the same with h inflated; noise and tail are fitted to it
-    lone: int = 0  # ticks in which that root is ten and more, as no other motion is like them
 
 
 def swept(
@@ -176,9 +175,7 @@ def swept(
     chosen = max(value for value, gain in gains.items() if gain >= least)
     residual = residuals[chosen]
     expected = held.spread(manner)
-    # A tick judged by more than so many times the noise is reported as unlike all others.
-    lone = int(np.count_nonzero(expected > 10.0))
-    return Sweep(chosen, residual, residual * spread / expected[:, None], lone)
+    return Sweep(chosen, residual, residual * spread / expected[:, None])
 
 
 def strength_of(

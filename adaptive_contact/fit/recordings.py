@@ -62,7 +62,6 @@ class LegGatherer:
 
     Attributes:
         rejects: samples that were not used, by reason.
-        missed: samples lost.
         off_rate: samples that came at another rate than the robot's, not used.
     """
 
@@ -78,11 +77,6 @@ class LegGatherer:
         self._rate = RateWatch(self._period_ns)
         self._runs: list[_Run] = []
         self._changes: list[_Received] = []
-
-    @property
-    def missed(self) -> int:
-        """Samples lost, from gaps in ``seq``."""
-        return self._guard.missed
 
     @property
     def samples(self) -> int:
@@ -279,16 +273,12 @@ def _between_slips(reads: list[ServoSample], period_ns: int) -> Iterator[list[Se
     for k in range(1, len(reads)):
         if stamps[k] - stamps[k - 1] < slip_ns:
             continue
-        before, after = (statistics.median(part) for part in _around(stamps, k))
+        before = statistics.median(stamps[max(k - SLIP_TICKS, 0) : k])
+        after = statistics.median(stamps[k : k + SLIP_TICKS])
         if after - before >= slip_ns:
             yield reads[first:k]
             first = k
     yield reads[first:]
-
-
-def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
-    """Some values before the k-th, and as many from it on."""
-    return values[max(k - SLIP_TICKS, 0) : k], values[k : k + SLIP_TICKS]
 
 
 class _Received(NamedTuple):

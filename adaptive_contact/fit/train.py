@@ -78,9 +78,6 @@ class LegFigures:
     # how firmly the fit holds on to what is known of any leg; None where nothing is (`prior`)
     strength: float | None = None
     determined: bool = True  # by the motions, all terms
-    # ticks in which a motion went beyond all others, so that thresholds there are ten times the
-    # noise and more
-    lone: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -287,7 +284,6 @@ def learn_leg(
         library_size=library.size,
         strength=manner.strength,
         determined=determined,
-        lone=best.lone,
     )
     scale = held.whole.scale()
     known = LegBaseline(model, noise, scale, len(swinging.target), manner.domain(held.whole))

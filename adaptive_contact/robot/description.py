@@ -23,8 +23,9 @@ from typing import Annotated, Final, Literal
 import msgspec
 from msgspec import Meta
 
+from adaptive_contact.arrays import Array, np
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot.kinematics import AXES, Chain, Vector, straight
+from adaptive_contact.robot.kinematics import AXES, Chain, Vector, rotation, straight
 from adaptive_contact.wire import ServoSample
 
 # Offsets are written with so many digits: finer than the step of any servo (0.0001 rad).
@@ -286,15 +287,6 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
             return Chain(self.joint_axes, self.origins_m)
         return None if self.lengths_m is None else straight(self.lengths_m, self.joint_axes)
 
-    @cached_property
-    def _chains(self) -> tuple[Chain, ...]:
-        """Return the chains that end at each joint but the first, and at the foot."""
-        chain = self.chain
-        if chain is None or self.mount == Mount():  # where it is on the body is not described
-            return ()
-        ends = range(1, len(self.joints) + 1)
-        return tuple(Chain(chain.axes[:end], chain.origins_m[:end]) for end in ends)
-
     def outline(self, q: Sequence[float]) -> list[list[float]]:
         """Compute where joints and foot are on the body.
 
@@ -305,12 +297,15 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
             (J + 1, 3) m in the body's frame, x forward and y to the left; empty where the leg's
             geometry or its mount is not described.
         """
-        if not self._chains or len(q) != len(self.joints):
+        chain = self.chain
+        if chain is None or self.mount == Mount() or len(q) != len(self.joints):
             return []
-        (x, y, z), yaw = self.mount.xyz_m, self.mount.yaw_rad
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        points = [(0.0, 0.0, 0.0), *(chain.point(q[: len(chain.axes)]) for chain in self._chains)]
-        return [[x + cos * a - sin * b, y + sin * a + cos * b, z + c] for a, b, c in points]
+        return [[*map(float, place)] for place in self.on_body(chain.frames(q)[0])]
+
+    def on_body(self, places: Array) -> Array:
+        """Turn places of the leg's frame, (..., 3) m, into the body's."""
+        turn = rotation(AXES["yaw"], self.mount.yaw_rad)
+        return np.asarray(places @ turn.T + np.array(self.mount.xyz_m))
 
 
 def _axis(direction: Vector) -> Axis:

@@ -10,12 +10,10 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-from collections import deque
-from typing import Final
+from typing import Any, Final
 
 from adaptive_contact.arrays import Array, Ints, Mask, np
 from adaptive_contact.robot.description import Leg
-from adaptive_contact.wire import Phase
 
 # Lengths are of a leg of 0.256 m, and in proportion for others (`Chain.size`).
 # A swing begins once the command has risen this far out of the low of the last LOW_TICKS.  The
@@ -38,48 +36,58 @@ class Direction(enum.IntEnum):
 
 
 @dataclasses.dataclass
-class PhaseTracker:
-    """Follows the height of one leg's commanded foot, one tick at a time."""
+class PhaseState:
+    """Holds what inferring one leg's phase needs from tick to tick."""
 
-    phase: Phase = "stance"  # at the last tick
-    size: float = 1.0  # of the leg, in the hexapod's
-    _heights: deque[float] = dataclasses.field(default_factory=lambda: deque(maxlen=LOW_TICKS))
-    _apex: float = -math.inf
-    _still: int = 0
+    leg_size: float  # in the hexapod's
+    swing_phase: bool = False  # at the last tick
+    apex: float = -math.inf  # m, highest command of the swing
+    still: int = 0  # ticks in which it did not change
+    # of the ring of the last heights: how many there are, and where the next one goes
+    low_n: int = 0
+    low_next: int = 0
 
-    def update(self, height: float) -> Phase:
-        """Process the next command.
 
-        Args:
-            height: of the commanded foot in the leg's frame, m.
+def follow_phase(leg: PhaseState, height: float, low: Any) -> bool:
+    """Infer the phase of the next tick; the tick of the learners compiles this.
 
-        Returns:
-            The phase at this tick.
-        """
-        rise_m = RISE_M * self.size
-        before = self._heights[-1] if self._heights else height
-        self._heights.append(height)
-        if self.phase == "stance":
-            if height > before and height - min(self._heights) > rise_m:
-                self.phase, self._apex, self._still = "swing", height, 0
-        else:
-            self._apex = max(self._apex, height)
-            still = abs(height - before) < STILL_M * self.size and height < self._apex - rise_m
-            self._still = self._still + 1 if still else 0
-            if self._still >= STILL_TICKS:
-                self.phase = "stance"
-                self._heights.clear()
-                self._heights.append(height)
-        return self.phase
+    Args:
+        leg: what is known of it so far, changed.
+        height: of the commanded foot in the leg's frame, m.
+        low: (LOW_TICKS,) m, ring of the last heights, changed.
+
+    Returns:
+        True in a swing.
+    """
+    before = low[(leg.low_next - 1) % LOW_TICKS] if leg.low_n else height
+    low[leg.low_next] = height
+    leg.low_next = (leg.low_next + 1) % LOW_TICKS
+    leg.low_n = min(leg.low_n + 1, LOW_TICKS)
+    if not leg.swing_phase:
+        least = height
+        for k in range(leg.low_n):
+            least = min(least, low[(leg.low_next - 1 - k) % LOW_TICKS])
+        if height > before and height - least > RISE_M * leg.leg_size:
+            leg.swing_phase, leg.apex, leg.still = True, height, 0
+    else:
+        leg.apex = max(leg.apex, height)
+        still = abs(height - before) < STILL_M * leg.leg_size
+        still = still and height < leg.apex - RISE_M * leg.leg_size
+        leg.still = leg.still + 1 if still else 0
+        if leg.still >= STILL_TICKS:
+            leg.swing_phase = False
+            low[0] = height
+            leg.low_n, leg.low_next = 1, 1
+    return leg.swing_phase
 
 
 def infer_phase(desired: Array, leg: Leg) -> Mask | None:
     """Infer the swing mask, (n,) bool, from commands, (n, J) rad; None without geometry."""
     if leg.chain is None:
         return None
-    tracker = PhaseTracker(size=leg.chain.size)
+    state, low = PhaseState(leg.chain.size), [0.0] * LOW_TICKS
     heights = leg.chain.foot(desired)[:, 2].tolist()
-    return np.array([tracker.update(height) == "swing" for height in heights], dtype=bool)
+    return np.array([follow_phase(state, height, low) for height in heights], dtype=bool)
 
 
 def directions(desired: Array, leg: Leg) -> Ints:

@@ -90,25 +90,27 @@ class Chain:
     @cached_property
     def raises_foot(self) -> bool:
         """Return whether any joint can raise the foot in any posture; computed without numpy."""
-        joints = range(len(self.axes))
-        least_m = 1e-9 * self.reach_m  # as of `lifts`, and its postures
-        for k in range(1, 17):
-            q = [k * math.sqrt(2 + j) for j in joints]
-            z = self.point(q)[2]
-            turned_by_one = ([*q[:j], q[j] + 1.0, *q[j + 1 :]] for j in joints)
-            if any(abs(self.point(other)[2] - z) > least_m for other in turned_by_one):
-                return True
-        return False
+        return any(self._raising)
 
     @cached_property
     def lifts(self) -> Mask:
         """Return whether each joint, (J,), can raise the foot at all; a yaw on top cannot."""
-        joints = len(self.axes)
-        # Multiples of irrational steps: spread over all postures, the same each time.
-        # Postures that are looked at to find out; no joint is at a singularity in all of them.
-        at = np.arange(1, 17)[:, None] * np.sqrt(np.arange(2, 2 + joints))
-        # A joint that raises the foot by less than this share of the leg's reach per rad does not.
-        return np.asarray(np.abs(self.height_gradients(at)).max(axis=0) > 1e-9 * self.reach_m)
+        return np.array(self._raising)
+
+    @cached_property
+    def _raising(self) -> tuple[bool, ...]:
+        joints = range(len(self.axes))
+        # Multiples of irrational steps: spread over all postures, the same each time.  No joint is
+        # at a singularity in all of them.
+        postures = [[k * math.sqrt(2 + j) for j in joints] for k in range(1, 17)]
+
+        def raises(joint: int, q: list[float]) -> bool:
+            turned = [*q]
+            turned[joint] += 1.0
+            # One that raises the foot by less than this share of the leg's reach does not.
+            return abs(self.point(turned)[2] - self.point(q)[2]) > 1e-9 * self.reach_m
+
+        return tuple(any(raises(joint, q) for q in postures) for joint in joints)
 
     def foot(self, q: ArrayLike) -> Array:
         """Compute the foot's position in the leg's frame, (..., J) rad to (..., 3) m."""
@@ -144,15 +146,6 @@ class Chain:
     def axis_vectors(self) -> tuple[Vector, ...]:
         """Return the axes as vectors of plain floats, (J,)."""
         return tuple(AXES[axis] if isinstance(axis, str) else axis for axis in self.axes)
-
-    def height_gradients(self, q: ArrayLike) -> Array:
-        """Compute the gradient of the foot's height, (..., J) rad to (..., J) m per rad.
-
-        The third row of the leg's Jacobian; 0 for a joint whose axis is upright.
-        """
-        points, axes = self.frames(q)
-        arm = points[..., -1:, :] - points[..., :-1, :]
-        return np.asarray(axes[..., 0] * arm[..., 1] - axes[..., 1] * arm[..., 0])
 
     def frames(self, q: ArrayLike) -> tuple[Array, Array]:
         """Compute the joints' positions and directions in the leg's frame.

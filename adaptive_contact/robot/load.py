@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+import reprlib
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -340,17 +341,11 @@ def _explain(text: str, table: dict[str, Any]) -> str:
         found = " or ".join(str(len(x) if bound[1] else x) for x in values)
         of, hint = "has a length of" if bound[1] else "is", _HINTS.get(key, "")
         return f"{shown} {of} {found}; expected {_SIGNS[bound[2]]} {float(bound[3]):g}{hint}"
-    found = " or ".join(map(repr, values))
-    if "Invalid enum value" in text or "matching regex" in text:
-        return f"{shown} is {found}; expected {_CHOICES.get(key, 'one that docs/robot.md names')}"
-    wrong_type = re.match(r"Expected `(.+)`(?: of length 3)?, got `?(\w+)`?", text)
-    if wrong_type:
-        expected, got = wrong_type.groups()
-        kinds = [_KINDS.get(kind, kind) for kind in expected.split(" | ") if kind != "null"]
-        found = f"has {got} values" if got.isdigit() else f"is {_KINDS.get(got, got)}"
-        wanted = "3 numbers" if got.isdigit() else " or ".join(kinds)
-        return f"{shown} {found}; expected {_CHOICES.get(key, wanted)}"
-    return text
+    expected = re.match(r"Expected `(.+)`(?: of length 3)?, got", text)
+    kinds = [] if expected is None else expected[1].split(" | ")
+    named = " or ".join(_KINDS.get(kind, kind) for kind in kinds if kind != "null")
+    wanted = _CHOICES.get(key) or named or "one that docs/robot.md names"
+    return f"{shown} is {' or '.join(map(reprlib.repr, values))}; expected {wanted}"
 
 
 def _values(table: Any, where: str) -> list[Any]:
@@ -377,6 +372,7 @@ _EXAMPLES: Final = {
 _CHOICES: Final = {
     "axes": f"{', '.join(get_args(AxisWord))}, or a direction such as [0, 1, 0], for each joint",
     "origins_m": "the way to the next joint, m, such as [0, 0, -0.2], for each joint",
+    "xyz_m": "3 numbers, m",
     "directions": "1 or -1",
     **dict.fromkeys(
         _TOPICS,

@@ -15,7 +15,6 @@ Reference:
 from __future__ import annotations
 
 import dataclasses
-import graphlib
 import itertools
 import math
 import re
@@ -68,15 +67,6 @@ class _Joint:
         """Return its range within a turn each way, rad; None where there is none."""
         low, high = max(self.lower, -math.tau), min(self.upper, math.tau)
         return (low, high) if low < high else None
-
-    @property
-    def odd(self) -> str | None:
-        """Describe angles that no joint has, for the operator: often degrees."""
-        largest = max(map(abs, (*self.rpy, self.lower, self.upper)))
-        if largest <= math.tau + _SNAP and self.lower <= self.upper:
-            return None
-        rpy = " ".join(f"{angle:g}" for angle in self.rpy)
-        return f"{self.name} (rpy {rpy}, limits {self.lower:g} .. {self.upper:g})"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,17 +122,14 @@ class Urdf:
         self.name = printable(root.get("name", "")).strip()
         self.links = [self._named(link) for link in root.iterfind("link")]
         self._joints = [self._joint(joint) for joint in root.iterfind("joint")]
-        self._moved: set[str] = set()  # links that joints move
         self._parents = self._tree()
 
-    @property
-    def tips(self) -> list[str]:
-        """Return the links that carry no other, and that joints move."""
-        carrying = {joint.parent for joint in self._joints}
-        return [link for link in self.links if link in self._moved and link not in carrying]
-
     def legs(
-        self, feet: Mapping[str, str], *, base: str | None = None, tips_m: Sequence[Vector] = ()
+        self,
+        feet: Mapping[str, str],
+        *,
+        base: str | None = None,
+        tips_m: Sequence[Sequence[float]] = (),
     ) -> UrdfLegs:
         """Read off legs.
 
@@ -163,7 +150,7 @@ class Urdf:
             )
         body = self._body(paths, roots.pop(), base)
         owners: dict[str, str] = {}
-        legs, free, raised, odd = [], [], [], []
+        legs, free, raised = [], [], []
         tips = list(tips_m) or [(0.0, 0.0, 0.0)]
         if len(tips) not in (1, len(feet)):
             raise ConfigurationError(
@@ -181,19 +168,16 @@ class Urdf:
                     )
             legs.append(self._leg(leg, chain, feet[leg], body, tip_m))
             free += [j.name for j in chain if j.kind in _TURNING and j.limits is None]
-            odd += [joint.odd for joint in chain if joint.odd is not None]
             raised += [leg] if _is_raised(legs[-1]) else []
         above = ", ".join(j.name for j in self._above(body) if j.kind not in _NO_LEG_S)
         legs_own = {joint.name for joint in (*itertools.chain(*paths.values()), *self._above(body))}
         beside = [j for j in self._joints if j.name not in legs_own and j.kind not in _NO_LEG_S]
-        listed = ", ".join(map(_shown, beside[:_LISTED])) + ", …" * (len(beside) > _LISTED)
+        listed = ", ".join(j.name for j in beside[:_LISTED]) + ", …" * (len(beside) > _LISTED)
         notes = {
             f"left out, as they lead to no foot: joint {listed}": beside,
             f"the body is link '{body}': joints above it ({above}) are no leg's": above,
             f"no limits for joint {', '.join(free)}; fill in limits before the bridge drives "
             "it": free,
-            f"{len(odd)} joints such as {'; '.join(odd[:1])}: expected rad within a turn, lower "
-            "below upper; limits are cut to a turn each way, degrees have to be corrected": odd,
             f"leg {', '.join(raised)}: the foot is above its first joint, at 0 and in mid-range; "
             f"is z of link '{body}' up? if not, give --base a link whose z is": raised,
         }
@@ -315,17 +299,6 @@ class Urdf:
                     "a loop (a parallel linkage) is no chain, see docs/robot.md"
                 )
             parents[joint.child] = joint
-        below = {link: (joint.parent,) for link, joint in parents.items()}
-        try:
-            order = [*graphlib.TopologicalSorter(below).static_order()]
-        except graphlib.CycleError as error:
-            circle = ", ".join(sorted(set(error.args[1])))
-            raise self._error(
-                f"links {circle} hang on each other in a circle; expected a tree of links"
-            ) from error
-        for link in filter(parents.get, order):
-            if parents[link].kind in _TURNING or parents[link].parent in self._moved:
-                self._moved.add(link)
         return parents
 
     def _path(self, leg: str, link: str) -> list[_Joint]:
@@ -335,20 +308,23 @@ class Urdf:
         path = self._above(link)[::-1]
         if len(path) > _LONGEST_PATH:
             raise self._error(
-                f"leg '{leg}': {len(path)} joints lead to link '{link}'; expected up to "
-                f"{_LONGEST_PATH}, the fixed ones included"
+                f"leg '{leg}': more than {_LONGEST_PATH} joints lead to link '{link}', or links "
+                "hang on each other in a circle; expected a tree of links"
             )
         return path
 
     def last_links(self) -> str:
-        """Describe the links that carry no other, for the operator."""
-        tips = sorted(self.tips, key=lambda link: not _FOOT.search(link))
+        """Describe the links that carry no other and that joints move, for the operator."""
+        carrying = {joint.parent for joint in self._joints}
+        ends = [link for link in self.links if link not in carrying]
+        moved = [link for link in ends if any(j.kind in _TURNING for j in self._above(link))]
+        tips = sorted(moved, key=lambda link: not _FOOT.search(link))
         more = f" and {len(tips) - _LISTED} more" if len(tips) > _LISTED else ""
         return ", ".join(tips[:_LISTED] or ["none"]) + more
 
     def _above(self, link: str) -> list[_Joint]:
-        above = []
-        while link in self._parents:
+        above: list[_Joint] = []
+        while link in self._parents and len(above) <= _LONGEST_PATH:
             above.append(self._parents[link])
             link = self._parents[link].parent
         return above
@@ -375,7 +351,9 @@ class Urdf:
 
     # -- a leg -------------------------------------------------------------------------------------
 
-    def _leg(self, leg: str, path: Sequence[_Joint], foot: str, body: str, tip_m: Vector) -> Leg:
+    def _leg(
+        self, leg: str, path: Sequence[_Joint], foot: str, body: str, tip_m: Sequence[float]
+    ) -> Leg:
         turn, place = np.eye(3), np.zeros(3)
         joints: list[_Joint] = []
         axes: list[Array] = []
@@ -450,13 +428,6 @@ def read_urdf(path: Path) -> Urdf:
     """
     advice = "give the path of a URDF; meshes are files of their own"
     return Urdf(read_file(path, advice, most=MOST_BYTES), str(path))
-
-
-def _shown(joint: _Joint) -> str:
-    """Describe a joint as text, and the one that it follows, if any."""
-    if joint.mimics is None:
-        return joint.name
-    return f"{joint.name} (follows {printable(joint.mimics)}; its load is not modelled)"
 
 
 def _rotation(rpy: Vector) -> Array:

@@ -38,12 +38,12 @@ def write_robot(robot: Robot) -> str:
         tables[key] = _given(port, ("baud", "protocol"))
     if robot.ros2 is not None:
         tables["[ros2]"] = _given(robot.ros2)
-    commented: set[str] = set()
-    text = [_table(name, table, commented) for name, table in tables.items()]
+    comments = dict(_COMMENTS)
+    text = [_table(name, table, comments) for name, table in tables.items()]
     for leg in robot.legs:
         table, servos, joints = _given(leg), leg.servos, len(leg.joints)
         table.pop("servos", None)
-        text.append(_table("[[leg]]", table, commented))
+        text.append(_table("[[leg]]", table, comments))
         if leg.chain is None:
             if leg is robot.legs[0]:
                 text[-1] += (
@@ -61,7 +61,7 @@ def write_robot(robot: Robot) -> str:
                 directions=servos.directions or (1,) * joints,
                 offsets_rad=servos.offsets_rad or (0.0,) * joints,
             )
-            text[-1] += _table("[leg.servos]", _given(filled, ("model",)), commented)
+            text[-1] += _table("[leg.servos]", _given(filled, ("model",)), comments)
     return "\n".join(text)
 
 
@@ -76,13 +76,13 @@ def _given(struct: msgspec.Struct, always: Collection[str] = ()) -> dict[str, An
     }
 
 
-def _table(name: str, table: Mapping[str, Any], commented: set[str]) -> str:
+def _table(name: str, table: Mapping[str, Any], comments: dict[str, str]) -> str:
     lines = [name]
     for key, value in table.items():
         line = f"{key} = {_toml(value)}"
-        if key in _COMMENTS and key not in commented:
-            commented.add(key)
-            line = f"{line:<28} # {_COMMENTS[key]}"
+        comment = comments.pop(key, None)
+        if comment is not None:
+            line = f"{line:<28} # {comment}"
         lines.append(line)
     return "\n".join(lines) + "\n"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.robot import Robot
@@ -17,7 +17,7 @@ from adaptive_contact.score.matching import match
 from adaptive_contact.score.outcome import LegOutcome
 from adaptive_contact.score.streams import Gatherer, Received
 from adaptive_contact.score.summary import Summary, summarise
-from adaptive_contact.wire import ContactEvent, Reject
+from adaptive_contact.wire import ContactEvent
 
 _NS_PER_S = 1_000_000_000
 
@@ -31,17 +31,6 @@ class Score:
     legs: dict[str, Summary]  # each leg alone
     rejects: dict[str, int]  # messages that could not be used, by reason
     notes: tuple[str, ...]  # what a reader of the figures should know, one line each
-
-    @classmethod
-    def of(cls, outcomes: tuple[LegOutcome, ...], rejects: Mapping[Reject, int]) -> Score:
-        """Add the outcomes of legs up; without notes."""
-        return cls(
-            outcomes=outcomes,
-            total=summarise(outcomes),
-            legs={outcome.leg: summarise([outcome]) for outcome in outcomes},
-            rejects={reason.value: n for reason, n in sorted(rejects.items()) if n},
-            notes=(),
-        )
 
 
 def score_messages(
@@ -101,23 +90,28 @@ def score_messages(
         end_ns = max(outcome.span_ns[1] for outcome in outcomes) + 1
         to_ns = end_ns if math.isinf(to_s) else start_ns + round(to_s * _NS_PER_S)
         outcomes = tuple(outcome.between(from_ns, to_ns) for outcome in outcomes)
-    score = Score.of(outcomes, gathered.rejects)
-    return dataclasses.replace(score, notes=_notes(gathered, score))
+    total = summarise(outcomes)
+    return Score(
+        outcomes=outcomes,
+        total=total,
+        legs={outcome.leg: summarise([outcome]) for outcome in outcomes},
+        rejects={reason.value: n for reason, n in sorted(gathered.rejects.items()) if n},
+        notes=_notes(gathered, total),
+    )
 
 
-def _notes(gathered: Gatherer, score: Score) -> tuple[str, ...]:
-    rows = score.total.rows
+def _notes(gathered: Gatherer, total: Summary) -> tuple[str, ...]:
+    rows = total.rows
     blind = [leg for leg in gathered.legs if leg not in gathered.legs_with_truth]
     unseen = sorted(set(gathered.legs_with_events) - set(gathered.legs))
     withheld = ", ".join(f"{leg} {count}" for leg, count in sorted(gathered.withheld.items()))
     rejects = [(reason, n) for reason, n in sorted(gathered.rejects.items()) if n]
     refused, reasons = sum(n for _, n in rejects), ", ".join(f"{r.value} {n}" for r, n in rejects)
-    judged = any(len(outcome.swings.start_ns) for outcome in score.outcomes)
-    late = "late" in rows and not rows[score.total.headline].touches
+    late = "late" in rows and not rows[total.headline].touches
     notes = (
         blind and f"no truth of {', '.join(blind)}: left out",
         unseen and f"events of {', '.join(unseen)}, which sent no samples: left out",
-        not judged and "no swing in the recording: nothing could be judged",
+        not total.swings and "no swing in the recording: nothing could be judged",
         withheld and f"events withheld while the leg was ambiguous, scored as none: {withheld}",
         refused and f"{refused} messages could not be used: {reasons}",
         late and "no touch of the headline: swings end with theirs, as where events stop them",

@@ -150,7 +150,7 @@ def test_the_picture_ends_where_the_foot_is() -> None:
     assert points[-1] == pytest.approx(foot([0.2, 0.4, -0.9], one.lengths_m, one.joint_axes))
     assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(one.lengths_m)
     text = draw(shipped_robot(), {x: [0.0, 0.1, -0.5] for x in shipped_robot().leg_ids})
-    assert text.count('class="link"') == 6 * 2 * 3
+    assert text.count('class="link"') == 6 * 3 * 3
     assert "coxa +0.0°, link 52 mm, sign +1, offset +0.00 rad" in text
 
 
@@ -164,7 +164,7 @@ def test_the_picture_says_where_front_is_and_which_way_angles_grow() -> None:
     robot = shipped_robot()
     text = draw(robot, {x: [0.0, 0.0, 0.0] for x in robot.leg_ids})
     assert "front (x)" in text
-    assert ">left (y)<" in text
+    assert "left (y) left" in text
     turned = arrows(text)
     assert len(turned) == 6 * 3  # a yaw of each leg on the body, two pitches beside it
     for _, begin_y, _, end_y in turned[6:]:

@@ -179,26 +179,6 @@ def test_limits_that_are_missing_are_said() -> None:
     assert leg_of(robot_of(*none, FOOT)).limits is None
 
 
-@pytest.mark.parametrize(
-    ("wrong", "upper", "says"),
-    [
-        (("<limit", '<limit lower="-90" upper="90"/><no'), 2 * np.pi, "limits -90 .. 90)"),
-        (("<limit", '<limit lower="20" upper="30"/><no'), np.pi, "limits 20 .. 30)"),
-        (("<limit", '<limit lower="1" upper="-1"/><no'), np.pi, "limits 1 .. -1)"),
-        (('rpy="0 0 0"', 'rpy="0 0 90"'), 1.5, "(rpy 0 0 90, "),
-    ],
-)
-def test_angles_that_no_joint_has_are_said(wrong: tuple[str, str], upper: float, says: str) -> None:
-    found = Urdf(robot_of(HIP, THIGH, KNEE.replace(*wrong), FOOT), "x").legs({"l": "foot"})
-    assert found.legs[0].limits.upper_rad[2] == pytest.approx(upper, abs=1e-5)
-    assert found.notes[-1].startswith("1 joints such as kfe (rpy ")
-    assert says in found.notes[-1]
-    assert found.notes[-1].endswith("degrees have to be corrected")
-    once = [part.replace(*wrong) for part in (HIP, THIGH, KNEE)]
-    note = Urdf(robot_of(*once, FOOT), "x").legs({"l": "foot"}).notes[-1]
-    assert note.startswith("3 joints such as haa (rpy ")
-
-
 def test_joints_that_lead_to_no_foot_are_named() -> None:
     rod = joint("rod", "thigh", "bar", more='<mimic joint="kfe"/>')
     head = joint("neck", "body", "head", kind="prismatic", more="")
@@ -208,7 +188,7 @@ def test_joints_that_lead_to_no_foot_are_named() -> None:
     found = Urdf(data, "x").legs({"l": "foot"})
     assert found.legs == (leg_of(robot_of(HIP, THIGH, KNEE, FOOT)),)
     (note,) = found.notes
-    assert "lead to no foot: joint rod (follows kfe; its load is not modelled), neck" in note
+    assert "lead to no foot: joint rod, neck" in note
 
 
 def test_a_foot_of_other_case_is_recognised() -> None:
@@ -280,7 +260,7 @@ def test_a_body_that_is_upside_down_is_doubted() -> None:
         (
             robot_of(joint("a", "body", "hip"), joint("b", "hip", "body")),
             "hip",
-            "links body, hip hang on each other in a circle; expected a tree",
+            "hang on each other in a circle; expected a tree of links",
         ),
         (
             robot_of(HIP, THIGH, KNEE.replace("<limit", '<mimic joint="hfe"/><limit'), FOOT),

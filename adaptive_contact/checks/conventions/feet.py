@@ -86,15 +86,6 @@ class Reading(NamedTuple):
         return self._replace(offsets_rad=tuple(math.remainder(o + d, math.tau) for o, d in moved))
 
 
-def on_body(leg: Leg, place: Array) -> Array:
-    """(n, 3) m in the body's frame, of places in the leg's."""
-    yaw = leg.mount.yaw_rad
-    turn = np.array(
-        [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
-    )
-    return np.asarray(place @ turn.T + np.array(leg.mount.xyz_m))
-
-
 class Walker:
     """One leg and its motion, by any reading.
 
@@ -130,7 +121,7 @@ class Walker:
 
     def _place(self, reading: Reading) -> Array:
         """(n, 3) m, the commanded foot on the body."""
-        return on_body(self.leg, self.chain.foot(reading.angles(self.motion.desired)))
+        return self.leg.on_body(self.chain.foot(reading.angles(self.motion.desired)))
 
     def height(self, reading: Reading) -> Array:
         """(n,) m of it over the leg's axis."""

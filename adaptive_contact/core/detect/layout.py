@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from adaptive_contact.compiled import Handover, records
 from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.robot.description import DetectorSettings
+from adaptive_contact.robot.gait_phase import LOW_TICKS
 
 DEPTH: Final = 3  # ticks of the longest window of the statistic
 HEIGHTS: Final = 12  # of the foot, remembered
-LOW_TICKS: Final = 10  # of the commanded foot, whose low a swing rises from
 ASKED: Final = 4  # ways commanded, remembered
 SWINGS: Final = 5  # lengths of swings, remembered
 PATH_TICKS: Final = 400  # commands of a swing, remembered

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.compiled import compiled, stage
-from adaptive_contact.core.detect.layout import ASKED, HEIGHTS, LOW_TICKS, PATH_TICKS, SWINGS
-from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, RISE_M, STILL_M, STILL_TICKS
+from adaptive_contact.core.detect.layout import ASKED, HEIGHTS, PATH_TICKS, SWINGS
+from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, follow_phase
 from adaptive_contact.robot.kinematics import Chain
 
 # Lengths are of a leg of 0.256 m, and in proportion for others (`Chain.size`).
@@ -71,6 +71,10 @@ def tabulate(chain: Chain) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
     kinds = [PITCH if axis == "pitch" else YAW for axis in chain.axes]
     axis_kinds = np.array(kinds if chain.is_straight else [ANY] * len(kinds), dtype=np.int8)
     return links, axis_kinds
+
+
+# The phase, inferred from the commanded foot's height.
+infer_phase: Final = compiled(follow_phase)
 
 
 @compiled
@@ -148,31 +152,6 @@ def height_gradient(angles, links, axis_kinds, gradient):
 def distance(a, b):
     """Compute the distance of two places, m."""
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
-
-
-@compiled
-def infer_phase(leg, height, low):
-    """Infer the phase from the commanded foot's height; True in a swing."""
-    before = low[(leg.low_next - 1) % LOW_TICKS] if leg.low_n else height
-    low[leg.low_next] = height
-    leg.low_next = (leg.low_next + 1) % LOW_TICKS
-    leg.low_n = min(leg.low_n + 1, LOW_TICKS)
-    if not leg.swing_phase:
-        least = height
-        for k in range(leg.low_n):
-            least = min(least, low[(leg.low_next - 1 - k) % LOW_TICKS])
-        if height > before and height - least > RISE_M * leg.leg_size:
-            leg.swing_phase, leg.apex, leg.still = True, height, 0
-    else:
-        leg.apex = max(leg.apex, height)
-        still = abs(height - before) < STILL_M * leg.leg_size
-        still = still and height < leg.apex - RISE_M * leg.leg_size
-        leg.still = leg.still + 1 if still else 0
-        if leg.still >= STILL_TICKS:
-            leg.swing_phase = False
-            low[0] = height
-            leg.low_n, leg.low_next = 1, 1
-    return leg.swing_phase
 
 
 @compiled
