@@ -8,7 +8,6 @@ code runs as plain Python.
 
 from __future__ import annotations
 
-import ast
 import collections
 import contextlib
 import functools
@@ -32,9 +31,6 @@ CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 _SOURCES: Final = ("core/detect", "core/learn", "model", "robot")
 # There once all of a tick has been compiled, touched by each start; holds the CPU time of that, s.
 _WHOLE: Final = "whole"
-# CPU time of compiling a tick over that of parsing and walking its sources, both of which are
-# mostly Python's own: 36 to 40 s over 0.085 to 0.105 s (Python 3.11, numba 0.68, x86).
-_TICK_OVER_SOURCES: Final = 400.0
 
 
 @functools.cache
@@ -86,38 +82,6 @@ def is_cached() -> bool:
     """
     folder = cache_folder()
     return folder is not None and (folder / _WHOLE).exists()
-
-
-def compiling_s() -> float:
-    """Estimate the CPU time of compiling a tick on this computer, s.
-
-    What the newest version that was compiled here took; without one, a measurement of a tenth of a
-    second.
-    """
-    folder = cache_folder()
-    marks = [] if folder is None else list(folder.parent.glob(f"compiled-*/{_WHOLE}"))
-    with contextlib.suppress(OSError):  # another start removes what is old
-        marks.sort(key=lambda mark: mark.stat().st_mtime, reverse=True)
-    for mark in marks:
-        with contextlib.suppress(OSError, ValueError):
-            taken_s = float(mark.read_text())
-            if 1.0 <= taken_s <= 3600.0:
-                return taken_s
-    texts = [path.read_text() for path in (Path(__file__).parent / _SOURCES[0]).glob("*.py")]
-    began_s = time.process_time()
-    for text in texts:
-        for node in ast.walk(ast.parse(text)):
-            collections.deque(ast.iter_fields(node), maxlen=0)
-        compile(text, "", "exec")
-    return _TICK_OVER_SOURCES * (time.process_time() - began_s)
-
-
-def note_compiled(taken_s: float) -> None:
-    """Store the CPU time that compiling has taken, s, for the first start of the next version."""
-    folder = cache_folder()
-    if folder is not None:
-        with contextlib.suppress(OSError):
-            (folder / _WHOLE).write_text(f"{taken_s:.1f}")
 
 
 def note_cached() -> None:

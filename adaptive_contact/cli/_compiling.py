@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import resource
 import subprocess
 import sys
 import threading
@@ -33,7 +32,7 @@ def compile_tick(stop: threading.Event | None = None) -> None:
     Args:
         stop: ends it early: nothing is loaded then.
     """
-    from adaptive_contact.compiled import cache_folder, compiles, is_cached, note_compiled
+    from adaptive_contact.compiled import cache_folder, compiles, is_cached
     from adaptive_contact.core.bank import compile_ahead
 
     if not compiles():
@@ -46,11 +45,10 @@ def compile_tick(stop: threading.Event | None = None) -> None:
     if line is not None:
         say_note(line)
         if cache_folder():
-            began_s, before_s = time.monotonic(), _children_s()
+            began_s = time.monotonic()
             # In a process of its own: the compiler would keep 200 MB for as long as this one runs.
             _run_until(stop or threading.Event(), [sys.executable, "-c", _CODE])
             if is_cached():
-                note_compiled(_children_s() - before_s)
                 say_note(f"compiled after {time.monotonic() - began_s:.0f} s")
     if stop is None or not stop.is_set():
         compile_ahead()
@@ -58,12 +56,12 @@ def compile_tick(stop: threading.Event | None = None) -> None:
 
 def first_start() -> str | None:
     """Return what is compiled before the first tick, and for how long; None where nothing is."""
-    from adaptive_contact.compiled import cache_folder, compiles, compiling_s, is_cached
+    from adaptive_contact.compiled import cache_folder, compiles, is_cached
 
     if not compiles() or is_cached():
         return None
     kept = "once" if cache_folder() else "at each start, as no folder could be had to keep it in"
-    how_long = f"about {max(compiling_s(), 1.0):.0f} s of one core, longer beside other work"
+    how_long = "half a minute on a PC, minutes on a small computer"
     return f"compiling the arithmetic of a tick for this computer, {kept}: {how_long}"
 
 
@@ -102,12 +100,6 @@ def compile_in_view(
             wait([compiled], 1.0)
     samples.close()
     compiled.result()
-
-
-def _children_s() -> float:
-    """Return the CPU time of processes that have ended, s."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
 
 
 def _run_until(stop: threading.Event, words: list[str]) -> None:

@@ -114,14 +114,10 @@ def test_a_first_start_says_how_long_it_compiles_and_how_long_it_took(
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     compiled.cache_folder.cache_clear()
     try:
-        before = tmp_path / "compiled-before" / "whole"
-        before.parent.mkdir()
-        before.write_text("42.0")
         _compiling.compile_tick()
         first, second = capsys.readouterr().err.splitlines()
-        assert "for this computer, once: about 42 s of one core" in first
+        assert "for this computer, once: half a minute" in first
         assert re.fullmatch(r"adaptive-contact: compiled after \d+ s", second)
-        assert 2.0 <= compiled.compiling_s() < 10.0
         _compiling.compile_tick()
         assert capsys.readouterr().err == "", "once"
     finally:

@@ -153,23 +153,3 @@ def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> No
     compiled.note_cached()
     assert compiled.is_cached()
     assert (old.exists(), recent.exists()) == (False, True)
-
-
-def test_the_time_of_a_first_start_is_that_of_the_newest_before(folder: Path) -> None:
-    """Else it is measured; what a file holds that is no such time counts for nothing."""
-    found = compiled.cache_folder()
-    for age, text in enumerate(["", "nan", "-3", "1e9", "44.5", "9"]):
-        mark = found.with_name(f"compiled-{age}") / "whole"
-        mark.parent.mkdir()
-        mark.write_text(text)
-        then = time.time() - 60 * age
-        os.utime(mark, (then, then))
-    assert compiled.compiling_s() == 44.5
-    shutil.rmtree(found.parent)
-    compiled.cache_folder.cache_clear()
-    measured = [compiled.compiling_s() for _ in range(5)]
-    assert 1.0 < min(measured) < max(measured) < 600.0
-    compiled.note_compiled(31.26)
-    assert compiled.compiling_s() == 31.3
-    compiled.note_cached()
-    assert compiled.compiling_s() == 31.3, "later starts keep it"
